@@ -35,10 +35,10 @@ __all__ = [
     "manipulability",
 ]
 
-if not TYPE_CHECKING:  # with this function, type checkers would accept any name
+if not TYPE_CHECKING:  # hidden, because type checkers would otherwise accept any name
 
     def __getattr__(name: str) -> Any:
-        """Import `averages` on first use. The controller does not need it."""
+        """Import `averages` on first use, because the controller does not need it."""
         if name not in __all__:
             raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
         from . import averages

@@ -1,4 +1,4 @@
-"""The compiled kernels; `kernels.cpp` of each chapter says what is in them."""
+"""Type stubs of the compiled kernels. The `kernels.cpp` of each folder describes its functions."""
 
 from typing import Any
 

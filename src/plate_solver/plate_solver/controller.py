@@ -1,14 +1,14 @@
 """Computes the next plate cycle from the planner's request, in four steps.
 
 1. `predict_start` predicts the state of the parts and the plate when the cycle begins.
-2. `form_goal` converts the request (forces or targets) to intervals of displacements.
+2. `form_goal` converts the request (forces or targets) to intervals for the displacements.
 3. `search` finds a plate motion for the goal.
-4. `leaves_plate` checks whether the motion carries a part off the plate. If so, `Controller`
-   searches again for a smaller fraction of the goal. If the smallest fraction fails too, it returns
-   a cycle at rest.
+4. `leaves_plate` checks whether the motion moves a part off the plate. If it does, `Controller`
+   searches again for a smaller fraction of the goal. If the smallest fraction also fails, it
+   returns a cycle at rest.
 
-Between calls, `Controller` keeps the predicted velocities of the parts. The solvers keep their last
-motion, from which the next search starts, and a random generator.
+Between calls, `Controller` keeps the predicted velocities of the parts. Each solver keeps its last
+motion as a start for the next search, and its random generator.
 """
 
 from __future__ import annotations
@@ -31,63 +31,65 @@ from .sinusoids.solver import SinusoidCycles
 from .start import Memory, part_types, predict_start
 
 METHODS = {"A": "rotations", "B": "sinusoids", "rotations": "rotations", "sinusoids": "sinusoids"}
-"""Names of the methods: the letters of the paper and the names in this project."""
+"""Names of the methods: the letters A and B of the paper, and the names in this project."""
 
 DRIFT_TOLERANCE = 5e-5
-"""Error per second of the cycle below which a search for forces stops [m/s]."""
+"""Maximum error of a search for forces, divided by the length of the cycle [m/s]. The search stops
+when the error is below it."""
 
 WAY_TOLERANCE = 2e-4
-"""Error per second of the cycle below which a search for targets stops [m/s]. Later cycles correct
-this error."""
+"""Maximum error of a search for targets, divided by the length of the cycle [m/s]. The search stops
+when the error is below it. Later cycles correct this error."""
 
 FRACTIONS = (1.0, 0.5, 0.25)
-"""Fractions of a goal, tried in this order until no part leaves the plate. With forces,
-the displacements and rotations are multiplied by the fraction. Targets stay, but their weights are
-multiplied by its square (`Goal.times`)."""
+"""Fractions of a goal, tried in this order until no part leaves the plate. If forces are requested,
+the displacements and rotations are multiplied by the fraction. Targets are not moved. Instead their
+weights are multiplied by the square of the fraction (`Goal.times`)."""
 
 GOOD_MISS = 0.15
 """Maximum acceptable error (root mean square), as a fraction of the requested displacement. If the
 error is larger, the solver searches from further starts."""
 
 EXACT_MISS = 0.02
-"""Maximum acceptable error as a fraction of the requested displacement, for force requests in which
-a part has zero tolerance on both axes."""
+"""Maximum acceptable error (root mean square), as a fraction of the requested displacement. It
+applies to force requests in which a part has zero tolerance on both axes."""
 
 COAST_S = 0.03
 """Time by which the parts are extrapolated with their final velocities at the end of a cycle [s].
-It credits a part that moves towards its target. It is used only if a part is far from its
-target. Near their targets, parts would otherwise keep oscillating. Forces do not use it."""
+The extrapolation rewards a motion after which a part moves towards its target. It is used only if a
+part is far from its target. Parts near their targets would otherwise keep oscillating. If forces
+are requested, it is not used."""
 
 
 EFFORT: dict[str, dict[str, Any]] = {
     "rotations": {"iterations": 20, "restarts": 1},
     "sinusoids": {"iterations": 16, "restarts": 40},
 }
-"""Maximum number of iterations from one start, and maximum number of further starts, for closed
-loop control. Larger values take longer and improve little: see docs/results.md. Motions with a free
-end use half the further starts (`steer.PLAYS`)."""
+"""Maximum number of iterations from one start, and maximum number of further starts, in closed-loop
+control. Larger values make the search slower and improve little: see docs/results.md. Motions with
+a free end use half the further starts (`steer.PLAYS`)."""
 
 
 @dataclass(frozen=True)
 class Answer:
-    """The next cycle and how well it meets the request.
+    """The next cycle, and the accuracy with which it meets the request.
 
     Attributes
     ----------
     cycle : PlateCycle
-        It starts and ends at rest at home, with two exceptions. A motion of sinusoids starts in
-        `Wanted.plate` if that is given. It ends in any state if the end is free (`Goal.free_end`).
-        The cycle has a tail if it starts in motion or has a free end.
+        The next cycle. Usually it starts and ends at rest at home. A motion of sinusoids starts in
+        the state `Wanted.plate` if that is given, and may end in any state if the end is free
+        (`Goal.free_end`). The cycle has a tail if it starts in motion or has a free end.
     solution : Solution or None
-        None if nothing was requested.
+        Solution of the search. None if nothing was requested.
     message : str
         Text for the log.
     error_m, asked_m : float
         Displacement error and requested displacement [m]. Both are root mean squares over parts and
         axes. Rotations count as arc lengths at the edge of the part. Both are 0 with targets.
     fraction : float
-        Fraction of the goal used in the search: one of `FRACTIONS`. 0 if the cycle is at rest
-        because a part would leave the plate.
+        Fraction of the goal that the search used: one of `FRACTIONS`. 0 if the plate rests because
+        a part would leave it.
     """
 
     cycle: PlateCycle
@@ -99,7 +101,8 @@ class Answer:
 
 
 class Controller:
-    """Computes one cycle after another, and keeps the predicted part velocities between them.
+    """Computes one cycle after another. Between the cycles it keeps the predicted velocities of the
+    parts.
 
     Parameters
     ----------
@@ -110,9 +113,9 @@ class Controller:
     seed : int
         Seed of the solvers' random starts.
     threads : int
-        Number of threads for a search.
+        Number of threads of a search.
     **effort
-        `iterations` and `restarts` of the solvers. Default: `EFFORT`.
+        Options `iterations` and `restarts` of the solvers. Default: `EFFORT`.
 
     Raises
     ------
@@ -152,8 +155,8 @@ class Controller:
             solver.reset()
 
     def warm_up(self) -> None:
-        """Solve test requests with each method, so that the first real request finds the tables
-        for forces and all libraries loaded. Forgets all parts and solutions."""
+        """Solve test requests with each method. They load the force tables and all libraries, so
+        that the first real request is not delayed. Forget all parts and solutions afterwards."""
         rest = PlateCycle.rest(IDLE_S)
         rotated = Parts.make(("part_0",), np.zeros((1, 2)))
         requests = [Wanted.make(rotated, torque=np.array([1e-6]))]
@@ -173,7 +176,7 @@ class Controller:
         Parameters
         ----------
         wanted : Wanted
-            The request, with the parts as detected at the start of the running cycle.
+            Request with the parts as detected at the start of the running cycle.
         running : PlateCycle, optional
             The running cycle; None if the plate is at rest.
         until : float
@@ -223,7 +226,7 @@ def search(
     Parameters
     ----------
     solver : MotionSolver
-        Its last motion and its random generator are the state of the search.
+        The last motion and the random generator of the solver are the state of the search.
     goal : Goal
     fraction : float
         Fraction of the goal, 0 to 1, as in `Goal.times`.
@@ -231,7 +234,7 @@ def search(
         Length of the cycle [s].
     miss : float
         Maximum acceptable error (root mean square), as a fraction of the displacements. If the
-        error is larger, the solver searches from further starts. Unused if `goal.lasting`.
+        error is larger, the solver searches from further starts. Not used if `goal.lasting`.
     until : float
         As in `MotionSolver.steer`.
     """
@@ -241,19 +244,19 @@ def search(
 
 
 def leaves_plate(rig: Rig, ids: tuple[str, ...], goal: Goal, predicted: np.ndarray) -> bool:
-    """Whether a part would end beyond the edge of the plate, and farther out than it started.
+    """Return whether a part would end beyond the edge of the plate and farther out than it started.
 
-    The centre of a part must end half a radius inside the edge. Only the predicted end is checked,
-    extrapolated by `Goal.coast`.
+    The centre of a part must end at least half a radius inside the edge. Only the predicted end is
+    checked, extrapolated by `Goal.coast`.
 
     Parameters
     ----------
     rig : Rig
     ids : tuple of M str
     goal : Goal
-        A part may leave the plate at an edge if its goal is located beyond that edge.
+        A part may leave the plate at an edge if its goal is beyond that edge.
     predicted : (C,)
-        Predicted end of the cycle, as `Goal.end`.
+        Predicted end of the cycle, in the order of `Goal.end`.
     """
     end = predicted[: goal.position.size].reshape(2, -1).T
     radius = np.sqrt([[kind.area_m2 / np.pi] for kind in part_types(rig, ids)])
@@ -265,9 +268,9 @@ def leaves_plate(rig: Rig, ids: tuple[str, ...], goal: Goal, predicted: np.ndarr
 
 
 def answer_of(goal: Goal, solution: Solution, fraction: float, period: float) -> Answer:
-    """Return the answer of a solution for a fraction of a goal.
+    """Return the answer for a solution of a fraction of a goal.
 
-    Error and residual refer to the whole goal.
+    The error and the residual refer to the whole goal.
     """
     if goal.lasting:
         return Answer(solution.cycle, solution, solution.message, 0.0, 0.0, fraction)

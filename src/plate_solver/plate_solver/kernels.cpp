@@ -1,4 +1,4 @@
-// Python module `_kernels`. Each folder binds its own kernels.
+// Python module `_kernels`. Each folder binds its kernels in a `kernels.cpp` of its own.
 #include <plate/bind.hpp>
 
 namespace plate {
@@ -16,7 +16,7 @@ void bind_sinusoids(nb::module_& m);
 void bind_unreachable(nb::module_& m);
 
 NB_MODULE(_kernels, m) {
-    nb::set_leak_warnings(false);  // at exit, the interpreter may still hold objects
+    nb::set_leak_warnings(false);  // the interpreter may still hold objects at exit
     bind_average_rotations(m);
     bind_average_sinusoids(m);
     bind_cycle_map(m);

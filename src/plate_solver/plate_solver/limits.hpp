@@ -17,7 +17,7 @@ constexpr double EQUAL_WEIGHT[] = {1.0};
 
 // Weights of control points at equal steps. The mean square of a piece is at most the mean of its
 // control points' squares, because the six basis functions have equal integrals. The last point of
-// a piece is the first point of the next piece, so this point counts twice.
+// a piece is also the first point of the next piece. Therefore it counts twice.
 constexpr double HULL_WEIGHT[] = {2.0, 1, 1, 1, 1};
 
 // The rig's limits, or a fraction of them.
@@ -26,7 +26,7 @@ struct Limits {
     double half[2];               // half side lengths of the plate [m]
     double stroke_m, speed, accel, arm_m;
     double levers[MOTORS][3];    // derivative of each motor's travel with respect to the pose
-    double loads[3][MOTORS][3];  // force per peak force of each motor, by pose, twist, acceleration
+    double loads[3][MOTORS][3];  // motor force / peak force, per pose, twist and acceleration
     double heat;                 // peak force divided by continuous force
     bool forceful;               // whether force or heat can limit a motion
 };
@@ -46,8 +46,8 @@ inline double greatest(const Four& value) {
     return std::max(std::max(value[0], value[1]), std::max(value[2], value[3]));
 }
 
-// Maximum utilisation of stroke, speed and acceleration. The four motors, then the four corners,
-// are computed in parallel.
+// Maximum utilisation of stroke, speed and acceleration. The values of the four motors are computed
+// in parallel, and then those of the four corners.
 PLATE_WIDE inline double motion_use(Samples pose, Samples twist, Samples accel,
                                     const Limits& limits, bool linear) {
     Four px, py, ex, ey, corner_x, corner_y, stroke{}, speed{}, peak{};
@@ -60,7 +60,7 @@ PLATE_WIDE inline double motion_use(Samples pose, Samples twist, Samples accel,
     for (int k = 0; k < pose.count; k++) {
         const double angle = pose(k, 2), spin = twist(k, 2), spin_rate = accel(k, 2);
         double s = 0, c = 1;
-        // For the usual small angles, use a series with an error of 1e-9.
+        // A series is accurate enough for the usual small angles. Its error is 1e-9.
         if (!linear && std::abs(angle) < 0.1) {
             s = angle * (1 - angle * angle * (1.0 / 6 - angle * angle / 120));
             c = 1 - angle * angle * (0.5 - angle * angle / 24);
@@ -81,8 +81,8 @@ PLATE_WIDE inline double motion_use(Samples pose, Samples twist, Samples accel,
                      std::sqrt(greatest(peak)) / limits.accel});
 }
 
-// Maximum utilisation of the motors' peak and continuous force. The four motors are computed in
-// parallel.
+// Maximum utilisation of the motors' peak and continuous force. The values of the four motors are
+// computed in parallel.
 PLATE_WIDE inline double force_use(Samples pose, Samples twist, Samples accel,
                                    View<const double, 1> weight, const Limits& limits) {
     Four loads[3][3], most{}, square{};

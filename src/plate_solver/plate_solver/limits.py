@@ -1,8 +1,8 @@
 """Limit utilisation of a sampled motion, as a fraction of the rig's limits.
 
-Both methods use it. It checks the motors' stroke, speed, force and heat, and the acceleration of
-the plate's corners. It is implemented in C++, because a search calls it at every step.
-`plate_core.motion.usage` does the same check for a whole cycle; a test compares both.
+Both methods use this module. It checks the motors' stroke, speed, force and heat, and the
+acceleration of the plate's corners. It is implemented in C++, because a search calls it at every
+step. `plate_core.motion.usage` does the same check for a whole cycle. A test compares both.
 """
 
 from __future__ import annotations
@@ -19,12 +19,14 @@ from plate_core.rig import motor_levers, motor_reach
 from . import _kernels
 
 MARGIN: float = _kernels.MARGIN
-"""Fraction of the limits that a search may use, because its samples may miss a peak slightly."""
+"""Fraction of the limits that a search may use. It is below 1 because the samples of a search may
+slightly miss a peak."""
 
 HEADROOM = 1.1
-"""If the motors can accelerate the plate by at least this factor times the limit in the rig file,
-their force and heat are not checked. The plate's spin needs up to 2 % more than `motor_reach`
-computes, and heat up to 3 % more (test_motors.py, test_weak_motors.py)."""
+"""If the motors can accelerate the plate by at least this factor times the acceleration limit in
+the rig file, their force and heat are not checked. The factor covers two errors of `motor_reach`:
+the plate's spin needs up to 2 % more force, and heat needs up to 3 % more (test_motors.py,
+test_weak_motors.py)."""
 
 CERTAIN: float = _kernels.CERTAIN
 """Maximum limit utilisation of a finished cycle, computed from its control points."""
@@ -46,7 +48,8 @@ class Limits(NamedTuple):
         Limits of the motors' stroke [m] and speed [m/s], and of the acceleration of any point of
         the plate [m/s2].
     arm_m : float
-        Characteristic length that converts theta to a displacement. It scales the parameters.
+        Characteristic length that converts theta to a displacement. The parameters of a motion are
+        scaled by it.
     levers : (4, 3)
         Derivative of each motor's travel with respect to the pose, at home.
     loads : (3, 4, 3)
@@ -54,7 +57,8 @@ class Limits(NamedTuple):
     heat : float
         Peak force divided by continuous force.
     forceful : bool
-        Whether force or heat of the motors can limit a motion. If False, they are not checked.
+        Whether force or heat of the motors can limit a motion. If False, force and heat are not
+        checked.
     """
 
     motors: np.ndarray
@@ -70,7 +74,7 @@ class Limits(NamedTuple):
 
     @classmethod
     def of(cls, rig: Rig, fraction: float = MARGIN) -> Limits:
-        """Return a fraction of a rig's limits."""
+        """Return a fraction of the limits of a rig."""
         limits = rig.limits
         weak = motor_reach(rig).accel < HEADROOM * limits.accel
         return cls(
@@ -95,8 +99,8 @@ def limit_use(
 
     With the control points of a spline motion, the result is an upper bound, as in
     `plate_core.motion.usage`. With `linear`, the motors' travel and the corners' positions are
-    linearised in theta. Searches use this, so that the result still depends on the amplitude of a
-    motion far beyond the limits.
+    linearised in theta. Searches linearise, so that the result still depends on the amplitude if a
+    motion is far beyond the limits.
 
     Parameters
     ----------
@@ -112,8 +116,9 @@ def within_limits(
 ) -> PlateCycle:
     """Return a cycle whose control points are within the full limits.
 
-    If the cycle exceeds them, it is interpolated towards the cycle that `resting` returns, which
-    has the same knot times. Default: the cycle scaled to rest.
+    If the cycle exceeds the limits, it is interpolated towards the cycle that `resting` returns.
+    That cycle has the same knot times. By default it is the plate at rest, so the cycle is scaled
+    down.
     """
     used = _use(cycle, full)
     if used <= CERTAIN:
@@ -125,7 +130,7 @@ def within_limits(
             f"to stop from the cycle's start, the plate needs {least:.3g} times its limits, "
             f"allowed: {CERTAIN:g}"
         )
-    for _ in range(4):  # few rounds suffice, because utilisation is nearly linear in the fraction
+    for _ in range(4):  # few rounds: utilisation is nearly linear in the fraction
         share = max((0.9995 * CERTAIN - least) / (used - least), 0.0)
         times, *states = cycle.knots
         nearer = [b + share * (a - b) for a, b in zip(states, rest.knots[1:], strict=True)]
@@ -139,8 +144,9 @@ def within_limits(
 def _use(cycle: PlateCycle, full: Limits) -> float:
     """Return the maximum limit utilisation of a cycle's control points, as a fraction of a limit.
 
-    The heat is computed for the cycle, for the cycle with its tail, and for the tail only. The
-    largest value counts. The tail counts separately because the next cycle may begin with it.
+    The heat of the motors is computed for the cycle, for the cycle with its tail, and for the tail
+    only. The largest value counts. The tail is computed separately because the next cycle may begin
+    with it.
     """
     used = 0.0
     both = cycle.parts

@@ -1,7 +1,7 @@
-"""Base class of the solvers of both methods, and the validation of their options.
+"""Base class of the solvers of both methods, and the checks of their options.
 
-`MotionSolver.steer` finds a cycle for a `Goal` on the cycle map. The last solution is kept as a
-start for the next search.
+`MotionSolver.steer` finds a cycle for a `Goal` on the cycle map. The last solution is the start of
+the next search.
 """
 
 from __future__ import annotations
@@ -19,7 +19,8 @@ from .limits import Limits
 
 
 def make_options(kind: type[Any], options: dict[str, Any]) -> Any:
-    """Return options of a kind. An unknown option raises an error with the names of all options."""
+    """Return the options of a solver. If an option is unknown, the error lists the names of all
+    options."""
     known = kind.__dataclass_fields__
     unknown = [name for name in options if name not in known]
     if unknown:
@@ -28,14 +29,14 @@ def make_options(kind: type[Any], options: dict[str, Any]) -> Any:
 
 
 def check_options(options: object, **ranges: tuple[float, float]) -> None:
-    """Check that options are numbers in their ranges.
+    """Check that options are numbers within their ranges.
 
-    If the low end of a range is an integer, the option must be an integer.
+    If the lower end of a range is an integer, the option must be an integer.
 
     Raises
     ------
     PlateError
-        With the name of the option, its value and the allowed range.
+        If an option is invalid. The error names the option, its value and the allowed range.
     """
     for name, (low, high) in ranges.items():
         value = getattr(options, name)
@@ -47,12 +48,12 @@ def check_options(options: object, **ranges: tuple[float, float]) -> None:
 
 
 class MotionSolver(ABC):
-    """Finds closed plate motions; keeps the last motion as a start for the next search.
+    """Solver that finds closed plate motions. The last motion is the start of the next search.
 
     Attributes
     ----------
     cut_short : int
-        Number of `steer` searches that ended at the deadline.
+        Number of searches by `steer` that ended at the deadline.
     """
 
     options: Any
@@ -71,38 +72,39 @@ class MotionSolver(ABC):
 
     @abstractmethod
     def forget(self) -> None:
-        """Forget the last solution. The next search does not start from it."""
+        """Forget the last solution, so that the next search does not start from it."""
 
     @abstractmethod
     def steer(
         self, goal: Goal, tolerance: float, good_enough: float, until: float = math.inf
     ) -> Solution:
-        """Find a motion that moves the parts as requested, evaluated on the cycle map.
+        """Find a motion that moves the parts as requested. The cycle map evaluates it.
 
         Parameters
         ----------
         goal : Goal
-            Initial state and requested displacements.
+            Initial state and requested displacements of the parts.
         tolerance : float
-            Error at which a descent stops [m].
+            Maximum error at which a descent stops [m].
         good_enough : float
             Root mean square error [m] above which further starts are tried.
         until : float
-            Deadline by `time.monotonic` [s]. A finite deadline may end the search early, so that
-            the result depends on the computer's speed.
+            Deadline on the clock `time.monotonic` [s]. A finite deadline may end the search early.
+            In this case the result depends on the speed of the computer.
 
         Returns
         -------
         Solution
-            `residual` is the displacement error divided by mu g T^2.
+            Result of the search. `residual` is the displacement error divided by mu g T^2.
         """
 
     @abstractmethod
     def steering_period(
         self, count: int, turns: int = 0, lasting: bool = False, free_end: bool = False
     ) -> float:
-        """Return the period [s] of the cycles of `steer` for `count` parts.
+        """Return the period [s] of the cycles that `steer` computes for `count` parts.
 
         `turns` is the number of parts with a requested rotation. `lasting` and `free_end` are as in
-        `Goal`. They have no effect on sequences of rotations, which end at rest.
+        `Goal`. `lasting` and `free_end` have no effect on sequences of rotations, because these
+        always end at rest.
         """

@@ -1,5 +1,5 @@
-"""ROS node of the solver. It answers each request (part_forces) with the next plate cycle
-(plate_cycle), computed by `controller.Controller` before the cycle must begin."""
+"""ROS node of the solver. The node replies to each request (part_forces) with the next plate cycle
+(plate_cycle). `controller.Controller` computes it before the cycle must begin."""
 
 from __future__ import annotations
 
@@ -39,15 +39,19 @@ from .controller import METHODS, Answer, Controller
 from .library import Library, condition_number
 
 RESTART_NS = 1_000_000_000
-"""If a stamp is older than the last one by at least this, the camera or simulator was restarted
-[ns]."""
+"""Minimum decrease of the stamp that counts as a restart of the camera or the simulator [ns]."""
 
 MAX_S = 1.0
-"""Maximum duration of a search in real time, even if its cycle begins later [s]."""
+"""Maximum duration of a search in real time, even if the cycle begins later [s]."""
 
-LATER_S, SOONER_S, LATEST_S = 0.01, 5e-4, 0.06
-"""Steps by which the publishing margin grows after a cycle that was not played and shrinks after
-any other, and its maximum [s]. A larger `handover_s` overrides this maximum."""
+LATER_S = 0.01
+"""Increase of the publishing margin after a cycle that was not executed [s]."""
+
+SOONER_S = 5e-4
+"""Decrease of the publishing margin after a cycle that was executed [s]."""
+
+LATEST_S = 0.06
+"""Maximum publishing margin [s]. If `handover_s` is larger, that value is the maximum."""
 
 
 @dataclass(frozen=True)
@@ -96,9 +100,9 @@ class Sent:
 
 @dataclass
 class Tally:
-    """Statistics since the last report: number of messages, number of refused ones, reason of the
-    last refusal, reason of the last request without a solution, solving times [ms], and pairs of
-    displacement error and requested displacement [m]."""
+    """Statistics since the last report: number of requests, number of refused requests, reason of
+    the last refusal, reason of the last request without a solution, solving times [ms], and pairs
+    of displacement error and requested displacement [m]."""
 
     messages: int = 0
     refused: int = 0
@@ -111,7 +115,8 @@ class Tally:
 class SolverNode(SafeLifecycleNode[Options]):
     """Lifecycle node `solver`. It computes the next plate cycle for each request.
 
-    Subscribes part_forces. Publishes plate_cycle (one per message), markers and diagnostics.
+    The node subscribes to part_forces. It publishes plate_cycle (one per request), markers and
+    diagnostics.
     """
 
     def __init__(self) -> None:
@@ -185,7 +190,7 @@ class SolverNode(SafeLifecycleNode[Options]):
             self._sent.append(Sent(stamp_ns, self._now_ns(stamp_ns), cycle))
 
     def _send(self, cycle: PlateCycle, stamp: Time) -> None:
-        """Publish a cycle, and its markers if there is a subscriber."""
+        """Publish a cycle. Publish its markers if there is a subscriber."""
         self._cycles.publish(cycle_to_msg(cycle, stamp))
         if self._markers.get_subscription_count():
             self._markers.publish(centres_to_msg(self._rig, cycle, stamp))
@@ -216,8 +221,8 @@ class SolverNode(SafeLifecycleNode[Options]):
         return answer.cycle
 
     def _adapt(self, plate: np.ndarray | None) -> None:
-        """Increase the publishing margin if the last cycle was not played. In this case the
-        requested plate state (3, 3) differs from the cycle's end."""
+        """Increase the publishing margin if the last cycle was not executed. In this case, the
+        requested state of the plate (3, 3) differs from the end of that cycle."""
         if self._handover_s and plate is not None and self._sent:
             missed = not is_rest(self._sent[-1].cycle.state(-1) - plate)
             self._count["not_played"] += missed
@@ -226,15 +231,15 @@ class SolverNode(SafeLifecycleNode[Options]):
             self._handover_s = max(min(wished, LATEST_S), least)
 
     def _rest(self, why: str) -> PlateCycle:
-        """Count a request without a solution, and return a cycle at rest."""
+        """Count a request without a solution. Return a cycle at rest."""
         self._tally.failed = why
         self._count["no_solution"] += 1
         self.get_logger().error(f"no solution, plate rests: {why}", throttle_duration_sec=WARN_S)
         return PlateCycle.rest(IDLE_S)
 
     def _running(self, stamp_ns: int) -> PlateCycle | None:
-        """Return the cycle that began when the image was taken: the last one that was sent in
-        time."""
+        """Return the cycle that began when the image was taken. It is the last cycle that was
+        published early enough."""
         for number, sent in enumerate(reversed(self._sent)):
             if in_time(1e-9 * sent.sent_ns, 1e-9 * stamp_ns):
                 self._count["late_answers"] += number > 0
@@ -242,16 +247,18 @@ class SolverNode(SafeLifecycleNode[Options]):
         return None
 
     def _now_ns(self, stamp_ns: int) -> int:
-        """Return this node's time [ns]. If the stamp is from another clock, return the stamp."""
+        """Return this node's time [ns]. If the stamp is from another clock, return the stamp
+        instead."""
         now_ns = self.get_clock().now().nanoseconds
         return now_ns if abs(now_ns - stamp_ns) < RESTART_NS else stamp_ns
 
     def _plate_condition(self) -> float:
-        """Return the condition number of the last part positions; 0 without parts."""
+        """Return the condition number of the last part positions. It is 0 if there are no parts."""
         return condition_number(self._rig, self._parts, self._library) if len(self._parts) else 0.0
 
     def _find(self, now: float) -> Finding:
-        """Evaluate received requests and solutions, see `plate_core.status`."""
+        """Return the diagnostics of the requests received and the solutions found, see
+        `plate_core.status`."""
         tally = self._tally
         findings = [
             used("part_forces", tally.messages, tally.refused, tally.why), self._input.gone(now)

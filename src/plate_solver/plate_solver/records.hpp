@@ -32,8 +32,8 @@ void check(const char* name, const Any& array, std::initializer_list<size_t> wan
     throw nb::value_error(says.c_str());
 }
 
-// Copies an array to a C array of the same shape, with up to three axes. Throws an error if the
-// shapes differ.
+// Copies an array to a C array of the same shape. The array may have up to three axes. Throws an
+// error if the shapes differ.
 template <class Room>
 void read(const char* name, nb::handle array, Room& room) {
     constexpr size_t AXES = std::rank_v<Room>;

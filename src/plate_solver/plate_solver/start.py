@@ -1,7 +1,7 @@
 """Prediction of the state of parts and plate at the start of the requested cycle.
 
-Inputs are the parts in the image, their velocities from the last prediction (`Memory`), and the
-running cycle. The stick-slip motion is integrated to the end of the running cycle.
+The inputs are the parts in the image, their velocities from the last prediction (`Memory`), and the
+running cycle. The stick-slip motion is integrated until the running cycle ends.
 """
 
 from __future__ import annotations
@@ -23,15 +23,15 @@ from .sinusoids.basis import TAIL_PERIOD_S, TAIL_S
 class Memory:
     """Predicted velocities of parts at the start of the running cycle, by id.
 
-    A part without an entry is at rest. The memory is needed because a camera that takes one image
-    per cycle measures positions, but not the instantaneous velocities.
+    A part without an entry is at rest. This memory is needed because a camera that takes one image
+    per cycle measures positions, but no instantaneous velocities.
 
     Attributes
     ----------
     velocity : mapping of str to (2,)
-        [m/s, plate_home].
+        Velocity of each part [m/s, plate_home].
     spin : mapping of str to float
-        [rad/s].
+        Spin of each part [rad/s].
     """
 
     velocity: Mapping[str, np.ndarray] = field(default_factory=dict)
@@ -46,13 +46,14 @@ class StartState:
     ----------
     ids : tuple of str
     position, velocity : (M, 2)
-        [m], [m/s], plate_home.
+        Position [m] and velocity [m/s] of the parts, plate_home.
     friction_accel : (M,)
         mu g of each part [m/s2].
     turn : (M,)
-        Rotation since the start of the running cycle [rad].
+        Rotation of each part since the start of the running cycle [rad].
     spin : (M,) or None
-        [rad/s]; None if no rotation is requested, because parts are then modelled as points.
+        Spin of each part [rad/s]. None if no rotation is requested, because the parts are then
+        modelled as points.
     plate : (3, 3) or None
         State of the plate as in `PlateCycle.state`. None if it rests at home.
     """
@@ -67,7 +68,7 @@ class StartState:
 
     @property
     def memory(self) -> Memory:
-        """Memory for the next prediction, when this cycle runs."""
+        """Velocities for the next prediction, if this cycle is executed."""
         spin = {} if self.spin is None else dict(zip(self.ids, self.spin.tolist(), strict=True))
         return Memory(dict(zip(self.ids, self.velocity, strict=True)), spin)
 
@@ -84,7 +85,7 @@ def predict_start(
 
     The stick-slip motion of the parts is integrated over the running cycle. It starts at the
     positions in the image, with the velocities of `memory`. If the request contains predicted
-    positions and velocities (`Wanted.start`), those are used instead.
+    positions and velocities (`Wanted.start`), they are used instead.
 
     Parameters
     ----------
@@ -99,7 +100,7 @@ def predict_start(
         Whether a rotation is requested. If False, parts are modelled as points.
     from_rest : bool
         Whether the method's cycles begin at rest. If True and the plate is in motion, the state
-        after its tail is returned.
+        after the tail of the running cycle is returned.
     """
     parts, types = wanted.parts, part_types(rig, wanted.parts.ids)
     friction, turn = friction_accel(rig, wanted), np.zeros(len(parts))
@@ -136,8 +137,8 @@ def part_types(rig: Rig, ids: tuple[str, ...]) -> list[PartType]:
 def friction_accel(rig: Rig, wanted: Wanted) -> np.ndarray:
     """Return mu g (M,) [m/s2] of the parts.
 
-    It is the friction limit divided by the mass or, if that limit is 0 (unknown), the value of the
-    part's type.
+    mu g is the friction limit divided by the mass. If the friction limit is 0 (unknown), the value
+    of the part's type is used.
     """
     types = part_types(rig, wanted.parts.ids)
     known = wanted.parts.friction_limit / np.array([t.mass_kg for t in types])

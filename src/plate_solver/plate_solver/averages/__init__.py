@@ -1,7 +1,8 @@
-"""The paper's averaged forces: mean friction over a cycle, and motions of Methods A and B for it.
+"""The paper's averaged forces: the mean friction over a cycle, and motions of Methods A and B that
+produce it.
 
-This package contains maps of forces, their inversion for requests, and proofs of infeasibility. The
-controller does not use it.
+This package computes the averaged forces of a motion, finds motions for requested forces, and
+proves that a request is infeasible. The controller does not use it.
 """
 
 from .manipulability import Manipulability, library_force, manipulability

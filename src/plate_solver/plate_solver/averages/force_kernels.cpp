@@ -18,7 +18,7 @@ static void check_parts(const Table& position, const Table& velocity) {
     check("velocity", velocity, {position.shape(0), 2});
 }
 
-// Returns 2 N for a slip (2 N + 1, 2), after a check of its shape.
+// Checks that a slip has the shape (2 N + 1, 2), and returns 2 N.
 static size_t waves_of(const Table& slip) {
     check("slip", slip, {slip.shape(0) / 2 * 2 + 1, 2});
     return slip.shape(0) - 1;

@@ -1,7 +1,8 @@
 """Base class of the solvers for requested mean forces, common to both methods.
 
-`ForceSolver.solve` checks a request and solves it, or the largest feasible fraction of it, on one
-of three force maps. A subclass solves an exact request on the map `none`.
+`ForceSolver.solve` checks a request and solves it on one of three force maps (`none`, `velocity` or
+`cycle`). If this fails, it solves the largest feasible fraction of the request. A subclass
+implements the search on the map `none`.
 """
 
 from __future__ import annotations
@@ -30,12 +31,13 @@ from .request import Request
 
 
 class ForceSolver(MotionSolver):
-    """Finds closed plate motions with requested average forces. It also implements `steer`.
+    """Solver that finds closed plate motions with requested average forces. It inherits `steer` for
+    goals on the cycle map.
 
     Attributes
     ----------
     library : Library
-        Rotations that bound the feasible forces.
+        Library whose rotations bound the feasible forces.
     """
 
     library: Library
@@ -52,9 +54,10 @@ class ForceSolver(MotionSolver):
     ) -> Solution:
         """Find a closed motion with the requested average forces, equations (5) and (9).
 
-        If the request is infeasible, the largest fraction found, in its direction, is returned. On
-        refined maps, another motion is returned if its error for the whole request is smaller. If
-        the request is zero, the plate rests.
+        If the request is infeasible, the solver returns a motion for the largest feasible fraction
+        of it that it finds. On the maps `velocity` and `cycle`, it returns the motion for the whole
+        request instead if the error of this motion is smaller. If zero force is requested, the
+        plate rests.
 
         Parameters
         ----------
@@ -80,13 +83,13 @@ class ForceSolver(MotionSolver):
         Returns
         -------
         Solution
-            With `velocity` and `cycle`, a request counts as met if the error is at most 10 % (root
-            mean square over parts and axes).
+            On the maps `velocity` and `cycle`, a request counts as met if the root mean square
+            error over parts and axes is at most 10 % of the request.
 
         Raises
         ------
         PlateError
-            If shapes are wrong, values not finite, or options unknown.
+            If a shape is wrong, a value is not finite, or an option is unknown.
         """
         request = Request.check(position, force, velocity, curl, tolerance)
         if refine not in REFINEMENTS:
@@ -108,11 +111,13 @@ class ForceSolver(MotionSolver):
         return largest_fraction(request, self.library, attempt, nothing, 3 * own, most, prove)
 
     def proven_out_of_reach(self, request: Request) -> bool:
-        """Whether it is proven that no motion of this kind meets a request. False if unproven."""
+        """Whether it is proven that no motion of this kind meets a request. False means that there
+        is no proof."""
         return False
 
     def _map(self, refine: str) -> tuple[float, float, Callable[[Request], Solution]]:
-        """Return tolerance, maximum force [mu m g] and solving function of a map."""
+        """Return the tolerance [mu m g], the maximum force [mu m g] and the solving function of a
+        map."""
         own, friction = self.options.tolerance, self._rig.friction.accel
         wide = max(own, REFINED_TOLERANCE)
 
@@ -137,11 +142,11 @@ class ForceSolver(MotionSolver):
         aim = easiest_force(request, self.library)
         found = self._solve(replace(request, force=aim))
         error = request.force - (aim - found.residual)
-        # The request may still be feasible with other forces within the tolerance.
+        # Other forces within the tolerance may still be feasible, so this is no proof.
         if not found.success:
             found = replace(found, status=Status.FAILED)
         return judged(request, found, error, self.options.tolerance)
 
     @abstractmethod
     def _solve(self, request: Request) -> Solution:
-        """Solve a checked request without tolerance on the map `none`."""
+        """Solve a checked request on the map `none`. The request has zero tolerance."""

@@ -1,18 +1,20 @@
 """Manipulability of parts at given positions (section 3.3 of the paper).
 
 The average forces on parts at rest are a mean of unit forces. Each twist in the plate's motion
-contributes one column of unit forces. This module evaluates all columns of a library of twists:
+contributes one column of unit forces. This module evaluates all columns of a library of twists in
+two ways:
 
 - Their second moment describes the forces of random motions. The condition number is the square
   root of the ratio of its maximum and minimum eigenvalues. The eigenvector of the minimum
-  eigenvalue is the direction that is the most difficult to push.
-- Their convex hull contains the forces of all mixtures. The maximum force in a direction is the
-  extent of the hull in this direction. It is the reciprocal of the minimum time for a unit of
-  force, from a linear programme.
+  eigenvalue is the direction in which a force is the most difficult to produce.
+- Their convex hull contains the forces of all motions that combine the library's twists. The
+  maximum force in a direction is the extent of the hull in this direction. A linear programme
+  computes the minimum time for a unit of force. The maximum force is the reciprocal of this time.
 
-A real cycle may produce less: the model neglects the time for ramps, the closure of the motion, the
-limits of stroke, speed and acceleration, and the displacement of parts within a cycle. It may also
-produce a few per cent more, by rotations between those of the library.
+A real cycle may produce less force, because the model neglects the ramps between rotations, the
+closure of the motion, the limits of stroke, speed and acceleration, and the displacement of parts
+within a cycle. A real cycle may also produce a few per cent more, because it may use rotations
+between those of the library.
 """
 
 from __future__ import annotations
@@ -27,36 +29,37 @@ from ..library import Library, least_time
 from ..library.condition import columns_of, second_moment, unit
 
 DEAR = 1e6
-"""Price of a unit of unmet force [cycles / (mu m g)]. This price is higher than the price of any
-feasible force."""
+"""Price of a unit of unmet force [cycles / (mu m g)]. It is higher than the cost of any feasible
+force, so that no feasible force is left unmet."""
 
 DESCENTS = 12
-"""Maximum number of steps from one face of the hull to a nearer one."""
+"""Maximum number of steps of a search from one face of the hull to a nearer one."""
 
 STARTS = 8
-"""Number of random start directions in the search for the nearest face, besides the most difficult
-direction."""
+"""Number of random start directions of the search for the nearest face. The most difficult
+direction is an additional start."""
 
 
 @dataclass(frozen=True)
 class Manipulability:
-    """Measures of how independently M parts can be pushed.
+    """Measures of how independently M parts can be pushed in different directions.
 
-    Forces on all parts are one vector (2 M,): part 1 x, part 1 y, part 2 x, ... A unit of force has
-    a mean square over the parts of one (mu m g)^2.
+    The forces on all parts form one vector (2 M,): part 1 x, part 1 y, part 2 x, and so on. A unit
+    of force is a vector whose mean square over the parts is one (mu m g)^2.
 
     Attributes
     ----------
     condition : float
-        Ratio of the forces in the easiest and in the most difficult direction, at least 1.
-        Infinite if a direction is infeasible.
+        Ratio of the forces in the easiest and in the most difficult direction, at least 1. Infinite
+        if no force is possible in some direction.
     worst_direction : (2 M,)
-        Most difficult direction by the second moment; a unit of force.
+        Most difficult direction by the second moment of the forces. It is a unit of force.
     weakest_force : float
-        Minimum over directions of the library's maximum force [mu m g]. It is a local minimum: the
-        search may miss a smaller one. Ramps, closure and limits are neglected.
+        Maximum force of the library in its weakest direction [mu m g]. It is a local minimum: the
+        search may miss a smaller one. Ramps between rotations, the closure of the motion, and the
+        limits are neglected.
     weakest_direction : (2 M,)
-        Direction of `weakest_force`; a unit of force.
+        Direction of `weakest_force`. It is a unit of force.
     """
 
     condition: float
@@ -96,9 +99,9 @@ def library_force(
 ) -> np.ndarray:
     """Return the library's maximum force [mu m g] in each direction (D, 2 M).
 
-    Ramps between rotations, closure, and the limits of stroke, speed and acceleration are
-    neglected. Directions must not be zero. They are scaled to a unit of force, see
-    `Manipulability`.
+    Ramps between rotations, the closure of the motion, and the limits of stroke, speed and
+    acceleration are neglected. Directions must not be zero. Each direction is scaled to a unit of
+    force, see `Manipulability`.
     """
     columns = columns_of(rig, position, library)
     direction = np.atleast_2d(np.asarray(direction, dtype=float))
@@ -110,8 +113,8 @@ def library_force(
 
 
 def _force_along(columns: np.ndarray, direction: np.ndarray) -> tuple[float, np.ndarray]:
-    """Return the maximum multiple of a direction (2 M,) in the hull, and the normal of the face
-    there."""
+    """Return the maximum multiple of a direction (2 M,) that is in the hull, and the normal of the
+    hull's face at this point."""
     rows, count = columns.shape
     dear = np.full(rows, DEAR)
     plan = least_time(columns, direction, np.ones(count), dear, dear)
@@ -121,10 +124,11 @@ def _force_along(columns: np.ndarray, direction: np.ndarray) -> tuple[float, np.
 
 
 def _nearest_face(columns: np.ndarray, direction: np.ndarray) -> tuple[float, np.ndarray]:
-    """Find a face of the hull at a minimum distance from 0, and its direction.
+    """Find a face of the hull with a locally minimum distance from 0. Return this distance and the
+    direction.
 
-    Each step goes along the normal of the last face. The search ends when the next face is not
-    nearer.
+    Each step searches along the normal of the last face. The search ends when the next face is not
+    nearer to 0.
     """
     force, normal = _force_along(columns, direction)
     for _ in range(DESCENTS):

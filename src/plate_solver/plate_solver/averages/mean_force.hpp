@@ -22,19 +22,20 @@ constexpr double NODE_WEIGHTS[NODE_COUNT] = {0.10122853629037706, 0.222381034453
                                              0.36268378337836166, 0.3137066458778869,
                                              0.22238103445337443, 0.10122853629037706};
 
-// Minimum distance of the integrand's singularities from a panel, in half lengths of the panel.
-// They are the complex times at which the slip is zero. The relative error of the rule is then (1.2
-// + 1.56)^-16 = 9e-8.
+// Minimum distance of the integrand's singularities from a panel, in half lengths of the panel. The
+// singularities are the complex times at which the slip is zero. At this distance, the relative
+// error of the Gauss-Legendre rule is (1.2 + 1.56)^-16 = 9e-8.
 constexpr double FAR = 1.2;
 
-// Maximum number of bisections of a piece. They locate a jump to within 1e-9 of the piece's length.
+// Maximum number of bisections of a piece of the spline. This number locates a jump of the
+// direction to within 1e-9 of the piece's length.
 constexpr int DEEPEST = 32;
 
 struct Force {
     double x, y;
 };
 
-constexpr int EIGHT = 8;  // long sums are split into eight partial sums, for vector instructions
+constexpr int EIGHT = 8;  // sums use eight partial sums, for vector instructions
 
 [[gnu::always_inline]] inline double sum_of_eight(const double* part) {
     return ((part[0] + part[4]) + (part[2] + part[6])) +
@@ -46,8 +47,8 @@ constexpr int EIGHT = 8;  // long sums are split into eight partial sums, for ve
     return (sum[0] + sum[2]) + (sum[1] + sum[3]);
 }
 
-// Adds the derivatives (3, DEGREE + 1) of a panel's contribution to the mean direction, with
-// respect to the coefficients of the slip.
+// Adds the derivatives (3, DEGREE + 1) of a panel's contribution to the mean direction with respect
+// to the coefficients of the slip.
 template <int DEGREE>
 [[gnu::always_inline]] inline void panel_slopes(const double (&slip)[DEGREE + 1][2], double middle,
                                                 double half, double (*gradient)[DEGREE + 1]) {
@@ -78,8 +79,8 @@ template <int DEGREE>
                                                    double first, double (*gradient)[DEGREE + 1]) {
     Force force{0, 0};
     int level = 0;         // number of bisections
-    long long number = 0;  // number of panels of this length to the left
-    double half = 0.5;     // half the length of the panel
+    long long number = 0;  // number of panels of this length left of the panel
+    double half = 0.5;     // half of the panel's length
     while (true) {
         const double middle = first + static_cast<double>(2 * number + 1) * half;
         double s[NODE_COUNT], wx[NODE_COUNT] = {}, wy[NODE_COUNT] = {}, ax[NODE_COUNT] = {},
@@ -123,7 +124,7 @@ template <int DEGREE>
 PLATE_WIDE inline void spline_force(const double* times, View<const double, 3> coefficients,
                                     View<const double, 2> position, View<const double, 2> velocity,
                                     View<double, 2> force) {
-    constexpr int DEGREE = 4;  // of a quintic spline's derivative
+    constexpr int DEGREE = 4;  // degree of the derivative of a quintic spline
     const int pieces = coefficients.size(0);
     double slip[DEGREE + 1][2];
     for (int i = 0; i < position.size(0); i++) {
@@ -132,7 +133,7 @@ PLATE_WIDE inline void spline_force(const double* times, View<const double, 3> c
         for (int k = 0; k < pieces; k++) {
             const double step = times[k + 1] - times[k];
             double grow = 1;
-            for (int m = 0; m <= DEGREE; m++) {  // coefficients of s, from 0 to 1 in the piece
+            for (int m = 0; m <= DEGREE; m++) {  // polynomial in s, 0 to 1 in the piece
                 const double u3 = (m + 1) * coefficients(k, m + 1, 2);
                 slip[m][0] = grow * ((m + 1) * coefficients(k, m + 1, 0) - y * u3);
                 slip[m][1] = grow * ((m + 1) * coefficients(k, m + 1, 1) + x * u3);
@@ -155,7 +156,8 @@ inline double total_time(const double* dt, int count) {
     return total;
 }
 
-// Force x, y and curl of PARTS parts from `first` on, computed together.
+// Force x, force y and curl of PARTS consecutive parts, which are computed together. The first one
+// is part `first`.
 template <int PARTS>
 [[gnu::always_inline]] inline void step_forces_from(int first, View<const double, 2> position,
                                                     View<const double, 2> velocity,
@@ -202,7 +204,8 @@ PLATE_WIDE inline void step_forces(View<const double, 2> position, View<const do
     if (i < count) step_forces_from<1>(i, position, velocity, twist, dt, total, mean);
 }
 
-// Derivatives (3, n, 3 M) of `step_forces` with respect to the twists. `gradient` must be zero.
+// Derivatives (3, n, 3 M) of `step_forces` with respect to the twists. The caller must set
+// `gradient` to zero.
 inline void step_force_gradient(View<const double, 2> position, View<const double, 2> velocity,
                                 View<const double, 2> twist, const double* dt,
                                 View<double, 3> gradient) {

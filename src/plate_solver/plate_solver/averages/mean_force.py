@@ -3,8 +3,9 @@
     f(P) = 1/T integral of (v_s(P, t) - v_p) / |v_s(P, t) - v_p| dt,   v_s = (u1 - y u3, u2 + x u3)
 
 in units of mu m g. u is the plate's twist, and v_p is the part's velocity. The paper sets v_p = 0.
-Here v_p is kept, because friction also damps the part's motion. The curl of the field is the
-average of u3 / |v_s - v_p|. This is equation (11) if the plate rotates about a fixed centre.
+Here v_p is kept, because the velocity of a part changes the friction on it. The curl of the
+friction field is the average of u3 / |v_s - v_p|. This is equation (11) if the plate rotates about
+a fixed centre.
 """
 
 from __future__ import annotations
@@ -34,12 +35,12 @@ def average_force(
     Returns
     -------
     (M, 2)
-        Average force [mu m g].
+        Average force on each part [mu m g].
 
     Raises
     ------
     PlateError
-        If shapes are wrong or values are not finite.
+        If a shape is wrong or a value is not finite.
     """
     position = np.ascontiguousarray(position, dtype=float)
     velocity = (
@@ -78,7 +79,7 @@ def step_force_gradient(
 ) -> np.ndarray:
     """Return the derivatives (3, n, 3 M) of `step_forces` with respect to the twists.
 
-    The first axis is the component of the twist. The last axis is force x, force y and curl of part
-    1, then those of part 2, and so on.
+    The first axis is the component of the twist: x, y, theta. The last axis is force x, force y and
+    curl of part 1, then those of part 2, and so on.
     """
     return _kernels.step_force_gradient(position, velocity, twist, dt)

@@ -1,5 +1,5 @@
-// Quadrature error of equal steps near a time at which the slip of a part nearly vanishes: kernels
-// of near_zero_slip.py.
+// Quadrature error of the mean over equal steps, due to times at which the slip of a part nearly
+// vanishes: kernels of near_zero_slip.py.
 #pragma once
 #include <algorithm>
 #include <array>
@@ -14,30 +14,37 @@ namespace plate::near_zero_slip {
 
 constexpr double PI = std::numbers::pi;
 
-// Step of u. The relative error of the integral is exp(-pi^2 / STEP) = 2e-8.
+// Step of the integration variable u. With this step the relative error of the integral is
+// exp(-pi^2 / STEP) = 2e-8.
 constexpr double STEP = 0.55;
 
-// Weight of a node. The integrand is even, so only nodes with u > 0 are summed.
+// Weight of a node of the integral. Only nodes with u > 0 are summed, because the integrand is
+// even.
 constexpr double WEIGHT = 2 / PI * STEP;
 
-// Number of nodes. It is sufficient for the narrowest dip.
+// Number of nodes of the integral. It is sufficient for the narrowest dip.
 constexpr int PLACES = 44;
 
-// Minimum b [rad]. A narrower dip has the same effect as a jump.
+// Minimum distance b of a branch point from the real axis [rad]. A narrower dip has the same effect
+// as a jump.
 constexpr double NARROWEST = 1e-10;
 
-// n b cosh u above which the integrand is neglected: it is below 4e-8.
+// Value of n b cosh u above which the integrand is neglected, because it is below 4e-8.
 constexpr double FADED = 17.0;
 
-// n b above which a dip needs no correction, because the error of equal steps is exp(-n b).
-// STEPS_NEAR is the corresponding value of b^2/2 with b in steps: the minimum of the parabola
-// through three squared samples, divided by its second difference.
-constexpr double NEAR = 14.0, STEPS_NEAR = (NEAR / (2 * PI)) * (NEAR / (2 * PI)) / 2;
+// Value of n b above which a dip needs no correction, because the error of equal steps is exp(-n b).
+constexpr double NEAR = 14.0;
 
-// Distance [steps] from a dip within which a second dip is possibly not a minimum of the samples.
+// Value of b^2/2 at n b = NEAR, with b in steps. This b^2/2 is estimated from three squared samples:
+// the minimum of the parabola through them, divided by its second difference.
+constexpr double STEPS_NEAR = (NEAR / (2 * PI)) * (NEAR / (2 * PI)) / 2;
+
+// Distance [steps] between two dips below which one of them may not appear as a minimum of the
+// samples.
 constexpr double CLOSE = 4.0;
 
-// Maximum number of Newton steps to a zero. From a minimum of the samples, three steps are usual.
+// Maximum number of Newton steps to a zero of the slip. Three steps are usually enough, because the
+// start is a minimum of the samples.
 constexpr int NEWTON_STEPS = 10;
 
 struct Nodes {
@@ -51,7 +58,7 @@ inline const Nodes NODES_OF_U = [] {
     return nodes;
 }();
 
-// A complex number. Unlike std::complex, its product does not check for infinities.
+// A complex number. Unlike std::complex, its product does not check for infinite values.
 struct Complex {
     double real = 0, imag = 0;
 };
@@ -65,8 +72,8 @@ inline Complex operator*(double a, Complex b) { return {a * b.real, a * b.imag};
 inline Complex conjugate(Complex a) { return {a.real, -a.imag}; }
 inline double square(Complex a) { return a.real * a.real + a.imag * a.imag; }
 
-// Returns a positive number if the middle one of three samples of the squared slip is a minimum,
-// and the parabola through them has n b < NEAR.
+// Returns a positive number if the samples of the squared slip show a dip. In a dip, the middle
+// sample is a minimum, and the parabola through the three samples has n b < NEAR.
 [[gnu::always_inline]] inline double dip_of(double before, double here, double after) {
     const double bend = before - 2 * here + after, slope = after - before;
     const double depth = STEPS_NEAR * bend * bend - (here * bend - slope * slope / 8);
@@ -109,7 +116,7 @@ struct BranchPoint {
 // [rad]. The slip (2 N + 1, 2) has rows sin 1..N, cos 1..N, constant [m/s].
 inline BranchPoint branch_point(View<const double, 2> slip, Complex start, double close) {
     const int number = slip.size(0) / 2;
-    Complex z = start;  // z^N (wx + i wy) is a polynomial of z = exp(i t)
+    Complex z = start;  // the slip times z^N is a polynomial of z = exp(i t)
     Complex slope, bend;
     double last = 1, off = 1;
     for (int step = 0; step < NEWTON_STEPS; step++) {
@@ -137,14 +144,15 @@ inline BranchPoint branch_point(View<const double, 2> slip, Complex start, doubl
     }
     const double radius = std::sqrt(square(z)) + 1e-300;
     const bool done = last < 1e-8 * off * off || last < 1e-22;
-    // bend / slope is the sum of 1 / (z - other zero). If another zero is close, this sum is large.
+    // bend / slope is the sum of 1 / (z - z_k) over all other zeros z_k. If another zero is close,
+    // this sum is large.
     const bool lonely = square(bend) * close * close < square(slope);
     return {1 / radius * z, std::max(std::abs(std::log(radius)), NARROWEST), done && lonely};
 }
 
-// Harmonic j of the slip, as a function of the time since a: the even part (x, y), the odd part
-// (x, y), cos j a and sin j a. `by_even` and `by_odd` sum up the derivatives (xx, xy, yy) with
-// respect to the two parts.
+// Harmonic j of the slip as a function of the time since a: its even part (x, y), its odd part (x,
+// y), cos j a and sin j a. `by_even` and `by_odd` are sums of the derivatives (xx, xy, yy) with
+// respect to the even and the odd part.
 struct Turned {
     double even[2], odd[2], cosine, sine, by_even[3], by_odd[3];
 };
@@ -191,21 +199,22 @@ inline ComplexSlip complex_slip(const std::vector<Turned>& turned, double depth,
     return {x, y, power};
 }
 
-// Returns -q / (1 + q), the sum of (-q)^m from m = 1. It contains all aliases of n equal steps.
+// Returns -q / (1 + q), which is the sum of (-q)^m over all m from 1. It contains all aliasing
+// errors of n equal steps.
 inline Complex aliases(Complex q) {
     const double scale = -1 / square(Complex{1 + q.real, q.imag});
     return {(q.real + square(q)) * scale, q.imag * scale};
 }
 
-// 1 / sqrt(value) with a positive real part.
+// Returns the value of 1 / sqrt(value) with a positive real part.
 inline Complex inverse_root(Complex value) {
     const double size = std::sqrt(square(value));
     const double real = std::sqrt((size + value.real) / 2), share = 1 / size;
     return {real * share, -0.5 * value.imag / real * share};
 }
 
-// Adds `share` times [y y, -x y, x x] to the derivatives: the real part times cosh for the even
-// harmonics, the imaginary part times sinh for the odd ones.
+// Adds `share` times [y y, -x y, x x] to the derivatives. The even harmonics receive the real part
+// times cosh, the odd ones the imaginary part times sinh.
 inline void add_slopes(Complex share, Complex x, Complex y, double depth,
                        std::vector<Turned>& turned) {
     const Complex by[3] = {share * y * y, -1 * share * x * y, share * x * x};
@@ -218,8 +227,8 @@ inline void add_slopes(Complex share, Complex x, Complex y, double depth,
     }
 }
 
-// Adds the contribution of the double pole at u = 0 to the derivatives. Equal steps with nodes on
-// both sides of the pole miss pi^2 / STEP times its coefficient.
+// Adds the contribution of the double pole at u = 0 to the derivatives. A sum over equal steps with
+// nodes on both sides of the pole misses pi^2 / STEP times the pole's coefficient.
 inline void add_pole(Complex phase, double b, int n, std::vector<Turned>& turned) {
     const ComplexSlip at = complex_slip(turned, b, n);
     Complex dx, dy;  // derivative of the slip with respect to depth
@@ -234,8 +243,8 @@ inline void add_pole(Complex phase, double b, int n, std::vector<Turned>& turned
     add_slopes(share, at.x, at.y, b, turned);
 }
 
-// Subtracts the derivatives about time a from the gradient (3, 2 N) with respect to sines and
-// cosines.
+// Subtracts the derivatives about time a from the gradient (3, 2 N) with respect to the
+// coefficients of sines and cosines.
 inline void take_off(const std::vector<Turned>& turned, View<double, 2> gradient) {
     const int number = static_cast<int>(turned.size()) - 1;
     for (int j = 1; j <= number; j++) {
@@ -250,12 +259,12 @@ inline void take_off(const std::vector<Turned>& turned, View<double, 2> gradient
 
 struct Excess {
     double x, y;
-    bool good;  // if false, use panels, for example because another dip is close
+    bool good;  // false: use panels, for example if another dip is close
 };
 
-// Computes the error of the mean over n steps [mu m g] due to the dip near a time t with exp(i t) =
-// `start`: the integral in near_zero_slip.py. n is N times a power of 2. Unless `gradient` is
-// empty, the error of the derivatives is subtracted from it.
+// Computes the error of the mean over n steps [mu m g] that is caused by the dip near a time t with
+// exp(i t) = `start`. It is the integral in near_zero_slip.py. n is N times a power of 2. Unless
+// `gradient` is empty, the error of the derivatives is subtracted from it.
 inline Excess excess(View<const double, 2> slip, Complex start, int n, View<double, 2> gradient) {
     const BranchPoint point = branch_point(slip, start, CLOSE * 2 * PI / n);
     const double b = point.b, farthest = 1.5 * 2 * PI / n;

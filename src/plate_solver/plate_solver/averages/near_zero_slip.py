@@ -1,16 +1,18 @@
-"""Quadrature error of equal steps near a time at which the slip of a part nearly vanishes.
+"""Quadrature error of the mean over equal steps, due to times at which the slip of a part nearly
+vanishes.
 
 The slip's direction w/|w| is an analytic function of time, except at branch points with wx^2 + wy^2
-= 0. A dip is a pair of branch points a + i b and a - i b near the real axis. The mean over n equal
-steps minus the true mean is exactly a sum of integrals along the cuts that go up from the branch
-points. With t = a + i b cosh u the integral of a dip is
+= 0. A dip is a time at which the slip nearly vanishes. It corresponds to a pair of branch points a
++ i b and a - i b near the real axis. The mean over n equal steps minus the true mean is exactly a
+sum of integrals along the cuts that go up from the branch points. With t = a + i b cosh u the
+integral of a dip is
 
     -2/pi Re integral of w / sqrt(Q) q / (1 + q) du from 0 to infinity,   q = exp(i n t)
     Q = (wx^2 + wy^2) / (-(b sinh u)^2)
 
 The integrand is even and decreases like exp(-n b cosh u). Its poles are at Im u = pi/2 for any b.
-So a few equal steps of u are sufficient for deep and shallow dips, and no finer grid of times is
-needed.
+Therefore the same few equal steps of u are sufficient for deep and shallow dips. No finer grid of
+times is needed.
 """
 
 from __future__ import annotations
@@ -27,7 +29,7 @@ def find_dips(square: np.ndarray, n: int, found: np.ndarray) -> int:
 
 def branch_point(slip: np.ndarray, start: complex, close: float) -> tuple[complex, float, bool]:
     """Find the zero a + i b of wx + i wy near a time. Return exp(i a), the absolute value of b, and
-    whether no other zero is close to this one.
+    whether no other zero is within `close`.
 
     Parameters
     ----------
@@ -36,7 +38,7 @@ def branch_point(slip: np.ndarray, start: complex, close: float) -> tuple[comple
     start : complex
         exp(i t) at a minimum of the samples.
     close : float
-        Distance [rad] within which another zero counts as close.
+        Maximum distance at which another zero counts as close [rad].
     """
     real, imag, b, alone = _kernels.branch_point(slip, start.real, start.imag, close)
     return complex(real, imag), b, alone

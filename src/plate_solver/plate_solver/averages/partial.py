@@ -1,7 +1,7 @@
-"""Feasible part of a request.
+"""Search for the feasible part of a request.
 
-`easiest_force` selects the forces within the tolerance that take the minimum time, by a linear
-programme. `largest_fraction` finds the largest fraction of an infeasible request by bisection.
+`easiest_force` is a linear programme. It selects the forces within the tolerance that take the
+minimum time. `largest_fraction` finds the largest fraction of an infeasible request by bisection.
 """
 
 from __future__ import annotations
@@ -17,26 +17,28 @@ from ..library import Library
 from .request import Request
 
 LEFT_OUT = 1.15
-"""Factor on the library's bound. No larger fraction is tried. The finite number of rotations makes
-the bound a few per cent too low."""
+"""Factor on the upper bound of the fraction that the library gives. Larger fractions are not
+tried. The factor is above 1 because the finite number of rotations makes the bound a few per
+cent too low."""
 
 BISECTIONS = 5
-"""Maximum number of bisections. They find the largest fraction to 1/32 of the upper bound."""
+"""Maximum number of bisections. They determine the largest fraction to within 1/32 of the upper
+bound."""
 
 CAUTION = 0.95
-"""First fraction to try, relative to the fraction that the attempt at the whole request
-achieved."""
+"""First fraction to try, relative to the fraction that the solution for the whole request
+achieves."""
 
 WORTH_IT = 0.5
-"""If the error of a motion exceeds this fraction of the request (root mean square), the plate rests
-instead."""
+"""If the error of the best motion exceeds this fraction of the request (both root mean square), the
+plate rests instead."""
 
 
 def easiest_force(request: Request, library: Library) -> np.ndarray:
-    """Return the forces (M, 2) within the request's tolerance that take the minimum time.
+    """Return the forces (M, 2) within the request's tolerance that need the minimum time.
 
-    The minimum time of the library's rotations is a linear programme: minimise the sum of absolute
-    weights w subject to `force - tolerance <= A w <= force + tolerance`.
+    The minimum time with the library's rotations is a linear programme: minimise the sum of the
+    absolute weights w subject to `force - tolerance <= A w <= force + tolerance`.
 
     If no force within the tolerance is feasible, the requested forces are returned.
     """
@@ -64,25 +66,25 @@ def largest_fraction(
     most: float,
     prove: Callable[[Request], bool] | None,
 ) -> Solution:
-    """Solve the request or the largest fraction of it that is found by bisection.
+    """Solve the request, or the largest fraction of it that a bisection finds to be feasible.
 
     Parameters
     ----------
     request : Request
         Forces and curls are scaled by the same fraction. Tolerances are not scaled.
     library : Library
-        Bounds the search.
+        Library that gives an upper bound of the fraction.
     attempt : function
-        Solves a request as well as possible.
+        Solver of a request. It returns the best motion found, even if the request is infeasible.
     nothing : function
         Returns the solution at rest, which is used if no fraction is met.
     least : float
-        The bisection ends when forces differ by less than this [mu m g].
+        Force difference at which the bisection ends [mu m g].
     most : float
         Maximum force that a motion can exert on a part [mu m g].
     prove : function, optional
-        Returns whether a request is proven infeasible. It is slow and called at most once. Without
-        `prove`, the attempt at the whole request is returned if its error for the whole request is
+        Returns whether a request is proven infeasible. It is slow and called at most once. If it is
+        None, the solution for the whole request is returned if its error for the whole request is
         smaller.
     """
     fits = min(1.0, most / max(request.flags.loaded, 1e-300))
@@ -145,7 +147,7 @@ def largest_fraction(
 
 def _along(asked: np.ndarray, missed: np.ndarray) -> float:
     """Return the achieved fraction of a request, in its direction."""
-    size = float(np.sum(asked**2))  # this sum is bounded, because the request was scaled to fit
+    size = float(np.sum(asked**2))  # bounded, because the request was scaled
     return float(np.sum((asked - missed) * asked)) / size if size > 0 else 0.0
 
 

@@ -19,30 +19,32 @@ from .mean_force import average_force
 from .request import Request
 
 REFINEMENTS = ("none", "velocity", "cycle")
-"""Names of the maps, see `ForceSolver.solve`."""
+"""Names of the force maps, see `ForceSolver.solve`."""
 
 CYCLE_CORRECTIONS = 6
-"""Maximum number of corrections on the map `cycle`, for the error found with finer steps."""
+"""Maximum number of corrections on the map `cycle`. Each correction compensates the error found
+with finer steps."""
 
 VELOCITY_CORRECTIONS = 20
-"""Maximum number of corrections on the map `velocity`, for the mean velocities of the parts. Each
-correction approximately halves the error."""
+"""Maximum number of corrections on the map `velocity`. Each correction uses the mean velocities of
+the parts under the last motion. It approximately halves the error."""
 
 REFINED_TOLERANCE = 1e-3
-"""Maximum force error that counts as success on a refined map [mu m g]. A larger tolerance of the
-solver overrides it."""
+"""Maximum force error that counts as success on a refined map [mu m g]. If the solver's tolerance
+is larger, that tolerance is used instead."""
 
 MISSED = 0.1
 """Error that counts as success on a refined map, as a fraction of the request (root mean square
-over parts and axes). Most requests can be met only approximately on these maps. The error of a
-motion solved on the map `none` is larger than the request."""
+over parts and axes). Most requests can be met only approximately on these maps. Without
+corrections, the error would be larger than the request: a motion solved on the map `none` is not
+accurate on these maps."""
 
 STALE = 4
 """Number of consecutive corrections without an improvement after which the search ends."""
 
 MAX_ON_CYCLE = 0.5
-"""Maximum force on the map `cycle` [mu m g]. Full friction during the whole cycle moves a part by
-half of mu g T^2."""
+"""Maximum force on the map `cycle` [mu m g]. A part that starts at rest moves by at most half of mu
+g T^2, because friction is at most mu m g."""
 
 
 def force_solution(
@@ -53,7 +55,8 @@ def force_solution(
     iterations: int,
     condition: float,
 ) -> Solution:
-    """Return the solution for a motion within the limits, from the errors of the requested rows."""
+    """Return the solution for a motion within the limits. `error` contains the errors of the
+    requested rows [mu m g]."""
     worst = float(np.max(np.abs(error)))
     every = np.zeros(len(request.rows))
     every[request.rows] = error
@@ -70,8 +73,8 @@ def force_solution(
 
 
 def judged(request: Request, solution: Solution, error: np.ndarray, bound: float) -> Solution:
-    """Return the solution with force errors (M, 2). It is a success if they exceed the tolerance by
-    at most `bound` [mu m g]."""
+    """Return the solution with given force errors (M, 2) [mu m g]. It is a success if no error
+    exceeds the request's tolerance by more than `bound` [mu m g]."""
     worst = float(np.max(np.abs(error) - request.tolerance))
     success = worst <= bound
     message = f"force error {np.max(np.abs(error)):.2g} mu m g"
@@ -88,8 +91,8 @@ def judged(request: Request, solution: Solution, error: np.ndarray, bound: float
 
 
 def refined(request: Request, solution: Solution, error: np.ndarray, bound: float) -> Solution:
-    """Return the solution with force errors (M, 2) on a refined map. It is a success as in
-    `judged`, or if the error is at most `MISSED`."""
+    """Return the solution with given force errors (M, 2) [mu m g] on a refined map. It is a success
+    as in `judged`, or if the root mean square error is at most `MISSED` times the request."""
     allowed = MISSED * float(np.sqrt(np.mean(request.force**2)))
     enough = _spill(request, error) <= allowed
     return judged(
@@ -100,9 +103,11 @@ def refined(request: Request, solution: Solution, error: np.ndarray, bound: floa
 def on_mean_velocity(
     request: Request, solve: Callable[[Request], Solution], friction_accel: float, bound: float
 ) -> Solution:
-    """Solve with the mean velocities of the parts over the cycle under the returned motion.
+    """Solve on the map `velocity`, with the parts' mean velocities over the cycle under the
+    returned motion.
 
-    A fixed-point iteration alternates between the motion and the velocities.
+    A fixed-point iteration computes the motion from the velocities and the velocities from the
+    motion, in turns.
     """
     velocity = request.velocity
 
@@ -123,8 +128,8 @@ def on_cycle(
     friction_accel: float,
     bound: float,
 ) -> Solution:
-    """Solve on the cycle map. After each solution the error found with finer steps, beyond the
-    tolerance, is added to the requested force."""
+    """Solve on the map `cycle`. After each solution, the part of the error beyond the tolerance is
+    added to the requested force. The error is computed with finer steps."""
     unit = friction_accel * period**2
     position, velocity, slack = request.position, request.velocity, request.tolerance
     good = max(bound, MISSED * float(np.sqrt(np.mean(request.force**2)))) / 4
@@ -151,8 +156,8 @@ def on_cycle(
 def _best_of(
     request: Request, correct: Callable[[], tuple[Solution, np.ndarray]], most: int, bound: float
 ) -> Solution:
-    """Repeat a correction until the result is good enough or no longer improves. Return the
-    best."""
+    """Repeat a correction until the result is good enough or no longer improves. Return the best
+    result."""
     best: Solution | None = None
     least, stale, iterations = np.inf, 0, 0
     for _ in range(most):
@@ -169,5 +174,6 @@ def _best_of(
 
 
 def _spill(request: Request, error: np.ndarray) -> float:
-    """Return the root mean square of errors (M, 2) beyond the tolerance [mu m g]."""
+    """Return the root mean square of the errors (M, 2) [mu m g], after each is reduced by the
+    tolerance."""
     return float(np.sqrt(np.mean(np.maximum(np.abs(error) - request.tolerance, 0.0) ** 2)))

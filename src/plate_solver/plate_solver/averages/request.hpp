@@ -8,7 +8,7 @@
 
 namespace plate {
 
-// The same values as in request.py.
+// Same values as in request.py.
 constexpr double FARTHEST_M = 1e3, FASTEST_MPS = 1e3;
 
 // Compiled counterpart of `RequestFlags` in request.py.
@@ -34,7 +34,7 @@ inline RequestFlags request_flags(View<const double, 2> position, View<const dou
             flags.moving |= velocity(i, axis) != 0;
             flags.slack |= free != 0;
             flags.within &= wanted <= free;
-            // `scaled_length` does not overflow.
+            // Magnitudes are at most this value, so that `scaled_length` does not overflow.
             least = scaled_length(least, std::max(wanted - free, 0.0));
         }
         flags.loaded = std::max(flags.loaded, least);

@@ -1,5 +1,5 @@
-"""A checked request for average forces on parts, and its properties. `Request.check` refuses wrong
-shapes and values."""
+"""A checked request for average forces on parts, and its properties. `Request.check` raises an
+error for wrong shapes and values."""
 
 from __future__ import annotations
 
@@ -22,19 +22,19 @@ FASTEST_MPS: float = _kernels.FASTEST_MPS
 
 
 class RequestFlags(NamedTuple):
-    """Properties of a request. They are computed in one pass in C++, because numpy takes longer
-    than a search from a good start.
+    """Properties of a request. They are computed in one pass in C++, because the same checks in
+    numpy would take longer than a search from a good start.
 
     Attributes
     ----------
     sound : bool
         Whether all values are allowed.
     moving, curled, slack : bool
-        Whether parts move, curls are requested, forces have a tolerance.
+        Whether any part moves; whether a curl is requested; whether any force has a tolerance.
     within : bool
         Whether zero force is within all tolerances.
     loaded : float
-        Maximum over the parts of the requested force minus its tolerance [mu m g].
+        Maximum over all parts of the requested force minus its tolerance [mu m g].
     """
 
     sound: bool
@@ -78,14 +78,14 @@ class Request:
 
     @property
     def rows(self) -> np.ndarray:
-        """Whether force x, force y and curl of each part are requested, (3 M,) bool."""
+        """Mask of the requested rows (3 M,), bool: force x, force y and curl of each part."""
         asked = np.ones((len(self.position), 3), bool)
         asked[:, 2] = np.isfinite(self.curl)
         return asked.ravel()
 
     @property
     def wanted(self) -> np.ndarray:
-        """Force x, force y and curl (3 M,), part by part."""
+        """Requested force x, force y and curl (3 M,), part by part."""
         return np.column_stack([self.force, self.curl]).ravel()
 
     @property
@@ -105,11 +105,12 @@ class Request:
 
     @property
     def must_move(self) -> bool:
-        """Whether the plate must move. A plate at rest brakes moving parts and has no curl."""
+        """Whether the plate must move to meet the request. A plate at rest brakes moving parts, and
+        its friction field has no curl."""
         return self.flags.moving or self.flags.curled
 
     def times(self, fraction: float) -> Request:
-        """Return a fraction of the request. Forces and curls are smaller, in the same direction."""
+        """Return the request multiplied by a fraction: forces and curls keep their directions."""
         return replace(self, force=fraction * self.force, curl=fraction * self.curl)
 
     @classmethod
@@ -121,12 +122,13 @@ class Request:
         curl: np.ndarray | None,
         tolerance: np.ndarray | None = None,
     ) -> Request:
-        """Check shapes and values.
+        """Check the shapes and values of a request, and return it.
 
         Raises
         ------
         PlateError
-            If a shape is not (M, 2), or (M,) for curl, or a value is not finite or out of range.
+            If a shape is not (M, 2), or (M,) for the curl, or if a value is not finite or out of
+            range.
         """
         position = np.array(position, dtype=float, order="C")  # the kernels need this memory layout
         if position.ndim != 2 or position.shape[1] != 2 or not len(position):
@@ -149,7 +151,7 @@ class Request:
         return request
 
     def _refuse(self) -> None:
-        """Raise an error with the invalid value and the allowed range."""
+        """Raise an error that names the invalid value and the allowed range."""
         greatest = {"position": FARTHEST_M, "force": np.inf, "velocity": FASTEST_MPS}
         for name, most in greatest.items():
             array = getattr(self, name)

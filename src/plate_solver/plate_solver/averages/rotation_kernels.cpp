@@ -8,7 +8,7 @@ namespace plate {
 
 using namespace rotations;
 
-// Indices of the requested rows in a mask (3 M,).
+// Indices of the requested rows: true entries of a mask (3 M,).
 static std::vector<int> rows_of(const Array<const bool, 1>& asked, size_t parts) {
     check("asked", asked, {3 * parts});
     std::vector<int> rows;

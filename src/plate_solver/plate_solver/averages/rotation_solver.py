@@ -1,8 +1,8 @@
 """Method A (section 3.1 of the paper) on the averaged map: rotations with requested mean forces.
 
-A linear programme plans the rotations. Levenberg-Marquardt then corrects their durations and twists
-until the mean forces match, with further starts by basin hopping. Input is a `Request`, output a
-`Solution`.
+A linear programme plans the rotations. Then the Levenberg-Marquardt method corrects their durations
+and twists until the mean forces match the request. Basin hopping provides further starts. The input
+is a `Request`, and the output is a `Solution`.
 """
 
 from __future__ import annotations
@@ -26,15 +26,20 @@ from .request import Request
 from .rotations import fit_mean_force, mean_force_error
 from .tour import filled, nearest_order
 
-COARSE, FINE, FINEST = (20, 4), (60, 20), (600, 200)
-"""Numbers of steps in each ramp and each hold: for the search, for the final correction, and for
-the evaluation of curls. Ramps need more steps because the slip of a part may nearly vanish in
-them."""
+COARSE = (20, 4)
+"""Number of steps in each ramp and in each hold of a search. Ramps need more steps than holds,
+because the slip of a part may nearly vanish in them."""
+
+FINE = (60, 20)
+"""Number of steps in each ramp and in each hold of the final correction."""
+
+FINEST = (600, 200)
+"""Number of steps in each ramp and in each hold for the evaluation of curls."""
 
 
 @dataclass(frozen=True)
 class RotationForceOptions(RotationOptions):
-    """Options of `RotationSolver`: all options of `RotationOptions`, and
+    """Options of `RotationSolver`: all options of `RotationOptions`, and the following one.
 
     Attributes
     ----------
@@ -94,7 +99,7 @@ class RotationSolver(ForceSolver, RotationCycles):
         family, found = best
         self._last = request.position, Start(family, found.parameters)
         cycle, error = self._judged(request, family, found.parameters)
-        if np.max(np.abs(error)) > tolerance:  # the samples of the search missed a dip of the slip
+        if np.max(np.abs(error)) > tolerance:  # the search steps missed a dip of the slip
             fine = family.finer(FINE)
             found = fit_mean_force(
                 request, fine, found.parameters, tolerance / 10, options.iterations
@@ -114,8 +119,8 @@ class RotationSolver(ForceSolver, RotationCycles):
     def _judged(
         self, request: Request, family: RotationFamily, parameters: np.ndarray
     ) -> tuple[PlateCycle, np.ndarray]:
-        """Return the motion within the limits, and its errors in the requested rows. Forces are
-        evaluated by `average_force`, curls with `FINEST` steps."""
+        """Return the motion within the limits, and its errors in the requested rows [mu m g].
+        `average_force` evaluates the forces. The curls are evaluated with `FINEST` steps."""
         cycle = within_limits(family.cycle(parameters), self._full)
         error = np.zeros(np.count_nonzero(request.rows))
         if np.any(np.isfinite(request.curl)):

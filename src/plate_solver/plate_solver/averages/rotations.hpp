@@ -1,8 +1,8 @@
 // Sequences of rotations on the averaged map: kernels of rotations.py.
 //
-// The derivatives combine the derivatives in sequence.hpp with the derivatives of the mean over
-// steps. The contribution of each step to the forces is propagated directly to the knots of its
-// segment.
+// The derivatives combine two kinds of derivatives: those of the sampled motion with respect to the
+// parameters (sequence.hpp), and those of the mean forces with respect to the samples. The
+// contribution of each step to the forces is propagated directly to the two knots of its segment.
 #pragma once
 #include "averages/mean_force.hpp"
 #include "fit/levenberg_marquardt.hpp"
@@ -10,8 +10,8 @@
 
 namespace plate::rotations {
 
-// Damping options with a later stall criterion. With the usual criterion, the search gives up on
-// feasible forces.
+// Damping options that detect a stall later. With the usual criterion, the search would stop
+// although the forces are feasible.
 constexpr Damping PATIENT = [] {
     Damping damping = DAMPING;
     damping.stall_steps = 10, damping.stall_fraction = 0.9;
@@ -38,7 +38,7 @@ inline void missed(const SequenceForces& problem, View<const double, 2> twist, c
         error[r] = (problem.wanted(r) - mean[0][problem.asked[r]]) * problem.scale(r);
 }
 
-// Parts of a problem as one array per quantity.
+// Positions and velocities of the parts, as one array per coordinate.
 struct Parts {
     std::vector<double> x, y, vx, vy;
 
@@ -50,13 +50,13 @@ struct Parts {
     }
 };
 
-// Rows of `value` in `directions`: derivatives of force x with respect to u and v, of force y to v,
-// of both to spin, and of the curl to u, v and spin. The curl's rows are used only if curls are
-// requested.
+// Rows of `value` in `directions`. They are the derivatives of force x with respect to u and v, of
+// force y with respect to v, of both forces with respect to the spin, and of the curl with respect
+// to u, v and the spin. The rows of the curl are used only if curls are requested.
 enum Row { XX, XY, YY, X_SPIN, Y_SPIN, CURL_U, CURL_V, CURL_SPIN };
 
-// Writes the derivatives (8, M) of each part's force and curl with respect to the twist, in a step
-// of `fraction` of the period. Adds force and curl to `way` (3, M).
+// Writes the derivatives (8, M) of each part's force and curl with respect to the twist, for a step
+// that takes `fraction` of the period. Adds the force and the curl to `way` (3, M).
 template <bool TURNING>
 [[gnu::always_inline]] inline void directions(const double (&twist)[3], const Parts& parts,
                                               double fraction, Matrix& value, Matrix& way) {
@@ -93,7 +93,8 @@ template <bool TURNING>
 
 // Adds the contribution of the steps of segment k to the derivatives with respect to its knots.
 // `total` (5, 8 M) contains the sums of the steps' derivatives with five weights, `way` (3, M) the
-// sums of forces and curls. Results are force x of all parts, force y of all parts, and curls.
+// sums of forces and curls. The results are ordered: force x of all parts, force y of all parts,
+// curls of all parts.
 inline void to_knots(int k, double steps_period, const double* gap, const Matrix& total,
                      const Matrix& way, ByKnots& by) {
     constexpr int ROW[3][3] = {{XX, XY, X_SPIN}, {XY, YY, Y_SPIN}, {CURL_U, CURL_V, CURL_SPIN}};
@@ -122,8 +123,8 @@ inline void to_knots(int k, double steps_period, const double* gap, const Matrix
     }
 }
 
-// Derivatives with respect to the knots of force x of all parts, force y of all parts, and, if
-// TURNING, of curls.
+// Derivatives with respect to the knots. The results are force x of all parts, force y of all parts
+// and, if TURNING, the curls.
 template <bool TURNING>
 [[gnu::always_inline]] inline ByKnots forces_back(const Sequences& family, const Line& line,
                                                   const Parts& parts) {
@@ -161,7 +162,7 @@ template <bool TURNING>
 }
 
 // Derivatives (R, P) of the requested rows of `step_forces` with respect to the parameters. `line`
-// contains the knots of these parameters.
+// contains the knots that belong to these parameters.
 PLATE_WIDE inline void force_slopes(const Parameters& theta, const Sequences& family,
                                     const Line& line, View<const double, 2> position,
                                     View<const double, 2> velocity, const std::vector<int>& asked,

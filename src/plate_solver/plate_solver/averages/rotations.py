@@ -1,7 +1,7 @@
 """Fit of a sequence of rotations to requested mean forces, on the averaged map.
 
-One call runs the whole Levenberg-Marquardt search in C++ (rotations.hpp). Inputs are a `Request`
-and the initial parameters of a `RotationFamily`; output is a `Fit`.
+One call runs the whole Levenberg-Marquardt search in C++ (rotations.hpp). The inputs are a
+`Request` and the initial parameters of a `RotationFamily`. The output is a `Fit`.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ class SequenceForces(NamedTuple):
     asked : (3 M,) bool
         Whether force x, force y and curl of each part are requested.
     wanted, scale : (R,)
-        Requested values, and factors that convert their errors to force errors.
+        Requested values, and factors that convert their errors to force errors [mu m g].
     """
 
     family: Sequences
@@ -38,7 +38,7 @@ class SequenceForces(NamedTuple):
 
     @classmethod
     def of(cls, request: Request, family: RotationFamily) -> SequenceForces:
-        """Convert a request."""
+        """Convert a request to this form."""
         rows = request.rows
         return cls(
             family.plain, request.position, request.velocity, rows,
@@ -53,7 +53,8 @@ def fit_mean_force(
     tolerance: float,
     iterations: int,
 ) -> Fit:
-    """Adjust a sequence until its average forces (5) match the request. Errors are in mu m g."""
+    """Adjust a sequence until its average forces (5) match the request. The errors are in mu m
+    g."""
     forces = SequenceForces.of(request, family)
     return Fit(*_kernels.fit_mean_force(forces, parameters, tolerance, iterations))
 

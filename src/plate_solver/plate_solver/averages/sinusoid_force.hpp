@@ -12,12 +12,12 @@
 
 namespace plate {
 
-constexpr int DEGREE = 10;  // degree of the slip's Taylor polynomials for the panels
+constexpr int DEGREE = 10;  // degree of the Taylor polynomials
 
-// Quadratures, see sinusoid_force.py.
+// Quadratures, described in sinusoid_force.py.
 enum Grid { PANELS = -2, ADAPTIVE = -1, FEW = 0, USUAL = 1 };
 
-// Nodes for the slip of N harmonics: `Rules` of sinusoid_force.py.
+// Sample points of the slip of N harmonics: `Rules` of sinusoid_force.py.
 struct Rules {
     View<const double, 2> waves;  // (2 N, K)
     int few;
@@ -38,8 +38,9 @@ struct Rules {
     slip(rows, 0) = -vx, slip(rows, 1) = -vy;
 }
 
-// Returns the mean direction of the slip over the nodes [start, stop), a multiple of eight. Writes
-// to the rows of `work`: slip x, slip y, its square, and the reciprocal of its magnitude.
+// Returns the mean direction of the slip over the nodes from `start` to `stop` (exclusive). Their
+// number is a multiple of eight. Writes to the rows of `work`: slip x, slip y, its square, and the
+// reciprocal of its magnitude.
 [[gnu::always_inline]] inline Force equal_steps(View<const double, 2> slip,
                                                 View<const double, 2> waves, int start, int stop,
                                                 View<double, 2> work) {
@@ -72,7 +73,7 @@ struct Rules {
     return {sum_of_eight(fx) / n, sum_of_eight(fy) / n};
 }
 
-// Adds the derivatives of `equal_steps` to `gradient` (3, 2 N). Overwrites `work`.
+// Adds the derivatives of `equal_steps` to `gradient` (3, 2 N). `work` is overwritten.
 [[gnu::always_inline]] inline void step_slopes(View<const double, 2> waves, int start, int stop,
                                                View<double, 2> work, View<double, 2> gradient) {
     const int n = stop - start;
@@ -105,8 +106,8 @@ struct Rules {
     }
 }
 
-// Returns the mean direction of the slip by adaptive quadrature, piece by piece. Writes the
-// derivatives to `gradient` (3, 2 N), unless it is empty.
+// Returns the mean direction of the slip by adaptive quadrature over each piece of the period.
+// Writes the derivatives to `gradient` (3, 2 N), unless it is empty.
 PLATE_WIDE inline Force by_panels(View<const double, 2> slip, const Rules& rule,
                                   View<double, 2> gradient) {
     const int number = rule.taylor.size(1);
@@ -172,7 +173,7 @@ PLATE_WIDE inline Force force_of(View<const double, 2> slip, const Rules& rule, 
     return force;
 }
 
-// Average forces (C, 2) [mu m g] of C cases with one motion (2 N, 3) and one part each.
+// Average forces (C, 2) [mu m g] of C cases. Each case has one motion (2 N, 3) and one part.
 inline void sinusoid_forces(View<const double, 3> coefficients, View<const double, 2> position,
                             View<const double, 2> velocity, const Rules& rule,
                             View<double, 2> force) {

@@ -2,12 +2,12 @@
 
 The mean over n equal steps of a smooth periodic function has an error of exp(-n b), where b is the
 distance of its nearest singularity from the real axis. Here the singularities are the complex times
-at which the slip under the part is zero. At a dip, where the slip nearly vanishes, b is small.
-Therefore dips are detected in the samples, and the error at each dip is subtracted
+at which the slip of the part is zero. At a dip, the slip nearly vanishes and b is small. Therefore
+dips are detected in the samples, and the error that each dip causes is subtracted
 (`near_zero_slip`). If two dips are too close to be separated, the adaptive quadrature of
-`mean_force` is used instead, with Taylor polynomials of the slip.
+`mean_force` is used instead. It represents the slip by Taylor polynomials.
 
-The motion under a part is `slip` (2 N + 1, 2): rows sin 1..N, cos 1..N, constant; columns x, y
+The slip of a part is an array `slip` (2 N + 1, 2): rows sin 1..N, cos 1..N, constant; columns x, y
 [m/s].
 """
 
@@ -22,35 +22,48 @@ import numpy as np
 from .. import _kernels
 
 STEPS_PER_HARMONIC = 64
-"""Number of equal steps per harmonic. Most random motions with N = 2 then need at most one
-correction."""
+"""Number of equal steps per harmonic. With this number, most random motions with N = 2 need at most
+one correction."""
 
 FEW_STEPS_PER_HARMONIC = 16
-"""Number of equal steps per harmonic for a rough comparison of motions."""
+"""Number of equal steps per harmonic if motions are compared only roughly."""
 
-PIECES_PER_HARMONIC, DEGREE = 8, 10
-"""Number of pieces of the period per harmonic for the adaptive quadrature, and degree of the Taylor
-polynomials in them. The slip's error in the highest harmonic is (pi/8)^11 / 11! = 1e-12."""
+PIECES_PER_HARMONIC = 8
+"""Number of pieces of the period per harmonic in the adaptive quadrature."""
 
-FEW, USUAL, ADAPTIVE, PANELS = 0, 1, -1, -2
-"""Quadratures: few equal steps; the usual number of equal steps; the usual number with a correction
-at dips; and adaptive panels."""
+DEGREE = 10
+"""Degree of the Taylor polynomials in these pieces. Their error in the highest harmonic of the slip
+is (pi/8)^11 / 11! = 1e-12."""
+
+FEW = 0
+"""Quadrature by a few equal steps."""
+
+USUAL = 1
+"""Quadrature by the usual number of equal steps."""
+
+ADAPTIVE = -1
+"""Quadrature by the usual number of equal steps, with a correction at dips."""
+
+PANELS = -2
+"""Adaptive quadrature by panels."""
 
 
 class Rules(NamedTuple):
-    """Nodes for the slip of N harmonics.
+    """Sample points of the slip for N harmonics.
 
     Attributes
     ----------
     waves : (2 N, K)
-        Rows sin 1..N, cos 1..N at equal steps of the period: `few` steps, then the usual number.
+        Rows sin 1..N, cos 1..N at equal steps of the period. The first `few` columns are the coarse
+        grid `FEW`; the usual grid follows.
     few : int
-        Number of steps of the grid `FEW`.
+        Number of steps of the coarse grid `FEW`.
     taylor : (D + 1, N)
-        Taylor coefficients of each harmonic about the middle of a piece, with the piece as unit of
-        time: factors of its value there (even rows) and of its quadrature component (odd rows).
+        Taylor coefficients of each harmonic about the middle of a piece. The unit of time is the
+        length of the piece. Even rows are factors of the harmonic's value at the middle, odd rows
+        are factors of its quadrature component.
     pieces : int
-        Number of pieces of the period for the adaptive quadrature.
+        Number of pieces of the period in the adaptive quadrature.
     """
 
     waves: np.ndarray
@@ -61,7 +74,7 @@ class Rules(NamedTuple):
 
 @lru_cache(maxsize=32)
 def force_rules(number: int) -> Rules:
-    """Return the nodes for `number` harmonics."""
+    """Return the sample points for `number` harmonics."""
     counts = [steps * max(number, 2) for steps in (FEW_STEPS_PER_HARMONIC, STEPS_PER_HARMONIC)]
     times = np.concatenate([2 * pi * (np.arange(n) + 0.5) / n for n in counts])
     order, pieces = np.arange(1, number + 1), PIECES_PER_HARMONIC * max(number, 2)
@@ -94,10 +107,10 @@ def force_of(
     grid : int
         `FEW`, `USUAL`, `ADAPTIVE` or `PANELS`.
     work : (5, K)
-        Buffer for the samples.
+        Buffer for samples. It is overwritten.
     gradient : (3, 2 N) or (0, 0)
-        Result unless it is empty: derivatives with respect to the slip's rows, d f_x / d slip_x,
-        d f_x / d slip_y = d f_y / d slip_x, d f_y / d slip_y [s/m].
+        Output: derivatives with respect to the slip's rows, d f_x / d slip_x, d f_x / d slip_y = d
+        f_y / d slip_x, d f_y / d slip_y [s/m]. An empty array disables it.
     """
     return _kernels.force_of(slip, rule, grid, work, gradient)
 
@@ -105,7 +118,7 @@ def force_of(
 def sinusoid_forces(
     coefficients: np.ndarray, position: np.ndarray, velocity: np.ndarray, rule: Rules
 ) -> np.ndarray:
-    """Return the average forces (C, 2) [mu m g] of C cases with one motion and one part each.
+    """Return the average forces (C, 2) [mu m g] of C cases. Each case has one motion and one part.
 
     Parameters
     ----------

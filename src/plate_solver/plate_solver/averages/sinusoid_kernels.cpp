@@ -26,7 +26,7 @@ static Matrix across(const Table& array, size_t first, size_t rows) {
     return result;
 }
 
-// Converts bases (n, h) of pose, twist and acceleration.
+// Converts the bases (n, h) of pose, twist and acceleration.
 static Looks looks_of(const Table& pose, const Table& twist, const Table& accel, size_t size) {
     const size_t n = pose.shape(0);
     for (const Table* basis : {&pose, &twist, &accel}) check("basis", *basis, {n, size});

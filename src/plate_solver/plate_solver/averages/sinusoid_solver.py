@@ -1,7 +1,8 @@
 """Method B (section 3.2 of the paper) on the averaged map: sinusoids with requested mean forces.
 
-Requests without curls are solved in C++ (`sinusoids.invert`). Requests with curls are fitted by
-Levenberg-Marquardt and basin hopping, on equal steps. Input is a `Request`, output a `Solution`.
+Requests without curls are solved in C++ (`sinusoids.invert`). Requests with curls are fitted on
+equal steps, by the Levenberg-Marquardt method and basin hopping. The input is a `Request`, and the
+output is a `Solution`.
 """
 
 from __future__ import annotations
@@ -28,28 +29,30 @@ from .sinusoids import FEW_CANDIDATES, Motions, invert, motions_of
 from .unreachable import is_out_of_reach
 
 CURL_SAMPLES = 8192
-"""Number of samples for the evaluation of curls. A curl is the mean of u3/slip, so it is more
-sensitive than a force to times at which the slip nearly vanishes."""
+"""Number of samples for the evaluation of curls. A curl is the mean of u3/slip. Therefore times at
+which the slip nearly vanishes affect it more than a force."""
 
 SPREAD = 0.7
-"""Size of a perturbation of the best motion relative to a random motion, if curls are requested."""
+"""Size of a perturbation of the best motion, relative to a random motion. It applies only if curls
+are requested."""
 
 STARTS = 3
-"""Number of starts of the averaged search per restart. A start takes a tenth of a millisecond."""
+"""Number of starts of the averaged search per restart. One start takes a tenth of a millisecond."""
 
 MAX_STARTS = 200
-"""Maximum number of random starts that are drawn. Further restarts repeat them."""
+"""Maximum number of random starts that are drawn. If more are needed, the same ones are used
+again."""
 
 
 @dataclass(frozen=True)
 class SinusoidForceOptions(SinusoidOptions):
-    """Options of `SinusoidSolver`: all options of `SinusoidOptions`, and
+    """Options of `SinusoidSolver`: all options of `SinusoidOptions`, and the following ones.
 
     Attributes
     ----------
     at_rest : bool
-        Whether cycles start and end with the plate at home and at rest. This takes two parameters
-        per degree of freedom. Cycles of `steer` always do so.
+        Whether cycles start and end with the plate at home and at rest. This condition uses two
+        parameters per degree of freedom. The cycles of `steer` always satisfy it.
     tolerance : float
         Maximum force error that counts as success [mu m g].
 
@@ -91,7 +94,7 @@ class SinusoidSolver(ForceSolver, SinusoidCycles):
         self._warm.clear()
 
     def harmonics(self, constraints: int) -> int:
-        """Return the number of harmonics for this number of requested force components."""
+        """Return the number of harmonics for a number of requested force components."""
         return self._key(constraints)[0]
 
     def search_of(self, constraints: int) -> tuple[Motions, np.ndarray]:
@@ -110,7 +113,7 @@ class SinusoidSolver(ForceSolver, SinusoidCycles):
         this number of requested force components."""
         if self.options.at_rest:
             return *self._rest_key(constraints), True
-        # N harmonics have rank 6 N - 2.
+        # The forces of N harmonics have rank 6 N - 2.
         number = self.options.harmonics or max(2, -(-(2 * constraints + 4) // 6))
         return number, self.options.period or HARMONIC_S * number, False
 
@@ -168,7 +171,7 @@ class SinusoidSolver(ForceSolver, SinusoidCycles):
         def attempt(start: np.ndarray, _: int) -> tuple[Fit, float, int, bool]:
             found = fit_curl(request, family, start, tolerance / 10, most)
             steps, good = found.iterations, np.max(np.abs(found.error)) <= tolerance
-            if good:  # coarse samples do not resolve dips of the slip, so use fine ones
+            if good:  # coarse samples do not resolve dips
                 found = fit_curl(request, fine, found.parameters, tolerance / 10, most)
                 steps, good = steps + found.iterations, np.max(np.abs(found.error)) <= tolerance
             return found, found.cost, steps, bool(good)
@@ -191,7 +194,8 @@ class SinusoidSolver(ForceSolver, SinusoidCycles):
 
 
 def curl_error(request: Request, twist: np.ndarray) -> np.ndarray:
-    """Return the errors of the requested rows [mu m g] for twists (n, 3) at equal steps."""
+    """Return the errors of the requested rows [mu m g]. The twists (n, 3) are sampled at equal
+    steps."""
     got = step_forces(request.position, request.velocity, twist, np.ones(len(twist))).ravel()
     return np.asarray(((request.wanted - got) * request.scale)[request.rows])
 
@@ -199,11 +203,10 @@ def curl_error(request: Request, twist: np.ndarray) -> np.ndarray:
 def fit_curl(
     request: Request, family: SinusoidFamily, start: np.ndarray, tolerance: float, iterations: int
 ) -> Fit:
-    """Adjust a motion until its average forces and curls, equations (5) and (12), match the
-    request.
+    """Adjust a motion until its average forces and curls match the request, equations (5) and (12).
 
-    Errors are in mu m g, for the requested rows. The search stops when the largest error is at most
-    `tolerance`.
+    The errors of the requested rows are in mu m g. The search stops when the largest error is at
+    most `tolerance`.
     """
     rows, scale = request.rows, request.scale[request.rows]
 

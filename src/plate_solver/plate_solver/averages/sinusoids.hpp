@@ -1,5 +1,5 @@
-// Method B's inversion of the averaged map, from the first start to the finished spline: kernels of
-// sinusoids.py.
+// Inversion of the averaged map with Method B, from the first start to the finished spline: kernels
+// of sinusoids.py.
 #pragma once
 #include <algorithm>
 #include <cmath>
@@ -19,28 +19,36 @@ namespace plate::averages {
 
 using namespace sinusoids;
 
-// Damping options for a fresh start, and for a start near a solution.
+// Damping options for a fresh start.
 constexpr Damping AFRESH{.first = 1.25e-3, .least = 1e-9, .most = 1e2, .shrink = 8.0, .grow = 6.0,
                          .stall_steps = 6, .stall_fraction = 0.7};
+
+// Damping options for a start near a solution.
 constexpr Damping NEAR{.first = 1.25e-5, .least = 1e-9, .most = 1e2, .shrink = 8.0, .grow = 6.0,
                        .stall_steps = 6, .stall_fraction = 0.7};
 
 constexpr int FIRST = 0;  // number of the first start
 
-// Number of consecutive failed perturbations after which a round ends, and size of a perturbation
-// relative to the best motion of the round.
+// Number of consecutive failed perturbations after which a round ends.
 constexpr int HOPS = 12;
+
+// Size of a perturbation relative to the best motion of the round.
 constexpr double HOP = 0.15;
 
 // A perturbation is successful if its cost is below this factor times the best cost of the round.
 constexpr double BETTER = 0.99;
 
-// A motion is corrected at dips if its error exceeds this fraction of the tolerance.
+// A motion on equal steps is evaluated with corrected dips if its error exceeds this fraction of
+// the tolerance.
 constexpr double SURE = 0.7;
 
-// Continuation from a fresh start: number of equal legs to the request, maximum number of steps per
-// leg, and error at which a leg ends, relative to the request.
-constexpr int LEGS = 3, LEG_STEPS = 8;
+// Number of equal legs in which continuation goes from a fresh start to the request.
+constexpr int LEGS = 3;
+
+// Maximum number of steps per leg.
+constexpr int LEG_STEPS = 8;
+
+// Error at which a leg ends, relative to the request.
 constexpr double LEG_ERROR = 0.03;
 
 // A basis of h sinusoidal motions of N harmonics.
@@ -50,9 +58,9 @@ struct Motions {
     Matrix span;                // (2 N, h)
     Looks steps, knots, hull;   // basis at equal steps, at the knots, and at control points
     Matrix spline;              // (h, 6 k): powers of the time since the knot
-    std::vector<double> times;  // (k + 1,): knots [s]
-    Limits limits;              // MARGIN times the rig's limits
-    int candidates;             // number of random motions that are compared for a fresh start
+    std::vector<double> times;  // (k + 1,): times of the knots [s]
+    Limits limits;              // MARGIN times the limits of the rig
+    int candidates;             // number of random motions per fresh start
 
     int size() const { return span.columns; }
 
@@ -66,7 +74,7 @@ struct Motions {
 // Input of the inversion.
 struct Request {
     View<const double, 2> position, velocity, force;  // parts (M, 2) [m], [m/s], [mu m g]
-    double tolerance;                                 // maximum acceptable error [mu m g]
+    double tolerance;                                 // maximum error that counts as met [mu m g]
     int iterations, tries;                            // maximum steps per start, maximum starts
 };
 
@@ -94,8 +102,8 @@ public:
         wanted.assign(request.force.data, request.force.data + 2 * parts);
     }
 
-    // Finds a motion with the requested average forces. `warm` (3 h,) is the last solution, or
-    // null.
+    // Finds a motion with the requested average forces. `warm` (3 h,) is the last solution; null if
+    // there is none.
     Found invert(const double* warm) {
         is_warm = warm;
         auto [fit, done, tried] =
@@ -108,7 +116,7 @@ public:
             found = finished(fit, done, tried);
         }
         if (found.worst > request.tolerance && worst(fit.error) <= request.tolerance) {
-            // The finished motion misses the tolerance, so search again from other starts.
+            // The finished motion exceeds the tolerance, so search again from other starts.
             is_warm = false, backwards = true;
             const auto [other, more, others] = search(fresh(FIRST));
             found = finished(other, done + more, tried + others);
@@ -122,7 +130,7 @@ private:
     const View<const double, 2> pool;
     const Request request;
     const int size, parts;
-    // Backwards: take motions from the end of the pool.
+    // If `backwards`, motions are taken from the end of the pool.
     bool moving, is_warm = false, backwards = false;
     std::vector<double> wanted;
     Matrix slip_rows, samples_of, gradient, own, coefficients, by_span, now;  // buffers
@@ -140,7 +148,7 @@ private:
         bool enough;
     };
 
-    // Best motion, total number of steps, and number of starts.
+    // Best motion, total number of steps, and total number of starts.
     struct Searched {
         Fit best;
         int steps, tried;
@@ -167,9 +175,9 @@ private:
         return all;
     }
 
-    // Runs a descent from a start on equal steps. If the result is good on equal steps, it is
-    // evaluated with corrected dips and, if necessary, improved further. `least` is the minimum
-    // cost so far.
+    // Runs a descent from a start on equal steps. If the error on equal steps is small enough, the
+    // result is evaluated with corrected dips. If necessary, the descent continues with them.
+    // `least` is the minimum cost of all starts so far.
     Attempted attempted(const std::vector<double>& start, int number, double least) {
         const double tolerance = request.tolerance;
         const bool known = number == FIRST && is_warm;
@@ -197,7 +205,7 @@ private:
         return theta;
     }
 
-    // Returns a fresh start that continuation has moved towards the request.
+    // Returns a fresh start. Continuation has moved it towards the request.
     std::vector<double> led(int number) {
         std::vector<double> theta = fresh(number), part = wanted;
         const double left = LEG_ERROR * std::sqrt(squared(wanted) / (2 * parts));
@@ -208,11 +216,11 @@ private:
         return theta;
     }
 
-    // Returns the best of the next random motions and their opposites, by the error of their
-    // forces.
+    // Compares the next random motions of the pool and their opposites. Returns the one with the
+    // smallest force error.
     std::vector<double> fresh(int number) {
         const int count = pool.size(0), most = motions.candidates;
-        // Every fresh start begins at another place in the pool.
+        // Every fresh start takes its motions from another place in the pool.
         const int first = number / (HOPS + 1) * most % count;
         double least = 1e300, sign = 1;
         int index = first;
@@ -222,7 +230,8 @@ private:
             if (moving) to_full_amplitude(theta);
             const double cost = force_error(FEW, wanted, theta, error, nullptr);
             if (cost < least) least = cost, index = i, sign = 1;
-            // With the achieved force g = f - error, |f + g|^2 = |f - g|^2 + 4 f.g
+            // The achieved force is g = f - error, and the opposite motion produces -g: |f + g|^2 =
+            // |f - g|^2 + 4 f.g
             double opposite = cost;
             for (int r = 0; r < 2 * parts; r++) opposite += 4 * wanted[r] * (wanted[r] - error[r]);
             if (opposite < least) least = opposite, index = i, sign = -1;
@@ -232,12 +241,12 @@ private:
         return theta;
     }
 
-    // Adjusts a motion until its forces by the quadrature `grid` match `force` (2 M,).
+    // Adjusts a motion until its forces match `force` (2 M,). `grid` is the quadrature.
     Fit descend(int grid, const std::vector<double>& force, std::vector<double> theta,
                 const Damping& damping, double tolerance, int iterations) {
         const auto evaluate = [&](std::vector<double>& trial, std::vector<double>& error) {
             if (moving) to_full_amplitude(trial);
-            // Also computes the derivatives, because they cost little more.
+            // The derivatives are computed too, because they add little cost.
             force_error(grid, force, trial, error, &now);
         };
         const auto slopes = [&](Matrix& jacobian) { std::swap(jacobian, now); };
@@ -320,8 +329,8 @@ private:
         Found found{.theta = fit.parameters, .iterations = iterations, .tries = tries};
         to_full_amplitude(found.theta);
         set_coefficients(found.theta);
-        // Few rounds suffice, because the utilisation is nearly linear in the factor: only rotation
-        // has a quadratic effect.
+        // A few rounds suffice, because the limit utilisation is nearly linear in the factor. Only
+        // rotation has a quadratic effect.
         for (int round = 0; round < 4; round++) {
             const double used = MARGIN * use_of(motions.hull, weights(HULL_WEIGHT), false);
             if (used <= CERTAIN) break;

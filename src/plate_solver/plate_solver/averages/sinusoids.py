@@ -1,14 +1,15 @@
-"""Method B's inversion of the averaged map (section 3.2.3), from the first start to the finished
+"""Inversion of the averaged map with Method B (section 3.2.3), from the first start to the finished
 spline.
 
-The first start is the last solution. Then rounds follow, each with one fresh start and
-perturbations of the round's best motion. A fresh start is led to the request by continuation, with
-increasing fractions of the request. The result is converted to a spline within the rig's limits.
-Its forces are evaluated on this spline by a quadrature that the search does not use.
+The first start is the last solution. Rounds of the search follow. Each round has one fresh start
+and several perturbations of the best motion of this round. A fresh start is moved towards the
+request by continuation: it is solved for increasing fractions of the request. The result is
+converted to a spline within the rig's limits. A different quadrature than in the search evaluates
+the forces of this spline.
 
-Averaged forces of parts at rest do not depend on the amplitude and on a shift in time. Steps of
-minimum norm are orthogonal to these two directions. Motions are kept at the full amplitude that the
-limits allow, because the influence of the parts' velocities is then smallest.
+The averaged forces of parts at rest do not change if the motion is scaled or shifted in time. Steps
+of minimum norm are orthogonal to these two directions. Motions are kept at the largest amplitude
+that the limits allow. At this amplitude, the velocities of the parts have the least influence.
 """
 
 from __future__ import annotations
@@ -26,7 +27,7 @@ FEW_CANDIDATES = 12
 """Number of random motions that are compared for each fresh start."""
 
 Motions = _kernels.AveragedMotions
-"""A basis of sinusoidal motions and their limits, in the form that the C++ kernels use."""
+"""A basis of sinusoidal motions and the limits, in the form that the C++ kernels use."""
 
 
 def motions_of(number: int, basis: SinusoidBasis, limits: Limits) -> Motions:
@@ -40,17 +41,17 @@ class Found(NamedTuple):
     Attributes
     ----------
     theta : (3 h,)
-        Parameters, at full amplitude.
+        Parameters of the motion. Its amplitude reaches the limits.
     pose, twist, accel : (k + 1, 3)
-        The motion at its knots.
+        Pose, twist and acceleration of the motion at its knots.
     spline : (k, 6, 3)
         Polynomial coefficients, as in `PlateCycle.coefficients`.
     error : (M, 2)
-        Request minus force of this spline [mu m g].
+        Request minus the force of this spline [mu m g].
     worst : float
-        Maximum absolute error [mu m g].
+        Maximum absolute force error [mu m g].
     condition : float
-        Condition number of the forces' derivative with respect to the parameters.
+        Condition number of the derivative of the forces with respect to the parameters.
     iterations, tries : int
         Number of steps of all starts, and number of starts.
     """
@@ -80,22 +81,22 @@ def invert(
 ) -> Found:
     """Find a motion with the requested average forces.
 
-    The quadrature of the search may mistake two dips for one. If the error of the finished spline
-    therefore exceeds the tolerance, the motion is corrected with adaptive panels. If this fails,
-    the search is repeated from other starts.
+    The quadrature of the search may count two close dips as one. Then the error of the finished
+    spline may exceed the tolerance. In this case the motion is corrected with adaptive panels. If
+    this also fails, the search is repeated from other starts.
 
     Parameters
     ----------
     warm : (F, 3 h)
-        The last solution (F = 1), or none (F = 0).
+        The last solution (F = 1). If there is none, F is 0.
     pool : (S, 3 h)
-        Random motions. A fresh start is the best of the next `FEW_CANDIDATES` of them and their
-        opposites. Perturbations are also taken from the pool.
+        Pool of random motions. A fresh start is the best of the next `FEW_CANDIDATES` motions of
+        the pool and their opposites. Perturbations are also taken from the pool.
     position, velocity, force : (M, 2)
         Positions [m] and velocities [m/s] of the parts, plate_home; requested forces [mu m g].
     motions : Motions
     tolerance : float
-        Maximum error that counts as success [mu m g].
+        Maximum force error that counts as success [mu m g].
     iterations, tries : int
         Maximum number of steps from one start, and maximum number of starts.
     """

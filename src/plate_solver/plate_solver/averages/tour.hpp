@@ -12,7 +12,7 @@ namespace plate::rotations {
 // Maximum number of rounds of the 2-opt method; four are usually sufficient.
 constexpr int MAX_ROUNDS = 20;
 
-// Velocity changes (J, J) [m/s] of the fastest corner between all pairs of twists (J, 3).
+// Change of the velocity of the fastest corner (J, J) [m/s] between each pair of twists (J, 3).
 inline Matrix changes(View<const double, 2> twists, const double* half) {
     const int count = twists.size(0);
     Matrix change(count, count);
@@ -30,8 +30,8 @@ inline Matrix changes(View<const double, 2> twists, const double* half) {
     return change;
 }
 
-// Returns a short closed tour that begins and ends at 0: nearest neighbours, improved by 2-opt,
-// which reverses sections while this shortens the tour.
+// Returns a short closed tour that begins and ends at 0. The tour visits the nearest neighbour
+// first. Then the 2-opt method reverses sections while this shortens the tour.
 inline std::vector<int> short_tour(const Matrix& change) {
     const int count = change.rows;
     std::vector<int> tour(count + 1);

@@ -12,11 +12,11 @@ from ..rotations.plan import RotationPlan
 
 
 def filled(plan: RotationPlan) -> RotationPlan:
-    """Return the plan with its remaining time filled by its longest rotation, half of it in
-    reverse.
+    """Return the plan with the rest of the cycle filled by its longest rotation. Half of this time
+    the rotation is reversed.
 
-    The average force of this addition is 0. The plate must not rest in this time, because then the
-    slightest motion would cause full friction.
+    The average force of the added rotation is 0. The plate must not rest in this time, because the
+    slightest motion of a resting plate would cause full friction.
     """
     left, j = 1 - float(np.sum(plan.fraction)), int(np.argmax(plan.fraction))
     fraction = np.append(plan.fraction, left / 2)
@@ -32,8 +32,8 @@ def filled(plan: RotationPlan) -> RotationPlan:
 def nearest_order(twists: np.ndarray, half: np.ndarray) -> np.ndarray:
     """Return the order (J,) of twists (J, 3) with small changes from one to the next.
 
-    The length of a ramp is proportional to the velocity change of the plate's fastest corner, so
-    this is the distance between two twists. The tour starts at rest.
+    The length of a ramp is proportional to the velocity change of the plate's fastest corner.
+    Therefore this velocity change is the distance between two twists. The tour starts at rest.
     """
     tour = _kernels.short_tour(np.vstack([np.zeros(3), twists]), half)
     return np.array(tour, dtype=int) - 1

@@ -8,13 +8,14 @@
 
 namespace plate {
 
-// Relative tolerance for two special cases: a slip whose component across its change counts as 0,
-// so that it reverses at once; and a slip whose change counts as 0.
+// Relative tolerance of two special cases. In the first case, the component of the slip across its
+// change counts as 0, so that the slip reverses at once. In the second case, the change of the slip
+// counts as 0.
 constexpr double STRAIGHT = 1e-12;
 
-// Mean direction of a slip that changes linearly from p to q: equation (20). The integral of its
-// component along the change is the difference of the magnitudes. Across the change it is a
-// logarithm, which is computed by asinh without cancellation.
+// Mean direction of a slip that changes linearly from p to q: equation (20). The integral of the
+// component along the change is the difference of the magnitudes of q and p. The integral of the
+// component across the change is a logarithm, which is computed by asinh without cancellation.
 inline Force mean_direction_between(Force p, Force q) {
     const double first = length_of(p.x, p.y), last = length_of(q.x, q.y);
     const double dx = q.x - p.x, dy = q.y - p.y, change = length_of(dx, dy);
@@ -30,9 +31,9 @@ inline Force mean_direction_between(Force p, Force q) {
     return {ex * mean_along - ey * mean_across, ey * mean_along + ex * mean_across};
 }
 
-// Average forces (C, 2) [mu m g] of C cases with one motion (2 N, 3) and one part at rest each.
-// kinks (K + 1, 2 N): values of the waves at their kinks. shares (K,): lengths of the intervals as
-// fractions of the period.
+// Average forces (C, 2) [mu m g] of C cases. Each case has one motion (2 N, 3) and one part at
+// rest. kinks (K + 1, 2 N): values of the waves at their kinks. shares (K,): lengths of the
+// intervals as fractions of the period.
 inline void triangular_forces(View<const double, 3> coefficients, View<const double, 2> position,
                               View<const double, 2> kinks, const double* shares,
                               View<double, 2> force) {

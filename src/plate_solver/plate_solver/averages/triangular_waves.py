@@ -1,8 +1,8 @@
 """Closed form of the force map for triangular waves: equations (19) to (21) of the paper.
 
-The sines of (13) are replaced by triangular waves. Between their kinks the slip is linear in time,
-p + q s with s from 0 to 1, so the integral of its direction has a closed form. The kinks divide the
-period into 8 intervals for N = 2, 16 for N = 3, and so on. No solver uses this map. `bench`
+Triangular waves replace the sines of equation (13). Between their kinks the slip is linear in time,
+p + q s with s from 0 to 1, so the integral of its direction has a closed form. There are 8
+intervals between kinks for N = 2, 16 for N = 3, and so on. No solver uses this map. `bench`
 compares its error and its speed with those of the exact map.
 """
 
@@ -23,8 +23,8 @@ def triangle_sine(phase: np.ndarray) -> np.ndarray:
 
 @lru_cache(maxsize=16)
 def intervals(number: int) -> tuple[np.ndarray, np.ndarray]:
-    """Return the waves at their kinks (K + 1, 2 N), columns sin 1..N, cos 1..N, and the lengths
-    (K,) of the intervals as fractions of the period.
+    """Return the values of the waves at their kinks (K + 1, 2 N), and the lengths (K,) of the
+    intervals as fractions of the period. The columns are sin 1..N, cos 1..N.
 
     The waves are linear between consecutive kinks.
     """
@@ -38,7 +38,8 @@ def intervals(number: int) -> tuple[np.ndarray, np.ndarray]:
 def triangular_forces(
     coefficients: np.ndarray, position: np.ndarray, kinks: np.ndarray, shares: np.ndarray
 ) -> np.ndarray:
-    """Return average forces (C, 2) [mu m g] of C cases with one motion and one part at rest each.
+    """Return average forces (C, 2) [mu m g] of C cases. Each case has one motion and one part at
+    rest.
 
     Parameters
     ----------

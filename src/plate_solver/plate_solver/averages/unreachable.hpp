@@ -18,11 +18,11 @@ constexpr double PI = std::numbers::pi;
 // Number of points on each great circle.
 constexpr int POINTS = 48;
 
-// Maximum number of subdivisions of a cell of great circles in a proof.
+// Maximum number of times that a proof subdivides a cell of great circles.
 constexpr int HALVINGS = 4;
 
-// Maximum number of pairs of points in a proof. If it is exceeded, the proof is abandoned. These
-// pairs take some hundredths of a second.
+// Maximum number of pairs of points in a proof. A proof that exceeds it is abandoned. This number
+// of pairs takes some hundredths of a second.
 constexpr double MAX_WORK = 2e8;
 
 // Number of middle points that `greatest_triple` processes together.
@@ -30,7 +30,7 @@ constexpr int SIDE_BY_SIDE = 8;
 
 constexpr double NOTHING = -std::numeric_limits<double>::infinity();
 
-// Points on a great circle, as one array per coordinate.
+// Points on a great circle, in one array per coordinate.
 struct Circle {
     std::vector<double> cosine, sine;  // cosine and sine of equally spaced angles
     std::vector<double> x, y, z;
@@ -56,7 +56,8 @@ struct Circle {
     }
 };
 
-// Computes the great circles (Q, POINTS, 3) in the middles of cells (Q, 4).
+// Computes the great circle (POINTS, 3) in the middle of each cell (Q, 4). The result is (Q,
+// POINTS, 3).
 inline void circles(View<const double, 2> cells, View<double, 3> points) {
     Circle circle(POINTS);
     for (int q = 0; q < cells.size(0); q++) {
@@ -68,7 +69,7 @@ inline void circles(View<const double, 2> cells, View<double, 3> points) {
     }
 }
 
-// Computes the unit slips (T, 2 M) of M parts for twists (T, 3) in units of (1, 1, 1/arm_m).
+// Computes the unit slip vectors (T, 2 M) of M parts for twists (T, 3) in units of (1, 1, 1/arm_m).
 inline void unit_slips(View<const double, 2> twists, View<const double, 2> position, double arm_m,
                     View<double, 2> slips) {
     for (int t = 0; t < twists.size(0); t++) {
@@ -83,8 +84,8 @@ inline void unit_slips(View<const double, 2> twists, View<const double, 2> posit
     }
 }
 
-// Computes upper bounds of lambda . n over all twists within `radius` [rad] of each point of a
-// circle.
+// Computes an upper bound of lambda . n around each point of a circle. The bound holds for all
+// twists within `radius` [rad] of the point.
 PLATE_WIDE inline void upper(const Circle& circle, View<const double, 2> position, double arm_m,
                              const double* separating, double radius, double* __restrict most) {
     const int count = circle.count();
@@ -101,7 +102,8 @@ PLATE_WIDE inline void upper(const Circle& circle, View<const double, 2> positio
         for (int c = 0; c < count; c++) {
             const double spin = z[c] / arm_m, wx = x[c] - spin * py, wy = y[c] + spin * px;
             const double square = wx * wx + wy * wy;
-            // Angle to lambda, minus the maximum rotation of the slip within the radius.
+            // Angle between the slip and lambda, minus the maximum rotation of the slip within the
+            // radius.
             const double along = lx * wx + ly * wy, across = std::abs(lx * wy - ly * wx);
             const double free = std::sqrt(square - reach * reach);
             const bool all = (square <= reach * reach) |
@@ -111,20 +113,20 @@ PLATE_WIDE inline void upper(const Circle& circle, View<const double, 2> positio
     }
 }
 
-// Returns T (see unreachable.py) of values (C,) around a great circle. C is a multiple of
-// SIDE_BY_SIDE.
+// Returns T (see unreachable.py) for values (C,) at points around a great circle. C is a multiple
+// of SIDE_BY_SIDE.
 //
-// T contains the negative value of the middle point. Here it is replaced by the value of the point
-// opposite the middle one, so that upper bounds give an upper bound. The angle between the outer
-// two points may be up to half a turn plus one step, so that the result also covers points between
-// the given ones.
+// T contains the value of the middle point with a negative sign. Here it is replaced by the value
+// of the opposite point, so that upper bounds of the values give an upper bound of T. The angle
+// between the outer two points may be up to half a turn plus one step, so that the result also
+// covers points between the given ones.
 PLATE_WIDE inline double greatest_triple(const double* values, int points) {
     const int half = points / 2, reach = half + 1;
-    // Values on the circle, repeated by `reach` points on both sides.
+    // Values on the circle. The first and last `reach` values are repeated beyond the ends.
     std::vector<double> round(points + 2 * reach);
     for (int i = 0; i < static_cast<int>(round.size()); i++)
         round[i] = values[(i + points - reach) % points];
-    std::vector<double> before((reach + 1) * SIDE_BY_SIDE);  // maximum up to the middle
+    std::vector<double> before((reach + 1) * SIDE_BY_SIDE);  // maximum before the middle point
     double triple = NOTHING;
     for (int m = 0; m < points; m += SIDE_BY_SIDE) {
         double most[SIDE_BY_SIDE], pair[SIDE_BY_SIDE];
@@ -153,13 +155,14 @@ PLATE_WIDE inline double greatest_triple(const double* values, int points) {
     return triple;
 }
 
-// Maximum of T over great circles. places: index of the circle, then of the three points on it.
+// Maximum of T over the great circles. places: index of the circle, and indices of its three
+// points.
 struct Best {
     double triple;
     std::array<int, 4> places;
 };
 
-// Indices of the three points on a circle that give `greatest_triple`.
+// Indices of the three points on a circle that attain `greatest_triple`.
 inline std::array<int, 3> places_of(const double* values, int points) {
     const int half = points / 2, reach = half + 1;
     std::vector<double> running(reach + 1);
@@ -183,7 +186,7 @@ inline std::array<int, 3> places_of(const double* values, int points) {
     return places;
 }
 
-// Maximum of T of values (Q, C), and its points.
+// Maximum of T for values (Q, C), and the points that attain it.
 inline Best best_triple(View<const double, 2> value) {
     const int points = value.size(1);
     Best found{NOTHING, {}};
@@ -198,9 +201,9 @@ inline Best best_triple(View<const double, 2> value) {
     return found;
 }
 
-// Returns whether T is proven to be below a limit on all great circles. Each cell (Q, 4) of circles
-// has ranges of tilt (from, to) and rotation (from, to) of the normal. Cells are subdivided until
-// the bound suffices.
+// Returns whether T is proven to be below a limit on all great circles. A cell (Q, 4) is a range of
+// normals: tilt from, tilt to, rotation from, rotation to. Cells are subdivided until the upper
+// bound is below the limit.
 inline bool proves(View<const double, 2> cells, View<const double, 2> position, double arm_m,
                    const double* separating, double limit) {
     struct Cell {
@@ -221,8 +224,8 @@ inline bool proves(View<const double, 2> cells, View<const double, 2> position, 
             const double tilt = (low + high) / 2, turn = (left + right) / 2;
             work += static_cast<double>(n) * n;
             circle.turn_to(tilt, turn);
-            // Maximum angle between a normal in the cell and the normal in the cell's middle, plus
-            // half a step on the circle.
+            // Maximum angle between any normal in the cell and the normal in its middle, plus half
+            // a step on the circle.
             const double widest = high < PI / 2 ? std::max(std::sin(low), std::sin(high)) : 1.0;
             const double radius = length_of(high - low, widest * (right - left)) / 2 + PI / n;
             upper(circle, position, arm_m, separating, radius, most.data());

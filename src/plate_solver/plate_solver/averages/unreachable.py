@@ -1,24 +1,26 @@
 """Proof that no motion of N harmonics meets a request.
 
-N + 1 equal steps integrate harmonics up to the N-th exactly. So the twists s_0..s_N of a closed
-motion at times T/(N + 1) apart add up to zero. Averaged over the first of these times, the forces
-of any such motion are a mean of
+N + 1 equal time steps integrate harmonics up to the N-th exactly. Therefore the N + 1 twists
+s_0..s_N of a closed motion, at times that are T/(N + 1) apart, add up to zero. If the first of
+these times varies over the period, the forces of any such motion are a mean of
 
     (n(s_0) + ... + n(s_N)) / (N + 1)   with   s_0 + ... + s_N = 0,
 
 where the vector n(s) contains the unit vectors of all parts' slips. These forces form a convex set.
 A request is infeasible if a vector lambda separates it from this set: lambda . force > h(lambda),
-where h is the support function. Let g(s) = lambda . n(s). It is odd and does not depend on the
-magnitude of s. Let T be the maximum of g(s_1) + g(s_2) - g(m) for m between s_1 and s_2 on a great
-circle: the value of three twists that add up to zero. By Caratheodory's theorem zero is a mean of
-two, three or four of the twists. Four twists are two triples with a common m, so
+where h is the support function. Let g(s) = lambda . n(s). g is an odd function, and it does not
+depend on the magnitude of s. Consider two twists s_1 and s_2, and a twist m between them on a great
+circle. Let T be the maximum of g(s_1) + g(s_2) - g(m) over all such twists. It is the value of
+three twists that add up to zero. By Caratheodory's theorem, zero is a mean of at most four of the
+twists. Four twists are equivalent to two triples with a common m, so
 
     h(lambda) <= (N - 1)/(N + 1) T(lambda).
 
 For one part T is 1, which gives the known bound (N - 1)/(N + 1). The search for lambda uses a
-coarse grid of twists. The proof does not rely on samples: T is bounded over whole cells of great
-circles, which are subdivided until the bound is below the request. A request without a proof may
-still be infeasible, because the convex set is larger than the set of forces of N harmonics.
+coarse grid of twists, but the proof does not rely on samples. It bounds T over whole cells of great
+circles, which are subdivided until the bound is below the request. If there is no proof, the
+request may still be infeasible, because the convex set is larger than the set of forces of N
+harmonics.
 """
 
 from __future__ import annotations
@@ -35,27 +37,30 @@ SAME = 1e-6
 """Forces that differ by less count as equal [mu m g]."""
 
 ROUNDS = 10
-"""Maximum number of directions lambda. Most feasible requests are recognised earlier."""
+"""Maximum number of directions lambda that are tried. Most feasible requests are recognised
+earlier."""
 
 SPACING = 0.12
 """Spacing [rad] of the great circles' normals."""
 
 WITHIN = 1e-2
-"""Fraction of a request that may be missing from a mean of found forces, to be within the set."""
+"""A request counts as feasible if it differs from a mean of the forces found by at most this
+fraction of the request."""
 
 PENALTY = 30.0
-"""Weight of the row that keeps the fractions of a mean below one."""
+"""Weight of the row that keeps the sum of the fractions of a mean at one."""
 
 
 def is_out_of_reach(position: np.ndarray, force: np.ndarray, number: int, arm_m: float) -> bool:
-    """Whether it is proven that no motion of `number` harmonics gives parts at rest these forces.
+    """Return whether it is proven that no motion of `number` harmonics exerts these forces on parts
+    at rest.
 
     Parameters
     ----------
     position, force : (M, 2)
-        Parts [m], plate_home; average forces [mu m g].
+        Positions of the parts [m], plate_home; average forces [mu m g].
     number : int
-        N, at least 1.
+        Number of harmonics N, at least 1.
     arm_m : float
         Length that converts rotations to translations [m]. Any positive value is valid.
     """
@@ -78,7 +83,8 @@ def is_out_of_reach(position: np.ndarray, force: np.ndarray, number: int, arm_m:
             return _proves(cells, position, arm_m, separating, separating @ wanted / most)
         force = most * sum(vectors[three[0], k] for k in three[1:])
         found += [force, -force]
-        # Nearest mean of the found forces; the sum of its fractions is at most 1.
+        # Find the mean of the forces found that is nearest to the request. The sum of its fractions
+        # is at most 1.
         columns = np.column_stack([*found, np.zeros(len(wanted))])
         fractions, _ = nnls(
             np.vstack([columns, np.full(columns.shape[1], PENALTY)]), np.append(wanted, PENALTY)
@@ -100,7 +106,8 @@ def _apart(position: np.ndarray, force: np.ndarray) -> bool:
 
 @lru_cache(maxsize=1)
 def _cells() -> np.ndarray:
-    """Return cells (Q, 4) that cover half the sphere of normals: tilt from, to, turn from, to."""
+    """Return cells (Q, 4) that cover half the sphere of normals. The columns are the lowest and
+    highest tilt and the lowest and highest rotation [rad]."""
     bands = int(np.ceil(pi / 2 / SPACING))
     cells = []
     for band in range(bands):
@@ -112,23 +119,24 @@ def _cells() -> np.ndarray:
 
 
 def _circles(cells: np.ndarray) -> np.ndarray:
-    """Return the great circles (Q, C, 3) in the middles of cells (Q, 4)."""
+    """Return the great circle (C, 3) in the middle of each cell (Q, 4). The result is (Q, C, 3)."""
     return _kernels.circles(cells)
 
 
 def _vectors(twists: np.ndarray, position: np.ndarray, arm_m: float) -> np.ndarray:
-    """Return unit slips (Q, C, 2 M) of twists (Q, C, 3) in units of (1, 1, 1/arm_m)."""
+    """Return unit slip vectors (Q, C, 2 M) of twists (Q, C, 3) in units of (1, 1, 1/arm_m)."""
     return _kernels.unit_slips(twists, position, arm_m)
 
 
 def _best(value: np.ndarray) -> tuple[float, tuple[int, int, int, int]]:
-    """Return the maximum of T over great circles, from values (Q, C). Return also the indices of
-    the circle and of three points on it."""
+    """Return the maximum of T over great circles, from values (Q, C). Also return the indices of
+    the circle and of its three points."""
     return _kernels.best_triple(value)
 
 
 def _proves(
     cells: np.ndarray, position: np.ndarray, arm_m: float, separating: np.ndarray, limit: float
 ) -> bool:
-    """Whether T is proven to be below a limit on all great circles, cell by cell."""
+    """Return whether T is proven to be below a limit on all great circles. The cells are checked
+    one by one."""
     return _kernels.proves(cells, position, arm_m, separating, limit)

@@ -1,8 +1,8 @@
-"""The cycle map: state of the parts after a plate motion, with stick-slip friction, and its
-derivatives.
+"""The cycle map: the state of the parts after a plate motion, computed with stick-slip friction,
+and its derivatives.
 
 Parts are modelled as points (`stick_slip`, `blocks`) or as bodies that rotate (`turning`). Searches
-use versions in blocks of parts and single precision.
+use versions that process parts in blocks and in single precision.
 """
 
 from .blocks import LANES, TRACE, adjoint, blocks_of, trace

@@ -1,7 +1,7 @@
 // The cycle map in blocks of LANES parts, and its adjoint: kernels of blocks.py.
 //
 // Single precision doubles the number of parts per vector instruction. The rounding error of a
-// position is below 1e-7 m. Results of a search are evaluated again in double precision.
+// position is below 1e-7 m. The result of a search is evaluated again in double precision.
 #pragma once
 #include <algorithm>
 #include <cmath>
@@ -20,11 +20,11 @@ namespace blocks {
 // Rows of a state: position [m], velocity [m/s], mu g dt [m/s].
 constexpr int X = 0, Y = LANES, VX = 2 * LANES, VY = 3 * LANES, BOUND = 4 * LANES;
 
-// Rows of a trace: derivative of the velocity change with respect to the slip velocity, and vector
-// from the plate's centre to the part [m].
+// Rows of the data stored per step: derivative of the velocity change with respect to the slip
+// velocity, and vector from the plate's centre to the part [m].
 constexpr int XX = 0, XY = LANES, YY = 2 * LANES, ARM_X = 3 * LANES, ARM_Y = 4 * LANES;
 
-// Prevents 0/0 [m2/s2].
+// Prevents 0/0 if the slip is zero [m2/s2].
 constexpr float TINY = 1e-30f;
 
 }  // namespace blocks
@@ -62,9 +62,10 @@ PLATE_WIDE inline void trace(View<float, 2> state, SamplesOf<float> pose, Sample
     }
 }
 
-// Computes the derivatives (bins, b, 2, 3 LANES) of the final positions, extrapolated with the
-// final velocity by `coast` [s], with respect to the plate's twist. The pose is the integral of the
-// twist. Each derivative is the sum over a bin of equally many steps.
+// Computes the derivatives (bins, b, 2, 3 LANES) of the final positions with respect to the plate's
+// twist. The positions are extrapolated with the final velocity by `coast` [s]. The pose is the
+// integral of the twist. Each derivative is the sum over the steps of a bin. All bins have the same
+// number of steps.
 PLATE_WIDE inline void adjoint(View<const float, 3> steps, SamplesOf<float> twist, float dt,
                                float coast, View<float, 4> by_twist) {
     using namespace blocks;
@@ -84,9 +85,10 @@ PLATE_WIDE inline void adjoint(View<const float, 3> steps, SamplesOf<float> twis
                     const Eight cx = vx + dt * x, cy = vy + dt * y;
                     const Eight gx = xx * cx + xy * cy, gy = xy * cx + yy * cy;
                     vx = cx - gx, vy = cy - gy;
-                    // A shift of the plate in x from here on is equivalent to the opposite shift of
-                    // the part. `x` minus `end_x` is the derivative with respect to this shift.
-                    // Half of this step's contribution belongs to the time after its middle.
+                    // If the plate is shifted in x from this step on, the effect is the same as an
+                    // opposite shift of the part. `x` minus `end_x` is the derivative with respect
+                    // to this shift. Half of this step's contribution belongs to the time after its
+                    // middle.
                     const Eight more_x = w * gy, more_y = w * gx;
                     on_u += gx + dt * (end_x - x - 0.5f * more_x);
                     on_v += gy + dt * (end_y - y + 0.5f * more_y);

@@ -1,8 +1,8 @@
-"""The cycle map for searches: parts in blocks, and derivatives summed over bins of steps.
+"""The cycle map for searches. It processes parts in blocks and sums derivatives over bins of steps.
 
-It is the map of `stick_slip` in single precision, with equal steps. The rounding error of a
-position is below 1e-7 m. The innermost loop runs over the `LANES` parts of a block and compiles to
-vector instructions. So a partly filled block takes as long as a full one.
+The map is the same as in `stick_slip`, but in single precision and with equal steps. The rounding
+error of a position is below 1e-7 m. The innermost loop runs over the `LANES` parts of a block and
+compiles to vector instructions. Therefore a partly filled block takes as long as a full one.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ TRACE: int = _kernels.TRACE
 def blocks_of(
     position: np.ndarray, velocity: np.ndarray, friction_accel: np.ndarray, dt: float
 ) -> np.ndarray:
-    """Return the state (b, `STATE`) of M parts. Unused places of the last block are zero."""
+    """Return the state (b, `STATE`) of M parts. Unused places of the last block contain zeros."""
     rows = np.column_stack([position, velocity, friction_accel * dt])
     state = np.zeros((-(-len(rows) // LANES) * LANES, 5), np.float32)
     state[: len(rows)] = rows
@@ -43,10 +43,10 @@ def adjoint(
     steps: np.ndarray, twist: np.ndarray, dt: float, coast: float,
     by_twist: np.ndarray,
 ) -> None:  # fmt: skip
-    """Compute the derivatives of the final positions, extrapolated with the final velocity by
-    `coast` [s].
+    """Compute the derivatives of the final positions. The positions are extrapolated with the final
+    velocity by `coast` [s].
 
-    Each derivative is the sum over a bin of n/bins steps.
+    Each derivative is the sum over the n/bins steps of a bin.
 
     Parameters
     ----------
@@ -55,7 +55,7 @@ def adjoint(
     twist : (n, 3)
     dt, coast : float
     by_twist : (bins, b, 2, 3 LANES)
-        Result: derivatives of x, then of y, of a block's parts with respect to the plate's twist
+        Output: derivatives of x, then of y, of a block's parts with respect to the plate's twist
         along x, y and theta. The pose is the integral of the twist.
     """
     _kernels.adjoint(steps, twist, dt, coast, by_twist)

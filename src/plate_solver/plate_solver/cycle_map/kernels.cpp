@@ -8,7 +8,7 @@ namespace plate {
 
 using namespace nb::literals;
 
-// Returns the rows `at` and `at + 1` of the parts' matrix as (M, 2).
+// Returns rows `at` and `at + 1` of the matrix of parts, as (M, 2).
 static auto pairs_of(const Matrix& parts, int at, size_t count) {
     std::vector<double> pairs(2 * count);
     for (size_t i = 0; i < count; i++)
@@ -38,8 +38,8 @@ static void check_spins(const Table& position, const Numbers& spin, const Table&
     check("spread", spread, {position.shape(0), 3});
 }
 
-// Derivatives of `each` results with respect to pose (2, n, each), twist (3, n, each) and dt
-// (n, each).
+// Derivatives of `each` results with respect to pose (2, n, each), twist (3, n, each) and dt (n,
+// each).
 template <class Find>
 static nb::tuple gradient_of(size_t n, size_t each, Find find) {
     std::vector<double> by_pose(2 * n * each), by_twist(3 * n * each), by_dt(n * each);
@@ -122,8 +122,8 @@ static void bind_turning(nb::module_& m) {
     });
 }
 
-// Binds `trace` and `adjoint`, or the versions for parts that rotate, which have one more axis and
-// larger states and traces.
+// Binds `trace` and `adjoint`, or their versions for parts that rotate. The latter have one more
+// axis, a larger state and more data per step.
 template <auto TRACE_PARTS, auto ADJOINT>
 static void bind_blocks(nb::module_& m, const char* trace_name, const char* adjoint_name,
                         size_t axes, size_t state_size, size_t trace_size) {

@@ -15,11 +15,12 @@ namespace stick_slip {
 constexpr int X = 0, Y = 1, VX = 2, VY = 3, ACCEL = 4, ROWS = 5;
 
 // Rows of the data stored per step: vector from the plate's centre to the part, derivative of the
-// velocity change with respect to the slip velocity, friction acceleration during slip, velocity.
+// velocity change with respect to the slip velocity, friction acceleration during slip, and
+// velocity.
 constexpr int ARM_X = 0, ARM_Y = 1, XX = 2, XY = 3, YY = 4, FX = 5, FY = 6;
 constexpr int AFTER_X = 7, AFTER_Y = 8, PAST = 9;
 
-// Prevents 0/0.
+// Prevents 0/0 if the slip is zero.
 constexpr double TINY = 1e-300;
 
 }  // namespace stick_slip
@@ -39,8 +40,8 @@ inline void put_side_by_side(View<const double, 2> position, View<const double, 
     }
 }
 
-// Integrates parts, one per column, over samples (n, 3) of the plate's motion with steps dt (n,)
-// [s].
+// Integrates parts over samples (n, 3) of the plate's motion with steps dt (n,) [s]. Each part is
+// one column.
 PLATE_WIDE inline void end_state(Matrix& parts, Samples pose, Samples twist, const double* dt) {
     using namespace stick_slip;
     const int wide = parts.columns;
@@ -64,9 +65,9 @@ PLATE_WIDE inline void end_state(Matrix& parts, Samples pose, Samples twist, con
     }
 }
 
-// Computes the derivatives of the final positions, extrapolated with the final velocity by `coast`
-// [s], with respect to pose (2, n, 2 M), twist (3, n, 2 M) and dt (n, 2 M). The last axis contains
-// x of all `count` parts, then y. `parts` is overwritten; `past` is a buffer.
+// Computes the derivatives of the final positions with respect to pose (2, n, 2 M), twist (3, n, 2
+// M) and dt (n, 2 M). The positions are extrapolated with the final velocity by `coast` [s]. The
+// last axis contains x of all `count` parts, then y. `parts` is overwritten; `past` is a buffer.
 PLATE_WIDE inline void end_state_gradient(Matrix& parts, int count, Samples pose, Samples twist,
                                           const double* dt, double coast, Matrix& past,
                                           View<double, 3> by_pose, View<double, 3> by_twist,
@@ -104,7 +105,8 @@ PLATE_WIDE inline void end_state_gradient(Matrix& parts, int count, Samples pose
         }
     }
     for (int axis = 0; axis < 2; axis++) {
-        // Adjoints of position (a) and velocity (b) at the end of step k, in the parts' rows.
+        // Adjoints of position (a) and velocity (b) at the end of step k. They are stored in the
+        // rows of the parts.
         double *__restrict ax = px, *__restrict ay = py, *__restrict bx = vx, *__restrict by = vy;
         std::fill_n(ax, wide, 1.0 - axis), std::fill_n(ay, wide, 1.0 * axis);
         std::fill_n(bx, wide, coast * ax[0]), std::fill_n(by, wide, coast * ay[0]);

@@ -1,14 +1,15 @@
 """The cycle map of parts without rotation: their state after one cycle, and its derivatives.
 
 The plate's motion is sampled at the middles of steps, which may have different lengths. In each
-step friction changes the velocity v of a part by an implicit Coulomb step, for slip and stick. With
-the velocity difference d = surface - v it is
+step, friction changes the velocity v of a part by an implicit Coulomb step, which covers slip and
+stick. With the velocity difference d = surface - v it is
 
     v += d min(1, mu g dt / length of d),    x += v dt.
 
-The derivatives are exact for this discrete map, computed by one backward sweep per output. If steps
-end where rotations end, the results are smooth in the durations of the rotations, as searches need.
-The innermost loop runs over the parts, so that their square roots are computed in parallel.
+The derivatives are exact for this discrete map. One backward sweep per output computes them. If
+steps end where rotations end, the results are smooth functions of the durations of the rotations.
+Searches need smooth results. The innermost loop runs over the parts, so that their square roots are
+computed in parallel.
 """
 
 from __future__ import annotations
@@ -20,8 +21,8 @@ import numpy as np
 from .. import _kernels
 
 PREDICTION_STEP = 0.1e-3
-"""Step for evaluating a finished cycle [s]. It may be small, because there is only one
-evaluation."""
+"""Time step for the evaluation of a finished cycle [s]. It may be small, because there is only one
+evaluation per cycle."""
 
 
 class Motion(Protocol):
@@ -29,13 +30,13 @@ class Motion(Protocol):
 
     @property
     def period(self) -> float:
-        """Length [s]."""
+        """Length of the motion [s]."""
 
     def pose(self, t: np.ndarray) -> np.ndarray:
         """Return the plate's pose (n, 3) at times (n,) [s]."""
 
     def twist(self, t: np.ndarray) -> np.ndarray:
-        """Return the derivative of the pose (n, 3), which is the twist, at times (n,) [s]."""
+        """Return the twist (n, 3), which is the derivative of the pose, at times (n,) [s]."""
 
 
 def after(
@@ -68,7 +69,7 @@ def end_state(
     position, velocity : (M, 2)
         Parts at the start [m], [m/s], plate_home.
     pose, twist : (n, 3)
-        Plate at the middles of the steps, plate_home.
+        Pose and twist of the plate at the middles of the steps, plate_home.
     dt : (n,)
         Lengths of the steps [s].
     friction_accel : (M,)
@@ -81,8 +82,8 @@ def end_state_gradient(
     position: np.ndarray, velocity: np.ndarray, pose: np.ndarray, twist: np.ndarray,
     dt: np.ndarray, friction_accel: np.ndarray, coast: float = 0.0,
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:  # fmt: skip
-    """Return the derivatives of the positions of `end_state`, extrapolated with the final velocity
-    by `coast` [s].
+    """Return the derivatives of the positions that `end_state` returns. The positions are
+    extrapolated with the final velocity by `coast` [s].
 
     The last axis contains x of all parts, then y of all parts.
 

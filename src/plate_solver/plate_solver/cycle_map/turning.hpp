@@ -15,25 +15,26 @@ constexpr int TURNING_STATE = 10 * LANES, TURNING_TRACE = 11 * LANES;
 
 namespace turning {
 
-// Rows of a state: as in `blocks`, then rotation [rad], spin [rad/s] and second moments [m2].
+// Rows of a state: the rows of `blocks`, then rotation [rad], spin [rad/s] and second moments [m2].
 using blocks::X, blocks::Y, blocks::VX, blocks::VY, blocks::BOUND;
 constexpr int TURN = 5 * LANES, SPIN = 6 * LANES;
 constexpr int SXX = 7 * LANES, SXY = 8 * LANES, SYY = 9 * LANES;
 
-// Rows of a trace: derivatives (3, 3) of the changes of velocity and spin with respect to slip and
-// relative spin, row by row, and vector from the plate's centre to the part [m].
+// Rows of the data stored per step: derivatives (3, 3) of the changes of velocity and spin with
+// respect to slip and relative spin, row by row, and vector from the plate's centre to the part
+// [m].
 constexpr int ARM_X = 9 * LANES, ARM_Y = 10 * LANES;
 
-// Squared slip velocity [m2/s2] below which J tends to its mean over all directions, because the
-// direction of a very slow slip is uncertain.
+// Squared slip velocity [m2/s2] below which J tends to its mean over all directions. The direction
+// of a very slow slip is uncertain.
 constexpr double SLOW2 = 1e-4;
 
-// Prevents 0/0 [m2/s2].
+// Prevents 0/0 if the slip is zero [m2/s2].
 constexpr double TINY = 1e-30;
 
 }  // namespace turning
 
-// As `trace`, in blocks (b, TURNING_STATE), (n, b, TURNING_TRACE).
+// Same as `trace` for parts that rotate, in blocks (b, TURNING_STATE), (n, b, TURNING_TRACE).
 PLATE_WIDE inline void trace_turning(View<float, 2> state, SamplesOf<float> pose,
                                      SamplesOf<float> twist, float dt, View<float, 3> steps) {
     using namespace turning;
@@ -80,7 +81,7 @@ PLATE_WIDE inline void trace_turning(View<float, 2> state, SamplesOf<float> pose
     }
 }
 
-// As `adjoint`, for positions and rotations: (bins, b, 3, 3 LANES).
+// Same as `adjoint` for positions and rotations: (bins, b, 3, 3 LANES).
 PLATE_WIDE inline void adjoint_turning(View<const float, 3> steps, SamplesOf<float> twist, float dt,
                                        float coast, View<float, 4> by_twist) {
     using namespace turning;
@@ -118,7 +119,8 @@ PLATE_WIDE inline void adjoint_turning(View<const float, 3> steps, SamplesOf<flo
 
 namespace end_turning_rows {
 
-// Rows of parts after those of `stick_slip`: rotation [rad], spin [rad/s], second moments [m2].
+// Rows of the parts that follow the rows of `stick_slip`: rotation [rad], spin [rad/s], second
+// moments [m2].
 using stick_slip::X, stick_slip::Y, stick_slip::VX, stick_slip::VY, stick_slip::ACCEL;
 constexpr int TURN = 5, SPIN = 6, SXX = 7, SXY = 8, SYY = 9, ROWS = 10;
 
@@ -129,7 +131,7 @@ constexpr int ARM_X = 9, ARM_Y = 10, BY_DT = 11, AFTER = 14, PAST = 17;
 
 }  // namespace end_turning_rows
 
-// As `put_side_by_side`, with spin (M,) and second moments xx, xy, yy (M, 3).
+// Same as `put_side_by_side`, with additional spin (M,) and second moments xx, xy, yy (M, 3).
 inline void put_turning_side_by_side(View<const double, 2> position, View<const double, 2> velocity,
                                      View<const double, 1> spin, View<const double, 2> spread,
                                      View<const double, 1> friction_accel, Matrix& parts) {
@@ -142,7 +144,7 @@ inline void put_turning_side_by_side(View<const double, 2> position, View<const 
     }
 }
 
-// Integrates parts that rotate, one per column, as `end_state`.
+// Integrates parts that rotate, as `end_state` does. Each part is one column.
 PLATE_WIDE inline void end_turning(Matrix& parts, Samples pose, Samples twist, const double* dt) {
     using namespace end_turning_rows;
     using turning::SLOW2, turning::TINY;
@@ -173,7 +175,7 @@ PLATE_WIDE inline void end_turning(Matrix& parts, Samples pose, Samples twist, c
     }
 }
 
-// As `end_state_gradient`, for positions and rotations: (2, n, 3 M), (3, n, 3 M), (n, 3 M).
+// Same as `end_state_gradient` for positions and rotations: (2, n, 3 M), (3, n, 3 M), (n, 3 M).
 PLATE_WIDE inline void end_turning_gradient(Matrix& parts, int count, Samples pose, Samples twist,
                                             const double* dt, double coast, Matrix& past,
                                             View<double, 3> by_pose, View<double, 3> by_twist,

@@ -2,16 +2,16 @@
 
 Let s be the sliding velocity of a part relative to the plate, and c its relative angular velocity.
 To first order in c, friction exerts the torque mu m g c J/s. J is the second moment of the contact
-along the sliding direction: the mean square of the distances from the centre along it. So a bar
-receives the largest torque if it slides along its length. Force and torque are combined by the
-ellipse model (Howe and Cutkosky 1996):
+in the sliding direction: the mean square of the distances of its points from the centre, measured
+in this direction. Therefore a bar receives the largest torque if it slides along its length. Force
+and torque are combined by the ellipse model (Howe and Cutkosky 1996):
 
     q^2 = s^2 + J c^2,    force = mu m g s/q,    torque = mu m g J c/q
 
-In each step, friction changes velocity and spin by this force and torque times dt, at most until
-the slip is 0. J is computed from the angle at the start, because parts rotate by a few degrees
-within a cycle. For discs, bars, nuts, brackets and screws in random cycles, the error of the
-rotation is below 10 %, and the position is as accurate as without rotation.
+In each step, friction changes the velocity and the spin by this force and torque times dt, at most
+until the slip is 0. J is computed from the angle at the start of the cycle, because parts rotate by
+only a few degrees within a cycle. For discs, bars, nuts, brackets and screws in random cycles, the
+error of the rotation is below 10 %, and the position is as accurate as without rotation.
 """
 
 from __future__ import annotations
@@ -53,17 +53,17 @@ def end_turning(
     Parameters
     ----------
     position, velocity : (M, 2)
-        Centres at the start [m], [m/s], plate_home.
+        Centres of the parts at the start [m], [m/s], plate_home.
     spin : (M,)
         Angular velocity at the start [rad/s].
     spread : (M, 3)
         Second moments xx, xy, yy of their contacts [m2, plate_home].
     pose, twist : (n, 3)
-        Plate at the middles of the steps, plate_home.
+        Pose and twist of the plate at the middles of the steps, plate_home.
     dt : (n,)
         Lengths of the steps [s].
     friction_accel : (M,)
-        mu g [m/s2].
+        mu g of each part [m/s2].
     """
     return _kernels.end_turning(position, velocity, spin, spread, pose, twist, dt, friction_accel)
 
@@ -73,13 +73,13 @@ def end_turning_gradient(
     pose: np.ndarray, twist: np.ndarray, dt: np.ndarray, friction_accel: np.ndarray,
     coast: float = 0.0,
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:  # fmt: skip
-    """Return the derivatives of the final positions and rotations, extrapolated with the final
-    velocity and spin by `coast` [s]. They are exact for the discrete map.
+    """Return the derivatives of the final positions and rotations. Both are extrapolated with the
+    final velocity and spin by `coast` [s]. The derivatives are exact for the discrete map.
 
     Returns
     -------
     by_pose : (2, n, 3 M)
-        The last axis contains x of all parts, y of all parts, then their rotations.
+        The last axis contains x of all parts, y of all parts, and the rotations of all parts.
     by_twist : (3, n, 3 M)
     by_dt : (n, 3 M)
     """
@@ -92,8 +92,8 @@ def turning_blocks_of(
     position: np.ndarray, velocity: np.ndarray, friction_accel: np.ndarray, dt: float,
     spin: np.ndarray, spread: np.ndarray,
 ) -> np.ndarray:  # fmt: skip
-    """Return the state (b, `TURNING_STATE`) of parts. The arguments are as in `end_turning`. Unused
-    places of the last block contain parts at rest."""
+    """Return the state (b, `TURNING_STATE`) of parts. The arguments are the same as in
+    `end_turning`. Unused places of the last block contain parts at rest."""
     still = np.zeros(len(position))
     rows = np.column_stack([position, velocity, friction_accel * dt, still, spin, spread])
     state = np.zeros((-(-len(rows) // LANES) * LANES, 10), np.float32)
@@ -118,7 +118,8 @@ def adjoint_turning(
     steps: np.ndarray, twist: np.ndarray, dt: float, coast: float,
     by_twist: np.ndarray,
 ) -> None:  # fmt: skip
-    """Compute the derivatives of positions and rotations, as `blocks.adjoint` for positions.
+    """Compute the derivatives of positions and rotations. `blocks.adjoint` does the same for
+    positions only.
 
     Parameters
     ----------
@@ -127,7 +128,7 @@ def adjoint_turning(
     twist : (n, 3)
     dt, coast : float
     by_twist : (bins, b, 3, 3 LANES)
-        Result: derivatives of x, of y, then of the rotations of a block's parts with respect to the
+        Output: derivatives of x, of y, then of the rotations of a block's parts with respect to the
         plate's twist along x, y and theta. The pose is the integral of the twist.
     """
     _kernels.adjoint_turning(steps, twist, dt, coast, by_twist)

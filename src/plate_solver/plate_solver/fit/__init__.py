@@ -1,6 +1,8 @@
-"""Least squares with few errors and many parameters: Levenberg-Marquardt and basin hopping.
+"""Least squares with few errors and many parameters, by the Levenberg-Marquardt method and basin
+hopping.
 
-Both take the problem as functions: Python functions here, kernel functions in C++.
+Both methods take the problem as functions. These are Python functions here and kernel functions in
+C++.
 """
 
 from .basin_hopping import basin_hopping

@@ -1,5 +1,5 @@
-"""Basin hopping: local searches that start in turns from a perturbation of the best result and from
-a fresh start, until a result is good enough."""
+"""Basin hopping: a series of local searches. Each starts from a perturbation of the best result or
+from a fresh start. The series ends when a result is good enough."""
 
 from __future__ import annotations
 
@@ -22,11 +22,11 @@ def basin_hopping(
     Parameters
     ----------
     propose : function
-        Returns a start. Arguments: number of the try, best result, and whether to return a fresh
-        start instead of a perturbation of this result.
+        Function that returns a start. Its arguments are the number of the start, the best result,
+        and whether to return a fresh start instead of a perturbation of this result.
     attempt : function
-        Local search from a start with a number. Returns the result, its cost, the number of steps,
-        and whether it is good enough.
+        Local search. Its arguments are a start and the number of the start. It returns the result,
+        its cost, the number of steps, and whether the result is good enough.
     begin : object
         First start.
     tries : int

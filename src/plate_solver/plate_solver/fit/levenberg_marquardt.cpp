@@ -1,5 +1,5 @@
-// Implementation of levenberg_marquardt.hpp: damped steps by Cholesky's method, and the condition
-// number by tridiagonal reduction and bisection of the eigenvalues.
+// Implementation of levenberg_marquardt.hpp. Damped steps are computed by Cholesky's method. The
+// condition number is computed by reduction to tridiagonal form and bisection of the eigenvalues.
 #include "fit/levenberg_marquardt.hpp"
 
 #include <algorithm>
@@ -12,9 +12,8 @@
 namespace plate {
 
 // Solves a symmetric system in place by Cholesky's method, root' root x = right. The upper half of
-// the matrix (count, wide) is given and is overwritten by `root`, so that loops run along rows.
-// Rows are padded to whole vectors; entries left of the diagonal in the same vector are set to
-// zero.
+// the matrix (count, wide) is the input. `root` overwrites it, so that loops run along rows. Rows
+// are padded to whole vectors. Entries left of the diagonal in the same vector are set to zero.
 template <class Number>
 [[gnu::always_inline]] inline void solve_of(MatrixOf<Number>& root, int count, Number* right) {
     constexpr int VECTOR = LANES_OF<Number>;
@@ -162,15 +161,15 @@ template FitOf<double> levenberg_marquardt(const Evaluate&, const Slopes<double>
 template FitOf<float> levenberg_marquardt(const Evaluate&, const Slopes<float>&,
                                           std::vector<double>, const Damping&, double, int);
 
-// A symmetric tridiagonal matrix: its diagonal (n,), and the squares of its off-diagonal, of which
-// the first is zero.
+// A symmetric tridiagonal matrix: its diagonal (n,), and the squares of its off-diagonal entries.
+// The first square is zero.
 struct Tridiagonal {
     std::vector<double> middle, beside2;
 
-    // Returns the eigenvalue with `index` smaller ones, to a relative error of 1e-10. If it is
-    // below `least`, any number below `least` is returned. The interval from 0 to `high` is
-    // narrowed by four shifts at a time: the number of negative pivots of a shifted matrix is the
-    // number of eigenvalues below the shift.
+    // Returns the eigenvalue that is larger than `index` other eigenvalues, to a relative error of
+    // 1e-10. If it is below `least`, any number below `least` is returned. Each step narrows the
+    // interval from 0 to `high` by four shifts at a time. The number of negative pivots of a
+    // shifted matrix is the number of eigenvalues below the shift.
     double eigenvalue(int index, double least, double high) const {
         double low = 0;
         while (high - low > 1e-10 * high && high > least) {

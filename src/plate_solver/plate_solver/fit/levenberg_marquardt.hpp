@@ -16,7 +16,8 @@ struct Damping {
     double stall_fraction;      // `stall_fraction` of the squared error, the search stops
 };
 
-// Options for expensive evaluations: more damping is tried, and the search never counts as stalled.
+// Options for expensive evaluations. The search tries more damping before it stops, and it never
+// stops because of a stall.
 constexpr Damping DAMPING{.first = 1e-2, .least = 1e-6, .most = 1e3, .shrink = 3.0, .grow = 4.0,
                           .stall_steps = 1'000'000, .stall_fraction = 1.0};
 
@@ -51,8 +52,8 @@ inline void transpose(const Matrix& matrix, Matrix& across) {
 }
 
 // Damped steps of minimum norm, J' (J J' + damping mean(diag) 1)^-1 error. If there are fewer
-// parameters than errors, the equivalent system in the parameters is solved. Buffers are reused for
-// the next Jacobian.
+// parameters than errors, the equivalent system for the parameters is solved. The buffers are
+// reused for the next Jacobian.
 template <class Number>
 class LeastNormStep {
 public:
@@ -79,15 +80,16 @@ template <class Number>
 using Slopes = std::function<void(MatrixOf<Number>& jacobian)>;
 
 // Searches from `start` (P,) for errors of at most `tolerance`, with at most `iterations`
-// evaluations after the first. `evaluate(parameters, error)` maps the parameters to ones that the
-// rig can run and computes their errors (R,). `slopes(jacobian)` computes the negative derivatives
-// (R, P) for the last evaluated parameters. It is called only if a step is taken.
+// evaluations after the first. `evaluate(parameters, error)` changes the parameters to values that
+// the rig can run and computes their errors (R,). `slopes(jacobian)` computes the negative
+// derivatives (R, P) at the last evaluated parameters. The search calls `slopes` only before it
+// takes a step.
 template <class Number>
 FitOf<Number> levenberg_marquardt(const Evaluate& evaluate, const Slopes<Number>& slopes,
                                   std::vector<double> start, const Damping& damping,
                                   double tolerance, int iterations);
 
-// Returns the condition number (infinite if it exceeds 1e7).
+// Returns the condition number of the Jacobian. It is infinite if it exceeds 1e7.
 double condition_of(const Matrix& jacobian);
 
 }  // namespace plate

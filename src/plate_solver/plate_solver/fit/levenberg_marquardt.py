@@ -4,8 +4,8 @@ With the negative Jacobian J of the errors e and the damping d, the step of mini
 
     J' (J J' + d mean(diag(J J')) 1)^-1 e.
 
-Steps are orthogonal to all directions that do not change the errors. On the averaged map, these are
-the amplitude and a shift in time.
+Steps are orthogonal to all directions that do not change the errors. For the averaged map, these
+directions are a change of amplitude and a shift in time.
 """
 
 from __future__ import annotations
@@ -19,7 +19,8 @@ from .. import _kernels
 
 
 class Fit(NamedTuple):
-    """Result: parameters (P,), errors (R,), their negative Jacobian (R, P), and number of steps."""
+    """Result of a fit: parameters (P,), errors (R,), negative Jacobian (R, P), and number of
+    steps."""
 
     parameters: np.ndarray
     error: np.ndarray
@@ -49,10 +50,10 @@ def fit(
     Parameters
     ----------
     evaluate : function
-        Returns the errors for given parameters, and a function that returns their negative
-        derivatives. The latter is called only if a step is taken.
+        Function that returns the errors for given parameters, and a function that returns their
+        negative derivatives. The second function is called only if a step is taken.
     admissible : function
-        Maps parameters to parameters that the rig can run.
+        Function that maps parameters to the nearest ones that the rig can run.
     start : (P,)
     tolerance : float
         The search stops when the largest absolute error is at most this value.
@@ -65,11 +66,11 @@ def fit(
 def least_norm_step(jacobian: np.ndarray, error: np.ndarray, damping: float) -> np.ndarray:
     """Return the damped step of minimum norm, J' (J J' + damping mean(diag) 1)^-1 error.
 
-    If there are fewer parameters than errors, the equivalent system in the parameters is solved.
+    If there are fewer parameters than errors, the equivalent system for the parameters is solved.
     """
     return _kernels.least_norm_step(jacobian, error, damping)
 
 
 def condition_of(jacobian: np.ndarray) -> float:
-    """Return the condition number (infinite if it exceeds 1e7)."""
+    """Return the condition number of the Jacobian. It is infinite if it exceeds 1e7."""
     return _kernels.condition_of(jacobian)

@@ -1,6 +1,6 @@
 """The goal of one cycle: required end positions and angles of the parts, and the cost of errors.
 
-Motions are evaluated on the cycle map. `Solution` contains the motion found and the fraction of the
+The cycle map evaluates motions. `Solution` contains the motion found and the fraction of the
 request that it meets.
 """
 

@@ -1,9 +1,9 @@
-"""Converts a request (forces or targets) to the goal of one cycle.
+"""Conversion of a request (forces or targets) to the goal of one cycle.
 
 A goal is an interval and a weight for x, y and the angle of each part at the end of the cycle. The
-interval of a force depends on the length of the cycle, which the solver chooses, and on the state
-at its start, which the solver predicts. Therefore the solver, not the planner, converts the
-request.
+interval of a force depends on the length of the cycle, which the solver selects, and on the state
+at the start of the cycle, which the solver predicts. Therefore the solver, not the planner,
+converts the request.
 """
 
 from __future__ import annotations
@@ -18,8 +18,8 @@ from ..start import StartState, contact_spread, part_types
 from .goal import Goal, Turns
 
 MAX_REQUEST = 1e9
-"""Maximum value in a request, in SI units. It is above all practical values, and its square does
-not overflow."""
+"""Maximum value in a request, in SI units. It is larger than all practical values, and small enough
+that its square does not overflow."""
 
 NEAR_M = 0.006
 """Distance within which a part counts as near its target [m]. If all parts are near, every cycle
@@ -38,8 +38,8 @@ class RequestFacts:
         Number of parts with a requested rotation. None if there are no angle targets and all
         torques are 0.
     far : bool
-        Whether a part is farther than `NEAR_M` from its target. A rotation counts as the arc length
-        at the edge of the part.
+        Whether any part is farther than `NEAR_M` from its target. A rotation counts as the arc
+        length that the edge of the part moves.
     exact : bool
         Whether forces are requested and at least one part has zero tolerance on both axes.
     """
@@ -51,7 +51,7 @@ class RequestFacts:
 
     @classmethod
     def of(cls, rig: Rig, wanted: Wanted) -> RequestFacts:
-        """Return the properties of a request."""
+        """Return the properties that determine the search."""
         request = wanted.request
         if isinstance(request, Forces):
             rotating = int(np.count_nonzero(request.torque)) or None
@@ -77,16 +77,16 @@ def form_goal(
     period : float
         Length P of the cycle [s].
     coast : float
-        With targets: as in `Goal` [s].
+        If targets are requested: as in `Goal` [s].
     free_end : bool
-        With targets: whether the plate may end in motion.
+        If targets are requested: whether the plate may end in motion.
 
     Raises
     ------
     PlateError
-        If a value is not finite or exceeds `MAX_REQUEST` (a force tolerance may be infinite), if
-        the high end of an interval is below its low end, if a weight, a tolerance or the clearance
-        is negative, or if `forces.period` is not positive.
+        If a value is not finite or exceeds `MAX_REQUEST` (a force tolerance may be infinite). If
+        the high end of an interval is below its low end. If a weight, a tolerance or the clearance
+        is negative. If `forces.period` is not positive.
     """
     request = wanted.request
     if isinstance(request, Targets):
@@ -102,8 +102,9 @@ def _goal_of_targets(
 
         d = target - x0,    turn = target angle - a0,
 
-    for both ends of each interval. The goal is lasting: later cycles complete the motion, so every
-    motion counts as a success. Positions too close to edges or other parts add errors.
+    for the low and the high end of each interval. The goal is lasting, because later cycles
+    complete the motion. Therefore every motion counts as a success. Positions too close to edges or
+    to other parts cause additional errors.
     """
     ids, types = wanted.parts.ids, part_types(rig, wanted.parts.ids)
     _check_targets(ids, "target", targets)
@@ -138,14 +139,14 @@ def _goal_of_forces(
     rig: Rig, forces: Forces, wanted: Wanted, start: StartState, period: float
 ) -> Goal:
     """Convert forces to a goal. A mean force F over a period T changes the drift v of a part of
-    mass m by F T/m. A mean torque N changes its spin w by N T/J. Over a cycle of length P the
+    mass m by F T/m. A mean torque N changes its spin w by N T/J. Over a cycle of length P, the
     displacement d and the rotation are
 
         d = (v + F T/m) P,    turn = (w + N T/J) P,    J = m (Sxx + Syy)
 
-    with the second moments S of the contact. A force tolerance f gives the displacement tolerance
-    f T P/m. Displacements have weight 1. The weight of a requested rotation is the radius of the
-    part.
+    with the second moments S of the contact area. A force tolerance f gives the displacement
+    tolerance f T P/m. Displacements have weight 1. The weight of a requested rotation is the radius
+    of the part.
     """
     parts, types = wanted.parts, part_types(rig, wanted.parts.ids)
     if not 0 < forces.period <= MAX_REQUEST:
@@ -158,7 +159,8 @@ def _goal_of_forces(
     gain = forces.period / np.array([[t.mass_kg] for t in types])
     displacement = (parts.velocity + gain * forces.force) * period
     tolerance = gain * forces.tolerance * period
-    # Clip displacements at the edge of the plate, so that parts near it do not limit the others.
+    # Clip displacements at the edge of the plate. Otherwise parts near the edge would limit the
+    # displacements of all parts.
     edge = rig.plate.half - np.array([[t.reach_m] for t in types])
     low = np.clip(displacement - tolerance, -edge - start.position, edge - start.position)
     high = np.clip(displacement + tolerance, -edge - start.position, edge - start.position)
@@ -183,7 +185,8 @@ def _goal_of_forces(
 def _to_go(rig: Rig, wanted: Wanted, to: Targets) -> np.ndarray:
     """Return the distance (M,) [m] of each part from its target.
 
-    If the arc length of the remaining rotation at the part's edge is larger, it is returned.
+    If the arc length of the remaining rotation at the part's edge is larger, this arc length is
+    returned instead.
     """
     place = wanted.parts.position if wanted.start is None else wanted.start[:, :2]
     way = np.maximum(np.maximum(to.low - place, place - to.high), 0.0)
@@ -207,14 +210,15 @@ def _check_targets(ids: tuple[str, ...], name: str, targets: Targets | AngleTarg
 def _check(
     owners: tuple[str, ...], name: str, values: np.ndarray, low: float, high: float = MAX_REQUEST
 ) -> None:
-    """Check that values (M, ...), one row per owner, are in the range `low` to `high`.
+    """Check that all values (M, ...) are in the range `low` to `high`. Row i belongs to owners[i].
 
     Raises
     ------
     PlateError
-        With the first invalid value, its owner and the range.
+        If a value is outside the range. The error names the first such value, its owner and the
+        range.
     """
-    wrong = ~((values >= low) & (values <= high))  # NaN counts as wrong
+    wrong = ~((values >= low) & (values <= high))  # false for NaN
     if np.any(wrong):
         row = tuple(np.argwhere(wrong)[0])
         raise PlateError(

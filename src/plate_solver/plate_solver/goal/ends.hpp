@@ -10,7 +10,8 @@
 namespace plate {
 
 // Distance b beyond a wall at which the error b + b^2 / STEEP_M is twice as large as b [m]. With a
-// linear error, many moving parts could push one that is at its target over the edge.
+// linear error, several parts with long distances could push a part that is already at its target
+// over the edge.
 constexpr double STEEP_M = 0.01;
 
 // Requested end coordinates (C,) of M parts: see `Ends` in ends.py.
@@ -22,7 +23,7 @@ struct Ends {
 };
 
 // Errors (R,) of end coordinates (C,) [m, rad], and their negative derivatives (R, C). The first C
-// rows belong to the coordinates, the others to pairs that are too close.
+// rows belong to the coordinates, the others to pairs of parts that are too close.
 inline void end_errors(const std::vector<double>& place, const Ends& ends,
                        std::vector<double>& error, Matrix& slope) {
     const int size = place.size(), count = ends.parts, pairs = ends.pair.size(0);

@@ -5,9 +5,9 @@ centre distance r of two parts and their minimum distance c, the errors are
 
     w (nearest point of [l, h] - q),    +-(b + b^2 / 0.01 m),    c - r  if r < c.
 
-An exact drift is an interval of zero width with weight 1. A distant target region has a small
-weight, so that the squared errors favour the parts with the longest distances. Angles are
-coordinates like x and y; their weight has the unit metres per radian.
+An exact drift is requested by an interval of zero width with weight 1. A distant target region has
+a small weight. As the errors are squared, the parts with the longest distances still dominate.
+Angles are coordinates like x and y, but their weight has the unit metres per radian.
 """
 
 from __future__ import annotations
@@ -22,8 +22,8 @@ from .. import _kernels
 class Ends(NamedTuple):
     """Requested coordinates of M parts at the end of a cycle.
 
-    The coordinates are x of all parts, then y of all parts. If angles count, the angles of all
-    parts follow. So C is 2 M or 3 M.
+    The coordinates are x of all parts, then y of all parts. If rotations are requested, the angles
+    of all parts follow. So C is 2 M or 3 M.
 
     Attributes
     ----------
@@ -34,9 +34,9 @@ class Ends(NamedTuple):
     edge_low, edge_high : (C,)
         Positions of the walls [m]; infinite for angles.
     pair : (K, 2)
-        Indices of parts that may come close to each other.
+        Indices of two parts that may come too close to each other.
     clear : (K,)
-        Minimum distances of their centres [m].
+        Minimum distance of the centres of each pair [m].
     parts : int
         Number of parts M.
     """
@@ -55,6 +55,6 @@ def end_errors(place: np.ndarray, ends: Ends) -> tuple[np.ndarray, np.ndarray]:
     """Return the errors (R,) [m] of end coordinates (C,) [m, rad], and their negative derivatives
     (R, C).
 
-    The first C errors belong to the coordinates, the others to pairs that are too close.
+    The first C errors belong to the coordinates, the others to pairs of parts that are too close.
     """
     return _kernels.end_errors(place, ends)

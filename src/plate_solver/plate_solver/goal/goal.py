@@ -1,4 +1,4 @@
-"""The goal of one cycle: displacements and rotations of the parts, evaluated on the cycle map.
+"""The goal of one cycle: displacements and rotations of the parts. The cycle map evaluates it.
 
 Averaged forces are valid only if the parts hardly move within a cycle, but many parts require long
 cycles. Therefore a goal specifies the displacement over the cycle, from a given initial state
@@ -30,7 +30,7 @@ from .solution import Solution
 
 COMING_M = 0.05
 """A pair of parts is ignored if its distance exceeds the minimum distance by more than this [m].
-Two parts approach each other by less in one cycle."""
+Within one cycle, two parts approach each other by less than this."""
 
 
 @dataclass(frozen=True)
@@ -46,7 +46,7 @@ class Turns:
     low, high : (M,)
         Interval of rotations over the cycle that have no error [rad].
     weight : (M,)
-        Error per radian outside the interval [m]. 0 accepts any rotation.
+        Error per radian outside the interval [m]. 0 means that any rotation is accepted.
     """
 
     spin: np.ndarray
@@ -142,7 +142,7 @@ class Goal:
         low, high = middle - self.tolerance, middle + self.tolerance
         weighed = np.broadcast_to(self.weight, shape) > 0
         beyond = np.where(weighed, [-high, low], -np.inf)
-        # If a goal is beyond a wall, the wall moves to it.
+        # If a goal is beyond a wall, the wall is moved to the goal.
         below, above = np.maximum(self.edge, beyond)
         gap = self.position[None] - self.position[:, None]
         clear = np.broadcast_to(self.clear, (len(middle), len(middle)))
@@ -177,11 +177,14 @@ class Goal:
         return float(np.sqrt(np.mean(asked**2)))
 
     def times(self, fraction: float) -> Goal:
-        """Return a reduced goal.
+        """Return the goal reduced to a fraction.
 
-        If the goal is lasting, its weights are multiplied by the square of the fraction, so that
-        errors at edges and between parts dominate: half a goal has 1/16 of the squared errors.
-        Otherwise displacements and rotations are multiplied by the fraction.
+        If the goal is lasting, its weights w are multiplied by the square of the fraction f. Errors
+        at edges and between parts then dominate. Consider a part that is b beyond a wall and d from
+        its target. For small b its squared errors are (w d)^2 + b^2, and their minimum is at b =
+        w^2 d. With the weight f^2 w, the minimum is at b = f^4 w^2 d: with half a goal, the part is
+        only 1/16 as far beyond the wall. If the goal is not lasting, displacements and rotations
+        are multiplied by the fraction.
         """
         turns = self.turns
         if self.lasting:
@@ -193,7 +196,8 @@ class Goal:
         return replace(self, displacement=fraction * self.displacement, turns=turns)
 
     def downhill(self, most: float) -> np.ndarray:
-        """Return displacements (M, 2) [m] along the steepest descent of the squared errors.
+        """Return displacements (M, 2) [m] in the direction of steepest descent of the squared
+        errors.
 
         They are scaled so that the longest displacement is `most` [m].
         """
@@ -205,7 +209,8 @@ class Goal:
         return np.asarray(way * (most / max(float(np.max(np.hypot(*way.T))), 1e-12)))
 
     def left(self, end: np.ndarray) -> np.ndarray:
-        """Return the signed distance (M, 2) [m] from an end to the requested interval."""
+        """Return the signed distance (M, 2) [m] from an end to the nearest point of the requested
+        interval."""
         miss = self.position + self.displacement - end[: self.position.size].reshape(2, -1).T
         beyond = np.sign(miss) * np.maximum(np.abs(miss) - self.tolerance, 0.0)
         return np.where(np.asarray(self.weight) > 0, beyond, 0.0)
@@ -218,7 +223,7 @@ class Goal:
         return (np.clip(turn, turns.low, turns.high) - turn)[turns.weight > 0]
 
     def shifted(self, way: np.ndarray) -> Goal:
-        """Return the goal shifted by `way` (C,) [m, rad], in the order of `end`."""
+        """Return the goal shifted by `way` (C,) [m, rad]. The order is the same as in `end`."""
         places = self.position.size
         shift = way[:places].reshape(2, -1).T
         turns = None if self.turns is None else self.turns.shifted(way[places:])

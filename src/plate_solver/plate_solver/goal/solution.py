@@ -1,5 +1,5 @@
-"""Result of a solver: the motion found, and the fraction of the request that it meets. `Status`
-tells whether a request was solved, solved partially, or is infeasible."""
+"""Result of a solver: the motion found, and the fraction of the request that it meets. `Status` is
+the outcome: solved, partially solved, infeasible or failed."""
 
 from __future__ import annotations
 
@@ -35,24 +35,24 @@ class Solution:
     message : str
         Accuracy of the result, or the reason of a failure.
     cycle : PlateCycle
-        The motion found. It is closed and within the rig's limits, even if `success` is False.
+        The motion found. It is closed and within the limits of the rig, even if `success` is False.
     residual : (M, 2)
-        Request minus prediction, in mu m g. It refers to the whole request, even if only a fraction
-        is met.
+        Request minus predicted result [mu m g]. It refers to the whole request, even if only a
+        fraction is met.
     iterations : int
         Number of iterations, summed over all starts.
     condition : float
-        Condition number of the last linear system. It is large if parts are hard to move
+        Condition number of the last linear system. It is large if it is hard to move the parts
         independently.
     status : Status
         Outcome of the request.
     fraction : float
-        Feasible fraction of the request, in its direction; 1 if the request is met. The motion
-        achieves this fraction, unless another motion has a smaller error for the whole request
-        (`refine`).
+        Feasible fraction of the request; 1 if the request is met. The motion achieves this
+        fraction. With `refine`, it may instead be another motion that has a smaller error for the
+        whole request.
     predicted : (C,), optional
-        Predicted end of the parts, from the cycle map: x of all parts [m], y of all parts, then
-        their rotations if angles count [rad].
+        Predicted end of the parts on the cycle map: x of all parts [m], y of all parts and, if
+        rotations are requested, the rotations of all parts [rad].
     """
 
     success: bool

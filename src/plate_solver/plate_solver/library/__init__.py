@@ -1,6 +1,7 @@
-"""The library of rotations about many centres, and the minimum time in which they produce forces.
+"""The library of rotations about many centres, and the minimum time in which these rotations
+produce forces.
 
-Method A uses it for planning. It also gives the bound on the averaged forces of both methods.
+Method A uses the library for planning. The library also bounds the averaged forces of both methods.
 """
 
 from .condition import condition_number

@@ -1,9 +1,10 @@
-"""Condition number of a set of part positions: how independently the parts can be pushed.
+"""Condition number of a set of part positions. It measures how independently the parts can be
+pushed.
 
-With the library's unit forces in the columns of A, the second moment A A' describes the forces of
+The columns of A are the library's unit forces. The second moment A A' describes the forces of
 random motions. The condition number is the square root of the ratio of its maximum and minimum
-eigenvalues. The eigenvector of the minimum eigenvalue is the direction that is the most difficult
-to push (section 3.3).
+eigenvalues. The eigenvector of the minimum eigenvalue is the direction in which a force is the most
+difficult to produce (section 3.3).
 """
 
 from __future__ import annotations
@@ -15,14 +16,14 @@ from plate_core import PlateError, Rig
 from .library import Library
 
 SAME = 1e-9
-"""Eigenvalues below this fraction of the maximum count as zero."""
+"""Eigenvalues below this fraction of the largest one count as zero."""
 
 
 def condition_number(rig: Rig, position: np.ndarray, library: Library | None = None) -> float:
-    """Return the ratio of the forces in the easiest and in the most difficult direction, at least
-    1.
+    """Return the ratio of the forces in the easiest and in the most difficult direction. It is at
+    least 1.
 
-    It is infinite if a direction is infeasible.
+    It is infinite if no force is possible in some direction.
 
     Parameters
     ----------

@@ -7,7 +7,7 @@ namespace plate {
 using namespace library;
 using nb::arg;
 
-// Whether all column indices of a basis are below K + 2 R.
+// Returns whether all column indices of a basis are below K + 2 R.
 static void check_basis(const View<const int64_t, 1>& basis, size_t columns) {
     for (int i = 0; i < basis.size(0); i++)
         if (basis(i) < 0 || basis(i) >= static_cast<int64_t>(columns))

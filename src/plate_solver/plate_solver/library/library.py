@@ -1,9 +1,10 @@
 """A library of rotations: unit twists about many centres on and around the plate.
 
-The average force on a part at rest is the mean of unit vectors, one per twist of the plate's
-motion. This force does not depend on the speed. Therefore the forces of any motion are a mean of
-the library's columns (equations (5), (9)), up to the spacing of the twists in the library. With N
-rotations of weight k_j and their unit tangents t_j at a part, the average force on it is
+The average force on a part at rest is the mean of unit vectors. Each twist of the plate's motion
+contributes one unit vector. This force does not depend on the speed. Therefore the forces of any
+motion are a mean of the library's columns (equations (5), (9)), if the library's twists are dense
+enough. With N rotations of weight k_j and their unit tangents t_j at a part, the average force on
+it is
 
     F = mu m g / N  sum_j k_j t_j.
 
@@ -20,11 +21,12 @@ import numpy as np
 from .simplex import least_time
 
 COLUMNS, ROWS = 30, 16
-"""Number of centres along x and y. Doubling both numbers increases the force by 6 %."""
+"""Number of centres along x and y. If both numbers are doubled, the maximum force increases by 6
+%."""
 
 REACH = (1.1, 1.2)
-"""Half side lengths of the grid of centres, in half side lengths of the plate. Rotations about
-centres farther away differ little from each other and from translations."""
+"""Half side lengths of the grid of centres, in half side lengths of the plate. Rotations about more
+distant centres differ little from each other and from translations."""
 
 TRANSLATIONS = 8
 """Number of directions of translation."""
@@ -33,12 +35,13 @@ CURL_LENGTH_M = 0.05
 """Length that converts a curl error [mu m g / m] to a force error [mu m g]."""
 
 OUT_OF_REACH = 1e4
-"""Price of a unit of force error [cycles / (mu m g)]. It is high enough to force errors to 0."""
+"""Price of a unit of force error [cycles / (mu m g)]. It is so high that force errors are 0
+whenever that is feasible."""
 
 
 @dataclass(frozen=True)
 class Library:
-    """Rotations and translations. Each may be used in both senses.
+    """Rotations and translations. Each may be used in both directions of rotation or translation.
 
     Attributes
     ----------
@@ -93,9 +96,9 @@ class Library:
     def reachable_fraction(self, position: np.ndarray, force: np.ndarray) -> float:
         """Return the maximum multiple of the forces (M, 2) [mu m g] that any motion can produce.
 
-        Its reciprocal is the minimum time for the forces, from a linear programme without closure,
-        because the forces of a motion are a mean of the library's columns. The finite number of
-        rotations causes an error of a few per cent.
+        Its reciprocal is the minimum time for the forces. A linear programme without closure
+        computes this time. The result bounds all motions, because the forces of a motion are a mean
+        of the library's columns. The finite number of rotations causes an error of a few per cent.
         """
         rows, wanted = self.forces(position), force.T.ravel()
         if not np.any(wanted):
@@ -144,8 +147,8 @@ def solve_weights(
     wanted : (R,)
         Right-hand side: N / (mu m g) times the requested forces.
     most_gain : float
-        Upper bound on inverse singular values (section 3.1.5). Directions that exceed it are
-        omitted, so that two close parts do not cause very large weights.
+        Upper bound of the inverse singular values (section 3.1.5). Singular directions that exceed
+        it are omitted. Otherwise two close parts would cause very large weights.
     """
     left, values, right = np.linalg.svd(matrix, full_matrices=False)
     keep = values * most_gain >= 1 if np.isfinite(most_gain) else values > 1e-12 * values[0]

@@ -1,4 +1,4 @@
-// Fractions of time, by the revised simplex method: kernels of simplex.py.
+// Fractions of time by the revised simplex method: kernels of simplex.py.
 #pragma once
 #include <algorithm>
 #include <cmath>
@@ -11,10 +11,11 @@
 
 namespace plate::library {
 
-// Minimum gain per unit of a column that enters the basis, in units of cost.
+// Minimum gain per unit that a column needs to enter the basis, in units of cost.
 constexpr double OPTIMAL = 1e-9;
 
-// Minimum absolute value of a pivot, and of the reciprocal of an inverse's largest entry.
+// Minimum absolute value of a pivot. It is also the minimum reciprocal of the largest entry of an
+// inverse.
 constexpr double PIVOT = 1e-9;
 
 // Number of pivots after which the inverse of the basis is recomputed.
@@ -23,7 +24,7 @@ constexpr int REFRESH = 40;
 using Basis = View<int64_t, 1>;
 
 // Returns the columns (R, R) of a basis of a matrix (R, K). K + r is the slack variable for the
-// unmet amount of row r, and K + R + r is the one for the exceeded amount.
+// unmet amount of row r, and K + R + r is the slack variable for the exceeded amount.
 inline void columns_of(View<const double, 2> matrix, View<const int64_t, 1> basis,
                        View<double, 2> chosen) {
     const int rows = matrix.size(0), count = matrix.size(1);
@@ -71,7 +72,8 @@ PLATE_WIDE inline bool invert_matrix(Matrix& matrix, Matrix& inverse) {
     return true;
 }
 
-// Returns the product of a matrix and a vector whose entries are `stride` numbers apart.
+// Returns the product of a matrix and a vector. The entries of the vector are `stride` numbers
+// apart.
 inline void times_vector(const Matrix& matrix, const double* vector, int stride, double* result) {
     for (int i = 0; i < matrix.rows; i++) {
         const double* row = matrix[i];
@@ -106,9 +108,9 @@ private:
     void pivot_on(int leave, double amount_in);
 };
 
-// Computes the inverse and the amounts of the basis, and fills `sense`. Returns whether the basis
-// is usable. If an amount is negative, its sign is reversed: a rotation changes its sense, a slack
-// variable its side.
+// Computes the inverse and the amounts of the basis, and sets `sense`. Returns whether the basis is
+// usable. If an amount is negative, its column is reversed: a rotation changes its direction, and a
+// slack variable changes from the unmet to the exceeded amount.
 inline bool Programme::restart() {
     chosen.resize(rows(), rows());
     columns_of(matrix, {basis.data, basis.shape}, {chosen[0], {rows(), rows()}});
@@ -129,7 +131,7 @@ inline bool Programme::restart() {
     return most * PIVOT < 1;
 }
 
-// The column with the largest gain, its sense, and its gain per unit.
+// The column with the largest gain, its direction, and its gain per unit.
 inline Entering Programme::best_column() {
     for (int c = 0; c < rows(); c++) dual[c] = 0;
     for (int i = 0; i < rows(); i++) {
@@ -152,7 +154,7 @@ inline Entering Programme::best_column() {
     return {best, sense, gain};
 }
 
-// Expresses column q, in the sense `way`, as a combination of the basis columns.
+// Expresses column q, in the direction `way`, as a combination of the basis columns.
 inline void Programme::find_column(int q, double way) {
     if (q < count()) {
         times_vector(inverse, matrix.data + q, count(), column.data());
@@ -164,7 +166,7 @@ inline void Programme::find_column(int q, double way) {
     }
 }
 
-// Brings an amount of the column into the basis and removes another column.
+// Brings the column into the basis and removes another column.
 inline void Programme::pivot_on(int leave, double amount_in) {
     double* __restrict own = inverse[leave];
     for (int i = 0; i < rows(); i++) {
@@ -179,7 +181,8 @@ inline void Programme::pivot_on(int leave, double amount_in) {
     amount[leave] = amount_in;
 }
 
-// Improves basis and senses in place. Returns the number of pivots, or -1 if the basis is unusable.
+// Improves the basis and the directions in place. Returns the number of pivots, or -1 if the basis
+// is unusable.
 inline int Programme::simplex(int pivots) {
     amount.resize(rows()), dual.resize(rows()), value.resize(count()), column.resize(rows());
     bool fits = restart();
@@ -194,7 +197,7 @@ inline int Programme::simplex(int pivots) {
         for (int i = 0; i < rows(); i++)
             if (column[i] > PIVOT && amount[i] < amount_in * column[i])
                 amount_in = amount[i] / column[i], leave = i;
-        if (leave < 0) return done;  // unbounded: impossible with valid costs and prices
+        if (leave < 0) return done;  // unbounded, impossible with valid costs and prices
         pivot_on(leave, amount_in);
         basis(leave) = entering.column;
         sense(leave) = entering.sense;

@@ -1,13 +1,15 @@
-"""Fractions of time: a linear programme that selects a few rotations from many.
+"""Fractions of time: a linear programme that selects a few rotations from a large library.
 
     minimise    cost . abs(w) + over . s + under . r
     subject to  A w + s - r = b,    s, r >= 0
 
-The columns of A are rotations, the rows requested quantities. A negative weight w reverses the
-rotation. s and r are the unmet and the exceeded amounts, each with a price. With unit costs, abs(w)
-is time, and the solution is the plan of minimum time. It uses at most as many rotations as there
-are rows. The solver is a revised simplex method that stores the inverse of the basis. Because the
-signs of w are free, any basis is a feasible start, for example that of the last cycle.
+The columns of A are rotations, and the rows are requested quantities. A negative weight w reverses
+the rotation. s and r are the unmet and the exceeded amounts, each with a price. s and r are the
+unmet and the exceeded amounts of the rows. Each has a price. If all costs are one, abs(w) is time,
+and the solution is the plan of minimum time. The solver is a revised simplex method that stores the
+inverse of the basis. The solver is a revised simplex method. It stores the inverse of the basis.
+Because the signs of w are free, any basis is a feasible start, for example the basis of the last
+cycle.
 """
 
 from __future__ import annotations
@@ -19,7 +21,7 @@ import numpy as np
 from .. import _kernels
 
 PERTURBATION = 1e-9
-"""Shift of the right-hand side, relative to its largest entry. The shift breaks ties between
+"""Shift of the right-hand side, relative to its largest entry. The shift prevents ties between
 rows."""
 
 
@@ -34,13 +36,13 @@ class TimeFractions:
     miss : (R,)
         b - A w.
     price : (R,)
-        Dual solution y: the additional cost per unit of each row's right-hand side. y . b is a
-        lower bound on the cost of b for any motion composed of these columns.
+        Dual solution y: the additional cost per unit of each row's right-hand side. The product y .
+        b is a lower bound of the cost of b for any motion that is composed of these columns.
     cost : float
-        Value of the objective; equals y . b.
+        Value of the objective. It equals y . b.
     basis : (R,)
-        Columns of the solution, a start for the next problem. K + r and K + R + r are the slack
-        variables of row r.
+        Columns of the solution. They are a start for the next problem. The indices K + r and K + R
+        + r are the slack variables of row r.
     pivots : int
     optimal : bool
         False if the number of pivots reached its maximum. The solution is feasible in both cases.
@@ -69,15 +71,15 @@ def least_time(
     Parameters
     ----------
     matrix : (R, K)
-        For example `rotation_matrix`.
+        Matrix of the rotations, for example `rotation_matrix`.
     wanted : (R,)
         Right-hand side b.
     cost : (K,)
-        Cost of each column, above zero.
+        Cost of each column, above 0.
     over, under : (R,)
-        Price of the unmet and of the exceeded amount of each row, at least 0.
+        Price per unit of the unmet and of the exceeded amount of each row, at least 0.
     start : (R,), optional
-        Basis of an earlier solution of a problem of this size.
+        Basis of the solution of an earlier problem of the same size.
     pivots : int
         Maximum number of pivots.
     """
@@ -85,7 +87,7 @@ def least_time(
     matrix = np.ascontiguousarray(matrix, dtype=float)
     wanted = np.array(wanted, dtype=float)
     price = np.concatenate([cost, over, under]).astype(float)
-    # Multiples of the golden ratio give every row a different shift.
+    # Multiples of the golden ratio give each row a different shift.
     scale = max(float(np.max(np.abs(wanted), initial=0.0)), 1e-12)
     shift = PERTURBATION * scale * (1 + (np.arange(1, rows + 1) * 0.6180339887498949) % 1)
     shifted = wanted + np.where(wanted < 0, -shift, shift)
@@ -94,7 +96,7 @@ def least_time(
     if start is not None and len(start) == rows:
         basis = np.array(start)
         used = _kernels.simplex(matrix, shifted, price, basis, sense, pivots)
-    if used < 0:  # there is no start, or the columns of the start are dependent now
+    if used < 0:  # no start, or its columns are dependent
         basis = np.arange(count, count + rows)
         used = _kernels.simplex(matrix, shifted, price, basis, sense, pivots)
     chosen = _kernels.columns_of(matrix, basis)

@@ -5,9 +5,14 @@
 
 namespace plate::rotations {
 
-// Minimum duration of a rotation and maximum speed, in units of their usual values. Maximum
-// fraction of the period for ramps.
-constexpr double SHORTEST = 0.02, FASTEST = 2.5, MAX_RAMPS = 0.9;
+// Minimum duration of a rotation, in units of its usual value.
+constexpr double SHORTEST = 0.02;
+
+// Maximum speed of a rotation, in units of its usual value.
+constexpr double FASTEST = 2.5;
+
+// Maximum fraction of the period that the ramps take.
+constexpr double MAX_RAMPS = 0.9;
 
 // A family of sequences of J rotations: `Sequences` of family.py.
 struct Sequences {

@@ -1,7 +1,7 @@
 """Sequences of rotations as a parametrised family of motions.
 
 The parameters are the durations and twists of the rotations. The family computes the sampled
-motion, its derivatives with respect to the parameters, the limit violations, and the finished
+motion, its derivatives with respect to the parameters, the violations of limits, and the finished
 cycle.
 """
 
@@ -17,21 +17,25 @@ from .. import _kernels
 from ..limits import Limits
 from .sequence import knot_poses, motion
 
-RAMP_STEPS, MIN_STEPS = 8, 6
-"""Number of steps in a ramp, and minimum number in a hold, during a search."""
+RAMP_STEPS = 8
+"""Number of steps in a ramp during a search."""
+
+MIN_STEPS = 6
+"""Minimum number of steps in a hold during a search."""
 
 HOLD_STEP = 1e-3
-"""Length of a step in a hold of mean length [s]."""
+"""Length of a step [s] in a hold of mean length."""
 
 RAMP_PART = 0.95
-"""Fraction of the acceleration limit for ramps. The rest is reserved for closing the motion."""
+"""Fraction of the acceleration limit for ramps. The rest is reserved for the correction that closes
+the motion."""
 
 UNLIMITED_M = 1e9
 """Stroke limit that disables the check of the stroke [m]."""
 
 
 class Sequences(NamedTuple):
-    """Data of `RotationFamily` in the form that the C++ kernels use, for J rotations.
+    """Data of `RotationFamily` for J rotations, in the form that the C++ kernels use.
 
     Attributes
     ----------
@@ -42,11 +46,11 @@ class Sequences(NamedTuple):
     period, accel : float
         Length of the cycle [s] and peak acceleration of ramps [m/s2].
     loads : (m, 3)
-        As in `ramps`: rows for the motors' forces. Empty if the forces are not checked.
+        Rows for the motors' forces, as in `ramps`. Empty if the forces are not checked.
     steps : (int, int)
-        Number of steps in a ramp and in a hold.
+        Number of steps in each ramp, and number of steps in each hold.
     limits : Limits
-        The stroke is `UNLIMITED_M` if it is not checked.
+        Limits of the rig. Their stroke is `UNLIMITED_M` if it is not checked.
     """
 
     basis: np.ndarray
@@ -68,17 +72,18 @@ def line_of(theta: np.ndarray, family: Sequences) -> Line:
 
 
 def runnable(theta: np.ndarray, family: Sequences) -> tuple[np.ndarray, Line, Moved]:
-    """Return admissible parameters (positive durations, motion within the limits), and the knots
-    and samples of their motion."""
+    """Return admissible parameters, and the knots and samples of their motion. Admissible
+    parameters have positive durations and a motion within the limits."""
     return _kernels.runnable(theta, family)
 
 
 class RotationFamily:
     """Sequences of J rotations in a given order.
 
-    The parameters are the J + 1 relative durations (the last one is the rest at the end), in units
-    of 1/J, and the three components of each twist, in units of the usual speed. The stroke limit is
-    a penalty in the search. With `within_stroke`, all admissible parameters keep it.
+    The parameters are the J + 1 relative durations in units of 1/J, and the three components of
+    each twist in units of the usual speed. The last duration is the rest at the end. In a search, a
+    violation of the stroke limit is a penalty. If `within_stroke` is set, all admissible parameters
+    keep the stroke limit.
     """
 
     def __init__(
@@ -93,7 +98,7 @@ class RotationFamily:
         self._limits = limits
         self.period = period
         self._known: tuple[np.ndarray, Line, Moved] | None = None  # result for the last parameters
-        self._lengths = np.array([1.0, 1.0, limits.arm_m])  # converts theta to metres
+        self._lengths = np.array([1.0, 1.0, limits.arm_m])  # converts theta to a length [m]
         hold_steps = max(MIN_STEPS, round(period / len(twists) / HOLD_STEP))
         stroke = limits.stroke_m if within_stroke else UNLIMITED_M
         self.plain = Sequences(
@@ -113,7 +118,8 @@ class RotationFamily:
         return len(self.plain.basis)
 
     def finer(self, steps: tuple[int, int] | int) -> RotationFamily:
-        """Return the family with other numbers of steps. An integer multiplies the present ones."""
+        """Return the family with other numbers of steps. An integer multiplies the present
+        numbers."""
         if isinstance(steps, int):
             steps = self.plain.steps[0] * steps, self.plain.steps[1] * steps
         other = object.__new__(RotationFamily)
@@ -130,7 +136,8 @@ class RotationFamily:
     def samples(self, parameters: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Return pose and twist (n, 3) at the middles of the steps, and the step lengths (n,) [s].
 
-        The result is cached for the parameter array, so do not modify that array in place.
+        The result is cached for the parameter array. Therefore the array must not be modified in
+        place.
         """
         line, moved = self._timeline(parameters), self._motion(parameters)
         self._known = parameters, line, moved
@@ -155,7 +162,7 @@ class RotationFamily:
     def admissible(self, parameters: np.ndarray) -> np.ndarray:
         """Return parameters with positive durations and a motion within the limits.
 
-        The stroke limit counts only with `within_stroke`.
+        The stroke limit is applied only if `within_stroke` is set.
         """
         self._known = runnable(np.asarray(parameters, dtype=float), self.plain)
         return self._known[0]

@@ -1,9 +1,9 @@
-"""Selects the rotations for requested forces, and their durations, by a linear programme.
+"""Selection of the rotations for requested forces, and of their durations, by a linear programme.
 
-Input is a library of rotations, the positions of the parts and the requested forces; output is a
-`RotationPlan`. The plan uses averaged forces, which do not depend on the order of the rotations.
-The real motion does depend on it, because each change of twist takes time, the stroke is limited,
-and parts move during the cycle.
+The inputs are a library of rotations, the positions of the parts and the requested forces. The
+output is a `RotationPlan`. The plan uses averaged forces, which do not depend on the order of the
+rotations. The real motion depends on the order, because each change of twist takes time, the stroke
+is limited, and parts move during the cycle.
 """
 
 from __future__ import annotations
@@ -19,15 +19,16 @@ SPEEDS = (1.0, 0.5)
 not depend on the speed, but the closure of the motion does."""
 
 CLOSURE_PRICE = 1e4
-"""Price of a gap between the start and the end. It is high enough to force the gap to 0."""
+"""Price of a gap between the start and the end of the sequence. It is so high that the gap becomes
+0."""
 
 RETURN = 2.5
-"""Speed of a return stroke divided by the speed of the preceding stroke."""
+"""Speed of a return stroke divided by the speed of the stroke before it."""
 
 
 @dataclass(frozen=True)
 class RotationPlan:
-    """Sequence of rotations and their durations.
+    """Sequence of rotations, and their durations.
 
     Attributes
     ----------
@@ -40,7 +41,7 @@ class RotationPlan:
     met : float
         Fraction of the request that fits into the cycle, at most 1.
     times : TimeFractions
-        Solution of the linear programme. Its cost is the time needed, in cycles.
+        Solution of the linear programme. Its cost is the time that the plan needs [cycles].
     """
 
     twist: np.ndarray
@@ -70,9 +71,9 @@ def plan_rotations(
 ) -> RotationPlan:
     """Plan the closed sequence of rotations with the minimum total time.
 
-    With weights w_j of the rotations, their mean forces and curls in the columns of A, and the
-    request f, the linear programme minimises the time plus the price of unmet requests, subject to
-    closure (the sum of all w_j twist_j is 0):
+    Let w_j be the weights of the rotations, A the matrix of their mean forces and curls (in
+    columns), and f the request. The linear programme minimises the time plus the price of unmet
+    requests. The sequence is closed: the sum of all w_j twist_j is 0.
 
         minimise  sum_j cost_j abs(w_j) + sum_i price_i abs(A w - f)_i
 
@@ -82,13 +83,13 @@ def plan_rotations(
     position, force : (M, 2)
         Positions of the parts [m] and requested forces on them [mu m g].
     curl : (M,), optional
-        Requested curls [mu m g / m]; NaN if any curl is accepted.
+        Requested curls [mu m g / m]. NaN accepts any curl.
     price : float
-        Maximum time per unit of force [cycles / (mu m g)]. A force that costs more is not met.
+        Maximum time per unit of force [cycles / (mu m g)]. Forces that cost more are not met.
     start : optional
-        Basis of the last plan, as the initial basis of the simplex method.
+        Basis of the last plan. It is the initial basis of the simplex method.
     cost : (K,), optional
-        Cost per unit of time of each rotation of the library. Default: 1.
+        Cost of each rotation of the library per unit of time. Default: 1.
     """
     asked = np.zeros(len(position), bool) if curl is None else np.isfinite(curl)
     rows = np.vstack([library.forces(position), library.curls(position)[asked] * CURL_LENGTH_M])
@@ -100,7 +101,7 @@ def plan_rotations(
     cost = np.ones(len(library.twist)) if cost is None else cost
     times = least_time(matrix, wanted, np.tile(cost, len(SPEEDS)), dear, dear, start)
     used = np.flatnonzero(np.abs(times.weights) > 1e-9)
-    if not len(used):  # for a zero request, return one rotation of zero duration
+    if not len(used):  # zero request: one rotation, duration 0
         used = np.zeros(1, dtype=int)
     weight = times.weights[used]
     total = float(np.sum(np.abs(weight)))
@@ -115,11 +116,12 @@ def plan_rotations(
 
 
 def with_return_strokes(plan: RotationPlan) -> RotationPlan:
-    """Return the plan with a faster return stroke after every rotation, so that each pair closes.
+    """Return the plan with a faster return stroke after each rotation, so that each pair of strokes
+    closes.
 
-    With the speed ratio r, a stroke and its return take 1 + 1/r times the duration of the stroke
-    and produce 1 - 1/r times its force. The total time is (r + 1)/(r - 1) times that of the plan:
-    2.3 times for r = 2.5.
+    Let r be the ratio of the two speeds. A stroke and its return stroke take 1 + 1/r times the
+    duration of the stroke. They produce 1 - 1/r times its force. Therefore the total time is (r +
+    1)/(r - 1) times the time of the plan: 2.3 times for r = 2.5.
     """
     longer = (RETURN + 1) / (RETURN - 1)
     fraction = plan.fraction * longer

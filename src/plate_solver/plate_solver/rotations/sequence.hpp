@@ -1,7 +1,8 @@
-// A sequence of rotations as one closed motion in time: kernels of sequence.py.
+// A sequence of rotations as one closed motion: kernels of sequence.py.
 //
-// Knots of J rotations: 0 at rest; 2 j + 1 and 2 j + 2 begin and end rotation j (from 0); 2 J + 1
-// at rest; 2 J + 2 the end of the period.
+// Knots of J rotations: knot 0 is the start at rest. Knots 2 j + 1 and 2 j + 2 are the begin and
+// the end of rotation j (counted from 0). At knot 2 J + 1 the plate comes to rest. Knot 2 J + 2 is
+// the end of the period.
 #pragma once
 #include <algorithm>
 #include <array>
@@ -14,7 +15,7 @@
 
 namespace plate::rotations {
 
-// Peak acceleration of a cubic ramp divided by its mean.
+// Peak acceleration of a cubic ramp divided by its mean acceleration.
 constexpr double RAMP_PEAK = 1.5;
 
 inline View<const double, 2> view_of(const Matrix& matrix) {
@@ -40,9 +41,9 @@ struct Line {
     int segments() const { return static_cast<int>(times.size()) - 1; }
 };
 
-// Computes the ramps between twists (J, 3), from rest to the first and from the last to rest, for a
-// plate with half side lengths `half` (2,). The products of the rows of `loads` (m, 3) and the
-// acceleration are limited to `accel`.
+// Computes the ramps between twists (J, 3), including the ramps from rest to the first twist and
+// from the last twist to rest. `half` (2,) are the half side lengths of the plate. The products of
+// the rows of `loads` (m, 3) and the acceleration are limited to `accel`.
 inline Ramps ramps(View<const double, 2> twists, const double* half, View<const double, 2> loads,
                    double accel) {
     const int count = twists.size(0);
@@ -114,8 +115,8 @@ inline Matrix knot_poses(const Line& line) {
     return pose;
 }
 
-// Middle of a step as a fraction x of its segment and y of the period. `bump` is the value there of
-// the function that closes the motion; `rate` and `accel` are its time derivatives.
+// Middle of a step as a fraction x of its segment and y of the period. `bump` is the value of the
+// closing function there; `rate` and `accel` are its time derivatives.
 struct Place {
     double x, y, bump, rate, accel;
 
@@ -130,7 +131,7 @@ struct Place {
 };
 
 // Pose, twist and acceleration (n, 3) at the middles of the steps, the step lengths dt (n,), and
-// the gap between end and start before closing.
+// the gap between end and start before the motion is closed.
 struct Moved {
     Matrix pose, twist, accel;
     std::vector<double> dt;
@@ -169,8 +170,9 @@ inline Moved motion(const Line& line, const std::array<int, 2>& steps) {
     return moved;
 }
 
-// Derivatives of R results with respect to the knots of a line, in rows of R: by the knot's time,
-// by its twist, and by its pose before the motion is closed (rows 3 k to 3 k + 2).
+// Derivatives of R results with respect to the knots of a sequence, in rows of R. Each knot has
+// derivatives with respect to its time, its twist, and its pose before the motion is closed (rows 3
+// k to 3 k + 2).
 struct ByKnots {
     Matrix time, knot, corner;
 
@@ -182,7 +184,8 @@ struct ByKnots {
     int results() const { return time.columns; }
 };
 
-// Propagates the derivatives with respect to the knots' poses (`corner`) back through `knot_poses`.
+// Propagates the derivatives with respect to the knots' poses (`corner`) backwards through
+// `knot_poses`.
 PLATE_WIDE inline void corners_back(const Line& line, ByKnots& by) {
     const int results = by.results();
     std::vector<double> totals(results);
@@ -282,7 +285,7 @@ inline ByKnots gap_back(const Line& line) {
     return by;
 }
 
-// Derivatives of R results, in rows of R, with respect to holds (J + 1, R) and twists (3 J, R).
+// Derivatives of R results with respect to holds (J + 1, R) and twists (3 J, R), in rows of R.
 struct ByRotations {
     Matrix hold, twist;
 };
@@ -295,7 +298,7 @@ PLATE_WIDE inline ByRotations timeline_back(const std::vector<double>& holds, co
     const double total = sum(holds), scale = (period - sum(ramp.length)) / total;
     ByRotations found{Matrix(count + 1, results), Matrix(3 * count, results)};
     Matrix by_ramp(count + 1, results), sums(2, results);
-    // Derivatives with respect to the length of a segment, which shifts all later knots.
+    // Derivatives with respect to the length of a segment. The length shifts all later knots.
     double *__restrict after = sums[0], *__restrict shared = sums[1];
     for (int k = 2 * count + 1; k >= 0; k--) {
         const double* __restrict time = by.time[k + 1];

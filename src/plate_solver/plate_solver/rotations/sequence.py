@@ -1,17 +1,18 @@
 """A sequence of rotations as one closed motion in time, from rest to rest.
 
-Rotation j has a constant twist u_j for its duration. A smooth ramp connects it to the next
-rotation. The acceleration limit a determines its length h. A smooth correction over the whole
-period T removes the gap between end and start, so every sequence closes exactly:
+Rotation j has a constant twist u_j during its hold. A smooth ramp connects it to the next rotation.
+The acceleration limit a determines the length h of the ramp. A smooth correction over the whole
+period T removes the gap between end and start. Therefore every sequence closes exactly:
 
     twist on a ramp   u_j + (u_{j+1} - u_j) x^2 (3 - 2 x),    x from 0 to 1,
     length            h = 1.5 (velocity change of the fastest corner) / a,
     pose              integral of the twist - gap y^3 (10 - 15 y + 6 y^2),    y = t/T.
 
-The derivatives are exact and computed by one backward pass over the knots (sequence.hpp).
+The derivatives are exact. One backward pass over the knots computes them (sequence.hpp).
 
-Knots of J rotations: 0 at rest; 2 j + 1 and 2 j + 2 begin and end rotation j (from 0); 2 J + 1 at
-rest; 2 J + 2 the end of the period.
+Knots of J rotations: knot 0 is the start at rest. Knots 2 j + 1 and 2 j + 2 are the begin and the
+end of rotation j (counted from 0). At knot 2 J + 1 the plate comes to rest. Knot 2 J + 2 is the end
+of the period.
 """
 
 from __future__ import annotations
@@ -33,8 +34,8 @@ def ramps(
     half : (2,)
         Half side lengths of the plate [m].
     loads : (m, 3)
-        Rows of additional limits, such as motor forces. The product of each row with the plate's
-        acceleration is kept below `accel`.
+        Rows of additional limits, for example of motor forces. The product of each row with the
+        plate's acceleration is kept below `accel`.
     accel : float
         Peak acceleration of the fastest corner [m/s2].
 
@@ -42,7 +43,8 @@ def ramps(
     -------
     length : (J + 1,)
     slope : (J + 1, 3)
-        Derivatives with respect to the change of twist (twist after minus twist before the ramp).
+        Derivatives with respect to the change of twist, which is the twist after the ramp minus the
+        twist before it.
     """
     return _kernels.ramps(twists, half, loads, accel)
 
@@ -67,9 +69,10 @@ def motion(
     times: np.ndarray, knots: np.ndarray, counts: tuple[int, int]
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
     """Return pose, twist and acceleration (n, 3) at the middles of the steps, the step lengths (n,)
-    [s], and the gap (3,) between end and start before closing.
+    [s], and the gap (3,) between end and start before the motion is closed.
 
-    Every ramp has `counts[0]` equal steps, every hold `counts[1]`. Steps end at the ends of the
-    segments, so the results depend on the parameters as smoothly as the friction model permits.
+    Each ramp has `counts[0]` equal steps, and each hold has `counts[1]` equal steps. No step
+    crosses the end of a segment. Therefore the results depend on the parameters as smoothly as the
+    friction model permits.
     """
     return _kernels.motion(times, knots, counts)

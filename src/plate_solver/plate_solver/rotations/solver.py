@@ -1,8 +1,9 @@
 """Method A (section 3.1 of the paper) on the cycle map: sequences of rotations.
 
-A linear programme selects a few rotations from a library, and their durations. Sorted by priority,
-they form a motion from rest to rest. Levenberg-Marquardt then corrects durations and twists until
-the goal is met, with further starts by basin hopping. Input is a `Goal`, output a `Solution`.
+A linear programme selects a few rotations from a library and determines their durations. The
+rotations are sorted by priority and form a motion from rest to rest. Then the Levenberg-Marquardt
+method corrects durations and twists until the goal is met. Basin hopping provides further starts.
+The input is a `Goal`, and the output is a `Solution`.
 """
 
 from __future__ import annotations
@@ -25,27 +26,30 @@ from .family import RotationFamily
 from .plan import RotationPlan, plan_rotations, with_return_strokes
 
 FEW = (2, 4)
-"""Maximum numbers of parts for a cycle of half the period and of three quarters of the period. Few
-parts require few rotations, and a short cycle gives an earlier answer."""
+"""Maximum number of parts for a cycle of half the period, and for a cycle of three quarters of the
+period. A few parts require only a few rotations. A short cycle gives an earlier result."""
 
 SETTLE = 0.05
-"""Approximate time in which friction removes a part's initial velocity [s]."""
+"""Approximate time in which friction removes the initial velocity of a part [s]."""
 
 PUSH = 0.04
-"""Drift of the part with the longest step, in plans towards targets [m/s]."""
+"""In plans towards targets: drift of the part that moves the longest distance [m/s]."""
 
 CLOSURES = ("sequence", "strokes")
 
-FINER, POLISH = 3, 6
-"""If the evaluation with fine steps contradicts a search, the search continues with this factor on
-the number of steps, for this maximum number of iterations."""
+FINER = 3
+"""Factor on the number of steps if the evaluation with fine steps contradicts the search. The
+search then continues with more steps."""
+
+POLISH = 6
+"""Maximum number of iterations of this continued search."""
 
 SHAKE = 0.3
-"""Standard deviation of a perturbation of the best parameters, in units of the parameters."""
+"""Standard deviation of a random change of the best parameters, in units of the parameters."""
 
 SPREAD = 0.3
-"""Maximum random increase of the rotations' costs in further plans. It makes the linear programme
-select other rotations of similar quality."""
+"""In further plans, the cost of each rotation is increased at random. This is the maximum increase.
+The linear programme then selects other rotations of similar quality."""
 
 
 @dataclass(frozen=True)
@@ -55,8 +59,8 @@ class RotationOptions:
     Attributes
     ----------
     period : float
-        Length of the cycle [s]. On the cycle map, half of it is used for up to two parts and three
-        quarters for up to four.
+        Length of the cycle [s]. On the cycle map, the length is half of this for up to two parts
+        and three quarters of this for up to four parts.
     speed : float
         Usual speed of the plate's fastest corner in a rotation [m/s].
     closure : str
@@ -64,7 +68,7 @@ class RotationOptions:
         stroke.
     most_price : float
         Maximum time per unit of force on a part [cycles / (mu m g)]. The plan does not meet forces
-        that cost more, such as those that separate two parts that almost touch.
+        that cost more. An example is a force that separates two parts that almost touch.
     iterations : int
         Maximum number of iterations from one start.
     restarts : int
@@ -96,14 +100,14 @@ class RotationOptions:
 
 
 class Start(NamedTuple):
-    """Start of a search: a family and its parameters."""
+    """Start of a search: a family of motions and its parameters."""
 
     family: RotationFamily
     parameters: np.ndarray
 
 
 class Try(NamedTuple):
-    """Result of a search, and the family of its parameters."""
+    """Result of a search, and the family that its parameters belong to."""
 
     family: RotationFamily
     fit: Fit
@@ -143,7 +147,7 @@ class RotationCycles(MotionSolver):
         options, enough = self.options, good_enough**2 * goal.asked
         period = self.steering_period(len(goal.position))
         if self._warm is not None and self._warm.family.period != period:
-            self._warm = None  # the number of parts has changed
+            self._warm = None  # number of parts has changed
         warm = self._warm is not None
 
         def attempt(start: Start | Try, n: int) -> tuple[Try, float, int, bool]:
@@ -165,7 +169,7 @@ class RotationCycles(MotionSolver):
         family, found = best
         self._warm = Start(family, found.parameters)
         solution = self._finished(goal, best, good_enough, iterations)
-        if found.cost <= enough and not solution.success:  # the search steps were too coarse
+        if found.cost <= enough and not solution.success:  # search steps too coarse
             fine = family.finer(FINER)
             found = fit_goal(goal, fine, found.parameters, tolerance, POLISH)
             iterations += found.iterations
@@ -182,10 +186,11 @@ class RotationCycles(MotionSolver):
         return Start(near.family, near.family.admissible(shaken))
 
     def planned(self, goal: Goal, spread: bool = False) -> Start:
-        """Return the start of a search from a plan with averaged forces.
+        """Return a start for the search. Its plan uses averaged forces.
 
-        The force F on a part of mass m is the constant one that moves it by the displacement d from
-        rest in the period T: F = 2 m d / T^2. With targets, d is along the steepest descent.
+        The requested force F on a part of mass m is constant. It moves the part by the displacement
+        d from rest in the period T: F = 2 m d / T^2. If targets are requested, d is in the
+        direction of steepest descent.
         """
         period = self.steering_period(len(goal.position))
         unit = 0.5 * period**2 * goal.friction_accel[:, None]
@@ -196,8 +201,8 @@ class RotationCycles(MotionSolver):
         force = np.sign(push) * np.maximum(np.abs(push) - slack, 0.0) / unit
         curl = None
         if goal.turns is not None:
-            # A disc in a field with this curl has the angular acceleration mu g curl/2. From rest
-            # it rotates by mu g curl T^2/4.
+            # A disc in a friction field with this curl has the angular acceleration mu g curl/2.
+            # From rest it rotates by mu g curl T^2/4 in the period T.
             turns = goal.turns
             curl = turns.middle * 4 / (goal.friction_accel * period**2)
             curl = np.where(turns.weight > 0, curl, np.nan)
@@ -228,7 +233,7 @@ class RotationCycles(MotionSolver):
         steps: tuple[int, int] | None = None,
         within_stroke: bool = False,
     ) -> Start:
-        """Return the `RotationFamily` of a plan, and its parameters."""
+        """Return the `RotationFamily` of a plan, and the parameters of the plan."""
         options = self.options
         if options.closure == "strokes":
             plan = with_return_strokes(plan)

@@ -1,4 +1,4 @@
-"""Method B (section 3.2): sinusoidal motions, fitted on the cycle map.
+"""Method B (section 3.2): sinusoidal motions that are fitted on the cycle map.
 
 This package exports the basis, its families, the descent and the search. `SinusoidCycles`, the
 solver that the controller uses, is in `solver.py`.

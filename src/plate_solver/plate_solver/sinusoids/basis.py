@@ -1,23 +1,23 @@
-"""Sinusoidal plate motions, equation (13) of the paper, as a linear family.
+"""Sinusoidal plate motions (equation (13) of the paper) as a linear family.
 
     u_i(t) = sum_j a_ij sin(j w t) + b_ij cos(j w t),   w = 2 pi / T
 
-A free family has 2 N parameters per degree of freedom. A family that starts at rest satisfies
-u(0) = 0 and u'(0) = 0, which leaves 2 N - 2 parameters. Its poses are relative to the start. So the
-plate is at home, at rest and without acceleration at both ends of a cycle, and any cycle may follow
-any other.
+A free family has 2 N parameters per degree of freedom. A family that starts at rest satisfies u(0)
+= 0 and u'(0) = 0, which leaves 2 N - 2 parameters. Its poses are relative to the pose at the start.
+Therefore the plate is at home, at rest and without acceleration at both ends of a cycle. Any cycle
+may follow any other cycle.
 
-A family with a free end has three more functions per degree of freedom. They lead to the final
-state of the cycle, and from there to rest in the cycle's tail. A cycle that begins in motion is the
-sum of the previous cycle's tail and the motion of the basis.
+A family with a free end has three more functions per degree of freedom. They describe the final
+state of the cycle and the tail, which leads from this state to rest. A cycle that begins in motion
+is the sum of two motions: the tail of the previous cycle and the motion of the basis.
 
-The same coefficients may be played several times, one play after the other. A play is one execution
-of the cycle. With the basis B, its state E at the end of a play, and the path S from a state to
-rest, the plate's motion in play k is
+The same coefficients may be executed several times in succession. Each execution is a play. B is
+the basis, and E a is the state at the end of a play. S is the motion from a state to rest. With
+them, the plate's motion in play k is
 
     u_k = B a + S p_k,    p_0 given,    p_k = E a  for k > 0,
 
-because S ends at rest within a play. So all plays are linear in the coefficients a.
+because S ends at rest within one play. Therefore all plays are linear in the coefficients a.
 """
 
 from __future__ import annotations
@@ -36,31 +36,32 @@ STEPS_PER_HARMONIC = 26
 """Minimum number of samples per period of the highest harmonic."""
 
 MAX_STEP = 0.4e-3
-"""Maximum step [s]. The friction model is integrated by first-order steps. At 1 ms their error is
-10 % of a drift."""
+"""Maximum step [s]. The friction model is integrated by first-order steps. At a step of 1 ms, their
+error would be 10 % of a drift."""
 
 TAIL_S = 0.05
-"""Duration of the quintic from any state to rest, and of the one into a final state [s]."""
+"""Duration of the quintic from any state to rest, and of the quintic from rest to any final state
+[s]."""
 
 TAIL_PERIOD_S = 0.1
-"""Length of a tail including the rest after it [s]. It is long enough to answer the image taken at
-the start of the tail."""
+"""Length of a tail, including the rest after it [s]. It is long enough for the solver to reply to
+the image that is taken at the start of the tail."""
 
 END_UNITS = np.array([TAIL_S / 1.875, 1.0, 5.0625 / TAIL_S])
-"""Units of the final state in a search: pose [m], velocity [m/s], acceleration [m/s2]. The units
-only determine the relative size of the search's steps. The quintic that leads to one unit has a
-maximum speed of 1, 1 and 0.34 m/s (15/8 pose/TAIL_S, velocity, 0.068 acceleration TAIL_S), and a
-maximum acceleration of 3.1, 3.9 and 5.1 m/s divided by TAIL_S."""
+"""Units of the final state in a search: pose [m], velocity [m/s], acceleration [m/s2]. They
+determine only the relative size of the steps of the search. The quintic to one unit of pose,
+velocity and acceleration has a maximum speed of 1, 1 and 0.34 m/s (15/8 pose/TAIL_S, velocity,
+0.068 acceleration TAIL_S). Its maximum acceleration is 3.1, 3.9 and 5.1 m/s divided by TAIL_S."""
 
 LOOKS_PER_HARMONIC = 8
-"""Instants per period of the highest harmonic at which the limits are checked."""
+"""Number of instants per period of the highest harmonic at which the limits are checked."""
 
 TAIL_LOOKS = 12
-"""Instants in a tail at which the limits are checked."""
+"""Number of instants in a tail at which the limits are checked."""
 
 KNOTS_PER_HARMONIC = 8
-"""Knots of a finished cycle per period of the highest harmonic. The quintics' error is below 1e-7
-m."""
+"""Number of knots of a finished cycle per period of the highest harmonic. The error of the quintics
+is below 1e-7 m."""
 
 Matrices = tuple[np.ndarray, np.ndarray, np.ndarray]
 """Matrices of pose, twist and acceleration."""
@@ -68,7 +69,8 @@ Matrices = tuple[np.ndarray, np.ndarray, np.ndarray]
 
 @dataclass(frozen=True)
 class SinusoidBasis:
-    """A linear family of closed motions: samples are matrices times coefficients.
+    """A linear family of closed motions. The samples of a motion are the product of matrices and
+    coefficients.
 
     Attributes
     ----------
@@ -77,13 +79,14 @@ class SinusoidBasis:
     steps : int
         Number n of equal steps of all plays. Samples are taken at the middles of the steps.
     twist, pose, accel : (n, h)
-        Basis of one degree of freedom. Coefficients are (h, 3), columns x, y, theta [m/s, rad/s].
+        Basis of one degree of freedom. Coefficients are an array (h, 3) with columns x, y, theta
+        [m/s, rad/s].
     span : (2 N, h)
         Matrix from the family's coefficients to those of sin 1..N and cos 1..N in equation (13).
     times : (k + 1,)
         Knots of a finished cycle [s]. The finished cycle is the first play.
     knots : tuple of (k + 1, h)
-        The basis (pose, twist, accel) at the knots.
+        Basis (pose, twist, acceleration) at the knots.
     spline : (6 k, h)
         Polynomial coefficients in the time since each knot, as `PlateCycle.coefficients`.
     hull : (3 c, h)
@@ -91,12 +94,14 @@ class SinusoidBasis:
     free_end : bool
         Whether motions may end in any state. If so, they have a tail.
     looks : tuple of (l, h)
-        The basis (pose, twist, accel) at the instants where limits are checked, including the tail.
+        Basis (pose, twist, acceleration) at the instants where limits are checked, including the
+        tail.
     settling : tuple of (n, 3)
-        Pose, twist and acceleration at the middles of the steps while the plate comes to rest. The
-        columns are for an initial pose of 1 m, velocity of 1 m/s and acceleration of 1 m/s2.
+        Pose, twist and acceleration at the middles of the steps, while the plate comes to rest. The
+        three columns belong to an initial pose of 1 m, an initial velocity of 1 m/s and an initial
+        acceleration of 1 m/s2.
     settling_knots, settling_looks : tuple of (k + 1, 3), (l, 3)
-        The same motions at the knots, and at the instants where limits are checked.
+        The same three columns at the knots, and at the instants where limits are checked.
     """
 
     period: float
@@ -122,7 +127,8 @@ class SinusoidBasis:
 
     @cached_property
     def inverse(self) -> np.ndarray:
-        """Least squares matrix (h, n) from twists at the middles of the steps to coefficients."""
+        """Least squares matrix (h, n). It converts twists at the middles of the steps to
+        coefficients."""
         return np.linalg.pinv(self.twist)
 
     @property
@@ -133,8 +139,8 @@ class SinusoidBasis:
     def cycle(self, coefficients: np.ndarray, plate: np.ndarray | None = None) -> PlateCycle:
         """Return the motion of coefficients (h, 3) as a plate cycle.
 
-        It begins in the plate state (3, 3). Default: at rest. The cycle has a tail if it begins in
-        motion or has a free end.
+        The motion begins in the plate state (3, 3). Default: at rest. The cycle has a tail if it
+        begins in motion or has a free end.
         """
         states = [basis @ coefficients for basis in self.knots]
         spline = (self.spline @ coefficients).reshape(-1, 6, 3)
@@ -143,7 +149,7 @@ class SinusoidBasis:
             spline = spline + quintic_pieces(self.times, *more)
             states = [state + own for state, own in zip(states, more, strict=True)]
             for state, first in zip(states, plate, strict=True):
-                state[0] = first  # the start must be exact to the last bit, like the end
+                state[0] = first  # start exact to the last bit, like the end
         for state in states:
             if not self.free_end:
                 state[-1] = state[0] if plate is None else 0
@@ -166,7 +172,8 @@ class SinusoidBasis:
 
 def settling(t: np.ndarray) -> Matrices:
     """Return pose, twist and acceleration (n, 3) of the plate at times t (n,) [s] while it comes to
-    rest. The columns are for initial states of 1 m, 1 m/s and 1 m/s2."""
+    rest. The three columns belong to an initial pose of 1 m, an initial velocity of 1 m/s and an
+    initial acceleration of 1 m/s2."""
     edge = np.stack([np.eye(3), np.zeros((3, 3))], axis=1)
     powers, on_way = quintic_pieces(np.array([0.0, TAIL_S]), *edge)[0], t < TAIL_S
     pose, twist, accel = (
@@ -184,9 +191,9 @@ def sinusoid_basis(
 ) -> SinusoidBasis:  # fmt: skip
     """Return the family with `number` harmonics.
 
-    With `at_rest`, motions start at rest. With `free_end`, they may end in any state and have a
-    tail. `steps` is the number of samples per play; 0 selects it automatically. `plays` is the
-    number of consecutive plays that samples and limit checks cover; more than 1 requires `at_rest`.
+    If `at_rest`, motions start at rest. If `free_end`, they may end in any state and have a tail.
+    `steps` is the number of samples per play; 0 selects it automatically. `plays` is the number of
+    consecutive plays that samples and limit checks cover. A number above 1 requires `at_rest`.
     """
     steps = steps or max(STEPS_PER_HARMONIC * max(number, 4), round(period / MAX_STEP))
     knots = knots_per_harmonic * max(number, 4)
@@ -207,7 +214,7 @@ def sinusoid_basis(
         accel = np.hstack([cos * j, -sin * j]) * omega
         inside = (t <= period)[:, None]
         matrices = [matrix @ span * inside for matrix in (pose, twist, accel)]
-        if free_end:  # the last TAIL_S of the motion are a time-reversed tail
+        if free_end:  # the end and the tail mirror each other
             before = (t < period)[:, None]
             sign, back = np.where(before, [1.0, -1.0, 1.0], 1.0), np.where(before, -1.0, 1.0)
             way = settling(np.abs(period - t))
@@ -226,9 +233,10 @@ def sinusoid_basis(
     looks = t[:: max(1, steps // (LOOKS_PER_HARMONIC * number))]
     if free_end:
         looks = np.append(looks, period + TAIL_S * (np.arange(TAIL_LOOKS) + 0.5) / TAIL_LOOKS)
-    # The spline is linear in the coefficients, so one spline per coefficient is sufficient.
+    # The spline is linear in the coefficients. Therefore one spline per coefficient is sufficient.
     spline = quintic_pieces(times, *ends).reshape(-1, ends[0].shape[1])
-    # With 16 knots per wave, the control points are only 0.1 % too high, so one piece suffices.
+    # With 16 knots per period, the control points are only 0.1 % too high. Therefore one piece is
+    # sufficient.
     pieces = 1 if number <= 2 else PIECES
     own = spline.reshape(knots, 6, -1)
     hull = np.vstack([control_points(times, own, order, pieces) for order in range(3)])
@@ -240,7 +248,7 @@ def sinusoid_basis(
 
 
 def repeated(one: SinusoidBasis, plays: int) -> SinusoidBasis:
-    """Return the basis of the same motions played `plays` times, one play after the other."""
+    """Return the basis of the same motions, played `plays` times in succession."""
     end, more = np.stack([knots[-1] for knots in one.knots]), plays - 1
     inner = len(one.looks[0]) - TAIL_LOOKS * one.free_end
 
@@ -266,11 +274,11 @@ def repeated(one: SinusoidBasis, plays: int) -> SinusoidBasis:
 
 
 class SinusoidFamily:
-    """The motions of a basis at the full amplitude that the limits allow.
+    """The motions of a basis at the largest amplitude that the limits allow.
 
-    Averaged forces do not depend on the amplitude, and the influence of the parts' own velocity
-    decreases with the plate's speed. Therefore the full amplitude is the best. Parameters (3 h,)
-    are coefficients, scaled so that rotations are comparable to translations.
+    Averaged forces do not depend on the amplitude. The influence of the parts' velocity decreases
+    with the speed of the plate. Therefore the largest amplitude is the best. Parameters (3 h,) are
+    scaled coefficients. The scale makes rotations comparable to translations.
     """
 
     def __init__(self, basis: SinusoidBasis, limits: Limits) -> None:
@@ -280,7 +288,7 @@ class SinusoidFamily:
         self._dt = np.full(basis.steps, basis.dt)
 
     def coefficients(self, parameters: np.ndarray) -> np.ndarray:
-        """Return coefficients (h, 3) of parameters (3 h,)."""
+        """Return coefficients (h, 3) for parameters (3 h,)."""
         return parameters.reshape(-1, 3) * self._scale
 
     def samples(self, parameters: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -311,15 +319,15 @@ class SinusoidFamily:
         return float(limit_use(pose, twist, accel, EQUAL_WEIGHT, self._limits, True))
 
     def admissible(self, parameters: np.ndarray) -> np.ndarray:
-        """Scale to the full amplitude."""
+        """Scale parameters to the largest amplitude that the limits allow."""
         return parameters / max(self.use(parameters), 1e-300)
 
     def penalty(self, parameters: np.ndarray) -> np.ndarray:
-        """Return no errors, because scaling keeps the limits."""
+        """Return no errors, because the scaling keeps the limits."""
         return np.zeros(0)
 
     def penalty_slopes(self, parameters: np.ndarray) -> np.ndarray:
-        """Return no derivatives."""
+        """Return no derivatives, because there are no errors."""
         return np.zeros((0, len(parameters)))
 
     def cycle(self, parameters: np.ndarray) -> PlateCycle:
@@ -327,7 +335,7 @@ class SinusoidFamily:
         return self.basis.cycle(self.coefficients(parameters))
 
     def random(self, rng: np.random.Generator) -> np.ndarray:
-        """Return random parameters at full amplitude."""
+        """Return random parameters at the largest amplitude."""
         coefficients = rng.normal(size=(self.basis.size, 3))
         coefficients[:, 2] /= self._limits.arm_m
         return SinusoidFamily.admissible(self, (coefficients / self._scale).ravel())

@@ -17,18 +17,18 @@ namespace plate::descent {
 
 using namespace sinusoids;
 
-// Options of the Levenberg-Marquardt method. If the distances to go are much longer than one cycle
-// allows, each step covers a small fraction of them. With an initial damping of 1e-2, most of the
-// first five steps are rejected.
+// Options of the Levenberg-Marquardt method. If the parts are much farther from their targets than
+// one cycle can move them, each step covers a small fraction of the distance. If the initial
+// damping were 1e-2, most of the first five steps would be rejected.
 constexpr Damping DAMPING{.first = 1.0, .least = 1e-6, .most = 1e3, .shrink = 3.0, .grow = 4.0,
                           .stall_steps = 6, .stall_fraction = 0.9999};
 
-// A basis of h sinusoidal motions, and the rig's limits. The matrices that move parts have single
-// precision.
+// A basis of h sinusoidal motions, and the rig's limits. The matrices that are used to move parts
+// have single precision.
 struct Motions {
-    MatrixOf<float> pose, twist;  // (h, n): the basis at the middles of steps
+    MatrixOf<float> pose, twist;  // (h, n): basis at the middles of steps
     MatrixOf<float> twist_bins;   // (bins, h): means of `twist` over bins of steps
-    Looks looks;                  // the basis where limits are checked
+    Looks looks;                  // basis where limits are checked
     double scale[3];              // coefficients of a parameter along x, y and theta
     double dt;                    // length of a step [s]
     Limits limits;
@@ -38,10 +38,10 @@ struct Motions {
     int bins() const { return twist_bins.rows; }
 };
 
-// Motion of the plate from its initial state to rest, without the basis.
+// Motion of the plate from its initial state to rest. The motion of the basis is added to it.
 struct Settling {
     MatrixOf<float> pose, twist;  // (3, n) at the middles of steps
-    Looked looked;                // motion at the instants where limits are checked
+    Looked looked;                // motion where limits are checked
     bool moves;                   // whether the motion is not zero
 };
 
@@ -59,7 +59,7 @@ struct Problem {
     int axes() const { return turning() ? 3 : 2; }
 };
 
-// Buffers of a descent, overwritten at each evaluation.
+// Buffers of a descent. Each evaluation overwrites them.
 struct Room {
     AlignedNumbers<float> steps, by_twist;
     std::vector<float> moving;
@@ -84,7 +84,7 @@ public:
         if (problem.settling.moves) settling_use = use_of(problem.settling.looked);
     }
 
-    // Scales a motion down to the permitted limit utilisation and computes its errors [m].
+    // Scales a motion down to the permitted limit utilisation, and computes its errors [m].
     void evaluate(std::vector<double>& theta, std::vector<double>& error) {
         const Limits& limits = motions.limits;
         look_at(theta);
@@ -112,7 +112,7 @@ public:
             error.push_back(-EXCESS_M * room.excess.value[k]);
     }
 
-    // Negative derivatives (R + K, 3 h) of the errors of the last evaluated motion.
+    // Negative derivatives (R + K, 3 h) of the errors of the motion that was evaluated last.
     void slopes(MatrixOf<float>& jacobian) {
         find_slopes_of_ends();
         const int rows = room.by_place.rows, wide = 3 * motions.size();
@@ -163,8 +163,8 @@ private:
             for (int k = 0; k < path.columns; k++) path[axis][k] += more[axis][k];
     }
 
-    // Moves the parts and computes their ends, extrapolated by `coast`: x of all parts, y of all
-    // parts, rotations of all parts.
+    // Moves the parts and computes their final positions and rotations, extrapolated by `coast`: x
+    // of all parts, y of all parts, rotations of all parts.
     void move_parts() {
         constexpr int PLACE[] = {blocks::X, blocks::Y, turning::TURN};
         constexpr int RATE[] = {blocks::VX, blocks::VY, turning::SPIN};
@@ -181,7 +181,8 @@ private:
             }
     }
 
-    // Computes the derivatives (C, 3 h) of the ends with respect to the parameters.
+    // Computes the derivatives (C, 3 h) of the final positions and rotations with respect to the
+    // parameters.
     void find_slopes_of_ends() {
         const int size = motions.size(), bins = motions.bins(), parts = problem.ends.parts;
         const View<float, 4> by_twist{room.by_twist.data(), {bins, blocks, axes, 3 * LANES}};
@@ -203,8 +204,9 @@ private:
     }
 };
 
-// Improves the parameters (3 h,) until no error exceeds `tolerance` [m] or progress stalls. The
-// errors of the result are the errors of the ends, followed by the limit violations.
+// Improves the parameters (3 h,) until no error exceeds `tolerance` [m] or the progress stalls. The
+// result contains the errors of the final positions and rotations, followed by the limit
+// violations.
 inline FitOf<float> descend(const Problem& problem, std::vector<double> theta, double tolerance,
                    int iterations, Room& room) {
     Descent descent(problem, room);

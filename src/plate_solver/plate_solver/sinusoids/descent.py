@@ -1,9 +1,9 @@
-"""One descent of a sinusoidal motion on the cycle map, computed in C++.
+"""One descent of a sinusoidal motion on the cycle map. C++ kernels compute it.
 
 One call runs the Levenberg-Marquardt method on the coefficients of the motion. The errors are the
-errors of the parts' ends (`goal.ends`) and the limit violations. Input is a `Problem` and initial
-parameters; output is a `Fit`. A single call avoids Python overhead, because each evaluation takes
-about ten microseconds.
+errors of the parts' final positions and rotations (`goal.ends`), and the limit violations. The
+inputs are a `Problem` and initial parameters. The output is a `Fit`. The whole descent is a single
+call, because an evaluation takes only about ten microseconds and Python overhead would dominate.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ BIN = 4
 
 
 class Motions(NamedTuple):
-    """A basis of sinusoidal motions, and the rig's limits.
+    """A basis of sinusoidal motions, and the limits of the rig.
 
     Attributes
     ----------
@@ -55,7 +55,7 @@ class Problem(NamedTuple):
     ----------
     motions : Motions
     settling : _kernels.Settling
-        Motion of the plate from its initial state to rest, without the basis.
+        Motion of the plate from its initial state to rest. The motion of the basis is added to it.
     start : (b, STATE) or (b, TURNING_STATE)
         Parts at the start, in blocks.
     ends : Ends
@@ -88,9 +88,10 @@ class Problem(NamedTuple):
 
 
 def descend(problem: Problem, theta: np.ndarray, tolerance: float, iterations: int) -> Fit:
-    """Improve the parameters (3 h,) until no error exceeds `tolerance` [m] or progress stalls.
+    """Improve the parameters (3 h,) until no error exceeds `tolerance` [m] or the progress stalls.
 
-    The errors of the result are the errors of the ends, followed by the limit violations.
+    The result contains the errors of the final positions and rotations, followed by the limit
+    violations.
     """
     motions, settling, start, ends, coast, most = problem
     return Fit(

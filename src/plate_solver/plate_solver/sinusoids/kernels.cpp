@@ -25,8 +25,8 @@ static MatrixOf<Number> transposed(const Table& array) {
     return result;
 }
 
-// Converts bases (n, h) at the instants where limits are checked. The last `tail` instants belong
-// to the tail and do not count for the motors' heat.
+// Converts the bases (n, h) at the instants where limits are checked. The last `tail` instants
+// belong to the tail. They do not count for the heat of the motors.
 static Looks looks_of(const Table& pose, const Table& twist, const Table& accel, int tail) {
     check("twist", twist, {pose.shape(0), pose.shape(1)});
     check("accel", accel, {pose.shape(0), pose.shape(1)});
@@ -54,7 +54,7 @@ static Motions motions_of(Table pose, Table twist, Table twist_bins, Table look_
             limits_of(limits)};
 }
 
-// Converts samples (n, 3) at the middles of the steps, and at the instants where limits are
+// Converts samples (n, 3) at the middles of the steps, and samples at the instants where limits are
 // checked.
 static descent::Settling settling_of(Table pose, Table twist, Table look_pose, Table look_twist,
                                      Table look_accel) {

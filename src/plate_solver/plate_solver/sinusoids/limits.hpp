@@ -15,8 +15,8 @@ namespace plate::sinusoids {
 // The same values as in limits.py.
 constexpr double EXCESS_M = 2e-3, AIM = 0.95;
 
-// The basis of one degree of freedom at the n instants where limits are checked: (h, n) each, and
-// the transposed matrices, (n, h).
+// Basis of one degree of freedom at the n instants where limits are checked: (h, n) each, and the
+// transposed matrices, (n, h).
 struct Looks {
     Matrix pose, twist, accel, pose_at, twist_at, accel_at;
     std::vector<double> weight;  // (n,): weight of each instant in the motors' heat
@@ -31,14 +31,14 @@ struct Looked {
     Matrix pose, twist, accel;
 };
 
-// Limit violations (K,), as fractions of a limit, and their derivatives (K, 3 h) with respect to
-// the coefficients (h, 3).
+// Limit violations (K,) as fractions of a limit, and their derivatives (K, 3 h) with respect to the
+// coefficients (h, 3).
 struct Excess {
     std::vector<double> value;
     Matrix slope;
     int found = 0;
 
-    // Clears the result and reserves memory for up to `most` violations.
+    // Clears the result. Reserves memory for up to `most` violations.
     void begin(int most, int columns) {
         found = 0;
         if (value.size() < static_cast<size_t>(most)) value.resize(most);
@@ -51,7 +51,7 @@ SamplesOf<Number> samples(const MatrixOf<Number>& path) {
     return {path[0], path.columns, 1, path.columns};
 }
 
-// path (3, n) = coefficients (h, 3), transposed, times basis (h, n).
+// path (3, n) is the transposed product of the coefficients (h, 3) and the basis (h, n).
 template <class Number>
 void combine(const Number* coefficients, const MatrixOf<Number>& basis, MatrixOf<Number>& path) {
     path.resize(3, basis.columns);
@@ -69,8 +69,8 @@ inline void look(const double* coefficients, const Looks& basis, Looked& at) {
 inline int most_excesses(int looks) { return looks * (2 * MOTORS + 4); }
 inline int most_force_excesses(int looks) { return (looks + 1) * MOTORS; }
 
-// Adds the violations (fraction of a limit minus AIM) of the motors' strokes and speeds, and of the
-// corners' accelerations. `used` is a buffer.
+// Adds the violations of the motors' strokes and speeds, and of the corners' accelerations. A
+// violation is the fraction of the limit minus AIM. `used` is a buffer.
 PLATE_WIDE inline void excess(const Looked& at, const Looks& basis, const Limits& limits,
                               Matrix& used, Excess& result) {
     const int n = basis.count(), size = basis.size();
@@ -138,7 +138,7 @@ PLATE_WIDE inline void excess(const Looked& at, const Looks& basis, const Limits
     }
 }
 
-// Adds a violation whose gradient is `factor` times rows (3, h).
+// Adds a violation. Its gradient is `factor` times `rows` (3, h).
 [[gnu::always_inline]] inline void add(double value, const Matrix& rows, double factor,
                                        Excess& result) {
     double* slope = result.slope[result.found];
@@ -147,7 +147,7 @@ PLATE_WIDE inline void excess(const Looked& at, const Looks& basis, const Limits
     result.value[result.found++] = value;
 }
 
-// Adds the violations of the motors' peak forces, and of their root mean square forces.
+// Adds the violations of the motors' peak forces and of their root mean square forces.
 PLATE_WIDE inline void force_excess(const Looked& at, const Looks& basis, const Limits& limits,
                                     Excess& result) {
     const int looks = basis.count(), size = basis.size();

@@ -1,8 +1,9 @@
-"""Sinusoidal motions near the rig's limits, for the search on the cycle map.
+"""Sinusoidal motions close to the limits of the rig, for the search on the cycle map.
 
-On the cycle map the amplitude matters. Scaling a motion down to the limits after each step would
-undo the progress of the step. Therefore the search may exceed the limits slightly, each violation
-is an additional error, and the final motion is scaled to the limits.
+On the cycle map, the displacement depends on the amplitude. If each step of the search were scaled
+down to the limits, the progress of the step would be lost. Therefore the search may exceed the
+limits slightly. Each violation is an additional error, and the final motion is scaled to the
+limits.
 """
 
 from __future__ import annotations
@@ -19,18 +20,19 @@ EXCESS_M: float = _kernels.EXCESS_M
 """Displacement error equivalent to a violation by 100 % of a limit [m]."""
 
 AIM: float = _kernels.AIM
-"""Fraction of a limit above which a violation counts. Solutions end slightly above it."""
+"""Fraction of a limit above which the search counts a violation. Solutions end slightly above
+it."""
 
 
 class LimitedSinusoids(SinusoidFamily):
-    """`SinusoidFamily` that may use up to `most` times the limits.
+    """Family of sinusoidal motions that may use up to `most` times the limits.
 
     Parameters
     ----------
     basis : SinusoidBasis
     limits : Limits
     most : float
-        Maximum limit utilisation. 1 keeps the limits.
+        Maximum limit utilisation. 1 means that the limits are kept.
     plate : (3, 3), optional
         Initial state of the plate, as `PlateCycle.state`. Default: at rest.
     """
@@ -58,6 +60,6 @@ class LimitedSinusoids(SinusoidFamily):
         return parameters * min(1.0, self._most / max(self.use(parameters), 1e-300))
 
     def nearest(self, twist: np.ndarray) -> np.ndarray:
-        """Return the parameters whose twist is closest to samples (n, 3), by least squares."""
+        """Return the parameters whose twists are closest to samples (n, 3), by least squares."""
         own = self.basis.inverse @ (twist - self.basis.settling[1] @ self.plate)
         return (own / self._scale).ravel()

@@ -1,7 +1,7 @@
 """Method B (section 3.2 of the paper) on the cycle map: cycles that are sums of sinusoids.
 
-`SinusoidCycles` selects the number of harmonics and the period for a goal, runs the search of
-`SinusoidSteering`, and returns a `Solution`.
+`SinusoidCycles` selects the number of harmonics and the period for a goal. Then it runs the search
+of `SinusoidSteering` and returns a `Solution`.
 """
 
 from __future__ import annotations
@@ -16,9 +16,16 @@ from ..motion_solver import MotionSolver, check_options, make_options
 from .steer import SinusoidSteering
 
 HARMONIC_S = 0.025
-"""Length of a cycle per harmonic [s], if the number of harmonics is set by option."""
+"""Length of a cycle per harmonic [s]. It is used if the number of harmonics is set by an option."""
 
 EXACT_CYCLES = (8, 8, 0.1), (16, 8, 0.15), (24, 12, 0.3), (math.inf, 16, 0.4)
+"""Cycles from rest to rest for force requests (rank 6 N - 7). Each entry is the maximum number of
+requested coordinates, the number of harmonics N, and the period [s]. The values were tuned in
+closed loop. Few harmonics make the search fast, short cycles correct friction errors early, and
+long cycles use the stroke."""
+
+LASTING_CYCLES = (4, 4, 0.1), (8, 6, 0.15), (math.inf, 8, 0.2)
+"""Cycles from rest to rest for lasting goals, with the same entries as `EXACT_CYCLES`."""
 LASTING_CYCLES = (4, 4, 0.1), (8, 6, 0.15), (math.inf, 8, 0.2)
 """Maximum number of requested coordinates, number of harmonics and period [s] of cycles from rest
 to rest (rank 6 N - 7), for forces and for lasting goals. The values were tuned in closed loop. Few
@@ -26,8 +33,9 @@ harmonics make the search fast, short cycles correct friction errors early, and 
 stroke."""
 
 GOING_ON = (15.0, 8, 0.2), (math.inf, 8, 0.1)
-"""Maximum Gamma (shaking ratio), number of harmonics and period [s] of cycles with a free end. The
-values were tuned in closed loop. With a low shaking ratio, long cycles move parts further."""
+"""Cycles with a free end. Each entry is the maximum shaking ratio Gamma, the number of harmonics
+and the period [s]. The values were tuned in closed loop. If the shaking ratio is low, long cycles
+move parts farther."""
 
 
 @dataclass(frozen=True)
@@ -43,8 +51,8 @@ class SinusoidOptions:
     iterations : int
         Maximum number of iterations from one start.
     restarts : int
-        Maximum number of further starts if the first fails. If two plays are evaluated, this number
-        is halved.
+        Maximum number of further starts if the first one fails. If two plays are evaluated, this
+        number is halved.
     threads : int
         Number of threads of `steer`. It does not change the results.
     seed : int

@@ -1,15 +1,16 @@
 """Multi-start search for sinusoidal motions on the cycle map.
 
-The first descent starts from the last motion, the others from random perturbations of the best
-result. A motion with a free end is evaluated by the state of the parts after `PLAYS` plays. A play
-is one execution of the motion. Each play begins in the state in which the previous one ends:
+The first descent starts from the last motion. The others start from random perturbations of the
+best result. A play is one execution of a motion. Each play begins in the state in which the
+previous one ends. A motion with a free end is evaluated by the state of the parts after `PLAYS`
+plays:
 
     minimise J(x_PLAYS) over a,    x_{k+1} = F(x_k, p_k; a),    p_{k+1} = E a,
 
-with the parts' state x_k, the plate's state p_k, and the coefficients a of `SinusoidBasis`. Only
-the first play becomes the cycle. The next answer replaces the second play. With a single play, the
-search would ignore whether the final state of the plate suits the next cycle, and sorting would
-take longer.
+Here x_k is the state of the parts, p_k is the state of the plate, and a are the coefficients of
+`SinusoidBasis`. Only the first play becomes the cycle. The next result of the solver replaces the
+second play. With a single play, the search would not consider whether the final state of the plate
+is suitable for the next cycle. Sorting would take longer.
 """
 
 from __future__ import annotations
@@ -39,10 +40,12 @@ Grid = tuple[float, int, int]
 number of knots of the finished cycle per such period."""
 
 EXACT: Grid = (0.4e-3, 26, 8)
+"""Grid for force requests. The friction model is integrated by first-order steps. At a step of 1
+ms, their error would be 10 % of a drift. The final corrections compensate the error of the coarse
+grid."""
+
 ROUGH: Grid = (0.8e-3, 16, 5)
-"""Grids for forces (`EXACT`) and for lasting goals (`ROUGH`). The friction model is integrated by
-first-order steps, whose error is 10 % of a drift at 1 ms. The final corrections compensate the
-error of the grid. A cycle with fewer knots is transmitted faster."""
+"""Grid for lasting goals. It has fewer knots, so that the cycle is transmitted faster."""
 
 FINE: Grid = (PREDICTION_STEP, 1, 5)
 """Grid on which the finished motion is evaluated."""
@@ -51,27 +54,31 @@ BEYOND = 1.3
 """Maximum limit utilisation during the search, as a fraction of the limits."""
 
 FRESH = 3
-"""Number of additional random starts if there is no last motion."""
+"""Number of additional random starts. They are used if there is no last motion."""
 
 AT_ONCE = 4
-"""Number of descents in progress at the same time. A new descent starts near the best result of all
-finished descents. The number does not depend on the number of threads, so that a seed gives
-reproducible motions."""
+"""Number of descents that run at the same time. A new descent starts near the best result of all
+finished descents. This number does not depend on the number of threads, so that a seed always gives
+the same motions."""
 
 SPREAD = 0.15
-"""Size of a perturbation relative to the parameters of the best motion, both root mean square."""
+"""Size of a perturbation, relative to the parameters of the best motion. Both sizes are root mean
+squares."""
 
 PLAYS = 2
-"""Number of plays (executions in succession) after which a motion with a free end is evaluated. A
-third play brings no improvement: see docs/results.md."""
+"""Number of consecutive plays after which a motion with a free end is evaluated. A third play
+brings no improvement: see docs/results.md."""
 
-AIMS, CORRECTIONS = 2, 8
-"""Number of final corrections of the best motion, within the limits, for the difference between
-fine and coarse steps; and maximum number of iterations of each correction."""
+AIMS = 2
+"""Number of final corrections of the best motion. They keep the limits and compensate the
+difference between fine and coarse steps."""
+
+CORRECTIONS = 8
+"""Maximum number of iterations of each final correction."""
 
 
 class SinusoidSteering:
-    """Searches for sinusoidal motions; keeps the last motion as a start for the next search.
+    """Search for sinusoidal motions. The last motion is a start for the next search.
 
     Parameters
     ----------
@@ -80,12 +87,13 @@ class SinusoidSteering:
     iterations : int
         Maximum number of iterations of a descent.
     restarts : int
-        Maximum number of further descents. Without a last motion there are `FRESH` more. With
-        `PLAYS` plays the number is divided by `PLAYS`, because each descent takes longer.
+        Maximum number of further descents. If there is no last motion, `FRESH` more are made. If a
+        motion is evaluated after `PLAYS` plays, the number is divided by `PLAYS`, because each
+        descent takes longer.
     threads : int
         Number of threads, at most `AT_ONCE`.
     clock : callable
-        Returns the time [s].
+        Function that returns the time [s].
 
     Attributes
     ----------
@@ -107,13 +115,13 @@ class SinusoidSteering:
         self._threads = ThreadPoolExecutor(min(threads, AT_ONCE)) if threads > 1 else None
         self._clock = clock
         self.cut_short = 0
-        self._finishing = 0.0  # duration of the final corrections of the last call [s]
-        # Twists of the last result, by key.
+        self._finishing = 0.0  # duration of the last final corrections [s]
+        # Twists of the last result for each key.
         self._warm: dict[tuple[int, float, Grid, bool], np.ndarray] = {}
         self._motions: dict[tuple[int, float, Grid, bool], Motions] = {}
 
     def __getstate__(self) -> dict[str, Any]:
-        """Return the state for a copy. The copy creates its own kernel objects."""
+        """Return the state for a copy or a pickle. The copy creates its own kernel objects."""
         return vars(self) | {"_motions": {}}
 
     def forget(self) -> None:
@@ -132,13 +140,14 @@ class SinusoidSteering:
     ) -> tuple[PlateCycle, int, float]:
         """Find a motion with `number` harmonics.
 
-        Returns the motion, the number of iterations of all descents, and the condition number of
-        the displacements' derivatives.
+        Return the motion, the number of iterations of all descents, and the condition number of the
+        displacements' derivatives.
 
-        The first descent starts from the last motion. Without one, the first descents start from
-        random motions. All others start from perturbations of the best result. The search ends when
-        the error is at most `good_enough` [m, root mean square], when all starts are used, or when
-        a further descent would miss the deadline `until`, a time of the clock.
+        The first descent starts from the last motion. If there is no last motion, the first
+        descents start from random motions. All other descents start from perturbations of the best
+        result. The search ends when the root mean square error is at most `good_enough` [m], when
+        all starts are used, or when a further descent would exceed the deadline `until` [s, time of
+        the clock].
         """
         grid, plays = ROUGH if goal.lasting else EXACT, PLAYS if goal.free_end else 1
         key = number, period, grid, goal.free_end
@@ -212,7 +221,7 @@ class SinusoidSteering:
                 index += 1
             found = running.popleft()()
             if found is None:
-                # Each search counts once, because `most` is 0 afterwards.
+                # Each search counts only once, because `most` is 0 afterwards.
                 self.cut_short += most > 0
                 most = 0
             else:
@@ -221,7 +230,7 @@ class SinusoidSteering:
         return best, iterations
 
     def _within(self, goal: Goal, motions: Motions, start: np.ndarray, tolerance: float) -> Fit:
-        """Improve a motion for a goal, within the limits."""
+        """Improve a motion for a goal, and keep it within the limits."""
         return descend(Problem.of(goal, motions, 1.0), start, tolerance, CORRECTIONS)
 
 
@@ -231,8 +240,8 @@ def limited_sinusoids(
 ) -> LimitedSinusoids:  # fmt: skip
     """Return the family of motions that start in the plate state (3, 3). Default: at rest.
 
-    Motions end at rest or, with `free_end`, in any state. `grid` is `EXACT`, `ROUGH` or `FINE`.
-    Samples cover `plays` plays.
+    The motions end at rest or, if `free_end`, in any state. `grid` is `EXACT`, `ROUGH` or `FINE`.
+    The samples cover `plays` plays.
     """
     longest, least, knots = grid
     count = max(least * max(number, 4), round(period / longest))
