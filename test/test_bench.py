@@ -5,6 +5,7 @@ import json
 import math
 import subprocess
 import sys
+from itertools import islice
 from pathlib import Path
 from string import Formatter
 from types import SimpleNamespace
@@ -181,6 +182,20 @@ def test_a_measurement_writes_its_table_and_prints_it(tmp_path):
     assert "average_force" in ours["method"]
     assert "quad" in peer["method"]
     assert ours["median"] < 1e-5
+
+
+def test_all_stages_are_timed_although_cycles_begin_in_motion():
+    from plate_bringup.loop import Setup
+    from plate_bringup.loop import run as loop
+    from stages.stages import FIRST, STAGES, stages_row
+    from tasks.runs import sorting
+
+    scenario, rig = sorting(2), load_rig()
+    moments = list(islice(loop(Setup(scenario, effort={"restarts": 2}), rig), FIRST + 3))
+    assert not all(moment.answer.cycle.starts_at_rest for moment in moments)
+    row = stages_row(rig, scenario, moments)
+    assert all(row[name] > 0 for name in STAGES)
+    assert row["answer"] == sum(row[name] for name in ("vision", "planner", "solver", "driver"))
 
 
 def test_no_motion_that_is_found_beats_the_bounds():

@@ -94,7 +94,7 @@ def options(rows: list[Row]) -> Drawn:
     counts = " / ".join(str(n) for n in by(rows, "parts"))
     return Drawn(
         panels,
-        f"Error with {counts} parts: Method B {told('B', '3 restarts')}, Method A "
+        f"Error with {counts} parts: Method B {told('B', '40 restarts')}, Method A "
         f"{told('A', '1 restarts')}, scipy with finite differences "
         f"{told('scipy, own differences', '3 restarts')}.",
     )

@@ -41,7 +41,7 @@ CASES = {2: 20, 4: 12, 6: 10, 10: 8}
 HARMONICS = {2: 8, 4: 8, 6: 8, 10: 12}
 """Number of harmonics, by number of parts, as `SinusoidSolver` chooses for exact drifts."""
 
-B_RESTARTS, A_RESTARTS, PEER_RESTARTS = (0, 1, 3, 10), (0, 1, 4), (0, 3)
+B_RESTARTS, A_RESTARTS, PEER_RESTARTS = (0, 1, 3, 10, 40), (0, 1, 4), (0, 3)
 METHODS = {"A": "rotations", "B": "sinusoids"}
 
 Contestant = Callable[[Goal], PlateCycle]

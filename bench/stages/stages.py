@@ -65,9 +65,10 @@ def stages_row(rig: Rig, scenario: Scenario, moments: list[Moment]) -> dict[str,
         tracker = run_stage("vision", observe, vision, tracker, moment.image, moment.time)
         state, _, _ = run_stage("planner", planner.plan, state, tracker.parts, moment.time)
         answer = run_stage("solver", controller.answer, moment.wanted, running)
-        table, _ = run_stage("driver", prepare, rig, answer.cycle, now, before=running)
+        run_stage("driver", prepare, rig, answer.cycle, now, before=(running,))
         run_stage("simulator", run_cycle, world, running, rig)
-        running = table.cycle
+        # The next moment's inputs belong to the cycle that the loop played.
+        running = prepare(rig, moment.answer.cycle, now, before=(running,))[0].cycle
     medians = {name: 1e3 * float(np.median(seconds[name][FIRST:])) for name in STAGES}
     return {
         "parts": len(grey),
