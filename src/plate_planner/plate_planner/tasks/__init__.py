@@ -18,11 +18,10 @@ from .follow import SLOWED, Follower, FollowMemory, FollowOptions, pd_drift
 from .move import MoveMemory, Mover
 from .pose import PoseMemory, Poser
 from .sort import Sorter
-from .targets import CROWD, assign
+from .targets import assign
 from .task import SIGHT_M, SIGHT_RAD, Assessment, Situation, TaskRules
 
 __all__ = [
-    "CROWD",
     "SIGHT_M",
     "SIGHT_RAD",
     "SLOWED",

@@ -17,17 +17,18 @@ import shapely
 from plate_core import Parts, Rig, ScenarioError, Targets, part_class
 from plate_core.tasks import Bin, Scenario, Side, SortTask, behind_wall
 
-from .targets import CROWD, GAP, assign, distance_weight
+from .targets import GAP, assign, distance_weight
 from .task import Assessment, Situation, TaskRules
 
 MARGIN, END = 0.03, 0.85
 """Distance of the targets beyond the goal line, and outer end of the area that counts for the
 capacity of a side or corner [fraction of the half length and width]."""
 
-LANE, CROWDED_LANE, LANE_M, LANE_AT = 0.1, 0.3, 0.1, 0.25
-"""Weight of the distance from a lane for parts with at least `LANE_M` [m] to go along x, normally
-and in a crowd [-]; and inner edge of the lanes [fraction of the half width]. For shorter distances
-the weight is proportional to the distance."""
+LANE, LANE_M, LANE_AT = 0.1, 0.1, 0.25
+"""Weight of the distance from a lane for parts with at least `LANE_M` [m] to go along x [-]; and
+inner edge of the lanes [fraction of the half width]. For shorter distances the weight is
+proportional to the distance. Weights of 0.1 and 0.3 are equally fast with 50 parts, 0.6 is
+slower."""
 
 SWITCH = 0.3
 """Mean displacement of the parts to the wrong side at which the swirl changes its direction
@@ -161,8 +162,7 @@ class Sorter(TaskRules):
         weight = np.where(requested, distance_weight(displacement), 0.0)
         # Far from their sides, parts to the left and to the right use different lanes, so that one
         # swirl moves all of them.
-        most = CROWDED_LANE if len(parts) > CROWD else LANE
-        lane = most * np.minimum(displacement[:, 0] / LANE_M, 1) * (sign[:, 0] != 0)
+        lane = LANE * np.minimum(displacement[:, 0] / LANE_M, 1) * (sign[:, 0] != 0)
         if not _diagonal(sign):
             lane[sign[:, 1] != 0] = 0
         if np.all(sign[:, 0] >= 0) or np.all(sign[:, 0] <= 0):

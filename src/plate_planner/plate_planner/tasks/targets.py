@@ -27,10 +27,6 @@ FULL_DISTANCE_M, MIN_DISTANCE_M = 0.006, 0.005
 so that the parts with the longest distances come first. Distances below the second length are not
 scaled further [m]."""
 
-CROWD = 40
-"""Number of parts above which the plate rests between cycles and lanes have more weight. This is
-faster for many parts, which move little per cycle; tuned in simulation (`sort_50`)."""
-
 GAP = 0.5
 """Minimum gap between the edges of two moving parts [radii of the rig's parts]."""
 
