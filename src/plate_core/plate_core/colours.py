@@ -48,8 +48,8 @@ _OTHERS: Final = ((224, 130, 20), (46, 125, 74), (180, 70, 150), (130, 100, 20))
 
 
 def part_colour(label: str) -> Colour:
-    """Return the fill colour of parts of a class. It is black or grey for the classes of these
-    names, otherwise the colour of the class."""
+    """Return the fill colour of parts of a class: black or grey for the classes `black` and `grey`,
+    otherwise `class_colour`."""
     return _FACES.get(label, class_colour(label))
 
 

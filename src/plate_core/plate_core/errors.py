@@ -19,7 +19,8 @@ class ScenarioError(PlateError):
 
 
 class CycleError(PlateError):
-    """A plate motion does not close, is not finite, or is not possible with this plate."""
+    """A plate motion does not end in its initial state or at rest, is not finite, or is
+    impossible."""
 
 
 class FrameError(PlateError):

@@ -37,7 +37,7 @@ def read_file(path: str | Path, most_bytes: int, error: type[PlateError] = Plate
     most_bytes : int
         Maximum size of the file [bytes].
     error : type
-        The error to raise.
+        Class of the errors that the function raises.
 
     Raises
     ------

@@ -17,7 +17,7 @@ SKIP_OTHERS = "SKIP_DEFAULT_XML_FILE"
 """If 1, Fast DDS does not read DEFAULT_FASTRTPS_PROFILES.xml from the current folder."""
 
 OWN, NETWORK = "fastdds.xml", "fastdds_network.xml"
-"""Profiles in config/: for only this machine, and for the network."""
+"""Profiles in config/. The first restricts DDS to this machine, the second allows the network."""
 
 LAST_DOMAIN = 232
 """Highest ROS domain. Higher numbers would give invalid ports."""

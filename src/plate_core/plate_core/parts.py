@@ -1,7 +1,7 @@
 """The state of the parts on the plate, as the stages exchange it, and the special part classes.
 
-`Parts` contains ids, positions, velocities and angles at one instant, in plate_home. The class of a
-part is the part of its id before the number (`part_class`).
+`Parts` contains ids, positions, velocities and angles at one instant, in plate_home. The id of a
+part consists of its class and a number (`part_class`).
 """
 
 from __future__ import annotations
@@ -27,9 +27,9 @@ NAMELESS = (UNKNOWN, GROUP)
 """Reserved class names: no part type may use them."""
 
 PLAUSIBLE_AREA = 0.3, 3.0
-"""Plausible area of a part: the first factor times the smallest part's area to the second factor
-times the largest part's area [-]. Smaller objects are dust or reflections. Larger objects are tools
-or hands."""
+"""Range of plausible areas of a part: from the first factor times the area of the smallest part to
+the second factor times the area of the largest part [-]. Smaller objects are dust or reflections.
+Larger objects are tools or hands."""
 
 
 class OverlookedThing(NamedTuple):
@@ -108,7 +108,7 @@ class Parts:
 
 
 def part_class(part_id: str) -> str:
-    """Return the class of a part id: `black` of `black_3`."""
+    """Return the class of a part id, for example `black` for `black_3`."""
     return part_id.rsplit("_", 1)[0]
 
 

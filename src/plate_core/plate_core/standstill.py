@@ -10,7 +10,8 @@ from __future__ import annotations
 __all__ = ["Standstill"]
 
 AFTER_S = 0.5
-"""Time after a stall during which a received request counts as sent before the stall's end [s]."""
+"""Time after a stall [s]. A request that is received within this time may have been sent during the
+stall."""
 
 
 class Standstill:
@@ -26,12 +27,12 @@ class Standstill:
 
     def __init__(self, longest_s: float, now: float) -> None:
         self.longest_s = longest_s
-        self._looked, self._until = now, now
+        self._checked, self._until = now, now
 
     def is_late(self, now: float) -> bool:
         """Update the detector. Return whether a request received at `now` [s] may be an old one
         that waited during a stall."""
-        if now - self._looked > self.longest_s:
+        if now - self._checked > self.longest_s:
             self._until = now + AFTER_S
-        self._looked = now
+        self._checked = now
         return now < self._until

@@ -27,16 +27,16 @@ __all__ = [
 ]
 
 INPUT_TIMEOUT_S = 1.5
-"""Default input timeout [s]. It equals three of the longest usual cycles. It is short enough to end
-a task within 2 s of a fault."""
+"""Default input timeout [s]. It equals three times the longest usual cycle, and is short enough to
+end a task within 2 s after a fault."""
 
 LATENCY_S, MAX_AGE_S = 0.2, 0.6
-"""Maximum computation time of vision, planner and solver on a slow computer [s], and maximum age of
-the image for which a moving cycle is computed, if the period is not longer [s]. See `age_limit`."""
+"""Parameters of `age_limit`: the maximum computation time of vision, planner and solver on a slow
+computer [s], and the maximum age of an image for short cycles [s]."""
 
 
 class Level(IntEnum):
-    """Level as in diagnostic_msgs/DiagnosticStatus."""
+    """Level of a node's diagnostics, as in diagnostic_msgs/DiagnosticStatus."""
 
     OK = 0
     WARN = 1
@@ -69,7 +69,7 @@ def worst(findings: Iterable[Finding | None], otherwise: str) -> Finding:
     Parameters
     ----------
     findings : iterable of Finding or None
-        None is ignored.
+        Elements that are None are ignored.
     otherwise : str
         Message if there are no findings. The level is then OK.
     """
@@ -109,7 +109,7 @@ class Input:
         return replace(self, came=now)
 
     def silence(self, now: float) -> float:
-        """Time since the last message, or since the subscription if there was none [s]."""
+        """Time since the last message, or since the subscription if no message has arrived [s]."""
         return now - (self.since if self.came is None else self.came)
 
     def gone(self, now: float) -> Finding | None:

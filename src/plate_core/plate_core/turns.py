@@ -12,14 +12,14 @@ WITHIN_S = 3.0
 """Time within which these out-of-order messages must arrive [s]."""
 
 LOST, SILENCE_S = 5, 1.0
-"""Largest step between two sequence numbers of the accepted publisher [-], and time without its
-messages after which another publisher may replace it [s]."""
+"""The first value is the maximum step between two sequence numbers of the accepted publisher [-].
+The second is the time without its messages after which another publisher may replace it [s]."""
 
 
 class Turns:
     """Checks whether the messages of one topic come from two publishers.
 
-    Each publisher sends increasing sequence numbers. A number that is not greater than the last one
+    The sequence numbers of one publisher increase. A number that is not greater than the last one
     therefore comes from another publisher.
     """
 
@@ -33,8 +33,9 @@ class Turns:
 
         `number` is None if the middleware provides no sequence numbers.
 
-        Returns whether the message comes from the accepted publisher. This is the first one
-        received, or one that replaced it after it sent no messages for `SILENCE_S`.
+        Returns whether the message comes from the accepted publisher. The publisher of the first
+        message is accepted. Another publisher replaces it after it sent no messages for
+        `SILENCE_S`.
         """
         if number is None:
             return True

@@ -1,7 +1,7 @@
 """The planner's request for the next cycle: a mean force or a target for each part.
 
-`Wanted` is the input of the solver. It contains either `Forces` or `Targets`, the parts, and if
-known the predicted state of parts and plate at the start of the cycle.
+`Wanted` is the input of the solver. It contains the parts and `Forces` or `Targets`. If known, it
+also contains the predicted state of the parts and the plate at the start of the cycle.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ CYCLE_S = 0.1
 
 @dataclass(frozen=True)
 class Forces:
-    """Requested mean forces on M parts over one cycle, the form of request used in the paper.
+    """Requested mean forces on M parts over one cycle. The paper uses this form of request.
 
     A mean force F over a cycle of length T changes the drift of a part of mass m by F T/m. A mean
     torque N changes the spin of a part with the moment of inertia J by N T/J.
@@ -49,8 +49,8 @@ class AngleTargets:
     Attributes
     ----------
     low, high : (M,)
-        Bounds of the accepted interval [rad]. All angles inside it are equally good. They differ
-        from the part's angle by at most half a turn.
+        Bounds of the accepted interval [rad]. All angles inside it are equally good. The bounds
+        differ from the part's angle by at most half a turn.
     weight : (M,)
         Position error that costs as much as an angle error of one radian [m]. 0: all angles are
         equally good.
@@ -96,10 +96,11 @@ class Wanted:
     Attributes
     ----------
     parts : Parts
-        The M parts of the request.
+        The M parts for which forces or targets are requested.
     forces : Forces
-        The request, if `targets` is None. Otherwise they are only displayed (markers, the page,
-        recordings) and show forces that move the parts towards their targets.
+        The request, if `targets` is None. If `targets` is given, the solver ignores the forces.
+        They are then the forces that would move the parts towards their targets, for display only
+        (markers, the page, recordings).
     targets : Targets or None
         The request. None if forces are requested.
     start : (M, 4) or None

@@ -49,14 +49,14 @@ REQUIRED: Any = object()
 """Value of `Key.default` for a key without a default: the file must contain it."""
 
 FAST_LENGTH = 20_000
-"""Maximum length of a text that libyaml parses [characters]. libyaml is recursive, and a longer
-text may have enough levels to exhaust the stack."""
+"""Maximum length of a text that libyaml parses [characters]. libyaml is recursive, so the nesting
+of a longer text could exhaust the stack."""
 
 UNITS = {
     "m": "m", "kg": "kg", "s": "s", "mps": "m/s", "mps2": "m/s^2", "n": "N", "k": "K", "px": "px",
     "deg": "degrees", "hz": "Hz", "kgm2": "kg m^2", "npm": "N/m", "nspm": "N s/m",
 }  # fmt: skip
-"""Units by the last part of a key's name."""
+"""Units, by the last word of a key's name."""
 
 
 SHOWN = reprlib.Repr()
@@ -221,7 +221,7 @@ class Numbers:
         )
         if not fits or not np.all((array >= self.low) & (array <= self.high)):
             raise ValueError
-        # NumPy converts yes to 1 and '2' to 2, so refuse these types
+        # NumPy converts true to 1 and '2' to 2, so refuse these types
         if any(isinstance(entry, bool | str) for entry in np.array(value, dtype=object).ravel()):
             raise ValueError
         return array
@@ -253,7 +253,7 @@ class Key:
     Attributes
     ----------
     name : str
-        Name with the unit as its last part, such as `radius_m`.
+        Name with the unit as its last word, such as `radius_m`.
     kind : Kind
         Type and range of the value.
     meaning : str
@@ -320,7 +320,7 @@ class Fields:
     where : str
         File and key path. Every message starts with it.
     error : type
-        The error to raise.
+        Class of the errors that are raised.
     """
 
     def __init__(self, data: Any, where: str, error: type[PlateError]) -> None:
@@ -361,8 +361,8 @@ class Fields:
         Raises
         ------
         PlateError
-            If none or more than one is present. If no key is present, the message suggests a
-            similar key of the file.
+            If none of the keys or more than one is present. If none is present, the message
+            suggests a similar key of the file.
         """
         given = [key for key in keys if self.has(key)]
         if len(given) == 1:
@@ -444,7 +444,7 @@ class Fields:
         return kind(**values)
 
     def finish(self) -> None:
-        """Raise an error if the mapping contains an unknown key, usually a spelling mistake."""
+        """Raise an error if the mapping contains an unknown key, which is usually misspelled."""
         unknown = [str(key) for key in self._data if key not in self._used]
         if unknown:
             known = sorted(self._used)
@@ -460,7 +460,7 @@ def required(key: Key) -> Key:
 
 
 def _key(name: str, kind: Kind, default: Any = None) -> Key:
-    """Return a key of a file without a generated reference. If `default` is None, the key is
+    """Return a key that the generated reference does not list. If `default` is None, the key is
     required."""
     return Key(name, kind, "", REQUIRED if default is None else default)
 
@@ -496,8 +496,9 @@ def parse_yaml(content: bytes, path: str | Path, error: type[PlateError]) -> Fie
 def _load(text: str) -> tuple[Any, str]:
     """Return the content of a YAML text, and the message of `_mistake`.
 
-    libyaml, which is ten times as fast, reads the content. The messages come from PyYAML's own
-    parser, which also survives any depth.
+    libyaml reads the content, because it is ten times as fast. If it fails, or if the text is long,
+    PyYAML's own parser reads it. This parser gives the error messages and accepts any depth of
+    nesting.
     """
     if len(text) <= FAST_LENGTH:
         with contextlib.suppress(yaml.YAMLError, ValueError):
@@ -512,7 +513,7 @@ def _load_with(loader: Any) -> tuple[Any, str]:
 
 
 class _Values:
-    """Two changes to a YAML loader. It reads 1e-3 as a number, although YAML 1.1 defines it as
+    """A YAML loader with two changes. It reads 1e-3 as a number, although YAML 1.1 defines it as
     text. It reports an impossible value, such as the date 2026-13-45, with its line number."""
 
     def construct_object(self, node: yaml.Node, deep: bool = False) -> Any:
@@ -543,14 +544,14 @@ for _loader in (_Loader, _FastLoader):
 
 WITH_COMMA = re.compile(r"[-+]?\d+,\d+")
 """A number with a decimal comma. YAML reads it as text. Inside braces, as in `{mu: 0,3}`, YAML
-reads a number and a key without a value."""
+reads the number 0 and a key 3 without a value."""
 
 
 def _mistake(node: yaml.Node | None, seen: set[yaml.Node]) -> str:
     """Return a message about the first decimal comma, or the first key that occurs twice in one
     mapping, at any depth. Empty if there is none. PyYAML accepts both without an error.
 
-    A node that aliases refer to is examined only once, even if it contains itself.
+    A node with several references (YAML aliases) is examined only once, even if it contains itself.
     """
     if node is None or node in seen:
         return ""
@@ -579,7 +580,7 @@ def _mistake(node: yaml.Node | None, seen: set[yaml.Node]) -> str:
 
 
 CONFIG = Path(__file__).parent / "config"
-"""The folder config/. In the source tree this is a link to it, in an installed package a copy."""
+"""The folder config/. In the source tree it is a symbolic link, in an installed package a copy."""
 
 
 def config_path(name: str) -> Path:

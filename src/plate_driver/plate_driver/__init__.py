@@ -1,5 +1,5 @@
-"""Driver: sends plate cycles to the motors within the rig's limits. A stop stays in effect until a
-person enables the motors again.
+"""Driver: sends plate cycles to the motors within the rig's limits. After a stop, the motors stay
+off until a person enables them again.
 
 Other packages use its subpackages `setpoints`, `transports`, `calibration` and `freshness`.
 """

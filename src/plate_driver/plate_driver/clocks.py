@@ -1,4 +1,4 @@
-"""Clocks of the driver, without ROS."""
+"""Clocks of the driver, as functions that do not depend on ROS."""
 
 from __future__ import annotations
 
@@ -19,8 +19,8 @@ class Clocks:
     stamp_ns : callable
         Returns the time on the clock that stamps images [ns]. It may be simulated.
     simulated : callable
-        Returns whether simulated time is used. With real motors it never is, because they heat in
-        real time.
+        Returns whether simulated time is used. It is never used with real motors, because they heat
+        up in real time.
     """
 
     steady_s: Callable[[], float]

@@ -1,7 +1,8 @@
-"""Start times of the plate's cycles, derived from the device's telemetry. No ROS, no clock: time is
-an argument. Each telemetry message is checked against the device's clock, the table's period and
-the host's time. An inconsistent message yields no start, because the planner would predict wrong
-part positions from it. `transports.device_clock` checks the device's clock itself.
+"""Start times of the plate's cycles, derived from the device's telemetry. This module uses neither
+ROS nor a clock, so all times are arguments. Each telemetry message is checked against the device's
+clock, the table's period and the host's time. The starts in inconsistent messages are not reported,
+because the planner would predict wrong part positions from them. `transports.device_clock` checks
+the device's clock itself.
 """
 
 from __future__ import annotations
@@ -17,27 +18,28 @@ from .transports.device_clock import DRIFT
 __all__ = ["CycleStarts", "StartReporter"]
 
 SAME_START = 0.5
-"""Two start times of the same table closer than this fraction of a cycle are the same start. The
-host and device clocks differ slightly."""
+"""Maximum difference between two measured start times of the same play of a table, as a fraction of
+its cycle. They differ because the host and device clocks differ slightly."""
 
 MARGIN_S = 3e-3
-"""Tolerance for equal times [s]. It is shorter than the interval between two telemetry messages
-and longer than the delay of a table that starts at a tick of the device."""
+"""Tolerance within which two times count as equal [s]. It is shorter than the interval between two
+telemetry messages. It is longer than the delay that arises because tables start at a tick of the
+device."""
 
 AHEAD_S = 0.1
-"""Maximum time by which telemetry may be ahead of the host's time [s]. The clock offset is
-estimated from round trips."""
+"""Maximum time by which telemetry may be ahead of the host's time [s]. It can be ahead, because the
+clock offset is estimated from round-trip times."""
 
 REST_CYCLE_S = 0.1
 """Period of the reported cycle while the motors rest [s]."""
 
-NO_START = "starts of cycles are not published while the device reports impossible ticks"
+NO_START = "cycle starts are not published while the device reports impossible playing times"
 """Warning about a device that reports an impossible playing time of a table."""
 
 
 @dataclass(frozen=True)
 class CycleStarts:
-    """State of the current cycle. Times on the host's clock [s].
+    """State of the current cycle. Times are on the host's clock [s] except where noted.
 
     Attributes
     ----------
@@ -67,15 +69,17 @@ class CycleStarts:
         Parameters
         ----------
         new : Measured
+            The telemetry.
         period : float
             Period of the current cycle, or of a rest cycle [s].
         now : float
+            Current time [s].
 
         Returns
         -------
         starts : CycleStarts
         began : float or None
-            Start of a cycle that was not reported before, or None.
+            Start of a cycle that was not reported before. None if there is no new cycle.
         problem : str
             Reason why the telemetry is inconsistent. Empty if it is consistent.
         """
@@ -100,7 +104,8 @@ class CycleStarts:
         return replace(self, table=new.table, began=began, until=until)
 
     def _problem(self, new: Measured, period: float, now: float) -> tuple[float, str]:
-        """Return the new slip [s] and the reason why the telemetry is inconsistent, or "".
+        """Return the new slip [s] and the reason why the telemetry is inconsistent. The reason is
+        empty if the telemetry is consistent.
 
         `period` [s] is the period of the table that plays.
         """
@@ -136,8 +141,8 @@ class CycleStarts:
 
 
 class StartReporter:
-    """Derives the reports on cycle_started from telemetry. A tail counts as a separate cycle, and
-    while the motors rest, rest cycles are reported.
+    """Computes the messages on the topic cycle_started from telemetry. A tail counts as a separate
+    cycle. While the motors rest, rest cycles are reported.
 
     Parameters
     ----------
@@ -160,7 +165,7 @@ class StartReporter:
         began : float or None
             Start of this cycle on the steady clock [s] if it was not reported before.
         problem : str
-            Warning if the telemetry is inconsistent, otherwise "".
+            Warning if the telemetry is inconsistent, otherwise an empty text.
         """
         cycle = PlateCycle.rest(REST_CYCLE_S)
         if measured.table and measured.playing is not None:

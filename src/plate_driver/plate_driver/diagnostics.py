@@ -1,4 +1,4 @@
-"""Content of the driver's diagnostics, collected from the objects that know it."""
+"""Content of the driver's diagnostics. It is collected from the driver's other objects."""
 
 from __future__ import annotations
 
@@ -46,7 +46,7 @@ class DriverDiagnostics:
         self._retries = 0  # number of messages repeated between the last two diagnostics
 
     def begin(self, now: float) -> None:
-        """Restart the time without cycles at `now` [s, playback]."""
+        """Restart the measurement of the time without cycles at `now` [s, playback]."""
         self._ready_since = now
 
     def record_ready(self, ready: bool, now: float) -> None:

@@ -1,8 +1,9 @@
 """Decision whether a cycle is recent enough to move the plate.
 
-The driver applies this rule immediately before the motors. Each message of the loop carries the
-stamp of the image, or of the cycle start, from which it is derived. The age is therefore known even
-if a message was delayed, lost, repeated or reordered. No ROS, no clock: times are arguments.
+The driver checks this immediately before it sends a cycle to the motors. Each message of the
+control loop carries the stamp of the image, or of the cycle start, from which it is derived. The
+age is therefore known even if a message was delayed, lost, repeated or reordered. This module uses
+neither ROS nor a clock, so all times are arguments.
 """
 
 from __future__ import annotations
@@ -15,25 +16,26 @@ from plate_core.status import age_limit
 __all__ = ["AHEAD_S", "ALONE_S", "STANDSTILL_S", "Freshness"]
 
 SEND_S = 0.02
-"""Maximum duration of sending on a busy computer [s]. It is subtracted from the age limit, so that
-no cycle is sent after the limit."""
+"""Maximum time to send a cycle on a busy computer [s]. It is subtracted from the age limit, so that
+no cycle reaches the device after the limit."""
 
 AHEAD_S = 0.1
 """Maximum time by which another computer's clock may be ahead of this computer's clock [s]."""
 
 CLOCKS_S = 3.0
-"""Maximum image age that a slow computer explains [s]. If the age is larger or negative, the
+"""Maximum image age that a slow computer can cause [s]. If the age is larger or negative, the
 message suggests that the clocks disagree."""
 
 STANDSTILL_S = 0.25
-"""Time without running after which the driver counts as stalled [s]. It is about one cycle."""
+"""Time between two calls of `Freshness.with_state` after which the driver counts as stalled [s]. It
+is about one cycle."""
 
 ALONE_S = 1.0
-"""Time within which cycles of two publishers are both refused [s], even if the publishers have
-equal names. A restart of the solver takes longer than this."""
+"""If cycles of two publishers arrive within this time [s], both are refused, even if the publishers
+have equal names. A restart of the solver takes longer."""
 
 RESTART_NS = 1_000_000_000
-"""Maximum time between a stamp and a later event that is compared with it [ns]. If the time
+"""Maximum time between a stamp and a later event for which the two are compared [ns]. If the time
 is longer, the stamp is too old in any case, or a simulator was restarted after the stamp."""
 
 
@@ -44,8 +46,8 @@ class Freshness:
     Attributes
     ----------
     since_ns : int
-        Time when the motors last became ready or the driver last resumed after a stall, whichever
-        is later. The time is on the clock that stamps images.
+        Time at which the motors became ready or the driver resumed after a stall, on the clock that
+        stamps images. The later of these events counts.
     why : str
         Text that names this event.
     ended_ns : int

@@ -316,7 +316,7 @@ def control_points(
     coefficients : (k, 6, m)
         Polynomial coefficients in ascending powers of the time since the knot.
     order : int
-        0: the spline, 1 and 2: its derivatives.
+        0: control points of the spline. 1 and 2: control points of its derivatives.
     pieces : int
         Number of equal pieces into which every knot interval is cut. The distance of the points
         from the curve decreases with 1/pieces**2.
@@ -354,7 +354,8 @@ def quintic_pieces(
 def evaluate_pieces(times: np.ndarray, pieces: np.ndarray, t: np.ndarray, order: int) -> np.ndarray:
     """Value or derivative (n, 3) of a piecewise polynomial at times t (n,).
 
-    scipy's PPoly returns the same to the last bit, but every node would load half of scipy for it.
+    scipy's PPoly gives bitwise equal results, but every node would have to load large parts of
+    scipy.
 
     Parameters
     ----------
@@ -365,7 +366,7 @@ def evaluate_pieces(times: np.ndarray, pieces: np.ndarray, t: np.ndarray, order:
     t : (n,) array
         A time beyond the knots continues the nearest piece.
     order : int
-        Of the derivative; 0: the value itself.
+        Order of the derivative. 0: the value itself.
     """
     at = np.searchsorted(times[1:-1], t, "right")
     pieces = pieces[at, order:] * FACTORS[order]

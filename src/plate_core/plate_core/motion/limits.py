@@ -20,13 +20,13 @@ CERTAINTY = 1e-6
 """Maximum relative overestimation of a peak [-]."""
 
 CUTS = 8
-"""Number of parts into which a piece that may contain a peak is cut. This reduces the gap of the
-bound to 1/64."""
+"""Number of parts into which a piece that may contain a peak is cut. This reduces the difference
+between bound and peak to 1/64."""
 
 MAX_PIECES = 4000
 """Maximum number of parts to examine, in addition to the motion's pieces. If more parts would be
-needed, the current bound is returned. This bound is too high, but this only happens for motions far
-beyond all limits. Other motions need about 20 parts."""
+needed, the current bound is returned, which is too high. Only motions far beyond all limits need
+more parts. Other motions need about 20."""
 
 GAUSS_U, GAUSS_WEIGHT = np.polynomial.legendre.leggauss(6)
 """Nodes and weights of Gauss-Legendre quadrature with 6 nodes. It is exact for polynomials up to

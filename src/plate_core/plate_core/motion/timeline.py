@@ -1,8 +1,8 @@
-"""The rule that selects the cycle that the plate runs, the next one, and its start time.
+"""Rule that determines which cycle the plate runs, which cycle follows, and when it starts.
 
-The simulator, the loop without ROS and the environments play cycles by this rule. Planner and
-solver use it to predict the played cycle. The guards of driver and firmware must be independent of
-this rule, so they do not use it.
+The simulator, the closed loop without ROS and the Gymnasium environments play cycles by this rule.
+Planner and solver use it to predict the played cycle. The guards of driver and firmware must be
+independent of this rule, so they do not use it.
 """
 
 from __future__ import annotations
@@ -95,9 +95,9 @@ class Timeline:
     def send(self, cycle: PlateCycle) -> Timeline:
         """Return the timeline after the player has received a cycle.
 
-        Normally the new cycle becomes the waiting one. If the present waiting cycle follows the
-        running one and the new one does not, the present waiting cycle is kept. A new cycle at rest
-        always replaces it, because this may be a stop.
+        Normally the new cycle becomes the waiting one. The present waiting cycle is kept if it
+        begins in the final state of the running one and the new cycle does not. A new cycle at rest
+        always replaces it, because it may be a stop.
         """
         kept = self.waiting is not None and self.waiting.follows(self.cycle)
         if kept and cycle.moves and not cycle.follows(self.cycle):

@@ -1,4 +1,4 @@
-"""Report a rig's capabilities, its limits and inconsistencies: `ros2 run plate_core check_rig`.
+"""Report a rig's capabilities, limits and inconsistencies: `ros2 run plate_core check_rig`.
 
 Without ROS, `python -m plate_core.rig.check_rig FILE` does the same.
 """
@@ -134,8 +134,8 @@ def _view(rig: Rig) -> Iterator[str]:
         yield (
             "camera: its position is unknown, because the file has neither focal_px nor camera: "
             "height_m, and corners_px have too little perspective; the image shows a part of "
-            "height h too far out by r h/(H - h), with its distance r from the point below the "
-            "lens and the height H of the lens above the plate"
+            "height h too far out by r h/(H - h), where r is its distance from the point below the "
+            "lens, and H is the height of the lens above the plate"
         )
         return
     x, y, height = place

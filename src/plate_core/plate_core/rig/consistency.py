@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from .rig import Rig
 
 PART_PX = (3.0, 200.0)
-"""Range of a part's radius in the image that the detector can detect [px]."""
+"""Range of part radii in the image that the detector can detect [px]."""
 
 FINE_PX = 4.0
 """Radius in the image above which detection is reliable [px]."""
@@ -46,12 +46,12 @@ ODRIVE_NODES, ODRIVE_SPEED = 62, 32.767
 [turns/s]."""
 
 OUTSIDE, BESIDE = 0.5, 0.1
-"""Distance of a motor's point from the plate (on a bracket), relative to the plate's longer side:
-maximum, and threshold of the warning."""
+"""Distance of a motor's point outside the plate (on a bracket), relative to the plate's longer
+side: the maximum, and the threshold of the warning."""
 
 WORST_FIT, GOOD_FIT = 0.15, 0.03
-"""Misfit of the image corners, as relative error of the lengths or as cosine of the angle between
-the axes: maximum, and threshold of the warning."""
+"""Misfit of the image corners: the maximum, and the threshold of the warning. The misfit is the
+relative error of the lengths or the cosine of the angle between the axes, whichever is larger."""
 
 FOCAL_LENGTHS = np.geomspace(0.4, 20, 80)
 """Focal lengths to try if the lens is not calibrated, relative to the width of the image."""
@@ -60,12 +60,12 @@ STEEP_DEG = 45.0
 """Tilt of the camera above which distant parts are detected poorly [degrees]."""
 
 HEIGHT_ERROR = 0.1
-"""Relative difference between `camera: height_m` and the height computed from lens and corners
-above which there is a warning."""
+"""Threshold of the warning: relative difference between `camera: height_m` and the height that is
+computed from the lens and the corners."""
 
 PART_SHARE = (0.5, 0.15)
-"""Radius of a part, relative to half the plate's shorter side: maximum, above which parts cannot
-move, and threshold of the warning."""
+"""Radius of a part, relative to half the plate's shorter side: the maximum, and the threshold of
+the warning. Parts above the maximum cannot move."""
 
 
 class Doubt(NamedTuple):
@@ -83,7 +83,8 @@ def check(rig: Rig) -> None:
     Raises
     ------
     RigError
-        If they are impossible. The message states the key, its value and the allowed values.
+        If the data contain an error (`Doubt.impossible`). The message states the key, its value and
+        the allowed values.
     """
     for doubt in doubts(rig):
         if doubt.impossible:
@@ -297,11 +298,11 @@ def _fiducials(rig: Rig) -> Iterator[Doubt]:
     outside = np.abs(rig.fiducials.corners) > rig.plate.half + 1e-6
     for row in np.flatnonzero(np.any(outside, axis=(1, 2))):
         x, y = rig.fiducials.centres[row]
-        room = rig.plate.half - rig.fiducials.side_m / 2
+        limit = rig.plate.half - rig.fiducials.side_m / 2
         yield Doubt(
             "camera",
             f"fiducials: centre_m: marker_{rig.fiducials.numbers[row]} is [{x:g}, {y:g}], not "
-            f"completely on the plate, allowed: |x| up to {room[0]:g}, |y| up to {room[1]:g} for "
+            f"completely on the plate, allowed: |x| up to {limit[0]:g}, |y| up to {limit[1]:g} for "
             f"markers of {rig.fiducials.side_m:g} m",
             True,
         )
@@ -348,8 +349,8 @@ def _heights(rig: Rig) -> Iterator[Doubt]:
 
 
 def _order(corners: np.ndarray) -> Doubt | None:
-    """Check that the corners (4, 2) [px] form a convex quadrilateral, and that their order is the
-    one seen by a camera above the plate."""
+    """Check that the corners (4, 2) [px] form a convex quadrilateral, and that a camera above the
+    plate sees them in this order."""
     sides = np.roll(corners, -1, axis=0) - corners
     after = np.roll(sides, -1, axis=0)
     turn = sides[:, 0] * after[:, 1] - sides[:, 1] * after[:, 0]

@@ -71,7 +71,7 @@ def _draw_plate(axes: Axes, rig: Rig) -> None:
 
 def _draw_image(axes: Axes, rig: Rig) -> None:
     camera, corners = rig.camera, np.array(rig.camera.corners_px)
-    axes.set_title("where the camera sees it, with a part in the middle")
+    axes.set_title("plate in the camera image, with a part in the middle")
     axes.add_patch(Rectangle((-0.5, -0.5), camera.width_px, camera.height_px, facecolor="#dddddd"))
     axes.add_patch(Polygon(corners, facecolor="#f7f7f7", edgecolor="black"))
     for corner, words in zip(corners, ("-x, -y", "+x, -y", "+x, +y", "-x, +y"), strict=True):
@@ -82,7 +82,7 @@ def _draw_image(axes: Axes, rig: Rig) -> None:
         middle = to_image(rig, np.zeros((1, 2)))[0]
         axes.add_patch(Circle((middle[0], middle[1]), part_radius_px(rig), color="#666666"))
     except np.linalg.LinAlgError:
-        pass  # `doubts` has already reported that these corners cannot be those of a plate
+        pass  # `doubts` has already reported that these corners are impossible
     points = np.vstack([corners, [[0, 0], [camera.width_px, camera.height_px]]])
     low, high = points.min(axis=0) - 30, points.max(axis=0) + 30
     axes.set(xlim=(low[0], high[0]), ylim=(high[1], low[1]), aspect="equal")

@@ -1,4 +1,4 @@
-"""Change of values in a rig file. All other text, including comments, is kept.
+"""Change of values in a rig file. All other text stays unchanged, including comments.
 
 The YAML parser gives the position of each value, and only these characters are replaced. The
 changed file is read and checked before it replaces the old one.
@@ -22,15 +22,16 @@ Values = Mapping[tuple[str, ...], Mapping[str, str]]
 
 
 def edit_rig(path: Path, values: Values, expected: Callable[[Rig], bool]) -> None:
-    """Change all given values of a rig file, or none. Missing keys are added.
+    """Change values of a rig file. If one of them fails, the file stays unchanged. Missing keys are
+    added.
 
     Parameters
     ----------
     path : Path
     values : Values
-        Such as `{("friction",): {"mu": "0.31"}}`.
+        New values, such as `{("friction",): {"mu": "0.31"}}`.
     expected : callable
-        Check of the rig that is read from the changed file.
+        Function that returns whether the rig in the changed file has the expected values.
 
     Raises
     ------
@@ -55,7 +56,7 @@ def edit_rig(path: Path, values: Values, expected: Callable[[Rig], bool]) -> Non
 
 def edited(text: str, values: Values) -> str:
     """Return a rig file's text with new values. Missing keys are added at the end of their mapping,
-    in its style."""
+    in the style of this mapping."""
     root: Any = yaml.compose(text, yaml.SafeLoader)
     edits = []  # list of (start, end, new text)
     for keys, new in values.items():

@@ -26,7 +26,7 @@ class Fiducials:
     Attributes
     ----------
     dictionary : str
-        Set of markers, OpenCV's name without `DICT_`, such as 4X4_50.
+        OpenCV's name of the set of markers, without `DICT_`, such as 4X4_50.
     side_m : float
         Side of the black square [m].
     numbers : (n,) tuple of int

@@ -1,7 +1,7 @@
 """Conversion between the frames: plate_home (world-fixed), the moving plate, and the image.
 
-The plate's corners in the image define a homography from plate_home to the image, to which the
-distortion of a calibrated lens is added. The camera's pose follows from homography and lens.
+The plate's corners in the image define a homography from plate_home to the image. The distortion of
+a calibrated lens is added to it. The camera's pose follows from homography and lens.
 """
 
 from __future__ import annotations
@@ -16,11 +16,12 @@ if TYPE_CHECKING:
     from .rig import Rig
 
 CORNER_PX = 1.0
-"""Assumed error of a corner's coordinates in the image [px], as if clicked by hand."""
+"""Assumed error of a corner's coordinates in the image [px]. It is typical of corners that are
+clicked by hand."""
 
 PLACE_ERROR = 0.1
-"""Maximum error of the camera's position for corner errors of `CORNER_PX`, relative to its height.
-The relative error of the parts' parallax is about as large."""
+"""Maximum error of the camera's position due to corner errors of `CORNER_PX`, relative to its
+height. The relative error of the parts' parallax is about as large."""
 
 
 def to_home(pose: np.ndarray, point: np.ndarray) -> np.ndarray:
@@ -144,7 +145,7 @@ def home_pose(image_from_home: np.ndarray, matrix: np.ndarray) -> tuple[np.ndarr
     """Return the pose of plate_home in the camera frame (x right, y down, z forward).
 
     It is the rigid pose nearest to the homography, which equals K [r1 r2 t] up to scale. If the
-    corners are measured to a pixel, the pose reproduces them to about a pixel.
+    corners are accurate to one pixel, the pose reproduces them to about one pixel.
 
     Parameters
     ----------
@@ -174,13 +175,13 @@ def camera_place(rig: Rig) -> np.ndarray | None:
     There are three cases:
 
     - The lens is calibrated (`focal_px`). The position is -R^T t, with R and t of `camera_pose`.
-    - Only the camera's height z is known (`camera: height_m`). The principal point is assumed in
-      the middle of the image. Let p be the point of the plate seen there, and let the third row of
-      the homography be (h, 1), with h in 1/m. Points with h x + 1 = 0 have depth zero in the camera
-      frame. Their line is at the distance D = (h p + 1) / norm(h) from p. A camera that is tilted
-      by theta from straight above has D = z (tan theta + cot theta) = 2 z / sin(2 theta), and is
-      above p - z tan(theta) h / norm(h). Without perspective, h = 0 and the camera is above p.
-      Tilts of more than 45 degrees are treated as 45 degrees.
+    - Only the camera's height z is known (`camera: height_m`). The principal point is assumed to be
+      in the middle of the image. Let p be the point of the plate that is visible there, and let the
+      third row of the homography be (h, 1), with h in 1/m. Points with h x + 1 = 0 have depth zero
+      in the camera frame. Their line is at the distance D = (h p + 1) / norm(h) from p. A camera
+      that is tilted by theta from straight above has D = z (tan theta + cot theta) = 2 z / sin(2
+      theta), and is above p - z tan(theta) h / norm(h). Without perspective, h = 0 and the camera
+      is above p. Tilts of more than 45 degrees are treated as 45 degrees.
     - Neither is known. Square pixels and the same principal point are assumed. A least-squares
       solution of the two equations of `_focal_px` gives the focal length f, and the position
       follows as in the first case.

@@ -28,8 +28,8 @@ MOTOR = Section(
             "rest [x, y].",
         ),
         Key(
-            "direction", Numbers((2,), -1, 1), "Direction of force at a positive setpoint [x, y], "
-            "of any length except 0.",
+            "direction", Numbers((2,), -1, 1), "Direction of the force at a positive setpoint "
+            "[x, y], of any length except 0.",
         ),
         Key(
             "drive", Choice(("bridge", "cia402", "odrive")), "A bridge of the board, a "
@@ -40,12 +40,13 @@ MOTOR = Section(
             None, "needed with a drive",
         ),
         Key(
-            "counts_per_m", Number(1e3, 1e9), "Counts of the drive's position (6064h).", None,
+            "counts_per_m", Number(1e3, 1e9), "Counts of the drive's position (6064h) per "
+            "metre.", None,
             "needed with cia402",
         ),
         Key(
-            "turns_per_m", Number(0.1, 1e4), "Turns of the drive's position; pole pairs of a "
-            "linear motor.", None, "needed with odrive",
+            "turns_per_m", Number(0.1, 1e4), "Turns of the drive per metre; for a linear "
+            "motor, pole pairs per metre.", None, "needed with odrive",
         ),
         Key(
             "sign", Sign(), "-1 if the drive counts against `direction`.", 1,
@@ -79,7 +80,7 @@ CAMERA = Section(
         ),
         Key(
             "trigger_phase", Number(0, 0.999), "Fraction of each cycle at which the motor "
-            "controller triggers the camera.", None, "the camera runs free",
+            "controller triggers the camera.", None, "the camera is free-running",
         ),
         Key(
             "trigger_pulse_s", Number(0.001, 0.008), "Length of the pulse, in whole ms.", 0.002,
@@ -116,7 +117,7 @@ DICTIONARIES = (
 
 FIDUCIALS = Section(
     "fiducials (optional)",
-    "Markers that define plate_home in the image; `corners_px` may then be a guess.",
+    "Markers that define plate_home in the image; `corners_px` may then be inaccurate.",
     (
         Key("dictionary", Choice(DICTIONARIES), "OpenCV's name of a set of ArUco markers."),
         Key("side_m", Number(0.001, 1), "Side of the black square."),
@@ -135,7 +136,10 @@ SUSPENSION = Section(
             "frequency_hz", Numbers((3,), 0, 1e3), "Natural frequencies of x, y and theta, each "
             "with the others fixed.", None, "or `stiffness`",
         ),
-        Key("damping_ratio", Numbers((3,), 0, 2), "Their damping.", None, "or `damping`"),
+        Key(
+            "damping_ratio", Numbers((3,), 0, 2), "Damping ratios of these oscillations.", None,
+            "or `damping`",
+        ),
         Key(
             "stiffness", Numbers((3, 3), -STIFFEST, STIFFEST), "Stiffness matrix of x, y "
             "and theta [N/m, N, N m/rad].", None, "or `frequency_hz`",
@@ -149,8 +153,8 @@ SUSPENSION = Section(
             None, "that of a uniform plate",
         ),
         Key(
-            "centre_of_mass_m", Numbers((2,), -FAR_M, FAR_M), "Position at rest [x, y].",
-            (0.0, 0.0),
+            "centre_of_mass_m", Numbers((2,), -FAR_M, FAR_M), "Position of the centre of mass at "
+            "rest [x, y].", (0.0, 0.0),
         ),
         Key("feedforward", Table("mass, damping and stiffness, each from 0 to 2"), "Fractions "
             "of these forces that the drive supplies in advance."),

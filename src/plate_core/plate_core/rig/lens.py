@@ -47,16 +47,16 @@ TABLE = 1025
 """Number of radii in the table of start values for Newton's method."""
 
 SHORT_OF = 1e-6
-"""Fraction by which the table ends before a fold. If the fold is a pole of a rational polynomial,
-the image is infinite there."""
+"""Relative distance between the end of the table and a fold. The table ends before the fold,
+because the image is infinite there if the fold is a pole of a rational polynomial."""
 
 ROUNDED = 1.01
-"""Maximum radius of a result, relative to the radius at which the radial part of the lens folds.
-This ratio exceeds 1 because tangential terms move the fold."""
+"""Maximum radius of a result, relative to the radius at which the radial distortion folds the
+image. This ratio exceeds 1 because tangential terms move the fold."""
 
 MARGIN = 0.05
-"""Border around the plate in which a lens must not fold the image, relative to the plate's length
-and width. It is needed because parts at the edge move with the plate."""
+"""Width of the border around the plate in which a lens must not fold the image, relative to the
+plate's length and width. The border is needed because parts at the edge move with the plate."""
 
 GRID = 33
 """Number of points along each side of the grid over the plate on which folding is checked."""
@@ -259,9 +259,9 @@ class Lens:
 
     @cached_property
     def _reach(self) -> float:
-        """Radius [focal lengths] of the rays at which the radial part folds the image. Infinite if
-        it never folds the image. An equidistant lens can see beyond 90 degrees, but the undistorted
-        image cannot show this, so the radius is limited by `STEEPEST_RAD`."""
+        """Radius [focal lengths] of the rays at which the radial distortion folds the image.
+        Infinite if it never folds the image. An equidistant lens can see beyond 90 degrees, but the
+        undistorted image cannot show this, so the radius is limited by `STEEPEST_RAD`."""
         if self.model == "equidistant":
             powers = (2 * np.arange(5) + 1) * np.array([1, *self._all[:4]])
             return float(np.tan(min(np.sqrt(_first_root(powers)), STEEPEST_RAD)))
@@ -347,7 +347,7 @@ def lens_of_matrix(matrix: np.ndarray, distortion: Sequence[float], model: str) 
     Raises
     ------
     RigError
-        If K is not [fx, 0, cx], [0, fy, cy], [0, 0, 1], or as `Lens`.
+        If K is not [fx, 0, cx], [0, fy, cy], [0, 0, 1], or if `Lens` raises one.
     """
     matrix = np.array(matrix, dtype=float)
     shape = np.array([[1, 0, 1], [0, 1, 1], [0, 0, 0]])

@@ -10,7 +10,7 @@ from .rig import Rig, load_rig, rig_names
 
 
 def unmeasured(rig: Rig) -> list[str]:
-    """Return the values that must still be measured, each as a sentence with the command.
+    """Return one sentence for each value that must still be measured. It contains the command.
 
     A value counts as not measured if a shipped rig file has the same value. `doubts` finds
     inconsistent values.

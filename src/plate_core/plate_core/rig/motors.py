@@ -18,8 +18,8 @@ if TYPE_CHECKING:
     from .rig import Rig
 
 PEAK_OVER_RMS = 1.6
-"""Ratio of a motor's peak force to its root mean square force in the solvers' motions, about the
-minimum. Rotations have 1.6 to 2, sinusoids 2 to 2.5 (`test_weak_motors.py`)."""
+"""Approximate minimum ratio of a motor's peak force to its root mean square force in the solvers'
+motions. Rotations have ratios of 1.6 to 2, sinusoids of 2 to 2.5 (`test_weak_motors.py`)."""
 
 TURN_STEPS = 400
 """Number of steps of angular acceleration, from 0 to the maximum for the plate's corners."""
@@ -87,8 +87,9 @@ def _support(row: np.ndarray, half: np.ndarray, turn: np.ndarray) -> np.ndarray:
 def motor_reach(rig: Rig) -> Reach:
     """Return the maximum acceleration that the motors can continuously give any point of the plate.
 
-    It is the minimum of two limits. One is set by the peak force, the other by the continuous force
-    in motions whose peak force is `PEAK_OVER_RMS` times the root mean square force.
+    It is the minimum of two limits. The peak force determines one limit. The continuous force
+    determines the other, in motions whose peak force is `PEAK_OVER_RMS` times the root mean square
+    force.
     """
     most, limits = force_per_accel(rig), rig.limits
     motor = rig.motors[int(np.argmax(most))].name

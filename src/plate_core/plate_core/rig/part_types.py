@@ -54,14 +54,15 @@ MIN_M2 = 1e-8
 """Minimum area of a part or hole [m2]."""
 
 NAME = re.compile(r"[a-z][a-z0-9]*(_[a-z0-9]*[a-z][a-z0-9]*)*")
-"""Pattern of a type's name, such as `nut` or `nut_m4`. The name must not end with _ and only
-digits, because this is the form of a part's id."""
+"""Pattern of a type's name, such as `nut` or `nut_m4`. The name must not end with _ followed by
+digits only, because the ids of parts have this form."""
 
 LONGEST = 32
 """Maximum length of a name [characters]."""
 
 TAKEN = ("black", "grey", *NAMELESS)
-"""Reserved names: the classes of round parts on rigs without types, and of objects of no type."""
+"""Reserved names: the classes of round parts on rigs without types, and of objects that match no
+type."""
 
 CENTRED = 0.03
 """Tolerance of manufacture and measurement, as a fraction of a part's reach."""

@@ -6,7 +6,7 @@ from __future__ import annotations
 import numpy as np
 
 APART_M2 = 1e-12
-"""Minimum area of a polygon, times two [m2]."""
+"""Minimum of twice the area of a polygon [m2]."""
 
 
 def moments(
@@ -31,8 +31,8 @@ def moments(
 
 
 def is_simple(corner: np.ndarray) -> bool:
-    """Whether a polygon (n, 2) [m] has a positive area, no corner twice, and no two of its edges
-    cross or touch, except neighbours at their corner."""
+    """Whether a polygon (n, 2) [m] has a positive area and no repeated corner, and its edges
+    neither cross nor touch, except neighbours at their common corner."""
     # imported here, because the stop command must not wait for this import
     from shapely import Polygon
 

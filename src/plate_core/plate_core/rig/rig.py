@@ -26,8 +26,9 @@ from .part_types import MAX_HEIGHT_M, PART_TYPE, PartType, load_part_types, read
 from .suspension import Suspension, read_suspension
 
 MIN_RADII, WALL_RADII = 0.5, 1.25
-"""Distances from the plate's edges, in addition to the motors' stroke [part radii]: the minimum
-for the centre of a part, and the wall. Parts stay behind the wall if possible. See `EdgeMargin`."""
+"""Distances from the plate's edges, in addition to the motors' stroke [part radii]. The first is
+the minimum for the centre of a part, the second is that of the wall, behind which parts stay if
+possible. See `EdgeMargin`."""
 
 
 @dataclass(frozen=True)
@@ -37,7 +38,7 @@ class Plate:
     length_m: float = measured("length_m", 0.05, 10, "Side length of the plate along x.")
     width_m: float = measured("width_m", 0.05, 10, "Side length of the plate along y.")
     mass_kg: float = measured(
-        "mass_kg", 0.001, 1000, "Mass of the plate and all that moves with it."
+        "mass_kg", 0.001, 1000, "Mass of the plate and of everything that moves with it."
     )
 
     @property
@@ -100,9 +101,9 @@ class Limits:
     thermal_time_s : float
         Thermal time constant of a motor's winding [s].
     heat_rise_k : float
-        Temperature of the winding above ambient at the continuous force [K].
+        Temperature rise of the winding above ambient at the continuous force [K].
     following_error_m : float
-        Following error of a motor above which a fault occurs [m]. 0 disables the check.
+        Maximum following error of a motor [m]. A larger error is a fault. 0 disables the check.
     """
 
     stroke_m: float = measured(
@@ -120,7 +121,7 @@ class Limits:
         "continuous_force_n",
         1e-3,
         1e6,
-        "Maximum continuous RMS force of each motor; half of `force_n` if only that is given.",
+        "Maximum continuous RMS force of each motor; half of `force_n` if only `force_n` is given.",
         100.0,
     )
     thermal_time_s: float = measured(
@@ -130,7 +131,7 @@ class Limits:
         "heat_rise_k",
         0.1,
         1e3,
-        "Temperature of a winding above the air at the continuous force.",
+        "Temperature rise of a winding above ambient at the continuous force.",
         80.0,
     )
     following_error_m: float = measured(
@@ -155,8 +156,8 @@ class Drive:
     sign : int
         -1 if the counts decrease in the motor's direction, else 1.
     absolute : bool
-        Whether the drive's position is 0 at home. If false, home is where the plate hangs freely at
-        the first enable.
+        Whether the drive's position is 0 at home. If false, home is the position in which the plate
+        hangs freely at the first enable.
     serial : int
         Serial number, object 1018h:04. 0: any.
     kind : str
@@ -233,8 +234,8 @@ class EdgeMargin(NamedTuple):
     """Required distance of a part's centre from the plate's edges [m].
 
     Below `least_m`, the part is lost, because the plate can move away under it by the motors'
-    stroke, or because the part overhangs the edge. Behind the wall, at the distance `wall_m` from
-    the edges, the part is safe.
+    stroke, or because the part overhangs the edge. The wall is at the distance `wall_m` from the
+    edges. A part behind the wall is safe.
     """
 
     least_m: float
@@ -296,13 +297,14 @@ class Rig:
 
     @property
     def gamma(self) -> float:
-        """Shaking ratio a_max/(mu g) [-], with a_max from `reach`. It is the governing parameter of
-        the problem."""
+        """Shaking ratio a_max/(mu g) [-], with a_max from `reach`. It determines how well the plate
+        can move parts."""
         return self.reach.accel / self.friction.accel
 
     @property
     def force_unit(self) -> float:
-        """Sliding friction force of one part, mu m g [N]. The solvers use it as unit of force."""
+        """Sliding friction force of one part, mu m g [N]. The solvers use it as the unit of
+        force."""
         return self.parts.mass_kg * self.friction.accel
 
 
@@ -347,7 +349,7 @@ def load_rig(path: str | Path | None = None) -> Rig:
     Parameters
     ----------
     path : path, optional
-        YAML file, or the name of one in config/rigs, such as desk. None or empty:
+        YAML file, or the name of a file in config/rigs, such as desk. None or empty:
         `default_rig_path()`.
 
     Returns

@@ -1,6 +1,7 @@
-"""Model of a real rig's suspension and motors, beyond a rigid plate that follows its commands.
+"""Model of a real rig's suspension and motors, for plates that do not follow their commands
+exactly.
 
-It consists of mass, damping and stiffness matrices of the plate on its flexures, and of the
+It consists of the mass, damping and stiffness matrices of the plate on its flexures, and of the
 feedforward, gain, bandwidth and position control of the motors.
 """
 
@@ -132,7 +133,8 @@ def read_suspension(fields: Fields, mass_kg: float, inertia_kgm2: float) -> Susp
     Parameters
     ----------
     mass_kg, inertia_kgm2 : float
-        Mass and moment of inertia of the plate. The latter is used if the file gives none.
+        Mass and moment of inertia of the plate. The moment of inertia is used only if the file has
+        none.
 
     Raises
     ------

@@ -37,7 +37,7 @@ def never_held() -> Iterator[None]:
     thread = threading.Thread(target=_write_out, args=(read, kept), name="console", daemon=True)
     thread.start()
     traced = faulthandler.is_enabled()
-    if traced:  # after a crash the thread does not run, so write to the original stderr
+    if traced:  # the thread does not run after a crash, so write to the original stderr
         faulthandler.enable(kept)
     try:
         yield

@@ -1,6 +1,6 @@
 """Conversion between ROS messages and this project's types.
 
-All values of messages are converted and checked here and nowhere else.
+Only this module converts and checks the values of messages.
 """
 
 from __future__ import annotations
@@ -56,9 +56,9 @@ WEIGHTS = ("weight_x", "weight_y", "weight_angle")
 UNKNOWN = -1.0
 NO_COVARIANCE = np.array([UNKNOWN, *np.zeros(8)])
 
-MOST = 1e9
-"""Maximum magnitude of any value of a part, in SI units. It is larger than all real values and
-small enough for computations."""
+MAX_MAGNITUDE = 1e9
+"""Maximum magnitude of any value of a part, in SI units. Real values are smaller, and computations
+with this value do not overflow."""
 
 
 def seconds(stamp: Time) -> float:
@@ -121,7 +121,7 @@ def parts_to_msg(
         Standard deviation of the position along each axis [m] and of the angle [rad], and the
         confidence that the object is a part [-]. NaN if unknown.
     overlooked : sequence of OverlookedThing
-        Objects in the image that vision has rejected as parts.
+        Objects in the image that vision does not recognise as parts.
     """
     msg = PartsMsg(header=Header(stamp=stamp, frame_id=FRAME))
     if quality is None:
@@ -152,7 +152,7 @@ def msg_to_parts(msg: PartsMsg) -> Parts:
     Raises
     ------
     PlateError
-        If an id occurs twice, or the magnitude of a value is not finite or exceeds `MOST`.
+        If an id occurs twice, or a value is not finite or its magnitude exceeds `MAX_MAGNITUDE`.
     """
     ids = tuple(part.id for part in msg.parts)
     rows = _checked("parts", ids, msg.parts, STATE)
@@ -161,8 +161,8 @@ def msg_to_parts(msg: PartsMsg) -> Parts:
 
 
 def msg_to_overlooked(msg: PartsMsg) -> tuple[OverlookedThing, ...]:
-    """Return the objects of a message that vision has rejected as parts. Objects with non-finite
-    values are skipped."""
+    """Return the objects of a message that vision does not recognise as parts. Objects with
+    non-finite values are skipped."""
     things = (OverlookedThing(one.x, one.y, one.radius, one.reason) for one in msg.overlooked)
     return tuple(thing for thing in things if np.all(np.isfinite(thing[:3])))
 
@@ -174,7 +174,8 @@ def wanted_to_msg(wanted: Wanted, stamp: Time, start: Time | None = None) -> Par
     ----------
     wanted : Wanted
     stamp : Time
-        Stamp of the image, or of the start of the cycle, that the request follows.
+        Stamp of the image on which the request is based, or start time of the cycle on which it is
+        based.
     start : Time, optional
         Start of the requested cycle, if it is known.
     """
@@ -199,7 +200,7 @@ def wanted_to_msg(wanted: Wanted, stamp: Time, start: Time | None = None) -> Par
             [to.low[:, 0], to.high[:, 0], to.low[:, 1], to.high[:, 1], angles.low, angles.high,
              to.weight, angles.weight]
         )  # fmt: skip
-    # Where no torque is requested, torque has no limits.
+    # A part without a requested torque has no limits of torque.
     free = np.where(forces.torque == 0, np.inf, 0.0)
     rows = np.column_stack(
         [state[:, :2], parts.angle, state[:, 2:], parts.velocity, parts.spin, parts.friction_limit,
@@ -222,30 +223,35 @@ def msg_to_wanted(msg: PartForces) -> Wanted:
     Raises
     ------
     PlateError
-        If there are more than `MAX_PARTS` parts, an id occurs twice, the magnitude of a value is
-        not finite or exceeds `MOST` (bounds of intervals may be infinite), a lower bound exceeds
-        its upper bound, or the period is not positive.
+        If there are more than `MAX_PARTS` parts, an id occurs twice, a value is not finite or its
+        magnitude exceeds `MAX_MAGNITUDE`, a lower bound exceeds its upper bound, or the period is
+        not positive. Bounds of intervals may be infinite.
     """
-    if msg.plate_known and not np.all(np.abs(msg.plate) <= MOST):
-        raise PlateError(f"part_forces: plate is {list(msg.plate)}, allowed: -{MOST:g} to {MOST:g}")
+    if msg.plate_known and not np.all(np.abs(msg.plate) <= MAX_MAGNITUDE):
+        raise PlateError(
+            f"part_forces: plate is {list(msg.plate)}, allowed: -{MAX_MAGNITUDE:g} to "
+            f"{MAX_MAGNITUDE:g}"
+        )
     if len(msg.forces) > MAX_PARTS:
         raise PlateError(f"part_forces: {len(msg.forces)} parts, allowed: at most {MAX_PARTS}")
     ids = tuple(force.id for force in msg.forces)
-    if ids and not 0 < msg.period_s <= MOST:
+    if ids and not 0 < msg.period_s <= MAX_MAGNITUDE:
         raise PlateError(
-            f"part_forces: period_s is {msg.period_s:g}, allowed: above 0, at most {MOST:g}"
+            f"part_forces: period_s is {msg.period_s:g}, allowed: above 0, at most "
+            f"{MAX_MAGNITUDE:g}"
         )
     rows = _checked("part_forces", ids, msg.forces, START)
     ends = _intervals(ids, msg.forces, INTERVALS)
-    asked = np.all(np.isfinite(ends[:, 4:]), axis=1)
-    low, high = np.clip(ends[:, 0::2], -MOST, MOST), np.clip(ends[:, 1::2], -MOST, MOST)
+    has_torque = np.all(np.isfinite(ends[:, 4:]), axis=1)
+    low = np.clip(ends[:, 0::2], -MAX_MAGNITUDE, MAX_MAGNITUDE)
+    high = np.clip(ends[:, 1::2], -MAX_MAGNITUDE, MAX_MAGNITUDE)
     middle, tolerance = (low + high) / 2, (high - low) / 2
     parts = Parts.make(ids, rows[:, :2], rows[:, 5:7], rows[:, 2], rows[:, 7], rows[:, 8])
     return Wanted.make(
         parts,
         middle[:, :2],
         tolerance[:, :2],
-        np.where(asked, middle[:, 2], 0.0),
+        np.where(has_torque, middle[:, 2], 0.0),
         float(msg.period_s),
         rows[:, [0, 1, 3, 4]] if msg.at_start else None,
         _targets(ids, msg) if msg.to_targets else None,
@@ -294,17 +300,18 @@ def _targets(ids: tuple[str, ...], msg: PartForces) -> Targets:
     Raises
     ------
     PlateError
-        If a lower bound exceeds its upper bound, or a weight or `gap_m` is outside 0 to `MOST`.
+        If a lower bound exceeds its upper bound, or a weight or `gap_m` is outside the range 0 to
+        `MAX_MAGNITUDE`.
     """
-    ends = np.clip(_intervals(ids, msg.forces, TARGETS), -MOST, MOST)
+    ends = np.clip(_intervals(ids, msg.forces, TARGETS), -MAX_MAGNITUDE, MAX_MAGNITUDE)
     weight = _checked("part_forces", ids, msg.forces, WEIGHTS)
-    if not 0 <= msg.gap_m <= MOST:
-        raise PlateError(f"part_forces: gap_m is {msg.gap_m:g}, allowed: 0 to {MOST:g}")
+    if not 0 <= msg.gap_m <= MAX_MAGNITUDE:
+        raise PlateError(f"part_forces: gap_m is {msg.gap_m:g}, allowed: 0 to {MAX_MAGNITUDE:g}")
     if np.any(weight < 0):
         row, column = np.argwhere(weight < 0)[0]
         raise PlateError(
             f"part_forces: {ids[row]} has {WEIGHTS[column]} {weight[row, column]:g}, allowed: 0 to "
-            f"{MOST:g}"
+            f"{MAX_MAGNITUDE:g}"
         )
     angles = None
     if np.any(weight[:, 2]):
@@ -346,19 +353,19 @@ def _checked(
         raise PlateError(f"{what}: ids are {list(ids)}, allowed: each part once")
     rows = [[getattr(item, key) for key in keys] for item in items]
     array = np.array(rows, dtype=float).reshape(len(ids), len(keys))
-    sane = np.abs(array) <= MOST  # this condition is false for NaN
+    sane = np.abs(array) <= MAX_MAGNITUDE  # this condition is false for NaN
     if not np.all(sane):
         row, column = np.argwhere(~sane)[0]
         raise PlateError(
-            f"{what}: {ids[row]} has {keys[column]} {array[row, column]:g}, allowed: -{MOST:g} to "
-            f"{MOST:g}"
+            f"{what}: {ids[row]} has {keys[column]} {array[row, column]:g}, allowed: "
+            f"-{MAX_MAGNITUDE:g} to {MAX_MAGNITUDE:g}"
         )
     return array
 
 
 def cycle_to_msg(cycle: PlateCycle, stamp: Time) -> JointTrajectory:
-    """Convert a plate cycle to a message with its knots. If one knot occurs twice, the cycle ends
-    there and the following knots are its tail."""
+    """Convert a plate cycle to a message with its knots. A knot that occurs twice marks the end of
+    the cycle: the following knots are its tail."""
     return trajectory_to_msg(PLATE_JOINTS, *cycle.knots, stamp)
 
 
@@ -454,8 +461,8 @@ def msg_to_knots(
 
 
 def array_to_image(image: np.ndarray, stamp: Time, encoding: str = "mono8") -> Image:
-    """Convert an image (H, W) or (H, W, n), uint8 or uint16, to a message. `encoding` gives the
-    meaning of its values."""
+    """Convert an image (H, W) or (H, W, n), uint8 or uint16, to a message. `encoding` is the
+    encoding of its values in ROS."""
     msg = Image(header=Header(stamp=stamp, frame_id=CAMERA_FRAME))
     msg.height, msg.width = int(image.shape[0]), int(image.shape[1])
     msg.encoding = encoding
@@ -468,12 +475,14 @@ def array_to_image(image: np.ndarray, stamp: Time, encoding: str = "mono8") -> I
 
 
 def image_to_array(msg: Image) -> np.ndarray:
-    """Return an image message as uint8 (H, W) or (H, W, 3), sharing its memory.
+    """Return the image of a message as uint8 (H, W) or (H, W, 3). The array shares the memory of
+    the message.
 
     Raises
     ------
     PlateError
-        If the encoding is not mono8, bgr8 or rgb8, or step and data length do not fit.
+        If the encoding is not mono8, bgr8 or rgb8, or the step or the data length is inconsistent
+        with the size of the image.
     """
     channels = CHANNELS.get(msg.encoding)
     if channels is None:

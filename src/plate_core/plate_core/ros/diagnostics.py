@@ -1,7 +1,7 @@
 """Publishing and reading of the topic `diagnostics`.
 
 Every node publishes its level, message and values once per second, independently of its inputs. A
-level that becomes worse is published at once. `msg_to_reports` reads these messages.
+level that becomes worse is published within 0.1 s. `msg_to_reports` reads these messages.
 """
 
 from __future__ import annotations
@@ -22,9 +22,8 @@ DIAGNOSTICS_PERIOD_S = 1.0
 """Period of the diagnostics [s]. A node without diagnostics for a longer time has ended or is
 blocked."""
 
-LOOK_PERIOD_S = 0.1
-"""Period at which the level is evaluated [s]. A level that has become worse is published at
-once."""
+POLL_PERIOD_S = 0.1
+"""Period of the checks whether the level has become worse [s]."""
 
 
 class Report(NamedTuple):
@@ -63,7 +62,7 @@ class Diagnostics:
     hardware_id : callable
         Returns the identifier of the hardware, such as the name of a rig.
     reported : callable, optional
-        Called after each periodic report. It can reset counters per report.
+        Called after each periodic report. It can reset the counters of a period.
     stamp : callable, optional
         Returns the stamp of a report. Default: the time of the node's clock.
     """
@@ -82,30 +81,30 @@ class Diagnostics:
         self._level, self._due = Level.OK, time.monotonic() + DIAGNOSTICS_PERIOD_S
         self._publisher = node.create_publisher(DiagnosticArray, "diagnostics", DATA)
         steady = Clock(clock_type=ClockType.STEADY_TIME)
-        self._timer = node.create_timer(LOOK_PERIOD_S, self._look, clock=steady)
+        self._timer = node.create_timer(POLL_PERIOD_S, self._poll, clock=steady)
 
     def publish(self) -> None:
         """Publish immediately, in addition to the periodic reports."""
-        self._tell(self._find(time.monotonic()))
+        self._send(self._find(time.monotonic()))
 
     def destroy(self) -> None:
-        """Stop publishing, for nodes that are configured again."""
+        """Stop publishing. Nodes call it before they are configured again."""
         self._node.destroy_timer(self._timer)
         self._node.destroy_publisher(self._publisher)
 
-    def _look(self) -> None:
+    def _poll(self) -> None:
         now = time.monotonic()
         finding = self._find(now)
         if now < self._due:
             if finding.level.rank > self._level.rank:
-                self._tell(finding)
+                self._send(finding)
             return
         # After a stall the next report follows after about one period, not immediately.
         self._due = max(self._due, now - DIAGNOSTICS_PERIOD_S / 2) + DIAGNOSTICS_PERIOD_S
-        self._tell(finding)
+        self._send(finding)
         self._reported()
 
-    def _tell(self, finding: Finding) -> None:
+    def _send(self, finding: Finding) -> None:
         self._level = finding.level
         status = DiagnosticStatus(
             level=bytes([finding.level]),

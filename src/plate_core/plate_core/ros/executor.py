@@ -1,4 +1,4 @@
-"""An executor that saves CPU time for nodes with many topics."""
+"""An executor that needs less CPU time for nodes with many topics."""
 
 import math
 import time
@@ -20,16 +20,16 @@ class NodeExecutor(SingleThreadedExecutor):
     check in every round, an idle graph needs 20 % less CPU time.
     """
 
-    _next_look, _looking = -math.inf, False
+    _next_check, _checking = -math.inf, False
 
     def spin_once(self, timeout_sec: float | None = None) -> None:
-        """Execute one callback that is ready, or wait for one up to this timeout [s]."""
+        """Execute one callback that is ready. If there is none, wait up to this timeout [s]."""
         now = time.monotonic()
-        self._looking = now >= self._next_look
-        if self._looking:
-            self._next_look = now + EVENTS_S
+        self._checking = now >= self._next_check
+        if self._checking:
+            self._next_check = now + EVENTS_S
         super().spin_once(timeout_sec)
 
     def can_execute(self, entity: object) -> bool:
         """Return whether to wait for an entity in this round."""
-        return (self._looking or not isinstance(entity, EventHandler)) and can_execute(entity)
+        return (self._checking or not isinstance(entity, EventHandler)) and can_execute(entity)

@@ -44,7 +44,8 @@ def camera_to_msg(rotation: np.ndarray, translation: np.ndarray, stamp: Time) ->
 
 
 def add_prefix(msg: Any, prefix: str) -> None:
-    """Add a prefix to the names of this project's frames in a message, if it is not yet there."""
+    """Add a prefix to the names of this project's frames in a message. Names that have the prefix
+    already stay unchanged."""
     for part in (msg, *getattr(msg, "markers", ()), *getattr(msg, "transforms", ())):
         header = getattr(part, "header", None)
         if header is not None and header.frame_id in FRAMES:

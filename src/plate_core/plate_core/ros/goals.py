@@ -85,7 +85,7 @@ def goal_to_scenario(goal: Any) -> Scenario:
     ------
     ScenarioError
         For the same errors as in `load_scenario`. The message states the key of a scenario file
-        that corresponds to the goal's field, its value and the allowed values.
+        that corresponds to the field of the goal, its value and the allowed values.
     """
     name = next(name for name, action in ACTIONS.items() if isinstance(goal, action.Goal))
     kind = name.rpartition("_")[0]
@@ -314,7 +314,8 @@ KINDS: Mapping[str, tuple[type, Callable[[Any, Any], None], Callable[[Any], dict
     "move_parts": (MoveTask, _write_move, _read_move),
     "feed_parts": (FeedTask, _write_feed, _read_feed),
 }
-"""By action: the task class, and the conversions to a goal and back."""
+"""For each action: the class of its task, the conversion of a task to a goal, and the conversion of
+a goal to the data of a task."""
 
 
 def _point(at: tuple[float, float]) -> Point:

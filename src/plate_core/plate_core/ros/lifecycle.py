@@ -39,14 +39,14 @@ WARN_S = 2.0
 
 @dataclass(frozen=True)
 class NodeOptions:
-    """Parameters that all nodes of the loop have."""
+    """Parameters of all nodes of the control loop."""
 
     rig_file: str = parameter("", "Rig file (YAML); empty: the default rig.")
     frame_prefix: str = parameter(
-        "", "Prefix of frame names, such as left/, if two plates share tf."
+        "", "Prefix of frame names, such as left/, for two plates with a common tf tree."
     )
     autostart: bool = parameter(
-        True, "Configure and activate at start; false: another program does it.", fixed=True
+        True, "Configure and activate at start; false: another program does this.", fixed=True
     )
     end_with_parent: bool = parameter(
         True, "End when the process that started the node ends.", fixed=True
@@ -68,12 +68,13 @@ class SafeLifecycleNode(RclpyLifecycleNode, Generic[Options]):
     ----------
     name : str
     kind : type
-        Dataclass of the parameters. `options` are the values in use: they are read when the node is
-        configured, and live ones at any time.
+        Dataclass of the parameters. Its values are read when the node is configured. Values of live
+        parameters are also read when they change.
 
     Attributes
     ----------
     options : Options
+        Values of the parameters that the node uses.
     active : bool
     configuring : bool
         Whether the node is being configured. This may take long.
@@ -87,7 +88,8 @@ class SafeLifecycleNode(RclpyLifecycleNode, Generic[Options]):
         self._kept: list[tuple[Callable[[Any], Any], Any]] = []
         self.options = self._given = declare(self, kind)
         self._follow = follow(self, self._given, self._on_options, self._fixed_now)
-        self.add_on_set_parameters_callback(self._keep_clock)  # the last one added is called first
+        # The callback that is added last is called first.
+        self.add_on_set_parameters_callback(self._keep_clock)
 
     # Methods that a subclass implements
 
@@ -135,11 +137,11 @@ class SafeLifecycleNode(RclpyLifecycleNode, Generic[Options]):
         self,
         kind: type,
         topic: str,
-        heard: Callable[[Any], None],
+        on_message: Callable[[Any], None],
         qos: QoSProfile,
         in_turn: bool = False,
     ) -> None:
-        """Call `heard` with each message that arrives while the node is active.
+        """Call `on_message` with each message that arrives while the node is active.
 
         If `in_turn` is true, messages of a second publisher are ignored, see `Turns.came`.
         """
@@ -148,7 +150,7 @@ class SafeLifecycleNode(RclpyLifecycleNode, Generic[Options]):
         def callback(msg: Any, info: dict[str, Any]) -> None:
             follows = turns.came(info["publication_sequence_number"], time.monotonic())
             if self.active and (follows or not in_turn):
-                heard(msg)
+                on_message(msg)
 
         subscription = self.create_subscription(kind, topic, callback, qos)  # type: ignore[arg-type]
         self.keep(self.destroy_subscription, subscription)
@@ -183,7 +185,8 @@ class SafeLifecycleNode(RclpyLifecycleNode, Generic[Options]):
         return timer
 
     def rivals(self, topic: str) -> str:
-        """Return a message if several nodes publish a topic that only one may publish, else ""."""
+        """Return an error message if several nodes publish a topic that only one may publish,
+        otherwise an empty text."""
         full = self.resolve_topic_name(topic)
         if self.count_publishers(full) < 2:
             return ""
@@ -195,11 +198,11 @@ class SafeLifecycleNode(RclpyLifecycleNode, Generic[Options]):
             for each in found
             if each.node_name != UNKNOWN_NAME
         }
-        told = ", ".join(sorted(names)) or "names unknown"
+        listed = ", ".join(sorted(names)) or "names unknown"
         if len(names) > 1:
-            return f"{len(names)} nodes publish {topic} ({told}), allowed: one"
+            return f"{len(names)} nodes publish {topic} ({listed}), allowed: one"
         if topic in self._turns and self._turns[topic].several(time.monotonic()):
-            return f"two nodes with the same name publish {topic} ({told}), allowed: one"
+            return f"two nodes with the same name publish {topic} ({listed}), allowed: one"
         return ""
 
     def report(
@@ -210,7 +213,8 @@ class SafeLifecycleNode(RclpyLifecycleNode, Generic[Options]):
         reported: Callable[[], None] = lambda: None,
         stamp: Callable[[], Time] | None = None,
     ) -> Diagnostics:
-        """Publish diagnostics. While the node is not active, they contain its state and the reason.
+        """Publish diagnostics. While the node is not active, they contain its state and, after an
+        error, the reason.
 
         Call it in the constructor. The parameters are those of `Diagnostics`, but `hardware_id` is
         a name. By default it is the name of the rig.
@@ -237,7 +241,8 @@ class SafeLifecycleNode(RclpyLifecycleNode, Generic[Options]):
     # Parameters
 
     def set_parameters_atomically(self, parameter_list: list[Parameter]) -> SetParametersResult:
-        """Set parameters for the services and `ros2 param`; see `set_parameters` in params."""
+        """Set parameters. The parameter services call it, for example for `ros2 param`; see
+        `set_parameters` in params."""
         return set_parameters(self, parameter_list, super().set_parameters_atomically)
 
     def _fixed_now(self, name: str, spec: Spec) -> str:
@@ -249,8 +254,8 @@ class SafeLifecycleNode(RclpyLifecycleNode, Generic[Options]):
         )
 
     def _keep_clock(self, parameters: list[Parameter]) -> SetParametersResult:
-        """Refuse a change of the clock during a task, because rclpy's callback would apply it at
-        once."""
+        """Refuse a change of the clock while the node is active, because rclpy's callback would
+        apply it at once."""
         if not self.active or all(item.name != USE_SIM_TIME_NAME for item in parameters):
             return SetParametersResult(successful=True)
         reason = (
@@ -338,7 +343,7 @@ class SafeLifecycleNode(RclpyLifecycleNode, Generic[Options]):
         the process stops."""
         try:
             self.close()
-        finally:  # also after an exception
+        finally:
             super().destroy_node()
 
     def close(self) -> None:
@@ -348,7 +353,8 @@ class SafeLifecycleNode(RclpyLifecycleNode, Generic[Options]):
         self._closed = True
         try:
             if self.context.ok():
-                self._stop()  # no transition, because the signal may have arrived during one
+                # Start no transition, because the signal may have arrived during a transition.
+                self._stop()
         finally:
             self.active = False
             self._release()

@@ -1,4 +1,4 @@
-"""Main functions of all node programs: start, spin and clean stop of one or several nodes.
+"""Main functions of all node programs. They start, spin and cleanly stop one or several nodes.
 
 `run_node` runs one node, `run_nodes` several in one process. Both handle signals, wrong parameters
 and a parent process that has ended. They destroy the nodes within a time limit.
@@ -71,14 +71,14 @@ def run_nodes(makes: Mapping[str, Callable[[], Node]], args: Sequence[str] | Non
     """Run several nodes in one process and one executor, like `run_node`.
 
     `makes` maps names to node constructors. First all nodes are created, then all are configured,
-    then all are activated, each time in this order. An error message starts with the node's name.
+    then all are activated, in the order of `makes`. An error message starts with the node's name.
     """
     nodes: list[Any] = []
     code = 1  # this exit code is used after a defect
     try:
         with never_held():
             code = _run(makes, nodes, args)
-    finally:  # the log has been written completely at this point
+    finally:  # all log lines are written at this point
         with ends(code), contextlib.ExitStack() as stack:
             stack.callback(rclpy.try_shutdown)
             for node in nodes:
@@ -102,7 +102,8 @@ def _run(
         if not (again or waiting):
             raise KeyboardInterrupt
 
-    for number in ENDING:  # override inherited handlers: in a script `program &` ignores SIGINT
+    # Override inherited handlers, because a program that a script starts with & ignores SIGINT.
+    for number in ENDING:
         if number != signal.SIGHUP or signal.getsignal(number) != signal.SIG_IGN:
             signal.signal(number, on_signal)
     signal.pthread_sigmask(signal.SIG_UNBLOCK, ENDING)
@@ -122,7 +123,8 @@ def _run(
         spinning = True
         while rclpy.ok() and not stopped and not (bound and os.getppid() != parent):
             executor.spin_once(timeout_sec=POLL_S)
-        for node in nodes:  # goals end here, so their results must still be sent
+        # Deactivation ends the goals, so the rounds below send their results.
+        for node in nodes:
             if isinstance(node, SafeLifecycleNode) and node.active and rclpy.ok():
                 node.trigger_deactivate()
         for _ in range(LAST_ROUNDS if rclpy.ok() else 0):
@@ -130,7 +132,6 @@ def _run(
     except (KeyboardInterrupt, ExternalShutdownException):
         pass
     except (PlateError, InvalidParameterTypeException) as error:
-        # Rclpy raises an InvalidParameterTypeException.
         if len(makes) > 1:
             failed = (n.get_name() for n in nodes if getattr(n, "failure", None) is error)
             being_made = [*makes, ""][len(nodes)]
@@ -148,7 +149,7 @@ def _run(
 
 
 def _init(args: Sequence[str] | None) -> None:
-    """Start ROS. A wrong command line or parameter file raises a PlateError, since it is an error
+    """Start ROS. A wrong command line or parameter file raises a PlateError, because it is an error
     of the user and not a defect."""
     if opened := choose_network(os.environ):
         print(f"warning: {opened}", file=sys.stderr, flush=True)

@@ -98,9 +98,9 @@ def forces_to_msg(rig: Rig, wanted: Wanted, stamp: Time) -> MarkerArray:
 def centres_to_msg(rig: Rig, cycle: PlateCycle, stamp: Time) -> MarkerArray:
     """Return the plate's instantaneous centres of rotation during a cycle, as points.
 
-    The points belong to equally spaced times, so a dense region means a long rotation there. The
-    colour shows the sense of rotation. When the plate hardly rotates, the centre is far away and is
-    not drawn.
+    The points belong to equally spaced times, so many points in a small region mean a long rotation
+    about this region. The colour shows the sense of rotation. When the plate hardly rotates, the
+    centre is far away and is not drawn.
     """
     time = np.linspace(0, cycle.period, CENTRES, endpoint=False)
     pose, twist = cycle.pose(time), cycle.twist(time)

@@ -1,8 +1,8 @@
 """ROS parameters of a node, defined by a frozen dataclass.
 
-Each field, made by `parameter`, defines the default, type, range and description of one parameter.
-`declare` declares the parameters of a node and returns their values. `follow` checks and applies
-later changes.
+Each field is made by `parameter`. It defines the default, type, range and description of one
+parameter. `declare` declares the parameters of a node and returns their values. `follow` checks and
+applies later changes.
 """
 
 from __future__ import annotations
@@ -38,8 +38,9 @@ class Spec:
     """Allowed values of one parameter, and when it may change.
 
     A live parameter may change at any time. A fixed one never changes while the process runs. Any
-    other parameter may change while the node is not active, or never if the node has no lifecycle.
-    The help text lists the parameters of a `group` by name only, after its heading.
+    other parameter may change while the node is not active. If the node has no lifecycle, it never
+    changes. The help text lists only the names of parameters with a `group`, after the name of the
+    group.
     """
 
     description: str
@@ -87,13 +88,13 @@ def parameter(
 def declare(node: Node, kind: type[Options]) -> Options:
     """Declare the fields of `kind` as parameters of `node` and return their values.
 
-    Parameters that may not change are declared read-only, so ROS refuses changes.
+    Parameters that must not change are declared read-only, so ROS refuses changes.
 
     Raises
     ------
     PlateError
-        If a value given at start has the wrong type or is out of range, or if the node has no such
-        parameter. The message states the parameter, its value and the allowed values.
+        If a value that is given at start has the wrong type or is out of range, or if the node does
+        not have the parameter. The message states the parameter, its value and the allowed values.
     """
     values, given = {}, node._parameter_overrides  # rclpy has no public name for the overrides
     for item in fields(kind):  # type: ignore[arg-type]  # mypy has no bound for "a dataclass"
@@ -112,8 +113,9 @@ def _refuse_unknown(node: Node, known: Sequence[str], moved: Mapping[str, str]) 
     """Refuse parameters that were given at start but are not declared.
 
     They are spelling mistakes, or parameters of earlier versions. For parameters of earlier
-    versions, `moved` maps the name to its replacement. If only a wildcard section of a parameter
-    file gives a parameter, it may be for other nodes, so only a warning is logged.
+    versions, `moved` maps the name to the description of its replacement. A parameter that occurs
+    only in a wildcard section of a parameter file may be for other nodes, so only a warning is
+    logged.
     """
     names = [
         name
@@ -128,7 +130,7 @@ def _refuse_unknown(node: Node, known: Sequence[str], moved: Mapping[str, str]) 
             raise PlateError(_unknown(node, name, known))
     if names:
         node.get_logger().warning(
-            f"ignored parameters, given to all nodes but unknown to {node.get_name()}: "
+            f"ignored parameters, set for all nodes but unknown to {node.get_name()}: "
             f"{', '.join(names)}"
         )
 
@@ -191,8 +193,9 @@ def set_parameters(
 ) -> SetParametersResult:
     """Set parameters by `change`. Call it in `set_parameters_atomically`.
 
-    If `change` refuses, parameters that have the requested value already are omitted, and the
-    others are tried again. An unknown parameter is refused by name.
+    If `change` refuses the parameters, those that already have the requested value are removed, and
+    `change` is called again with the others. An unknown parameter is refused with a message that
+    states its name.
     """
     new = []
     for item in parameters:
@@ -201,8 +204,8 @@ def set_parameters(
             own = [name for name in known if not name.startswith(OF_RCLPY)]
             reason = _unknown(node, item.name, own)
             return SetParametersResult(successful=False, reason=reason)
-        wanted, present = _widened(node, item), node.get_parameter(item.name)
-        if (wanted.type_, wanted.value) != (present.type_, present.value):
+        requested, present = _widened(node, item), node.get_parameter(item.name)
+        if (requested.type_, requested.value) != (present.type_, present.value):
             new.append(item)
     result = change(list(parameters))
     if result.successful or len(new) == len(parameters):
@@ -216,10 +219,10 @@ def follow(
     changed: Callable[[Options], None],
     problem: Callable[[str, Spec], str] = lambda name, spec: "",
 ) -> Callable[[list[Parameter]], SetParametersResult]:
-    """Call `changed` with the new options whenever a parameter is set.
+    """Call `changed` with the new options each time a parameter is set.
 
     A change is refused if a value is not allowed, if `problem` returns a reason, or if `changed`
-    raises a `PlateError`. Returns the callback that is registered for this.
+    raises a `PlateError`. Returns the callback that is registered at the node.
     """
     current = [options]
     specs = {item.name: item for item in fields(options)}  # type: ignore[arg-type]
@@ -239,12 +242,12 @@ def follow(
             if why:
                 return SetParametersResult(successful=False, reason=why)
         if new:
-            wanted = replace(current[0], **new)  # type: ignore[type-var]
+            requested = replace(current[0], **new)  # type: ignore[type-var]
             try:
-                changed(wanted)
+                changed(requested)
             except PlateError as error:
                 return SetParametersResult(successful=False, reason=str(error))
-            current[0] = wanted
+            current[0] = requested
         return SetParametersResult(successful=True)
 
     node.add_on_set_parameters_callback(on_set)

@@ -9,8 +9,8 @@ IMAGE = QoSProfile(
     reliability=ReliabilityPolicy.RELIABLE,
     durability=DurabilityPolicy.VOLATILE,
 )
-"""For images that this project publishes. Every subscriber can connect. Only the newest images
-matter."""
+"""For images that this project publishes. Subscribers with any reliability can connect. Only the
+newest images are needed."""
 
 CAMERA = QoSProfile(
     history=HistoryPolicy.KEEP_LAST,
@@ -18,7 +18,7 @@ CAMERA = QoSProfile(
     reliability=ReliabilityPolicy.BEST_EFFORT,
     durability=DurabilityPolicy.VOLATILE,
 )
-"""For subscriptions to images. They connect to every camera driver, reliable or best effort."""
+"""For subscriptions to images. They can connect to reliable and to best-effort camera drivers."""
 
 DATA = QoSProfile(
     history=HistoryPolicy.KEEP_LAST,
@@ -26,7 +26,7 @@ DATA = QoSProfile(
     reliability=ReliabilityPolicy.RELIABLE,
     durability=DurabilityPolicy.VOLATILE,
 )
-"""For parts, forces, cycles and setpoints. No message may be lost, and old messages are useless."""
+"""For parts, forces, cycles and setpoints. No message may be lost. Old messages are not needed."""
 
 NEWEST = QoSProfile(
     history=HistoryPolicy.KEEP_LAST,
@@ -34,8 +34,8 @@ NEWEST = QoSProfile(
     reliability=ReliabilityPolicy.RELIABLE,
     durability=DurabilityPolicy.VOLATILE,
 )
-"""For messages that take long to process. A slow receiver continues with the newest message, so no
-queue builds up."""
+"""For messages that take long to process. A slow receiver skips all messages except the newest
+one."""
 
 LATCHED = QoSProfile(
     history=HistoryPolicy.KEEP_LAST,
@@ -64,5 +64,5 @@ TRANSFORMS = QoSProfile(
 """For /tf, equal to the profile of tf2_ros. /tf_static uses `LATCHED`."""
 
 RESULT_S = 60
-"""Time for which an action server keeps a result, 4 kB each, for late requests [s]. The default of
-ROS is 900 s."""
+"""Time for which an action server keeps a result for late requests [s]. A result needs 4 kB. The
+default of ROS is 900 s."""

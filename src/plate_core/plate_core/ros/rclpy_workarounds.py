@@ -31,16 +31,17 @@ def _frame_info(frame: FrameType) -> SimpleNamespace:
     return SimpleNamespace(filename=frame.f_code.co_filename)
 
 
-# The logger only needs the name of the caller's file, but reads its source too. The first line that
-# a program logs takes 0.2 s of CPU time then. No issue about this is known.
+# The logger needs only the name of the caller's file, but also reads the source of this file. The
+# first log line of a program would therefore take 0.2 s of CPU time. No issue about this is known.
 rcutils_logger.inspect = SimpleNamespace(  # type: ignore[assignment]
     currentframe=inspect.currentframe, getframeinfo=_frame_info
 )
 
 
 class _Handles:
-    """Replaces `ExitStack` in rclpy's executors, which enter the handle of each entity in each
-    round. A round takes a quarter less CPU time (issue 1223, open, is about this load)."""
+    """Replacement of `ExitStack` in rclpy's executors, which enter the handle of each entity in
+    each round. It reduces the CPU time of a round by a quarter. The open issue 1223 is about this
+    CPU time."""
 
     def __init__(self) -> None:
         self._entered: list[Any] = []
@@ -61,8 +62,8 @@ executors.ExitStack = _Handles  # type: ignore[assignment, misc]
 
 
 def can_execute(entity: Any) -> bool:
-    """Do the same as `Executor.can_execute`, but without the lock, for an executor with a single
-    thread."""
+    """Do the same as `Executor.can_execute` without its lock. An executor with a single thread does
+    not need the lock."""
     group = entity.callback_group
     return not entity._executor_event and getattr(group, "_active_entity", None) is None
 
@@ -114,22 +115,23 @@ class RclpyLifecycleNode(LifecycleNode):
         """Reply `success: false` to a request for a transition that the present state lacks.
 
         In rclpy the error of the state machine ends the process (issue 1209, fixed in Rolling by
-        pull request 1319). There is no public method that could be overridden.
+        pull request 1319). This method is private, because rclpy has no public method that could be
+        overridden.
         """
         try:
             # mypy does not know mangled names.
             return super()._LifecycleNodeMixin__on_change_state(request, response)  # type: ignore[misc]
         except RuntimeError as error:  # rclpy raises RCLError, which has no public name
-            wanted = request.transition.label or request.transition.id
-            self.get_logger().error(f"transition {wanted} refused: {error}")
+            requested = request.transition.label or request.transition.id
+            self.get_logger().error(f"transition {requested} refused: {error}")
             response.success = False
             return response
 
     def destroy_node(self) -> None:
         """Destroy the node with its state machine.
 
-        rclpy leaves this to the garbage collector, and the node stays in the graph until the
-        collection. No issue about this is known. Issue 1710 reports the same defect of another
+        rclpy leaves this to the garbage collector, so the node stays in the graph until it is
+        collected. No issue about this is known. Issue 1710 reports the same defect of another
         object.
         """
         self._state_machine.destroy_when_not_in_use()
@@ -137,8 +139,8 @@ class RclpyLifecycleNode(LifecycleNode):
 
 
 def end_executor(executor: MultiThreadedExecutor, timeout_s: float) -> None:
-    """Wait for the running callbacks, then shut down an executor within `timeout_s` [s]. No thread
-    may spin it any more.
+    """Wait for the running callbacks, then shut down an executor within `timeout_s` [s]. Call it
+    only when no thread spins the executor any more.
 
     The shutdown of rclpy destroys objects that these callbacks still use (issue 893, fixed in Jazzy
     since 7.1.11 by pull request 1670; issue 1724, open, covers the remaining cases).
@@ -208,7 +210,7 @@ class UnlockedSubscription:
     rclpy holds the global interpreter lock while it takes a message (issue 1025, open). A message
     with a million points blocks all threads of the process for 0.1 s or more, including a thread
     that must stop the motors. This class calls `rcl_take_serialized_message` through ctypes, which
-    releases the lock. No executor handles this subscription, so its owner must call `take`.
+    releases the lock. No executor processes this subscription, so its owner must call `take`.
 
     Parameters
     ----------
@@ -240,14 +242,14 @@ class UnlockedSubscription:
                 waiting.clear_entities()
                 waiting.add_subscription(self._handle)
                 waiting.wait(round(1e9 * timeout_s))
-        except RuntimeError:  # the class is RCLError, which has no public name: ROS was shut down
+        except RuntimeError:  # ROS was shut down; rclpy raises RCLError, which has no public name
             time.sleep(timeout_s)
 
     def take(self) -> tuple[bytes, int, bytes] | None:
         """Return the serialized next message, its full length [bytes], and an id of the publisher.
 
-        Returns None if no message is available, and after `destroy`: an executor may still call a
-        timer that has just been destroyed.
+        Returns None if no message is available. Also returns None after `destroy`, because an
+        executor may still call a timer that has just been destroyed.
         """
         if self._handle is None:
             return None

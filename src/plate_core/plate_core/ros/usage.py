@@ -31,13 +31,13 @@ def answered(node: Any, options: type | None, args: Sequence[str] | None) -> boo
     Raises
     ------
     PlateError
-        If `options` is given and the command line contains other arguments than `--help` and those
-        of ROS, or if a parameter file cannot be read.
+        If `options` is given and the command line contains arguments other than `--help` and the
+        arguments of ROS, or if a parameter file cannot be read.
     """
     check_parameter_files(args)
     try:
         words = remove_ros_args(sys.argv if args is None else ["", *args])[1:]
-    except RuntimeError:  # wrong command line or parameter file: the start of ROS reports it
+    except RuntimeError:  # rclpy.init reports the wrong command line or parameter file
         return False
     if {"-h", "--help"} & set(words):
         print(usage(command(sys.argv[0]), node, options))

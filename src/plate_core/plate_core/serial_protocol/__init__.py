@@ -1,7 +1,7 @@
 """The serial protocol between driver and motor controller (docs/protocol.md).
 
-`framing` marks and checks the frames in the stream of bytes. `messages` encodes and decodes their
-content.
+`framing` packs the messages into frames with an end byte and a checksum. `messages` encodes and
+decodes the messages.
 """
 
 from .framing import Reader, frame, unframe

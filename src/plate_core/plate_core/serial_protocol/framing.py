@@ -1,5 +1,5 @@
-"""Framing of packets on the serial line. COBS encoding marks the end of a frame, and a CRC-32
-detects damaged frames."""
+"""Framing of packets on the serial line. Consistent overhead byte stuffing (COBS) marks the end of
+a frame, and a CRC-32 detects damaged frames."""
 
 from __future__ import annotations
 
@@ -9,8 +9,8 @@ from dataclasses import dataclass
 from ..errors import FrameError
 
 MAX_PACKET = 253
-"""Maximum size of a packet with its CRC [bytes]. No COBS block is then longer than 254 bytes, so
-every frame has exactly one byte of overhead and its end byte."""
+"""Maximum size of a packet with its CRC [bytes]. COBS blocks of at most 254 bytes need one byte of
+overhead, so every frame consists of the packet, its CRC, this byte and the end byte."""
 
 CRC_BYTES = 4
 END = 0

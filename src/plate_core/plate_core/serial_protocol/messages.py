@@ -48,21 +48,22 @@ class Status(IntEnum):
     """The device's reply to a command."""
 
     DONE = 0
-    NO_SESSION = 1  # the device has no session or was reset, so it needs a Hello first
+    NO_SESSION = 1  # no session, or the device was reset: send a Hello first
     OLD = 2  # a later command has already been executed
     WRONG_STATE = 3
     WRONG_TABLE = 4  # another table is open, or the index is beyond its end
     INCOMPLETE = 5  # knots are missing or damaged
-    WRONG_TIMES = 6  # times start above 0 or do not rise; the splice is at no knot or too late
+    WRONG_TIMES = 6  # times start above 0 or do not rise; the splice is not at a knot or too late
     LIMIT = 7  # the spline exceeds a limit of stroke, speed, acceleration, force or heat
-    JUMP = 8  # the table starts neither at rest at home nor at a future splice, or ends elsewhere
+    JUMP = 8  # the table starts neither at rest at home nor at a future splice, or ends in motion
     TOO_LONG = 9
     WRONG_STOP = 10  # the number in Enable is not that of the current stop
     REPEATS = 11  # repeats is 0, lasts longer than allowed, or the table does not close
 
 
 class Fault(IntFlag):
-    """Reason why the device does not play. All except NO_HOME persist until a person enables."""
+    """Reasons why the device does not play. All except NO_HOME persist until a person enables the
+    motors."""
 
     NONE = 0
     HOST_SILENT = 1
@@ -102,7 +103,7 @@ class Trouble(IntEnum):
 
 def _wire(code: str, count: int = 1, kind: Any = None) -> dict[str, Any]:
     """Return the metadata of a field: `count` values with the format character `code` of `struct`.
-    `kind` is an enum or a tuple of the allowed values, None allows all."""
+    `kind` is an enum or a tuple of the allowed values. None allows all values."""
     return {"code": code, "count": count, "kind": kind}
 
 
@@ -246,8 +247,10 @@ class Telemetry:
     position: tuple[float, ...] = field(metadata=_wire("f", MOTORS))
     acceleration: tuple[float, ...] = field(metadata=_wire("f", MOTORS))
     heat: float = field(metadata=_wire("f"))  # maximum mean square force over its limit [-]
-    following_m: float = field(metadata=_wire("f"))  # maximum following error since the last one
-    load: float = field(metadata=_wire("f"))  # longest tick since the last one, over its period
+    # Maximum following error since the last telemetry.
+    following_m: float = field(metadata=_wire("f"))
+    # Longest computing time of a tick since the last telemetry, relative to the tick period.
+    load: float = field(metadata=_wire("f"))
 
 
 @dataclass(frozen=True)
@@ -272,7 +275,7 @@ class DriveTrouble:
 
 
 def abort_words(code: int) -> str:
-    """Return the code and the meaning of the SDO abort with which a node refuses an object."""
+    """Return the code and the meaning of the SDO abort by which a node refuses an object."""
     return f"abort {code:08X}h, {ABORTS.get(code, 'see its manual')}"
 
 
@@ -383,7 +386,7 @@ def newer(sequence: int, than: int) -> bool:
 
 
 def table_crc(knots: Iterable[Knot]) -> int:
-    """Return the CRC-32 of a table's knots, in their encoding of the messages."""
+    """Return the CRC-32 of a table's knots as they are encoded in the messages."""
     return zlib.crc32(b"".join(_values(knot) for knot in knots))
 
 
@@ -473,4 +476,4 @@ def _allowed(kind: Any, f: Any, value: Any) -> Any:
             return allowed(value)
     elif value in allowed.__members__.values():
         return allowed(value)
-    raise FrameError(f"{kind.__name__}.{f.name} is {value}, which is no {allowed}")
+    raise FrameError(f"{kind.__name__}.{f.name} is {value}, allowed: {allowed}")

@@ -1,7 +1,7 @@
 """Conversion of circles and splines of a scenario's paths to polygons.
 
 A chord of length c deviates from an arc of radius R by c^2/(8 R). The chords are so short that this
-is at most `SAGITTA_M`.
+deviation is at most `SAGITTA_M`.
 """
 
 from __future__ import annotations
@@ -53,7 +53,8 @@ def spline_points(point: np.ndarray, closed: bool) -> np.ndarray:
     pieces = []
     for begin, step in zip(place[:-1], length, strict=True):
         trial = begin + step * np.linspace(0, 1, FEWEST_CHORDS)
-        # The curvature is about this value, because the speed is near 1.
+        # The second derivative approximates the curvature, because the first one has a length near
+        # 1.
         bend = np.max(np.hypot(*spline(trial, 2).T))
         pieces.append(begin + step * np.linspace(0, 1, _chords(1 / max(bend, 1e-9), step), False))
     ends = place[:0] if closed else place[-1:]

@@ -25,7 +25,8 @@ Place = tuple[str, str, Point]
 
 
 def goal_places(scenario: Scenario) -> list[Place]:
-    """Return the points to which a task moves the centres of parts, or where it keeps them."""
+    """Return the points to which a task moves the centres of parts, and the points at which it
+    keeps them."""
     task = scenario.task
     if isinstance(task, FollowTask):
         key = "task: paths"
@@ -52,25 +53,25 @@ def edge_problem(label: str, point: Point, rig: Rig) -> str:
     """Return the reason why parts of a class cannot be moved to a point [m, plate_home]. Empty if
     they can."""
     least = rig.edge_margin(label).least_m
-    room, (x, y) = rig.plate.half - least, point
+    limit, (x, y) = rig.plate.half - least, point
     # This condition is false for NaN.
-    if abs(x) <= room[0] + ROUNDING_M and abs(y) <= room[1] + ROUNDING_M:
+    if abs(x) <= limit[0] + ROUNDING_M and abs(y) <= limit[1] + ROUNDING_M:
         return ""
     away = float(np.min(rig.plate.half - np.abs(point)))
     return (
-        f"({x:g}, {y:g}) m, {1e3 * away:.3g} mm from an edge, allowed: |x| up to {room[0]:g}, |y| "
-        f"up to {room[1]:g} m on this plate, {1e3 * least:.3g} mm from its edges, because the "
+        f"({x:g}, {y:g}) m, {1e3 * away:.3g} mm from an edge, allowed: |x| up to {limit[0]:g}, |y| "
+        f"up to {limit[1]:g} m on this plate, {1e3 * least:.3g} mm from its edges, because the "
         f"plate moves under the parts by up to {1e3 * rig.limits.stroke_m:g} mm (the stroke)"
     )
 
 
 def nowhere_text(label: str, rig: Rig) -> str:
-    """Return the message for a region that parts of a class cannot be moved into."""
+    """Return the message for a region into which parts of a class cannot be moved."""
     least = rig.edge_margin(label).least_m
-    room = rig.plate.half - least
+    limit = rig.plate.half - least
     return (
         f"everywhere nearer than {1e3 * least:.3g} mm to an edge of the plate, so parts would be "
-        f"lost, allowed: some area with |x| up to {room[0]:g}, |y| up to {room[1]:g} m"
+        f"lost, allowed: some area with |x| up to {limit[0]:g}, |y| up to {limit[1]:g} m"
     )
 
 
@@ -96,5 +97,5 @@ def behind_wall(
 ) -> tuple[np.ndarray, np.ndarray]:
     """Restrict intervals (..., 2) [m, plate_home] to the safe area behind the wall for parts of a
     class. An interval outside this area is reduced to its bound nearest to the area."""
-    room = np.maximum(rig.plate.half - rig.edge_margin(label).wall_m, 0.0)
-    return np.maximum(low, np.minimum(-room, high)), np.minimum(high, np.maximum(room, low))
+    limit = np.maximum(rig.plate.half - rig.edge_margin(label).wall_m, 0.0)
+    return np.maximum(low, np.minimum(-limit, high)), np.minimum(high, np.maximum(limit, low))

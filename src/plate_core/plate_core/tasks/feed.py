@@ -24,8 +24,8 @@ ROUNDING_RAD = 1e-6
 """Tolerance for the rounding of angles converted from degrees [rad]."""
 
 MAX_OPEN_S = 60.0
-"""Maximum duration of one opening of a hopper [s]. The feeder requests no longer opening, and the
-simulated hopper refuses one."""
+"""Maximum duration of one opening of a hopper [s]. The feeder never requests a longer opening, and
+the simulated hopper refuses it."""
 
 WHOLE = 1e-6
 """Tolerance of the sum of fractions, which must be 1."""
@@ -65,7 +65,7 @@ def _pick(fields: Fields, labels: tuple[str, ...]) -> Pick:
     if window is not None:
         if not np.all(window[0] < window[1]):
             raise fields.fail(
-                "window_m", "[x, y] of the lower left corner, then of the upper right"
+                "window_m", "[x, y] of the lower left corner, then of the upper right corner"
             )
         (x0, y0), (x1, y1) = window.tolist()
         low, high = (x0, y0), (x1, y1)
@@ -93,8 +93,8 @@ def _hopper(fields: Fields, labels: tuple[str, ...], picks: tuple[Pick, ...]) ->
             raise fields.fail("mix", f"the classes of parts: {known}; not {unknown[0]!r}{hint}")
         total = sum(mix.values())
         if abs(total - 1) > WHOLE:
-            raise fields.fail("mix", f"fractions of {known} whose sum is 1")
-        mix = {label: share / total for label, share in mix.items()}
+            raise fields.fail("mix", f"fractions of {known} with the sum 1")
+        mix = {label: part / total for label, part in mix.items()}
         if none := [pick.label for pick in picks if not mix.get(pick.label)]:
             raise fields.fail("mix", f"more than 0 for each class of picks, also {', '.join(none)}")
     fill = fields.value(keys.HOPPER["fill"])
@@ -124,26 +124,26 @@ def check_feed(task: FeedTask, where: str, rig: Rig) -> None:
         values.
     """
     for pick in task.picks:
-        if problem := pick_problem(pick, rig) or _room_problem(pick, task.clearance_m, rig):
+        if problem := pick_problem(pick, rig) or _space_problem(pick, task.clearance_m, rig):
             raise ScenarioError(f"{where}: task: picks: {problem}")
     if task.hopper is not None:
         reach = max(rig.part_type(label).reach_m for label in task.hopper.mix)
-        room = rig.plate.half - reach
-        if np.any(np.abs(task.hopper.place) > room):
+        limit = rig.plate.half - reach
+        if np.any(np.abs(task.hopper.place) > limit):
             x, y = task.hopper.place
             raise ScenarioError(
                 f"{where}: task: hopper: place_m is ({x:g}, {y:g}) m, allowed: |x| up to "
-                f"{room[0]:g}, |y| up to {room[1]:g} m on this plate"
+                f"{limit[0]:g}, |y| up to {limit[1]:g} m on this plate"
             )
 
 
-def _room_problem(pick: Pick, clearance_m: float, rig: Rig) -> str:
+def _space_problem(pick: Pick, clearance_m: float, rig: Rig) -> str:
     """Return the reason why the window is too small for `pick.ready` parts. Empty if it may be
     large enough.
 
-    The estimate gives each part the largest disc about its centre inside its outline, enlarged by
-    half the clearance. These discs cannot overlap, and they lie in the window enlarged by their
-    radius.
+    The estimate gives each part a disc: the largest disc about its centre inside its outline,
+    enlarged by half the clearance. These discs do not overlap, and they are inside the window
+    enlarged by their radius.
     """
     from shapely import Point, Polygon
 
@@ -153,7 +153,7 @@ def _room_problem(pick: Pick, clearance_m: float, rig: Rig) -> str:
         return ""
     free = clearance_m / 2 + outline.exterior.distance(centre)
     most = int(np.prod(high - low + 2 * free) / (np.pi * free**2))
-    # If two parts do not fit on the diagonal, the window has room for only one.
+    # If two parts do not fit on the diagonal, only one part fits into the window.
     if np.hypot(*(high - low)) < 2 * free:
         most = 1
     if pick.ready <= max(most, 1):
@@ -168,11 +168,11 @@ def _room_problem(pick: Pick, clearance_m: float, rig: Rig) -> str:
 def pick_problem(pick: Pick, rig: Rig) -> str:
     """Return the reason why a pick is impossible on this rig. Empty if it is possible."""
     low, high = pick_window(pick, rig)
-    room = rig.plate.half - rig.part_type(pick.label).reach_m
-    if not (np.all(low <= high) and np.all(low >= -room - 1e-9) and np.all(high <= room + 1e-9)):
+    limit = rig.plate.half - rig.part_type(pick.label).reach_m
+    if not (np.all(low <= high) and np.all(low >= -limit - 1e-9) and np.all(high <= limit + 1e-9)):
         return (
             f"window of {pick.label} is ({low[0]:g}, {low[1]:g}) to ({high[0]:g}, {high[1]:g}) m, "
-            f"allowed: |x| up to {room[0]:g}, |y| up to {room[1]:g} m, the lower corner first"
+            f"allowed: |x| up to {limit[0]:g}, |y| up to {limit[1]:g} m, the lower corner first"
         )
     least = rig.plate.half - rig.edge_margin(pick.label).least_m
     if np.any(low > least) or np.any(high < -least):
@@ -194,9 +194,9 @@ def pick_problem(pick: Pick, rig: Rig) -> str:
 def pick_window(pick: Pick, rig: Rig) -> tuple[np.ndarray, np.ndarray]:
     """Return the lower and the upper corner (2,), (2,) [m, plate_home] of a pick window on this
     rig's plate. The default is the whole safe area behind the wall."""
-    room = rig.plate.half - rig.edge_margin(pick.label).wall_m
+    limit = rig.plate.half - rig.edge_margin(pick.label).wall_m
     low, high = np.array(pick.low, dtype=float), np.array(pick.high, dtype=float)
-    return np.where(np.isinf(low), -room, low), np.where(np.isinf(high), room, high)
+    return np.where(np.isinf(low), -limit, low), np.where(np.isinf(high), limit, high)
 
 
 def to_turn(parts: Parts, angle: float, symmetry: int) -> np.ndarray:
@@ -209,8 +209,8 @@ def to_turn(parts: Parts, angle: float, symmetry: int) -> np.ndarray:
 def ready_parts(
     parts: Parts, pick: Pick, clearance_m: float, rig: Rig, gap: np.ndarray | None = None
 ) -> np.ndarray:
-    """Whether parts (M,) may be gripped: right class, inside the window, right angle, clear of
-    others.
+    """Whether parts (M,) may be gripped: they have the right class and angle, are inside the
+    window, and are far enough from all other parts.
 
     Parameters
     ----------

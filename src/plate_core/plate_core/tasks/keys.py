@@ -30,7 +30,7 @@ CLASSES = ("black", "grey")
 """Default classes of parts that detector and simulator can distinguish."""
 
 CURVES = ("waypoints_m", "circle", "spline_m")
-"""Alternative keys that define a path."""
+"""Alternative keys that define the curve of a path."""
 
 OR_ANOTHER = "or another curve"
 
@@ -47,12 +47,13 @@ TOLERANCE = Key(
 HOLD = Key(
     "hold_s",
     Number(0, 60),
-    "Time for which the goal must hold without a break; shorter than `time_limit_s`.",
+    "Time for which the goal must hold without interruption; shorter than `time_limit_s`.",
 )
 
 
 def class_key(*labels: str) -> Key:
-    """Return the key `class` of a path or a pose, one of the classes of the scenario."""
+    """Return the definition of the key `class` of a path, a pose or a pick. Its value must be one
+    of the classes of the scenario."""
     kind = Choice(labels) if labels else Text("a class of `parts`")
     return Key("class", kind, "Class of the part.")
 
@@ -63,7 +64,7 @@ FILE = Section(
     (
         Key("description", Text(), "The task in a sentence."),
         Key(
-            "marked", Flag(), "Whether each round part has a spot that shows its angle; `pose` "
+            "marked", Flag(), "Whether each round part has a mark that shows its angle; `pose` "
             "requires it.", False,
         ),
         Key(
@@ -83,7 +84,7 @@ FILE = Section(
 
 GROUP = Section(
     "parts[]",
-    "The parts of one class, placed or random.",
+    "The parts of one class, at given or random places.",
     (
         Key(
             "class", Text("black, grey, or a type of the rig's `types`"), "`black` and `grey` "
@@ -91,8 +92,8 @@ GROUP = Section(
             "has `types`, only its types are allowed.",
         ),
         Key(
-            "count", Whole(0, 100), "Number of parts at random places (by `seed`), with centres "
-            "five radii apart (less if necessary) and clear of the edges. 0 requires a task of "
+            "count", Whole(0, 100), "Number of parts at random places (by `seed`). Their centres "
+            "are five radii apart (less if necessary) and away from the edges. 0 requires the task "
             "`feed`.",
             None, "or `positions_m`",
         ),
@@ -112,7 +113,7 @@ TASK = Section(
 
 SORT = Section(
     "task, kind: sort",
-    "Every class to its region. Done when all parts have been in their regions for `hold_s`.",
+    "Moves every class to its region. Done when all parts have been in their regions for `hold_s`.",
     (
         Key(
             "regions", Table("for each class a side, a corner, or {bin_m: ...}"), "Region of "
@@ -120,9 +121,9 @@ SORT = Section(
             "a synonym.",
         ),
         Key(
-            "goal_fraction", Number(0, 0.8), "Start of sides and corners, measured from the "
-            "middle: a fraction of the half length for left and right, of the half width for "
-            "bottom and top, of both for corners.",
+            "goal_fraction", Number(0, 0.8), "Distance of sides and corners from the middle "
+            "of the plate: a fraction of the half length for left and right, of the half width "
+            "for bottom and top, of both for corners.",
             None, "not needed if all regions are polygons",
         ),
         HOLD,
@@ -142,15 +143,15 @@ BIN = Section(
 
 FOLLOW = Section(
     "task, kind: follow",
-    "Every part along its own path, after all have moved to the starts of their paths. "
+    "Moves all parts to the starts of their paths, then each part along its path. "
     "Done when all paths are completed.",
     (
         Key("paths", List(), "One path per part."),
         Key(
             "max_error_m",
             Number(1e-4, 10),
-            "Maximum distance of a part from its reference; a larger one ends the task. From 0.15 "
-            "of it on, all parts slow down.",
+            "Maximum distance of a part from its reference; a larger distance ends the task. All "
+            "parts slow down when a distance exceeds 0.15 of it.",
         ),
     ),
 )
@@ -195,7 +196,7 @@ CIRCLE = Section(
 
 ASSEMBLE = Section(
     "task, kind: assemble",
-    "Parts to a pattern of places. Done when every place has had a part of its class for "
+    "Moves parts to a pattern of places. Done when every place has had a part of its class for "
     "`hold_s`.",
     (
         Key(
@@ -209,7 +210,7 @@ ASSEMBLE = Section(
 
 POSE = Section(
     "task, kind: pose",
-    "Every part to a place and an angle. Done when all have been there for `hold_s`. "
+    "Moves every part to a place and an angle. Done when all have been there for `hold_s`. "
     "Round parts require `marked: true`.",
     (
         Key("poses", List(), "One pose per part."),
@@ -237,8 +238,9 @@ POSES = Section(
 
 MOVE = Section(
     "task, kind: move",
-    "Parts to individual targets, which the topic `targets` can change. A part without a target "
-    "stays in place, but makes room. Done when all targets have been reached for `hold_s`.",
+    "Moves parts to individual targets, which the topic `targets` can change. A part without a "
+    "target stays in place, but gives way to others. Done when all targets have been reached for "
+    "`hold_s`.",
     (
         Key("targets", List(), "One target per part.", None, "none"),
         TOLERANCE,
@@ -265,8 +267,8 @@ MOVES = Section(
 
 FEED = Section(
     "task, kind: feed",
-    "A feeder: keeps parts ready for a robot until it is canceled. Parts of classes that are not "
-    "in `picks` go to the chute.",
+    "Keeps parts ready for a robot until it is canceled. Parts of classes that are not in `picks` "
+    "go to the chute.",
     (
         Key("picks", List(), "One entry per requested class."),
         Key(
@@ -275,7 +277,7 @@ FEED = Section(
         ),
         Key(
             "chute", Choice(("left", "right", "bottom", "top")), "Side over which unwanted "
-            "parts leave.", None, "none, they stay",
+            "parts leave the plate.", None, "none, they stay",
         ),
         Key("hopper", Table(), "Source of new parts.", None, "none"),
         Key("timeout_s", Number(0.1, 3600), "Maximum wait for a part.", 30.0),
@@ -299,11 +301,12 @@ PICK = Section(
 
 HOPPER = Section(
     "task, kind: feed, hopper",
-    "Opens when parts are missing, for the time that they take.",
+    "Source of new parts. It opens when parts are missing, until enough parts have dropped.",
     (
-        Key("fill", Whole(1, 100), "Number of parts on the plate."),
-        Key("least", Whole(1, 100), "The hopper opens when there are fewer.", None, "`fill`"),
-        Key("rate_ps", Number(0.1, 1000), "Parts per second while it is open."),
+        Key("fill", Whole(1, 100), "Number of parts on the plate after a refill."),
+        Key("least", Whole(1, 100), "The hopper opens when fewer parts are on the plate.", None,
+            "`fill`"),
+        Key("rate_ps", Number(0.1, 1000), "Number of dropped parts per second."),
         Key("place_m", PLACE, "Centre of the drop area [x, y]."),
         Key("spread_m", Number(0.001, 1), "Radius of the drop area."),
         Key("mix", Table("for each class a fraction, 1 in all"), "Fractions of the classes; those "

@@ -2,7 +2,7 @@
 
 `load_scenario` returns a `Scenario`. `check_scenario` refuses a scenario that is impossible on a
 rig, such as one with targets beyond the edges. `start_positions` returns the given start positions,
-and random ones for the other parts.
+and random start positions for the other parts.
 """
 
 from __future__ import annotations
@@ -55,13 +55,14 @@ SCATTER_CLEAR = 1.5
 """Minimum distance of random start positions from the edges [part radii]."""
 
 SCATTER_TRIES, SCATTER_STARTS = 80, 20
-"""Maximum number of attempts to place one part, and to place all of them, for each distance."""
+"""Maximum number of attempts for each minimum distance: to place one part, and to place all
+parts."""
 
 APART_M = 1e-6
-"""Points at a smaller distance count as equal [m]."""
+"""Distance below which two points count as equal [m]."""
 
 SHARED_M2 = 1e-6
-"""Maximum area that two regions may share, because of rounding in decimal notation [m2]."""
+"""Maximum overlap of two regions [m2]. It tolerates the rounding of decimal numbers."""
 
 
 def scenario_names() -> tuple[str, ...]:
@@ -88,9 +89,8 @@ def load_scenario(name_or_path: str | Path) -> Scenario:
     Raises
     ------
     ScenarioError
-        If the scenario does not exist (the message lists the available ones), a key is missing or
-        unknown, or a value is not allowed. The message states the key, the value and the allowed
-        values.
+        If the scenario does not exist, a key is missing or unknown, or a value is not allowed. The
+        message states the key, the value and the allowed values, or lists the available scenarios.
     """
     text = str(name_or_path)
     if text.endswith((".yaml", ".yml")):
@@ -346,7 +346,7 @@ def _move(fields: Fields, parts: tuple[PartGroup, ...]) -> MoveTask:
 def _one_each(
     fields: Fields, key: str, labels: Sequence[str], parts: tuple[PartGroup, ...]
 ) -> None:
-    """Raise an error if the numbers of goals and parts of a class differ."""
+    """Raise an error if the number of goals of a class differs from its number of parts."""
     have = Counter(labels)
     for group in parts:
         if have[group.label] != group.count:
@@ -364,11 +364,11 @@ def check_scenario(scenario: Scenario, rig: Rig) -> None:
     ------
     ScenarioError
         If the scenario is impossible on this rig. The message states the file, the key, the class,
-        and a point with the allowed coordinates of a part's centre, two points that are too close,
-        or two regions that overlap.
+        the impossible value and the allowed values.
     """
     task = scenario.task
-    known = tuple(rig.types) or keys.CLASSES  # if the rig has types, the detector knows only these
+    # If the rig has types, the detector recognises only these.
+    known = tuple(rig.types) or keys.CLASSES
     for group in scenario.parts:
         if group.label not in known:
             raise ScenarioError(
@@ -450,11 +450,11 @@ def _check_on_plate(
     scenario: Scenario, places: list[Place], half: np.ndarray, reach: Mapping[str, float]
 ) -> None:
     for key, label, (x, y) in places:
-        room = half - reach[label]
-        if np.any(np.abs((x, y)) > room + ROUNDING_M):
+        limit = half - reach[label]
+        if np.any(np.abs((x, y)) > limit + ROUNDING_M):
             raise ScenarioError(
                 f"{scenario.where}: {key} of {label} is ({x:g}, {y:g}) m, "
-                f"allowed: |x| up to {room[0]:g}, |y| up to {room[1]:g} m on this plate"
+                f"allowed: |x| up to {limit[0]:g}, |y| up to {limit[1]:g} m on this plate"
             )
 
 
@@ -473,16 +473,16 @@ def _check_apart(
 
 
 def _check_bins(scenario: Scenario, task: SortTask, rig: Rig) -> None:
-    """Raise an error if a bin is completely within the minimum distance from the plate's edges,
-    where parts are lost."""
+    """Raise an error if every point of a bin is so near to the plate's edges that parts there are
+    lost."""
     # imported here, because the stop command must not wait for this import
     from shapely import Polygon, box
 
     for label, region in task.regions.items():
         if not isinstance(region, Bin):
             continue
-        room = rig.plate.half - rig.edge_margin(label).least_m
-        if np.any(room < 0) or not Polygon(region.corner).intersects(box(*-room, *room)):
+        limit = rig.plate.half - rig.edge_margin(label).least_m
+        if np.any(limit < 0) or not Polygon(region.corner).intersects(box(*-limit, *limit)):
             raise ScenarioError(
                 f"{scenario.where}: task: regions: bin_m of {label} is {nowhere_text(label, rig)}"
             )
@@ -491,7 +491,7 @@ def _check_bins(scenario: Scenario, task: SortTask, rig: Rig) -> None:
 def _check_regions(scenario: Scenario, task: SortTask, half: np.ndarray) -> None:
     """Raise an error if a side or corner overlaps the region of another class.
 
-    The planner refuses two overlapping bins, according to the positions of their parts.
+    Two bins are not compared here: the planner refuses them if places of their parts overlap.
     """
     from shapely import Polygon
 
@@ -532,7 +532,7 @@ def _region_text(task: SortTask, label: str, half: np.ndarray) -> str:
 def start_positions(
     scenario: Scenario, rig: Rig, rng: np.random.Generator
 ) -> tuple[tuple[str, ...], np.ndarray]:
-    """Return start positions of all parts: the given ones, and random ones for the others.
+    """Return the start positions of all parts. Parts without a given position get random ones.
 
     The minimum distance between a random position and all other parts is the first of
     `SCATTER_GAPS` with which all parts can be placed. `SCATTER_FRACTION` and `SCATTER_CLEAR` limit
@@ -562,8 +562,8 @@ def start_positions(
     half = rig.plate.half
     reach = {group.label: rig.part_type(group.label).reach_m for group in scenario.parts}
     sizes = [
-        np.array([reach[g.label] for g in scenario.parts for _ in range(g.count) if wanted(g)])
-        for wanted in (lambda g: g.position is not None, lambda g: g.position is None)
+        np.array([reach[g.label] for g in scenario.parts for _ in range(g.count) if included(g)])
+        for included in (lambda g: g.position is not None, lambda g: g.position is None)
     ]
     radius, count = np.concatenate(sizes), len(sizes[1])
     limit = np.array(SCATTER_FRACTION) * half
@@ -592,7 +592,7 @@ def start_positions(
 def _scatter(
     radius: np.ndarray, taken: np.ndarray, limit: np.ndarray, gap: float, rng: np.random.Generator
 ) -> np.ndarray:
-    """Return up to N - T random points (k, 2) [m], in addition to T `taken` ones (T, 2).
+    """Return up to N - T random points (k, 2) [m], in addition to the T points `taken` (T, 2).
 
     `radius` (N,) are the radii of all parts [m]. The distance between two points is at least `gap`
     times the mean of their radii. Each point is within its `limit` (N, 2) [m]. If no position is

@@ -35,8 +35,9 @@ class PartGroup:
 class Side:
     """A side or corner of the plate.
 
-    `x` and `y` are the signs of the coordinates there, 1 or -1, or 0 for any sign. A part is in
-    this region if it is beyond the goal line along x, along y, or along both.
+    `x` and `y` are the signs of the coordinates in this region: 1, -1, or 0 for any sign. A part is
+    in the region of a side if it is beyond the goal line, and in the region of a corner if it is
+    beyond both goal lines.
     """
 
     x: int
@@ -112,7 +113,7 @@ class FollowTask:
 
 @dataclass(frozen=True)
 class AssembleTask:
-    """Move parts to positions. Any part of the right class may go to each position.
+    """Move parts to positions. Each position may get any part of its class.
 
     Attributes
     ----------
@@ -141,8 +142,8 @@ class Pose:
     label : str
         Class of the part.
     place : (x, y), or None
-        Position [m, plate_home]. None: the part stays where it is at the start of the task, or may
-        be anywhere if `PoseTask.anywhere` is true.
+        Position [m, plate_home]. None: the part stays in place, or may be anywhere if
+        `PoseTask.anywhere` is true.
     angle : float
         Angle of the part's mark, counter-clockwise from x [rad]. If the part has rotational
         symmetry, all equivalent angles are accepted.
@@ -162,8 +163,8 @@ class PoseTask:
     poses : tuple of Pose
         One for each part.
     tolerance_m : float
-        Maximum distance between a part's centre and its position [m]. A part that must stay may
-        never exceed it.
+        Maximum distance between a part's centre and its position [m]. A part that must stay in
+        place must never exceed it.
     tolerance_rad : float
         Maximum error of a part's angle [rad].
     hold_s : float
@@ -205,7 +206,8 @@ class MoveTask:
     Attributes
     ----------
     targets : tuple of PartTarget
-        One for each part to be moved. The other parts stay where they are but may move aside.
+        One target for each part that must move. The other parts stay in place, but give way if
+        necessary.
     tolerance_m : float
         Maximum distance between a part's centre and its target [m].
     tolerance_rad : float
@@ -266,7 +268,7 @@ class Hopper:
     place : (x, y)
         Centre of the area where parts drop [m, plate_home].
     spread_m : float
-        Radius of this area, a disc [m].
+        Radius of this area, which is a disc [m].
     mix : mapping of str to float
         Fraction of each class among the dropped parts. The sum is 1.
     """
@@ -298,7 +300,7 @@ class FeedOrder:
     ----------
     mode : FeedMode
     picks : tuple of Pick
-        Picks that replace those of the task. Empty: use those of the task.
+        Picks that replace the picks of the task. Empty: use the picks of the task.
     hidden : bool
         Whether a robot may hide parts from the camera while the plate rests. Hidden parts are
         assumed at their last detected positions.
@@ -316,7 +318,7 @@ class FeedTask:
     Attributes
     ----------
     picks : tuple of Pick
-        At most one per class. Parts of other classes are moved to the chute.
+        At most one pick per class. Parts of other classes are moved to the chute.
     clearance_m : float
         Minimum distance between the edges of a ready part and of any other part [m], required by
         the gripper.
@@ -348,9 +350,10 @@ Task = SortTask | FollowTask | AssembleTask | PoseTask | MoveTask | FeedTask
 class Scenario:
     """A task with its parts and its time limit [s], infinite if there is no limit.
 
-    Parts that are `marked` show their angle by a spot and start at a random angle. `rig` is the rig
-    for which the scenario is made, in the form that `load_rig` accepts. Empty: any rig. `file` is
-    the name of the scenario's file. Empty if it was not read from a file.
+    If `marked` is true, the parts have a mark that shows their angle, and they start at random
+    angles. `rig` is the rig for which the scenario is made, as an argument of `load_rig`. It is
+    empty if the scenario is for any rig. `file` is the name of the scenario's file. It is empty if
+    the scenario was not read from a file.
     """
 
     name: str

@@ -1,7 +1,7 @@
 """Calibration of the plate: its frequency response, measured with three known motions.
 
-`Calibration` and `Experiment` are the procedure, and `CalibrationRun` executes it. `Response` is
-the result and is stored in a file.
+`Calibration` and `Experiment` define the procedure, and `CalibrationRun` executes it. The result is
+a `Response`, which is stored in a file.
 """
 
 from .calibration import (

@@ -1,6 +1,6 @@
-"""Calibration procedure: it plays a known motion along each of x, y and theta, and computes the
-plate's frequency response from the motors' sensors. Inputs are sensor samples, outputs are the
-cycles to play and a `Response`, which is stored in a .npz file."""
+"""Calibration procedure. It plays a known motion along each of x, y and theta, and computes the
+plate's frequency response from the motors' sensors. Its inputs are sensor samples. Its outputs are
+the cycles to play and a `Response`, which is stored in a .npz file."""
 
 from __future__ import annotations
 
@@ -28,17 +28,17 @@ from .response import (
 )
 
 PERIOD_S = 1.033
-"""Period of the motions [s]. The harmonics are 1 Hz apart, less than the width of a resonance.
-Samples every 10 ms have different phases in each cycle, so that they resolve more than 50
-harmonics."""
+"""Period of the motions [s]. The harmonics are 1 Hz apart, which is less than the width of a
+resonance. The period is not a multiple of the sample interval of 10 ms. Samples of several cycles
+therefore have different phases and resolve more than 50 harmonics."""
 
 COUNT = 150
-"""Number of harmonics, up to 145 Hz. This is far above the frequencies of motions, so that
-corrected motions can begin and end at rest."""
+"""Number of harmonics, up to 145 Hz. This frequency is far above the frequencies of motions, so
+that corrected motions can begin and end at rest."""
 
 ACCEL = 10.0
-"""Root mean square of the commanded acceleration [m/s2]. A resonance with 3 % damping raises it to
-about 20."""
+"""Root mean square of the commanded acceleration [m/s2]. A resonance with 3 % damping increases the
+plate's acceleration to about 20 m/s2."""
 
 SETTLE = 2
 """Number of cycles until the motion is periodic."""
@@ -50,15 +50,15 @@ SLOWEST = 4
 """Number of harmonics that determine the start of a cycle, up to 3.9 Hz."""
 
 FOLLOWED = 0.2
-"""Minimum fraction of the slow motion that the plate must follow. If it is less, motors are off or
-wired wrongly."""
+"""Minimum ratio of the plate's slow motion to the commanded one. If the ratio is smaller, motors
+are off or wired wrongly."""
 
 RESPONSE_BYTES = 32_768
-"""Upper estimate of the size of a response's file [bytes]."""
+"""Upper estimate of the size of a response file [bytes]."""
 
 MAX_BYTES = 1_000_000
-"""Maximum size of a response's file that is read [bytes]. Files with many times more harmonics also
-fit."""
+"""Maximum size of a response file that is read [bytes]. It also suffices for files with many more
+harmonics."""
 
 AXES = ("x", "y", "theta")
 
@@ -79,7 +79,7 @@ class Calibration:
     cycles : tuple of PlateCycle
         One cycle per axis.
     commanded, measured : tuple of (n, 3)
-        Amplitudes of the acceleration in the experiments so far.
+        Amplitudes of the acceleration in the completed experiments.
     """
 
     rig: Rig
@@ -98,8 +98,8 @@ class Calibration:
 
     @property
     def cycle(self) -> PlateCycle | None:
-        """The cycle to play now. It is played `settle` times, then `measure` times. None at the
-        end."""
+        """The cycle to play now. It is played `settle` times until the motion is periodic, then
+        `measure` times for the measurement. None after the last experiment."""
         done = len(self.measured)
         return self.cycles[done] if done < len(self.cycles) else None
 
@@ -128,7 +128,7 @@ class Calibration:
         q, qdd : (n, 4)
             Travel [m] and acceleration [m/s2] measured by the motors' sensors.
         played : PlateCycle, optional
-            Commanded cycle, if the rig's limits scaled it down.
+            Commanded cycle, if it was scaled down to the rig's limits. Default: `cycle`.
 
         Raises
         ------
@@ -161,8 +161,8 @@ class Experiment:
     table : int
         Number of the device's table that plays.
     samples : tuple of (time [s], q (4,), qdd (4,))
-        Samples since the experiment's start, with times on the device's clock. The conversion to
-        host time varies by milliseconds.
+        Samples since the experiment's start. Their times are on the device's clock, because the
+        conversion to host time varies by milliseconds.
     """
 
     calibration: Calibration
@@ -211,8 +211,8 @@ def aligned(rig: Rig, cycle: PlateCycle, t: np.ndarray, q: np.ndarray) -> np.nda
     """Convert times (n,) with another origin to times since the start of a calibration cycle [s].
 
     The plate follows the slowest harmonics almost without delay, so their phase gives the start of
-    the cycle. The motors' own delay (0.8 ms at 200 Hz) is included in this estimate. Therefore
-    corrected motions are late by this delay, but their shape is not changed.
+    the cycle. The delay of the motors (0.8 ms at 200 Hz) is part of this estimate. Corrected
+    motions are therefore late by this delay, but their shape does not change.
 
     Raises
     ------

@@ -1,10 +1,11 @@
 """Frequency response of the plate, and correction of commands by its inverse.
 
-A plate on flexures responds to a command of frequency f with H(f), a complex 3 x 3 matrix: it
-amplifies, delays and couples x, y and theta. H is computed from the accelerations that the motors'
-sensors measure while known cycles are repeated. A requested motion is commanded as H^-1 times the
-motion. Later measurements correct H by Broyden's update, which changes only the excited components.
-The errors decrease with each iteration, also for motions that were not measured.
+A plate on flexures amplifies, delays and couples the commanded motions of x, y and theta. Its
+response to a command of frequency f is the complex 3 x 3 matrix H(f). H is computed from the
+accelerations that the motors' sensors measure while known cycles are repeated. The command for a
+requested motion is H^-1 times this motion. Later measurements correct H by Broyden's update, which
+changes only the excited components. The errors decrease with each update, also for motions that
+were not measured.
 
 Amplitudes are complex, (k, 3): a(t) = sum over k of Re(A_k exp(2 pi i f_k t)) [m/s2, m/s2, rad/s2].
 """
@@ -24,35 +25,38 @@ SAMPLES = 512
 
 KNOTS_PER_WAVE = 3
 """Number of knots per wave of the highest harmonic. The spline error is 2e-3 of this harmonic, and
-devices can store the tables."""
+the tables are small enough for the devices."""
 
 STRESS = 30.0
-"""Additional relative weight of an error at the strongest harmonic of a motion."""
+"""Additional relative weight of a change at the strongest harmonic of a motion."""
 
 WEAKEST = 0.02
-"""Minimum gain for the inverse of H. It limits the command where the plate hardly follows."""
+"""Minimum gain for the inverse of H. It limits the command at frequencies at which the plate hardly
+follows."""
 
 SLOW_HZ = 5.0
-"""Below this frequency accelerations are computed from positions, which are then more accurate than
-accelerometers. The excitation is also limited there, because the stroke is short [Hz]."""
+"""Frequency below which accelerations are computed from positions [Hz], because positions are more
+accurate there than accelerometers. The excitation is also limited below this frequency, because the
+stroke is short."""
 
 FAINT = 1e-3
-"""If a harmonic of a command is weaker than this fraction of the strongest, it is not used."""
+"""Minimum strength of a harmonic of a command, relative to the strongest harmonic. Weaker harmonics
+are not used."""
 
 
 @dataclass(frozen=True)
 class Response:
-    """H at some frequencies.
+    """Frequency response H of the plate at given frequencies.
 
     Attributes
     ----------
     frequency : (n,)
-        [Hz], increasing. At least four.
+        At least four increasing frequencies [Hz].
     matrix : (n, 3, 3)
         Complex ratio of measured to commanded acceleration. Theta is multiplied by `lever`, so that
         all components are lengths.
     lever : float
-        [m].
+        Half the diagonal of the plate [m].
 
     Raises
     ------
@@ -95,9 +99,9 @@ class Response:
         return np.array([1.0, 1.0, self.lever])
 
     def _at(self, matrices: np.ndarray, frequency: np.ndarray) -> np.ndarray:
-        """Interpolate matrices in frequency by a cubic spline. The value at 0 is the real part of
-        the first."""
-        # Without this import, the driver starts in half the time.
+        """Interpolate matrices in frequency by a cubic spline. At frequency 0, the spline has the
+        real part of the first matrix."""
+        # Imported here, because this import would double the start time of the driver.
         from scipy.interpolate import CubicSpline
 
         below = np.concatenate([matrices[:1].real.astype(complex), matrices])
@@ -108,16 +112,16 @@ class Response:
 
         Only harmonics up to the highest known frequency are corrected. The command begins and ends
         at rest at home. For this purpose, the correction is changed as little as possible, mainly
-        at frequencies where the plate responds little.
+        at frequencies at which the plate responds weakly.
         """
         count = int(self.frequency[-1] * cycle.period * (1 + 1e-9))
         if count == 0 or not np.any(cycle.knot_pose):
             return cycle
         frequency = np.arange(count + 1) / cycle.period
-        wanted = pose_harmonics(cycle, count) * self._scale
+        requested = pose_harmonics(cycle, count) * self._scale
         inverse = self._at(self.inverse, frequency)
-        more = (np.einsum("kij,kj->ki", inverse, wanted) - wanted) / self._scale
-        strong = np.abs(wanted * frequency[:, None] ** 2)
+        more = (np.einsum("kij,kj->ki", inverse, requested) - requested) / self._scale
+        strong = np.abs(requested * frequency[:, None] ** 2)
         stress = 1 + STRESS * strong / np.max(strong)
         more = closed_at_rest(frequency, more, stress * self._costs(frequency))
         pieces = max(len(cycle.times) - 1, KNOTS_PER_WAVE * count)
@@ -132,8 +136,8 @@ class Response:
     def _costs(self, frequency: np.ndarray) -> np.ndarray:
         """Return the squared gain (k, 3) from a command's pose to the plate's acceleration.
 
-        The mean counts with the frequency of the plate's strongest response, because it changes
-        from cycle to cycle.
+        The mean pose (frequency 0) is treated like a motion at the frequency of the plate's
+        strongest response, because it changes from cycle to cycle.
         """
         gain = np.sum(np.abs(self._at(self.matrix, frequency)) ** 2, axis=1)
         own = self.frequency[np.argmax(np.linalg.norm(self.matrix, axis=(1, 2)))]
@@ -168,14 +172,14 @@ def identified(
     Parameters
     ----------
     frequency : (n,)
-        [Hz].
+        Frequencies [Hz].
     commanded, measured : (j, n, 3)
         Amplitudes of at least three experiments.
 
     Raises
     ------
     PlateError
-        If they do not excite x, y and theta at all frequencies.
+        If the experiments do not excite x, y and theta at all frequencies.
     """
     response = Response.identity(rig, frequency)
     requested = (commanded * response._scale).transpose(1, 2, 0)
@@ -187,13 +191,13 @@ def identified(
 
 
 def harmonics(cycle: PlateCycle, count: int) -> np.ndarray:
-    """Return amplitudes (count, 3) of a cycle's acceleration at 1, 2, ... over its period."""
+    """Return amplitudes (count, 3) of a cycle's acceleration at 1, 2, ... times its frequency."""
     rate = 2j * np.pi * np.arange(1, count + 1)[:, None] / cycle.period
     return np.asarray(rate**2 * pose_harmonics(cycle, count)[1:])
 
 
 def pose_harmonics(cycle: PlateCycle, count: int) -> np.ndarray:
-    """Return amplitudes (count + 1, 3) of a cycle's pose. The first is its mean."""
+    """Return amplitudes (count + 1, 3) of a cycle's pose. The first one is the mean pose."""
     samples = max(SAMPLES, 4 * count)
     pose = cycle.pose(np.arange(samples) * cycle.period / samples)
     amplitude = 2 / samples * np.fft.rfft(pose, axis=0)[: count + 1]
@@ -204,8 +208,8 @@ def pose_harmonics(cycle: PlateCycle, count: int) -> np.ndarray:
 def fit_harmonics(t: np.ndarray, values: np.ndarray, period: float, count: int) -> np.ndarray:
     """Return amplitudes (count, m) of samples (n, m) at times t (n,) [s] of a periodic motion.
 
-    Least squares with an additional constant. The times need not be equally spaced or cover whole
-    periods.
+    A constant and the harmonics are fitted by least squares. The times need not be equally spaced,
+    and they need not cover whole periods.
 
     Raises
     ------
@@ -254,7 +258,7 @@ def closed_at_rest(frequency: np.ndarray, amplitude: np.ndarray, cost: np.ndarra
     Parameters
     ----------
     frequency : (k,)
-        [Hz]; 0 for the mean.
+        Frequencies of the amplitudes [Hz]. The frequency 0 belongs to the mean.
     cost : (k, 3)
         Weight of the squared change.
     """
@@ -279,15 +283,16 @@ def excitation(
 ) -> PlateCycle:
     """Return a cycle that shakes one axis at all harmonics and begins at rest.
 
-    All harmonics have the same acceleration, except those below `SLOW_HZ`: these have the same
-    amplitude of the pose.
+    All harmonics above `SLOW_HZ` have the same amplitude of the acceleration. All harmonics below
+    `SLOW_HZ` have the same amplitude of the pose.
 
     Parameters
     ----------
     axis : int
         0: x, 1: y, 2: theta.
     accel : float
-        Root mean square of the acceleration, for theta at the plate's corners [m/s2].
+        Root mean square of the acceleration [m/s2]. For theta, it is the acceleration of the
+        plate's corners.
     rng : numpy.random.Generator
         Generator for the phases. Equal phases would produce one high peak.
     """

@@ -16,12 +16,13 @@ from .calibration import Calibration, Experiment, check_writable, save_response
 __all__ = ["CalibrationRun"]
 
 PLAYS_MARGIN = 2.0
-"""If the motors take longer than this multiple of an experiment's duration, the experiment
-fails."""
+"""Maximum time that the motors may take for an experiment, as a multiple of its duration. The
+experiment fails after this time."""
 
 
 class CalibrationRun:
-    """Plays the experiments of a calibration one after the other, and keeps the result of the last.
+    """Plays the experiments of a calibration one after the other. It stores the result of the last
+    calibration.
 
     Parameters
     ----------
@@ -29,7 +30,7 @@ class CalibrationRun:
     latch : Latch
     clocks : Clocks
     log : callable
-        Logs a text, and takes whether it is an error.
+        Logs a text. The second argument states whether it is an error.
 
     Attributes
     ----------
@@ -56,8 +57,8 @@ class CalibrationRun:
 
     @property
     def text(self) -> str:
-        """Progress of the running calibration, or result of the last one. Empty if there was
-        none."""
+        """Progress of the running calibration, or result of the last one. Empty before the first
+        calibration."""
         experiment = self._experiment
         return self._outcome if experiment is None else experiment.calibration.progress
 
@@ -110,7 +111,7 @@ class CalibrationRun:
             self.fail(str(error), now)
 
     def fail(self, reason: str, now: float) -> None:
-        """End a running calibration without a response."""
+        """End a running calibration without a response. `reason` becomes its result."""
         if self._experiment is not None:
             self._end(f"failed: {reason}", now, failed=True)
 

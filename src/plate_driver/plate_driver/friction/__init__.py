@@ -1,7 +1,7 @@
 """Friction of the parts, measured by known pushes of the plate and the camera.
 
-`FrictionMeasurement` is the procedure and `FrictionResult` its result. `make_push` makes a motion,
-and `slip` computes the slip of a part in it.
+`FrictionMeasurement` is the procedure and `FrictionResult` its result. `make_push` computes the
+motion of a push, and `slip` computes the slip of a part during the push.
 """
 
 from .measurement import FrictionMeasurement, FrictionResult, PartFriction, Rest, Stage, rig_mu
