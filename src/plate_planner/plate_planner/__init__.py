@@ -1,4 +1,4 @@
-"""Computes the requested force on each part from a task and the parts' positions.
+"""Computes the requested force on each part from a task and the positions of the parts.
 
 Subpackages: `estimation` (state of the parts), `tasks` (motions that a task requests) and
 `supervision` (whether a task can continue).

@@ -1,4 +1,4 @@
-"""The compiled kernels; `kernels.cpp` says what is in them."""
+"""Type stubs of the compiled kernels, which `kernels.cpp` binds."""
 
 from typing import Any
 

@@ -1,7 +1,7 @@
-"""Time of the planner's request if the camera is free-running. Does not use ROS.
+"""Time of the planner's next request if the camera is free-running. This module does not use ROS.
 
-One request is due per cycle, `answer_s` before the cycle ends. The schedule gets the cycle starts
-that the driver reports, and returns the time to wait.
+One request is due per cycle, `answer_s` before the cycle ends. The schedule receives the cycle
+starts that the driver reports, and returns the time to wait.
 """
 
 from __future__ import annotations
@@ -16,14 +16,14 @@ __all__ = ["AnswerSchedule"]
 
 
 class AnswerSchedule:
-    """Derives the time of the next request from the reported cycle starts.
+    """Computes the time of the next request from the reported cycle starts.
 
     Parameters
     ----------
     answer_s : float
         Time from a request to the end of the running cycle [s].
     period : float
-        Length of a cycle until the first one is reported [s].
+        Length of a cycle that is assumed until the first one is reported [s].
     """
 
     def __init__(self, answer_s: float, period: float) -> None:
@@ -34,8 +34,9 @@ class AnswerSchedule:
     def is_new(self, cycle: PlateCycle, begin: float) -> bool:
         """Record that the plate began a cycle at `begin` [s, the time of the stamps].
 
-        Return False for a repeated report, because it must not delay the request. A repeated report
-        has the same knots, and 0 <= begin - last begin < SNAP T with the cycle's length T.
+        Return False for a repeated report, because a repeated report must not delay the request. A
+        report counts as repeated if it has the same knots and 0 <= begin - last begin < SNAP T. T
+        is the length of the cycle.
         """
         repeats = 0 <= begin - self._begin < SNAP * cycle.period
         if repeats and np.array_equal(cycle.knot_pose, self._cycle.knot_pose):
@@ -44,10 +45,12 @@ class AnswerSchedule:
         return True
 
     def wait_s(self, arrival: float) -> float:
-        """Mark a request as due, and return the time until it [s], not positive if it is late.
+        """Mark a request as due. Return the time until it is due [s]; zero or negative if it is
+        late.
 
-        With the cycle's length T, wait = max(T - answer_s, 0) - max(arrival - begin, 0). `arrival`
-        is the arrival time of the last start's report [s, the time of the stamps].
+        T is the length of the cycle, and `arrival` is the arrival time of the last start's report
+        [s, the time of the stamps]. The time to wait is max(T - answer_s, 0) - max(arrival - begin,
+        0).
         """
         self._due = True
         wait = max(self._cycle.period - self._answer_s, 0.0)

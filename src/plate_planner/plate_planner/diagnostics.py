@@ -1,7 +1,7 @@
-"""Content of the planner's diagnostics: level, message and values. Does not use ROS.
+"""Content of the planner's diagnostics: level, message and values. This module does not use ROS.
 
-The level is the most severe one of the task, its inputs and the estimator. The message joins their
-texts, most severe first.
+The level is the most severe level of the task, its inputs and the estimator. The message joins
+their texts, the most severe one first.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ __all__ = ["PlannerDiagnostics"]
 
 
 class PlannerDiagnostics:
-    """Computes level, message and values of the planner's diagnostics.
+    """Computes the level, the message and the values of the planner's diagnostics.
 
     Parameters
     ----------
@@ -36,7 +36,7 @@ class PlannerDiagnostics:
         self.refusal = ""
 
     def finding(self, now: float) -> Finding:
-        """Return level and message at `now` [s, steady clock]."""
+        """Return the level and the message at `now` [s, steady clock]."""
         findings = self._monitor.findings(now)
         image_problem = self._tasks.estimator.image_problem
         if image_problem and self._triggered:
@@ -61,7 +61,7 @@ class PlannerDiagnostics:
         return Finding(level, "; ".join(filter(None, (run.task.text, worst(new, "").message))))
 
     def values(self, now: float) -> dict[str, str]:
-        """Return the values at `now` [s, steady clock] by name."""
+        """Return the values at `now` [s, steady clock], by name."""
         run, inputs = self._tasks.run, self._monitor.inputs
         progress = {} if run is None or run.progress is None else run.progress.values()
         driver = inputs.driver_status
@@ -76,5 +76,5 @@ class PlannerDiagnostics:
         }
 
     def reported(self) -> None:
-        """Clear `refusal` after diagnostics were published."""
+        """Clear `refusal` after the diagnostics were published."""
         self.refusal = ""

@@ -1,8 +1,9 @@
-"""Order in which messages are processed if a simulator runs in lockstep. Does not use ROS.
+"""Order in which messages are processed if a simulator runs in lockstep. This module does not use
+ROS.
 
-The planner may receive the next image before the cycle that led to it, before the report of this
-cycle's start, or before a goal. This order of arrival is random. To make runs repeatable,
-`Lockstep` holds an image until these messages have arrived.
+The planner may receive an image before other messages that belong before it: the cycle that led to
+this image, the report of this cycle's start, or a goal. The order of arrival is random. To make
+runs repeatable, `Lockstep` holds an image until these messages have arrived.
 """
 
 from __future__ import annotations
@@ -21,11 +22,12 @@ are dropped."""
 
 
 class Lockstep(Generic[Image, Start]):
-    """Holds the newest image until it can be planned, and the reported cycle starts until then.
+    """Holds the newest image until it can be planned. Also holds the reported cycle starts until
+    then.
 
-    In lockstep an image waits for the start of the cycle at which it was taken. If a request was
-    published before, the image also waits for the plate_cycle that answers this request, and for
-    the first goal. Without lockstep each image is planned at once.
+    In lockstep, an image waits for the report of the start of the cycle at which it was taken. If a
+    request was published before the image, the image also waits for the plate_cycle that results
+    from this request, and for the first goal. Without lockstep, each image is planned at once.
 
     Parameters
     ----------
@@ -39,8 +41,9 @@ class Lockstep(Generic[Image, Start]):
     unanswered : bool
         Whether the plate_cycle for the last request has not arrived yet.
     starts_required : bool
-        Whether an image waits for the report of a cycle's start. It becomes False if no start is
-        reported within the timeout, and True when the start of an image's cycle is reported again.
+        Whether an image waits for the report of its cycle's start. It becomes False if no start is
+        reported within the timeout. It becomes True again when the start of an image's cycle is
+        reported.
     """
 
     def __init__(self, enabled: bool) -> None:
@@ -51,13 +54,13 @@ class Lockstep(Generic[Image, Start]):
         self._goal_received = False
         self._request_before_goal_ns: int | None = None
         self._image: tuple[Image, int] | None = None  # waiting image and its stamp [ns]
-        self._image_time = 0.0  # arrival of the waiting image [s, steady clock]
+        self._image_time = 0.0  # arrival of this image [s, steady clock]
         self._starts: deque[Start] = deque(maxlen=STARTS_KEPT)
         self._start_ns = -1  # stamp of the last cycle start [ns]
 
     @property
     def image_waits(self) -> bool:
-        """Whether an image waits."""
+        """Whether an image is waiting."""
         return self._image is not None
 
     def add_image(self, image: Image, stamp_ns: int, now: float) -> None:
@@ -72,8 +75,8 @@ class Lockstep(Generic[Image, Start]):
         self._start_ns = stamp_ns
 
     def next_image(self) -> tuple[Image, list[Start]] | None:
-        """Return the waiting image and the cycle starts to record before it. Forget both. Return
-        None if no image waits, or if it must wait longer."""
+        """Return the waiting image, and the cycle starts that must be recorded before it. Both are
+        then removed. Return None if no image waits, or if it must wait longer."""
         if self._image is None:
             return None
         image, stamp_ns = self._image
@@ -100,19 +103,19 @@ class Lockstep(Generic[Image, Start]):
         self.request_ns, self.unanswered = stamp_ns, True
 
     def cycle_received(self, stamp_ns: int) -> bool:
-        """Record a cycle. Return whether it answers the last request."""
+        """Record a cycle. Return whether it results from the last request."""
         answers = stamp_ns == self.request_ns
         if answers:
             self.unanswered = False
         return answers
 
     def goal_accepted(self) -> None:
-        """Record a goal whose task begins."""
+        """Record a goal whose task begins now."""
         self._goal_received, self._request_before_goal_ns = True, self.request_ns
 
     def precedes_goal(self, stamp_ns: int) -> bool:
-        """Whether the last request before the last goal had this stamp [ns]. The driver then
-        accepts only rest for this stamp."""
+        """Whether the last request before the last goal had this stamp [ns]. For this stamp, the
+        driver accepts only a cycle at rest."""
         return stamp_ns == self._request_before_goal_ns
 
     def stop_waiting(self, now: float, timeout_s: float, answer_overdue: bool) -> None:
@@ -123,7 +126,7 @@ class Lockstep(Generic[Image, Start]):
         now : float
             Time of the steady clock [s].
         timeout_s : float
-            If the image has waited longer [s], stop waiting for starts.
+            If the image has waited longer than this [s], stop waiting for the report of a start.
         answer_overdue : bool
             Whether to stop waiting for the plate_cycle of the last request.
         """

@@ -1,10 +1,10 @@
 """ROS node of the planner.
 
-It receives detected parts, and publishes the mean force that the next cycle should exert on each
+It receives the detected parts. It publishes the mean force that the next cycle should exert on each
 part. Goals of its actions start tasks. It also receives plate_cycle and cycle_started, because the
 plate moves the parts between images and the next cycle continues this motion. `TaskRunner` runs a
-task, `InputMonitor` ends it if an input is missing, and `Lockstep` and `AnswerSchedule` decide when
-to plan.
+task. `InputMonitor` ends it if an input is missing. `Lockstep` and `AnswerSchedule` decide when to
+plan.
 """
 
 from __future__ import annotations
@@ -68,7 +68,7 @@ WATCH_PERIOD_S = 0.1
 """Period at which the inputs of a running task are checked [s]."""
 
 IDLE_S = 1.0
-"""Period of the answer timer while no answer is due [s]."""
+"""Period of the timer for requests while no request is due [s]."""
 
 SAME_CLOCK_S = 1.0
 """If a stamp differs from this node's time by more than this, it is from another clock [s]."""
@@ -127,7 +127,7 @@ class PlannerParameters(NodeOptions):
     )
 
     def planner(self) -> PlannerOptions:
-        """Return the core's options."""
+        """Return the options of the planner's core."""
         return PlannerOptions(
             follow=FollowOptions(kp=self.kp),
             answer_s=self.answer_s,
@@ -141,14 +141,13 @@ class PlannerParameters(NodeOptions):
 class PlannerNode(SafeLifecycleNode[PlannerParameters]):
     """Node `planner`: runs tasks, and requests a mean force on each part for each cycle.
 
-    Actions sort_parts, follow_paths, assemble_parts, pose_parts, move_parts, feed_parts. Service
-    stop ends the task.
-    Subscribes to parts, plate_cycle, cycle_started, driver_status, diagnostics, targets (of a
-    running move_parts), feed_orders (of a running feed_parts). If images are taken at cycle starts,
-    it sends one request per image. Otherwise it sends one per cycle, shortly before the cycle ends.
-    While cycle_started reports the plate's motion, the next cycle starts from this motion.
-    Otherwise it starts from rest.
-    Publishes part_forces, task_status, part_targets, feed_status, markers, diagnostics.
+    Actions: sort_parts, follow_paths, assemble_parts, pose_parts, move_parts, feed_parts. The
+    service stop ends the task. The node subscribes to parts, plate_cycle, cycle_started,
+    driver_status, diagnostics, targets (while move_parts runs) and feed_orders (while feed_parts
+    runs). If images are taken at cycle starts, it sends one request per image. Otherwise it sends
+    one request per cycle, shortly before the cycle ends. As long as cycle_started reports the
+    plate's motion, the next cycle starts from this motion. Otherwise it starts from rest. The node
+    publishes part_forces, task_status, part_targets, feed_status, markers and diagnostics.
     """
 
     def __init__(self) -> None:
@@ -171,12 +170,13 @@ class PlannerNode(SafeLifecycleNode[PlannerParameters]):
         self._forces = self.managed_publisher(PartForces, "part_forces", DATA)
         self._markers = self.managed_publisher(MarkerArray, "markers", DATA)
         self._reports = TaskReports(self)
-        # If the camera is triggered, only the newest image is answered. Otherwise the estimator
-        # uses all images.
+        # If the camera is triggered, only the newest image is planned. Otherwise the estimator uses
+        # all images.
         newest = NEWEST if options.camera_triggered else DATA
         self.managed_subscription(Parts, "parts", self._on_parts, newest)
         self.managed_subscription(JointTrajectory, "plate_cycle", self._on_cycle, DATA)
-        # The node's own topic: `rivals` detects a second planner by its messages.
+        # The node subscribes to its own topic, because `rivals` detects a second planner by its
+        # messages.
         self.managed_subscription(PartForces, "part_forces", lambda msg: None, DATA)
         self.managed_subscription(JointTrajectory, "cycle_started", self._on_started, DATA)
         self._alarm: Timer | None = None
@@ -194,7 +194,7 @@ class PlannerNode(SafeLifecycleNode[PlannerParameters]):
         self.keep(GoalServers.destroy, self._goals)
 
     def begin(self) -> None:
-        """Create new objects for tasks and inputs, so that nothing of an earlier activation
+        """Create new objects for tasks and inputs, so that no state of an earlier activation
         remains."""
         options, now = self.options, time.monotonic()
         core = options.planner()
@@ -218,7 +218,7 @@ class PlannerNode(SafeLifecycleNode[PlannerParameters]):
         self._end(Failure(Reason.STOPPED, "the planner was deactivated"))
 
     def retune(self) -> None:
-        """Apply the changed parameter `kp`."""
+        """Apply the new value of the parameter `kp`."""
         if self.active:
             self._tasks.set_options(self.options.planner())
 
@@ -245,14 +245,15 @@ class PlannerNode(SafeLifecycleNode[PlannerParameters]):
             self._plan(msg)
 
     def _plan(self, msg: Parts) -> None:
-        """Answer an image that was taken at the start of a cycle."""
+        """Request the next cycle for an image that was taken at the start of a cycle."""
         stamp, run = msg.header.stamp, self._tasks.run
         parts = self._record_image(msg)
-        if parts is None:  # the image is unusable; request rest, so that the loop continues
+        if parts is None:  # invalid image: request rest, so that the loop continues
             self._request(NOTHING, stamp)
             return
-        # In lockstep the same image may arrive twice, before and after a goal. The task begins with
-        # the next image, because the driver accepts only rest for an image before the goal.
+        # In lockstep, the same image may arrive twice, before and after a goal. The task begins
+        # with the next image, because the driver accepts only a cycle at rest for an image before
+        # the goal.
         again = self._lockstep.enabled and (
             self._tasks.seen_without_task(seconds(stamp))
             or self._lockstep.precedes_goal(nanoseconds(stamp))
@@ -272,12 +273,13 @@ class PlannerNode(SafeLifecycleNode[PlannerParameters]):
         self._tasks.see(parts, seconds(msg.header.stamp))
         idle = self._tasks.run is None
         if idle and self._monitor.inputs.starts_problem(time.monotonic()):
-            # If no cycle starts arrive, `_on_due` does not request. This keeps the loop running.
+            # If no cycle starts arrive, `_on_due` does not publish a request. This keeps the loop
+            # running.
             self._request(NOTHING, msg.header.stamp)
 
     def _record_image(self, msg: Parts) -> CoreParts | None:
-        """Return the parts of an image, and record the other objects in the image. None if the
-        image is invalid."""
+        """Return the parts of an image. Also record the other objects in the image. Return None if
+        the image is invalid."""
         try:
             parts = msg_to_parts(msg)
         except PlateError as error:
@@ -291,7 +293,7 @@ class PlannerNode(SafeLifecycleNode[PlannerParameters]):
     # Cycles
 
     def _on_started(self, msg: JointTrajectory) -> None:
-        """Record that the plate began a cycle. In lockstep the report is kept until the image of
+        """Record that the plate began a cycle. In lockstep, the report is kept until the image of
         this cycle is planned."""
         self._wake()
         if self.options.lockstep and self.options.camera_triggered:
@@ -301,7 +303,8 @@ class PlannerNode(SafeLifecycleNode[PlannerParameters]):
             self._record_start(msg)
 
     def _record_start(self, msg: JointTrajectory) -> None:
-        """Record the motion of the plate. If the camera is free-running, set the answer timer."""
+        """Record the motion of the plate. If the camera is free-running, set the timer of the next
+        request."""
         begin = seconds(msg.header.stamp)
         try:
             cycle = msg_to_cycle(msg)
@@ -320,7 +323,7 @@ class PlannerNode(SafeLifecycleNode[PlannerParameters]):
             self._alarm.reset()
 
     def _on_due(self) -> None:
-        """Publish the request for the cycle after the running one, if it is due."""
+        """Publish the request for the cycle after the running one, if the request is due."""
         assert self._alarm is not None
         self._alarm.timer_period_ns = round(1e9 * IDLE_S)
         if not self._schedule.take_due():
@@ -347,11 +350,11 @@ class PlannerNode(SafeLifecycleNode[PlannerParameters]):
     def _arrival(self, stamp: float) -> float:
         """Return the arrival time of a message [s, the time of the stamps].
 
-        This is the stamp itself in lockstep, or if the stamp is from another clock.
+        In lockstep, or if the stamp is from another clock, the stamp itself is returned.
         """
         now = 1e-9 * self.get_clock().now().nanoseconds
-        # In lockstep simulated time stops until the message is answered, so it cannot be late. The
-        # new time may be received before the message.
+        # In lockstep, simulated time stops until the planner has replied to the message, so the
+        # message cannot be late. The clock's new time may arrive before the message.
         same = abs(now - stamp) < SAME_CLOCK_S and not self.options.lockstep
         return now if same else stamp
 
@@ -364,7 +367,7 @@ class PlannerNode(SafeLifecycleNode[PlannerParameters]):
         age = seconds(stamp) - seconds(self._stamp)  # a cycle may begin without a new image
         old = age > age_limit(self._tasks.estimator.period)
         if self._has_stalled() or self._monitor.second_publishers() or old:
-            wanted = NOTHING  # the image no longer shows where the parts are
+            wanted = NOTHING  # the image is too old for the positions
         self._request(wanted, stamp, to_time(round(1e9 * run.state.estimator.next_start)))
         self._reports.publish_feed(run, bool(wanted.parts.ids), self._stamp)
         if self._markers.get_subscription_count():
@@ -372,7 +375,7 @@ class PlannerNode(SafeLifecycleNode[PlannerParameters]):
         self._report_progress()
         assert run.progress is not None
         if run.progress.parts_sorted != sorted_before:
-            # In lockstep a task may end before the next periodic diagnostics.
+            # In lockstep, a task may end before the next periodic diagnostics are published.
             self._diagnostics.publish()
 
     def _request(self, wanted: Wanted, stamp: Time, start: Time | None = None) -> None:
@@ -403,7 +406,7 @@ class PlannerNode(SafeLifecycleNode[PlannerParameters]):
         now = self._wake()
         self._check_task(now)
         run = self._tasks.running
-        if run is not None:  # send feedback also without images, to show that the planner runs
+        if run is not None:  # publish feedback even without images: the planner runs
             self._goals.feed_back(run.goal, run_to_msg(run, self._answered()).progress)
         if self._lockstep.image_waits:
             inputs, period = self._monitor.inputs, self._tasks.estimator.period
@@ -412,8 +415,8 @@ class PlannerNode(SafeLifecycleNode[PlannerParameters]):
             self._plan_next()
 
     def _wake(self) -> float:
-        """Record that the planner runs, and end the task if its process has stalled. Return the
-        time [s, steady clock]. Call this first in each callback."""
+        """Record that the planner runs. If its process has stalled, end the task. Return the time
+        [s, steady clock]. Call this first in each callback."""
         self._has_stalled()
         return self._monitor.inputs.ran
 
@@ -433,15 +436,15 @@ class PlannerNode(SafeLifecycleNode[PlannerParameters]):
                 self._end(failure)
 
     def _end(self, why: Failure) -> None:
-        """End the running task for this reason. Without a running task, do nothing."""
+        """End the running task for this reason. Do nothing if no task runs."""
         if self._tasks.end(why):
             self._report_progress()
 
     # Goals
 
     def _on_goal(self, goal: Any) -> None:
-        """Begin the task of a goal. If it cannot begin, the goal is accepted and aborted at once,
-        because ROS has no field for the reason of a refusal."""
+        """Begin the task of a goal. If the task cannot begin, the goal is accepted and aborted at
+        once. The reason is that ROS has no field for the reason of a refusal."""
         failure = self._begin_task(goal, self._wake() if self.active else 0.0)
         if failure is not None:
             self.get_logger().warning(f"goal refused: {failure.text}")
@@ -452,7 +455,7 @@ class PlannerNode(SafeLifecycleNode[PlannerParameters]):
             self._goals.finish(goal, status)
 
     def _begin_task(self, goal: Any, now: float) -> Failure | None:
-        """Begin a task, and return None. If it cannot begin, return the reason."""
+        """Begin a task and return None. If the task cannot begin, return the reason."""
         if not self.active:
             return Failure(Reason.NOT_READY, "the planner is not active")
         if self._monitor.goal_may_be_old(time.monotonic()):
@@ -478,7 +481,7 @@ class PlannerNode(SafeLifecycleNode[PlannerParameters]):
         return None
 
     def _on_cancel(self, goal: Any) -> CancelResponse:
-        """End the task of a goal. Reject if this task is not running."""
+        """End the task of a goal. Reject the request if this task is not running."""
         run = self._tasks.run if self.active else None
         if run is None or run.goal is not goal or run.finished:
             return CancelResponse.REJECT
@@ -492,14 +495,14 @@ class PlannerNode(SafeLifecycleNode[PlannerParameters]):
         response.message = f"stopped; state before: {before}"
         if self._tasks.running is not None:
             self._end(STOP)
-        else:  # no task runs, so the call acknowledges the end of the last task
+        else:  # no task runs: acknowledge the end of the last task
             self._tasks.forget()
             self._reports.forget_text()
             self._publish_status(Reason.STOPPED)
             response.message = "no task runs"
             if before:
                 response.message += f"; the last one: {before}"
-        # The planner does not run a friction measurement, but a stop must end it too.
+        # The planner does not run a friction measurement, but a stop must end a measurement too.
         if self._friction.service_is_ready():
             self._friction.call_async(MeasureFriction.Request(start=False))
         driver = self._monitor.inputs.driver_status
@@ -510,7 +513,7 @@ class PlannerNode(SafeLifecycleNode[PlannerParameters]):
         return response
 
     def _on_targets(self, msg: Targets) -> None:
-        """Replace the targets of parts. Targets that cannot be requested are refused."""
+        """Replace the targets of parts. Targets that are not feasible are refused."""
         self._wake()
         try:
             refused = self._tasks.retarget(msg_to_targets(msg))
@@ -532,7 +535,7 @@ class PlannerNode(SafeLifecycleNode[PlannerParameters]):
     # Reports
 
     def _report_progress(self) -> None:
-        """Publish and log the progress of the task, or its end."""
+        """Publish and log the progress of the task or its end."""
         run = self._tasks.run
         if run is None:
             return
@@ -540,7 +543,7 @@ class PlannerNode(SafeLifecycleNode[PlannerParameters]):
         self._reports.publish_targets(self._tasks, self._stamp)
         if self._reports.is_new(run.task.text):
             line = f"task {run.name}: {run.task.text}"
-            if run.failed:  # rclpy raises if one line of code logs with different severities
+            if run.failed:  # rclpy allows one severity per line of code
                 self.get_logger().error(line)
             else:
                 self.get_logger().info(line)
@@ -555,7 +558,8 @@ class PlannerNode(SafeLifecycleNode[PlannerParameters]):
         return self._reports.publish_status(self._tasks.run, self._answered(), reason)
 
     def _answered(self) -> Time:
-        """Return the stamp of the last request, or of the last image if nothing was requested."""
+        """Return the stamp of the last request. If there was no request, return the stamp of the
+        last image."""
         request_ns = self._lockstep.request_ns
         return self._stamp if request_ns is None else to_time(request_ns)
 

@@ -1,8 +1,8 @@
-"""Planner of a task: computes the request to the solver once per plate cycle.
+"""Planner of a task. It computes the request to the solver once per plate cycle.
 
-Inputs are the parts in the images, the cycles sent and started, and the scenario. The estimator
-predicts the parts, the task rules return drifts or targets, and the supervision decides whether the
-task continues. All functions are pure; the time is an argument.
+The inputs are the parts in the images, the cycles that were sent and started, and the scenario. The
+estimator predicts the parts. The task rules return drifts or targets. The supervision decides
+whether the task continues. All functions are pure; the time is an argument.
 """
 
 from __future__ import annotations
@@ -57,26 +57,27 @@ NOTHING = Wanted.make(Parts.make((), np.zeros((0, 2))))
 """Empty request: the plate rests."""
 
 TAKEN_COAST = Coast(parts=1, unknown=1)
-"""Maximum number of images without a detection for which a part is propagated, in tasks in which
-parts are added and removed. The part may have been picked."""
+"""Maximum number of images without a detection for which the state of a part is propagated. It
+applies to tasks in which parts are added and removed. The number is small, because the part may
+have been picked."""
 
 IN_MOTION_S = 0.1
-"""Length of cycles that start from a moving plate [s]. If an answer takes as long, cycles start
-from rest."""
+"""Length of cycles that start from a moving plate [s]. If the solver takes as long as this, cycles
+start from rest."""
 
 MAX_GAP_S = 10.0
 """Maximum difference between the stamps of two images of a running task [s]. A longer interruption
-of images would end the task, so a larger difference means that the clock was set."""
+of images would end the task. Therefore a larger difference means that the clock was set."""
 
 
 @dataclass(frozen=True)
 class PlannerOptions(TaskOptions):
-    """Options of the planner, and of each task as in `TaskOptions`.
+    """Options of the planner. The options of each task are in `TaskOptions`.
 
     Attributes
     ----------
     default_period : float
-        Assumed length of a cycle until two images determine it [s].
+        Length of a cycle that is assumed until two images determine it [s].
     start_timeout_s : float
         Maximum time from the start until all parts are detected [s].
     unseen_timeout_s : float
@@ -84,10 +85,11 @@ class PlannerOptions(TaskOptions):
     stuck_timeout_s : float
         Maximum time without progress before the task counts as stuck [s].
     answer_s : float
-        If cycle starts are reported: time before the next start at which the answer is sent [s]. It
-        covers solver, driver and connection.
+        Time before the next cycle start at which the request is sent [s]. It is used if cycle
+        starts are reported. It covers the computing times of solver and driver, and the connection.
     image_age_s : float or None
-        Age of an image at its stamp [s]. None to estimate the age from the motion.
+        Age of an image at its stamp [s]. If None, the age is estimated from the motion of the
+        parts.
     """
 
     default_period: float = 0.1
@@ -100,7 +102,7 @@ class PlannerOptions(TaskOptions):
 
 @dataclass(frozen=True)
 class PlannerState:
-    """State of the planner between images.
+    """State of the planner between two images.
 
     Attributes
     ----------
@@ -109,13 +111,13 @@ class PlannerState:
     memory
         Memory of the task rules; None before the task begins.
     known : tuple of str
-        Ids in the last image with all parts.
+        Ids in the last image that showed all parts.
     last : mapping of str to LastSeen
         Last detected position of each part on the plate. Empty if parts are added and removed.
     answer : (Wanted, Progress) or None
-        The last answer. It is returned again if the same image arrives again.
+        The last result. It is returned again if the same image arrives again.
     due : float
-        Time of the next answer [s]; infinite until a cycle start is reported.
+        Time of the next request [s]. Infinite until a cycle start is reported.
     kept : bool
         Whether the last image was ignored: see `TaskRules.keeps_last`.
     """
@@ -155,7 +157,8 @@ class Planner:
         return rules_for(self.scenario.task, self.rig, self.options)
 
     def warnings(self) -> tuple[str, ...]:
-        """Return warnings before the start on infeasible requests, with remedies."""
+        """Return warnings on requests that are infeasible on this rig, with remedies. They are
+        shown before the start."""
         slow = outlook(self.rig, self.scenario.count, self.scenario.time_limit_s)
         warnings = (*self.rules.warnings(), *edge_doubts(self.scenario, self.rig))
         return (*warnings, slow) if slow else warnings
@@ -174,8 +177,8 @@ class Planner:
         )
 
     def initial(self, estimator: Estimator | None = None) -> PlannerState:
-        """Return the idle state of a planner. An estimator from an earlier planner may be
-        passed."""
+        """Return the idle state of a planner. `estimator` may be the estimator of an earlier
+        planner."""
         options = self.options
         if estimator is None:
             estimator = Estimator.of(self.rig, options.default_period, options.image_age_s)
@@ -186,8 +189,8 @@ class Planner:
         return replace(state, task=started(), memory=None, last={})
 
     def stop(self, state: PlannerState, why: Failure = STOP) -> PlannerState:
-        """Stop: no motion is requested from the next image on. A running task is aborted with the
-        reason `why`."""
+        """Stop the task: no motion is requested from the next image on. A running task is aborted
+        with the reason `why`."""
         stamp = state.estimator.stamp
         return replace(state, task=stopped(state.task, stamp if np.isfinite(stamp) else None, why))
 
@@ -199,10 +202,10 @@ class Planner:
         Returns
         -------
         planner : Planner
-            Planner with the new targets, which replaces this one.
+            Planner with the new targets. It replaces this planner.
         state : PlannerState
         refused : tuple of str
-            Reasons for refused targets. The other targets are accepted.
+            Reasons why targets were refused. The other targets are accepted.
 
         Raises
         ------
@@ -230,12 +233,12 @@ class Planner:
         return replace(self, scenario=scenario), replace(state, task=task_state), tuple(refused)
 
     def order(self, state: PlannerState, order: FeedOrder) -> Planner:
-        """Return a planner with another order for a running `feed` task. It replaces this one.
+        """Return a planner with another order for a running `feed` task. It replaces this planner.
 
         Raises
         ------
         PlateError
-            If no `feed` task runs, or the order does not fit the rig or the recipe.
+            If no `feed` task runs, or if the order does not fit the rig or the recipe.
         """
         task = self.scenario.task
         if not isinstance(task, FeedTask) or state.task.phase is not Phase.RUNNING:
@@ -256,10 +259,10 @@ class Planner:
     def record_cycle(
         self, state: PlannerState, cycle: PlateCycle, arrival: float, requested: float | None = None
     ) -> PlannerState:
-        """Record a cycle from the solver that arrived at `arrival` [s, the time of the stamps].
+        """Record a cycle that arrived from the solver at `arrival` [s, the time of the stamps].
 
-        `requested` is the start of the cycle that it answers [s]. Default: the running cycle.
-        Without any cycle the planner assumes that parts follow the requests.
+        `requested` is the start of the cycle for whose image it was computed [s]. Default: the
+        running cycle. If there is no cycle, the planner assumes that the parts follow the requests.
         """
         return replace(state, estimator=state.estimator.record_cycle(cycle, arrival, requested))
 
@@ -267,7 +270,7 @@ class Planner:
         self, state: PlannerState, cycle: PlateCycle, begin: float, triggered: bool = False
     ) -> PlannerState:
         """Record that the plate began a cycle at `begin` [s, the time of the stamps]. `triggered`
-        tells whether images are taken at cycle starts nevertheless."""
+        states whether images are taken at cycle starts although starts are reported."""
         due = begin + max(cycle.period - self.options.answer_s, 0.0)
         estimator = state.estimator.started(cycle, begin, triggered)
         return replace(state, estimator=estimator, due=due)
@@ -276,7 +279,7 @@ class Planner:
         """Record the detected parts of an image and its stamp [s].
 
         If the stamp is earlier than the last one, a running task restarts. If it is more than
-        `MAX_GAP_S` later, the task ends.
+        `MAX_GAP_S` later than the last one, the task ends.
         """
         clock = state.estimator.clock
         if state.task.phase is not Phase.RUNNING or clock.stamp is None:
@@ -302,14 +305,15 @@ class Planner:
         parts : Parts
             Detected parts.
         t : float
-            Stamp of the image [s]. The same stamp as before gives the same answer. An earlier stamp
-            means that the source was restarted. In this case a running task restarts.
+            Stamp of the image [s]. If it is the same stamp as before, the same request is returned.
+            An earlier stamp means that the source of the images was restarted. In this case a
+            running task restarts.
 
         Returns
         -------
         state : PlannerState
         wanted : Wanted
-            Request for these parts; `NOTHING` if the plate should rest.
+            Request for these parts. It is `NOTHING` if the plate should rest.
         progress : Progress
         """
         if state.answer is not None and t == state.estimator.clock.stamp:
@@ -317,10 +321,11 @@ class Planner:
         return self.answer(self.see(state, parts, t))
 
     def answer(self, state: PlannerState) -> tuple[PlannerState, Wanted, Progress]:
-        """Return the request for the next cycle, as in `plan`, from the images recorded so far."""
+        """Return the request for the next cycle from the images recorded so far. The result is the
+        same as in `plan`."""
         estimator = state.estimator
         there, last = estimator.parts, state.last
-        if self.rules.open_ended:  # in an open-ended task, parts may be removed at any time
+        if self.rules.open_ended:  # open-ended task: parts may be removed at any time
             there = self._without_doubles(there, estimator.seen)
         else:
             there = self._without_doubles(there, estimator.seen, NAMELESS)
@@ -341,19 +346,19 @@ class Planner:
         return tuple(group.label for group in self.scenario.parts)
 
     def _mine(self, ids: Sequence[str]) -> set[str]:
-        """Return the ids without the ids of objects that do not belong to the task."""
+        """Return the ids, except those of objects that do not belong to the task."""
         return {name for name in ids if not is_bystander(name, self._labels)}
 
     def _on_plate(self, parts: Parts) -> Parts:
-        """Return the parts whose centres are on the plate. The others have left it."""
+        """Return the parts whose centres are on the plate. The other parts have left the plate."""
         keep = np.all(np.abs(parts.position) <= self.rig.plate.half, axis=1)
         return parts if np.all(keep) else parts.take(np.flatnonzero(keep))
 
     def _without_doubles(
         self, parts: Parts, seen: Parts, classes: tuple[str, ...] | None = None
     ) -> Parts:
-        """Remove undetected parts at whose position another part is detected. This is the same part
-        with a new id, because it was hidden. `classes` limits this to some classes."""
+        """Remove undetected parts if another part is detected at the same position. The part was
+        hidden, and it is the same part with a new id. `classes` limits this to some classes."""
         label = [part_class(name) for name in parts.ids]
         gone = [name not in seen.ids for name in parts.ids]
         if classes is not None:
@@ -369,7 +374,7 @@ class Planner:
         self, before: Mapping[str, LastSeen], parts: Parts, t: float
     ) -> Mapping[str, LastSeen]:
         """Return each part's last position and stamp. If a part left the plate, its last position
-        is the place where it left."""
+        is the place at which it left."""
         half = self.rig.plate.half
         off = {name for name, at in before.items() if np.any(np.abs(at.position) > half)}
         on = np.all(np.abs(parts.position) <= half, axis=1)
@@ -383,7 +388,7 @@ class Planner:
         comes_and_goes = self.rules.open_ended
         missing = () if comes_and_goes else missing_parts(self.scenario, state.known, parts)
         seen = set(state.estimator.seen.ids)
-        mine = self._mine(parts.ids)  # ignore other objects, because they do not prevent the start
+        mine = self._mine(parts.ids)  # ignore other objects: they do not prevent the start
         again = comes_and_goes or self._mine(state.known) == mine <= seen
         task = begin(state.task, t, missing, again, self.limits, self.others(parts))
         estimator = self._observe(state, parts, task.active and not state.task.active)
@@ -410,11 +415,12 @@ class Planner:
 
     def others(self, parts: Parts) -> str:
         """Return a text on unknown objects on the plate. It is empty for tasks in which parts are
-        added and removed, because these tasks count them."""
+        added and removed, because these tasks count unknown objects themselves."""
         return "" if self.rules.open_ended else bystanders_text(parts, self._labels)
 
     def _observe(self, state: PlannerState, parts: Parts, begins: bool) -> Estimator:
-        """Update the drift bias by the prediction error. It is reset when a task begins."""
+        """Update the drift bias by the prediction error. The drift bias is reset when a task
+        begins."""
         estimator, rules = state.estimator, self.rules
         if begins:
             estimator = estimator.begin_task()
@@ -453,7 +459,7 @@ class Planner:
         parts: Parts,
         request: DriftInterval | Targets,
     ) -> tuple[PlannerState, Wanted]:
-        """Build the request for the solver, and store the drift that it leads to."""
+        """Build the request for the solver. Store the drift that results from it."""
         estimator, period = state.estimator, state.estimator.period
         targets = request if isinstance(request, Targets) else None
         if isinstance(request, Targets):

@@ -1,7 +1,8 @@
-"""The running or last task, and the state of the parts with or without a task. Does not use ROS.
+"""The running or last task, and the state of the parts. The state is estimated with and without a
+task. This module does not use ROS.
 
 `TaskRunner` passes each event (image, cycle start, cycle, targets, order) to the pure functions of
-`Planner` and keeps the state that they return. Without a task it updates only the estimator.
+`Planner` and keeps the state that they return. If no task runs, it updates only the estimator.
 """
 
 from __future__ import annotations
@@ -19,12 +20,12 @@ from .supervision import Failure, Overlooked, Phase, Progress, Reason, TaskState
 __all__ = ["Run", "TaskRunner"]
 
 BY_PERSON = (Reason.STOPPED, Reason.CANCELED, Reason.PREEMPTED)
-"""Reasons for which a user ends a task. Such an end is not a failure."""
+"""Reasons why a user ends a task. Such an end is not a failure."""
 
 
 @dataclass
 class Run:
-    """The task that runs or ran last.
+    """The running task, or the last task if none runs.
 
     Attributes
     ----------
@@ -37,7 +38,7 @@ class Run:
     finished : bool
         Whether the result was sent to the goal's client.
     progress : Progress or None
-        Progress at the last request. None before the first one.
+        Progress at the time of the last request. None before the first one.
     """
 
     planner: Planner
@@ -69,7 +70,7 @@ class Run:
 
 
 class TaskRunner:
-    """Runs one task at a time, and estimates the state of the parts also without a task.
+    """Runs one task at a time. The state of the parts is also estimated while no task runs.
 
     Parameters
     ----------
@@ -79,7 +80,7 @@ class TaskRunner:
     Attributes
     ----------
     run : Run or None
-        The task that runs or ran last. None if there was none, or after `forget`.
+        The running task, or the last task if none runs. None if there was none, or after `forget`.
     overlooked : Overlooked
         Objects in the images that vision does not publish as parts.
     """
@@ -110,7 +111,7 @@ class TaskRunner:
         self.run, self._others_reported = Run(planner, state, now, goal), False
 
     def end(self, why: Failure) -> bool:
-        """End the running task. Return whether one ran."""
+        """End the running task. Return whether a task was running."""
         run = self.running
         if run is not None:
             run.state = run.planner.stop(run.state, why)
@@ -128,15 +129,16 @@ class TaskRunner:
     # Events
 
     def record_image(self, things: tuple[OverlookedThing, ...], parts: Parts) -> str:
-        """Record the objects of an image that vision does not publish as parts. Return a warning
-        about objects that do not belong to the task, at most once per task, otherwise ""."""
+        """Record the objects of an image that vision does not publish as parts. Return a warning if
+        there are objects that do not belong to the task. The warning is returned at most once per
+        task; otherwise "" is returned."""
         self.overlooked.add(things, parts)
         text = "" if self._others_reported else self.others()
         self._others_reported = self._others_reported or bool(text)
         return text
 
     def see(self, parts: Parts, stamp: float) -> None:
-        """Record the parts of an image with this stamp [s] that needs no answer of the task."""
+        """Record the parts of an image with this stamp [s]. The task needs no request for it."""
         if self.run is None:
             self._idle = self._idle.update(parts, stamp)
         else:
@@ -151,8 +153,8 @@ class TaskRunner:
             self.run.state = self.run.planner.started(self.run.state, cycle, begin, triggered)
 
     def record_cycle(self, cycle: PlateCycle, arrival: float, requested: float) -> None:
-        """Record a cycle from the solver that arrived at `arrival`. It answers the request with the
-        stamp `requested` [s]."""
+        """Record a cycle from the solver that arrived at `arrival`. It results from the request
+        with the stamp `requested` [s]."""
         if self.run is None:
             self._idle = self._idle.record_cycle(cycle, arrival, requested)
         else:
@@ -192,7 +194,7 @@ class TaskRunner:
         Raises
         ------
         PlateError
-            If no `feed` task runs, or the order does not fit.
+            If no `feed` task runs, or if the order does not fit.
         """
         run = self.run
         if run is None:
@@ -201,13 +203,13 @@ class TaskRunner:
 
     @property
     def targets(self) -> tuple[PartTarget, ...]:
-        """Targets of a running `move` task, otherwise empty."""
+        """Targets of a running `move` task. Empty if no such task runs."""
         task = None if self.running is None else self.running.planner.scenario.task
         return task.targets if isinstance(task, MoveTask) else ()
 
     def others(self) -> str:
-        """Return a text on objects that do not belong to the task. "" if there are none, or while
-        no task moves parts."""
+        """Return a text on objects that do not belong to the task. Return "" if there are none, or
+        if no task moves parts."""
         run = self.run
         if run is None or not run.task.active:
             return ""

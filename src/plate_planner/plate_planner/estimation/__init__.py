@@ -1,5 +1,5 @@
-"""Estimates position, velocity and friction of the parts, and predicts their state when the
-planner's answer takes effect.
+"""Estimates position, velocity and friction of the parts. Predicts their state when the result of
+the next request takes effect.
 
 `Estimator` is the interface. Its inputs are the parts in the images and the cycles sent to the
 plate.

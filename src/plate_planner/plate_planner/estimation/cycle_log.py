@@ -1,7 +1,8 @@
-"""Record of the plate cycles that ran, with their start times, and of the cycle period.
+"""Record of the plate cycles that were executed, with their start times, and of the cycle period.
 
-The driver reports the start of each cycle. Without reports, images are assumed to be triggered at
-cycle starts: their stamps are the start times, and the cycles sent determine which cycle began.
+The driver reports the start of each cycle. If there are no reports, images are assumed to be
+triggered at cycle starts. Their stamps are then the start times, and the cycles sent determine
+which cycle began.
 """
 
 from __future__ import annotations
@@ -21,37 +22,41 @@ SNAP = 0.25
 """Tolerance of an image's stamp around the expected end of a cycle, as a fraction of the cycle."""
 
 MEMORY_S = 1.5
-"""Time for which runs are kept [s]. It exceeds the maximum image latency and the longest usual
-cycle."""
+"""Time for which executed cycles are kept [s]. It is longer than the maximum image latency and the
+longest usual cycle."""
 
-MIN_S, MAX_S = 0.005, 10.0
-"""Minimum and maximum length of a cycle or tail that the log accepts [s]."""
+MIN_S = 0.005
+"""Minimum length of a cycle or tail that the log accepts [s]."""
+
+MAX_S = 10.0
+"""Maximum length of a cycle or tail that the log accepts [s]."""
 
 PERIOD_RANGE_S = (0.005, 1.0)
-"""Range of stamp intervals and of reported periods that are accepted as a period [s]. The solver's
-default periods are 0.1 to 0.4."""
+"""Range of periods that the log accepts [s]. It applies to intervals between stamps and to reported
+periods. The solver's default periods are 0.1 to 0.4."""
 
 SAME_TIME_S = 3.0
-"""Maximum difference between the stamps of an image and of a cycle start [s]. It exceeds the
+"""Maximum difference between the stamps of an image and of a cycle start [s]. It is longer than the
 longest permitted interruption of images."""
 
 INTERVALS_KEPT = 3
-"""Number of intervals kept. The median of three is not affected by one lost image."""
+"""Number of stamp intervals that are kept. The median of three is not affected by one lost
+image."""
 
 DELAYS_KEPT = 7
-"""Number of delays remembered. Predictions use their median, so that a single late answer does not
-count. Gains use their maximum."""
+"""Number of delays that are kept. Predictions use their median, so that a single late result has no
+effect. Gains use their maximum."""
 
 LATEST = 3
-"""Maximum delay of an answer that predictions assume, in cycles."""
+"""Maximum delay of a result that predictions assume [cycles]."""
 
 SAME_POSE = 1e-9
-"""Poses that differ by less count as equal [m, rad], because a motor's travel is rounded."""
+"""Poses that differ by less count as equal [m, rad], because the travel of a motor is rounded."""
 
 
 @dataclass(frozen=True)
 class Sent:
-    """A cycle that was sent.
+    """A cycle that was sent to the plate.
 
     Attributes
     ----------
@@ -59,7 +64,7 @@ class Sent:
         Time of sending [s, the time of the stamps].
     cycle : PlateCycle
     requested : float
-        Start of the cycle whose image it answers [s].
+        Start of the cycle for whose image the solver computed it [s].
     """
 
     arrival: float
@@ -69,30 +74,33 @@ class Sent:
 
 @dataclass(frozen=True)
 class CycleLog:
-    """The cycles that the plate ran or is expected to run, oldest first.
+    """The cycles that the plate executed or is expected to execute, oldest first.
 
-    A report replaces the expectation for its time.
+    If a start is reported, it replaces the start that was expected for this time.
 
     Attributes
     ----------
     runs : tuple of (begin [s], PlateCycle)
-        Each run ends when the next begins. The plate is at rest before the first.
+        Executed cycles (runs). Each run ends when the next one begins. The plate is at rest before
+        the first run.
     sent : tuple of Sent
-        Cycles sent whose start has not been reported, oldest first. Without reports, only the
-        newest one.
+        Sent cycles whose start has not been reported, oldest first. If there are no reports, only
+        the newest one is kept.
     reported : bool
         Whether only reports determine the cycle starts. If False, images are taken at cycle starts.
     last_report : float
-        Start of the last reported cycle [s]; minus infinity if there is none.
+        Start of the last reported cycle [s]. Minus infinity if there is none.
     delays : tuple of int
-        Delays of the last answers in cycles, relative to the end of the cycle that they answer.
+        Delays of the last results [cycles]. The delay is 0 if a result begins at the end of the
+        cycle whose image it was computed for.
     answered : float
-        Start of the cycle that the last cycle sent answers [s]; minus infinity if none was sent.
+        Start of the cycle for whose image the last sent cycle was computed [s]. Minus infinity if
+        none was sent.
     awaited : Sent or None
-        The last cycle sent that moves the plate, until it is known to have begun.
+        The last sent cycle that moves the plate. None after it has begun.
     begun, unanswered : int
-        Number of reported cycles, and number of those that moved the plate without a new answer, as
-        a repeated cycle or a tail.
+        Number of reported cycles. Number of those that moved the plate without a new result, as a
+        repeated cycle or a tail.
     """
 
     runs: tuple[tuple[float, PlateCycle], ...] = ()
@@ -107,7 +115,7 @@ class CycleLog:
 
     @property
     def known(self) -> bool:
-        """Whether any cycle has run."""
+        """Whether any cycle was executed."""
         return bool(self.runs)
 
     @property
@@ -129,11 +137,11 @@ class CycleLog:
 
     @property
     def certain(self) -> bool:
-        """Whether the state of the plate at the start of an answer is known.
+        """Whether the state of the plate at the start of the next result is known.
 
-        This requires a report of the last run or of the one before, because the log is uncertain
-        without recent reports. It also requires answers without delay: the start of an answer must
-        not depend on another one that has not begun.
+        This requires a report of the last run or of the run before it, because the log is uncertain
+        without recent reports. It also requires results without delay. Otherwise the start of a
+        result depends on an earlier result that has not begun.
         """
         return self.known and self.last_report >= self.runs[-2:][0][0] and not self.delay
 
@@ -144,7 +152,7 @@ class CycleLog:
 
     @property
     def resting_since(self) -> float:
-        """Start of the plate's rest [s]; infinite while it moves."""
+        """Start of the plate's rest [s]. Infinite while the plate moves."""
         since = math.inf
         for begin, cycle in reversed(self.runs):
             if cycle.moves:
@@ -154,28 +162,29 @@ class CycleLog:
 
     @property
     def delay(self) -> int:
-        """Delay of the answers in cycles, if the computer or the connection is too slow."""
+        """Delay of the results [cycles]. It is above 0 if the computer or the connection is too
+        slow."""
         return min(median_low(self.delays), LATEST) if self.delays else 0
 
     @property
     def longest_delay(self) -> int:
-        """Maximum of the last delays, at most `LATEST` cycles. A controller that is stable with
-        this delay stays stable if delays vary."""
+        """Maximum of the last delays [cycles], at most `LATEST`. A controller that is stable with
+        this delay remains stable if the delays vary."""
         return min(max(self.delays, default=0), LATEST)
 
     @property
     def until_answer(self) -> CycleLog:
-        """The predicted log when the answer to the running cycle begins. Answers sent earlier begin
-        before it."""
+        """The predicted log at the time when the result for the running cycle begins. Results that
+        were sent earlier begin before it."""
         log, before = self, [one.cycle for one in self.sent][::-1]
-        for k in reversed(range(self.delay)):  # the newest answer comes last
+        for k in reversed(range(self.delay)):  # the newest result comes last
             cycle = log.next(before[k : k + 1])
             log = replace(log, runs=(*log.runs, (log.end, cycle)))
         return log
 
     def next(self, sent: Sequence[PlateCycle]) -> PlateCycle:
-        """Return the cycle that follows the last run, by `plate_core.motion.next_cycle`, from the
-        cycles sent, the newest one last."""
+        """Return the cycle that follows the last run by the rule `plate_core.motion.next_cycle`.
+        `sent` are the cycles sent, the newest one last."""
         return next_cycle(self.runs[-1][1], sent, idle_s=self.period)
 
     def record_cycle(
@@ -183,7 +192,8 @@ class CycleLog:
     ) -> CycleLog:
         """Record a cycle sent at `arrival` [s, the time of the stamps].
 
-        `requested` is the start of the cycle that it answers [s]. Default: the running cycle.
+        `requested` is the start of the cycle for whose image it was computed [s]. Default: the
+        running cycle.
         """
         if not _playable(cycle):
             return self
@@ -196,7 +206,7 @@ class CycleLog:
 
     def started(self, cycle: PlateCycle, begin: float, triggered: bool = False) -> CycleLog:
         """Record the report that the plate began a cycle at `begin` [s]. A repeated report changes
-        nothing. With `triggered`, images are taken at cycle starts nevertheless."""
+        nothing. If `triggered`, images are taken at cycle starts although starts are reported."""
         if not _playable(cycle):
             return self
         if self._clock_was_reset(begin):
@@ -219,7 +229,7 @@ class CycleLog:
         )
 
     def _clock_was_reset(self, begin: float) -> bool:
-        """Whether a report's stamp [s] is so old that the clock must have been set back."""
+        """Whether the stamp of a report [s] is so old that the clock must have been set back."""
         return bool(self.runs) and begin < self.begin - MEMORY_S
 
     def _is_reported(self, cycle: PlateCycle, begin: float) -> bool:
@@ -229,8 +239,8 @@ class CycleLog:
         )
 
     def _runs_before(self, begin: float) -> tuple[tuple[float, PlateCycle], ...]:
-        """Return the runs that began before a report's `begin` [s]. A run that the log expected at
-        about this time was a prediction, which the report replaces."""
+        """Return the runs that began before a report's `begin` [s]. A run that was expected at
+        about this time was only a prediction. The report replaces it."""
         return tuple(run for run in self.runs if run[0] < begin - SNAP * run[1].period)
 
     def _answer_in(self, cycle: PlateCycle) -> int | None:
@@ -241,29 +251,31 @@ class CycleLog:
     def _delays_with(
         self, answer: int | None, kept: tuple[tuple[float, PlateCycle], ...]
     ) -> tuple[int, ...]:
-        """Return the delays after the answer of this index in `sent` has begun, after the runs
-        `kept`. Rest adds none: one cycle of rest cannot be distinguished from another."""
+        """Return the delays after a result has begun. `answer` is its index in `sent`, and `kept`
+        are the runs before it. A cycle at rest adds no delay, because cycles at rest cannot be
+        distinguished."""
         if answer is None or not self.sent[answer].cycle.moves:
             return self.delays
         requested = self.sent[answer].requested
-        late = sum(  # do not count short cycles at rest and tails, because they do not delay others
+        late = sum(  # ignore rest and tails, because they do not delay results
             start > requested + SNAP * run.period and run.moves and not _is_tail(run)
             for start, run in kept
         )
         return (*self.delays, late)[-DELAYS_KEPT:]
 
     def _goes_on(self, cycle: PlateCycle, before: tuple[tuple[float, PlateCycle], ...]) -> bool:
-        """Whether a cycle moves the plate only because no answer arrived in time. Then the cycle
-        repeats the last run or is its tail, and the last answer was not rest."""
+        """Whether a cycle moves the plate only because no result arrived in time. In this case the
+        cycle repeats the last run or is its tail, and the last result was not a cycle at rest."""
         if not (before and cycle.moves) or (self.sent and not self.sent[-1].cycle.moves):
             return False
         return any(_same(cycle, part) for part in before[-1][1].parts)
 
     def advance(self, t: float) -> CycleLog:
-        """Return the log at an image's stamp t [s]. Without reports, a cycle starts at the stamp.
+        """Return the log at an image's stamp t [s]. If there are no reports, a cycle starts at the
+        stamp.
 
-        After the end of a cycle, the newest cycle follows if it arrived in time; otherwise the
-        rule `next_cycle` applies. If answers have a delay, an older answer follows.
+        After the end of a cycle, the newest cycle follows if it arrived in time. Otherwise the rule
+        `next_cycle` applies. If results have a delay, an older result follows.
         """
         if self.reported:
             log = self
@@ -272,7 +284,7 @@ class CycleLog:
             return log
         log = self
         if self.runs and t < (self.runs[0][0] if self.begin == self.last_report else self.begin):
-            log = CycleLog()  # the clock restarted
+            log = CycleLog()  # the clock was restarted
         elif self.runs and t > self.end + MEMORY_S:
             # No image has arrived for a long time.
             log = CycleLog(sent=self.sent, answered=self.answered, awaited=self.awaited)
@@ -286,13 +298,13 @@ class CycleLog:
         return replace(log, runs=kept)
 
     def triggered(self, t: float, phase: float) -> float:
-        """Return the trigger time [s] of an image with stamp t [s], for a camera that is triggered
-        at a phase of each cycle.
+        """Return the trigger time [s] of an image with stamp t [s]. The camera is triggered at a
+        phase of each cycle.
 
         The stamp may be early by up to `SNAP` of a cycle, and late by up to the rest of a cycle. If
         the plate is at rest, the stamp is returned.
         """
-        # The start of the following cycle is possibly not reported yet.
+        # The start of the following cycle may not be reported yet.
         ahead = (self.end, self.runs[-1][1])
         for begin, cycle in (ahead, *reversed(self.runs)):
             taken = begin + phase * cycle.period
@@ -312,21 +324,22 @@ class CycleLog:
         if not (self.runs or waiting):
             return self
         cycle = self.next(waiting) if self.runs else waiting[-1]
-        # Keep the sent cycles for a later report of the start, and for the end of a tail.
+        # Keep the sent cycles. They are needed if their start is reported later, and when a tail
+        # ends.
         keeps = math.isfinite(self.last_report) or not any(cycle is each for each in waiting)
         awaited = self.awaited if keeps else self._awaited_after(cycle)
         runs = (*self.runs, (t, cycle))
         return replace(self, runs=runs, sent=self.sent if keeps else (), awaited=awaited)
 
     def _awaited_after(self, cycle: PlateCycle) -> Sent | None:
-        """Return the new `awaited` after a cycle has begun."""
+        """Return the new value of `awaited` after a cycle has begun."""
         one = self.awaited
         return None if one is not None and _same(one.cycle, cycle) else one
 
     def may_move(self, t: float) -> bool:
-        """Whether the awaited cycle may still begin after t [s].
+        """Whether the awaited cycle may still begin after time t [s].
 
-        The driver may have accepted it, and it starts at the end of a cycle.
+        The driver may have accepted the cycle. It starts at the end of the running cycle.
         """
         one = self.awaited
         if one is None or one.requested > t + MEMORY_S:  # the clock was set back
@@ -334,10 +347,11 @@ class CycleLog:
         return t < one.requested + MAX_AGE_S + one.cycle.period
 
     def between(self, begin: float, end: float) -> Iterator[tuple[PlateCycle, float, float, float]]:
-        """Yield the pieces of runs between `begin` and `end` [s]: cycle, its start time, and start
-        and end of the piece relative to it [s].
+        """Yield the pieces of runs between `begin` and `end` [s]. Each piece is the cycle, the
+        start time of the cycle [s], and the start and the end of the piece relative to this time
+        [s].
 
-        There are no pieces for times without a run.
+        Times without a run have no pieces.
         """
         for k, (start, cycle) in enumerate(self.runs):
             stop = self.runs[k + 1][0] if k + 1 < len(self.runs) else start + cycle.period
@@ -352,7 +366,8 @@ def check_start(cycle: PlateCycle, begin: float, image: float | None) -> None:
     Raises
     ------
     PlateError
-        If the period is outside `PERIOD_RANGE_S`, or image and report have different clocks.
+        If the period is outside `PERIOD_RANGE_S`, or if the image and the report have stamps of
+        different clocks.
     """
     low, high = PERIOD_RANGE_S
     if not low <= cycle.period <= high:
@@ -368,7 +383,7 @@ def check_start(cycle: PlateCycle, begin: float, image: float | None) -> None:
 
 
 def _same(one: PlateCycle, other: PlateCycle) -> bool:
-    """Whether two cycles have equal knot poses up to rounding. Times are not compared."""
+    """Whether two cycles have equal knot poses, up to rounding. Times are not compared."""
     a, b = one.knot_pose, other.knot_pose
     return a.shape == b.shape and bool(np.all(np.abs(a - b) < SAME_POSE))
 
@@ -392,7 +407,7 @@ class CycleClock:
     stamp : float or None
         The last stamp [s].
     intervals : tuple of float
-        The last plausible differences of consecutive stamps [s].
+        The last plausible intervals between consecutive stamps [s].
     period : float
         Assumed length of a cycle [s].
     """
@@ -407,7 +422,8 @@ class CycleClock:
         return cls(None, (), default_period)
 
     def tick(self, t: float) -> CycleClock:
-        """Update with the next stamp [s]. A step back or a long gap does not change the period."""
+        """Update with the next stamp [s]. A stamp that is earlier than the last one, or much later,
+        does not change the period."""
         step = None if self.stamp is None else t - self.stamp
         if step is None or not PERIOD_RANGE_S[0] <= step <= PERIOD_RANGE_S[1]:
             return replace(self, stamp=t)
@@ -416,9 +432,10 @@ class CycleClock:
 
     @property
     def interval(self) -> float:
-        """Interval of the last two images [s]; `period` until it is known."""
+        """Interval between the last two images [s]. It is `period` until the interval is known."""
         return self.intervals[-1] if self.intervals else self.period
 
     def went_back(self, t: float) -> bool:
-        """Whether a stamp [s] is earlier than the last one, because the source restarted."""
+        """Whether a stamp [s] is earlier than the last one. This means that the source was
+        restarted."""
         return self.stamp is not None and t < self.stamp

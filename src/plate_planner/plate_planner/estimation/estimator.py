@@ -1,10 +1,10 @@
-"""Estimates the state of the parts from images and the plate's motion.
+"""Estimates the state of the parts from images and from the plate's motion.
 
-Inputs are the parts detected in each image with its stamp, the cycles sent to the plate, their
-reported starts, and the requests. Outputs are the parts at the start of the running cycle and their
-predicted state when the next answer takes effect. The parts are tracked by Kalman filters on the
-stick-slip motion (`filter.py`), in parallel for several hypotheses of the image latency
-(`latency.py`). `DriftBias` observes the remaining prediction error.
+The inputs are the parts detected in each image with its stamp, the cycles sent to the plate, their
+reported starts, and the requests. The outputs are the parts at the start of the running cycle, and
+their predicted state when the next result takes effect. Kalman filters on the stick-slip motion
+track the parts (`filter.py`). Several hypotheses of the image latency are computed in parallel
+(`latency.py`). `DriftBias` estimates the remaining prediction error.
 """
 
 from __future__ import annotations
@@ -22,45 +22,50 @@ from .frame_clock import FrameClock
 from .latency import LatencyHypotheses
 
 COAST = Coast(parts=5, unknown=10)
-"""Maximum number of consecutive images without a detection for which a part is propagated. For a
-part, it is the number after which vision drops its name. Objects of the class `unknown` are often
-not detected although they are present. Their number corresponds to `MEMORY_S` if images are taken
-at cycle starts."""
+"""Maximum number of consecutive images without a detection for which the state of an object is
+propagated. After this number of images, vision no longer keeps the name of a part. Objects of the
+class `unknown` are often not detected although they are on the plate, so their number is larger. If
+images are taken at cycle starts, this number corresponds to `MEMORY_S`."""
 
 FRESH = 1.5
-"""Maximum age of a request, in periods. A request that is older does not describe the running
-cycle. It is also the maximum time over which a mean drift or spin is measured, in periods."""
+"""Maximum age of a request [periods]. An older request does not describe the running cycle. This is
+also the maximum time over which a mean drift or spin is measured [periods]."""
 
 SETTLE_S = 0.05
-"""Delay after the plate has come to rest until all parts are at rest [s]."""
+"""Time from the rest of the plate until all parts are at rest [s]."""
 
 SAME_LATENCY_S = 2e-3
-"""Latencies that differ by less count as equal for a prediction [s]. Parts drift by about 0.05 mm
-in this time."""
+"""Latencies that differ by less count as equal in a prediction [s]. Parts drift by about 0.05 mm in
+this time."""
 
 STARTS_S = 1e-3
-"""Maximum difference between an image's stamp and a reported cycle start [s]. If it is smaller, the
-stamp is the time of the camera trigger, so the image was taken at its stamp."""
+"""Maximum difference between the stamp of an image and a reported cycle start at which the stamp
+counts as the time of the camera trigger [s]. The image was then taken at its stamp."""
 
 LATE = 0.01
 """Maximum difference between `Estimator.stamp` and the time of a prediction, as a fraction of the
-prediction's span. Parts at a later or earlier time are not compared with the prediction."""
+time from the prediction to that time. If the difference is larger, the parts are not compared with
+the prediction."""
 
 FEWER = 0.02
 """Tolerance of the image rate, as a fraction of the cycle rate."""
 
-ODD, ODD_IMAGES = 0.25, 20
-"""If this number of consecutive image intervals deviates from whole numbers of cycles by more than
-this fraction of a cycle, the camera is not triggered at cycle starts."""
+ODD = 0.25
+"""Deviation of an image interval from a whole number of cycles at which the interval counts as odd
+[cycles]."""
+
+ODD_IMAGES = 20
+"""Number of consecutive odd intervals that prove that the camera is not triggered at cycle
+starts."""
 
 FEW_UNANSWERED = 0.05
-"""Fraction of unanswered cycles that does not noticeably slow a task."""
+"""Fraction of cycles without a result that does not noticeably slow down a task."""
 
 NOBODY = Parts.make((), np.zeros((0, 2)))
 
 
 def rows_of(ids: tuple[str, ...], among: tuple[str, ...]) -> np.ndarray:
-    """Return the index (K,) of each id in `among`; -1 if it is missing."""
+    """Return the index (K,) of each id in `among`. It is -1 for an id that is not in `among`."""
     row = {name: i for i, name in enumerate(among)}
     return np.array([row.get(name, -1) for name in ids], dtype=int)
 
@@ -69,8 +74,8 @@ def rows_of(ids: tuple[str, ...], among: tuple[str, ...]) -> np.ndarray:
 class LastRequest:
     """The last request: drift (M, 2) [m/s, plate_home] of each part, and its stamp [s].
 
-    The stamp is `Estimator.stamp` when the request was recorded. `force` (M, 2) [N] are
-    the corresponding mean forces.
+    The stamp is the value of `Estimator.stamp` when the request was recorded. `force` (M, 2) [N]
+    are the corresponding mean forces.
     """
 
     ids: tuple[str, ...] = ()
@@ -79,10 +84,11 @@ class LastRequest:
     force: np.ndarray = field(default_factory=lambda: np.zeros((0, 2)))
 
     def drift_of(self, parts: Parts, t: float, period: float) -> np.ndarray:
-        """Return the drift (M, 2) [m/s] of parts detected at t [s], if they follow the request.
+        """Return the drift (M, 2) [m/s] of parts detected at time t [s], if they follow the
+        request.
 
-        Parts without a request, or with a request older than `FRESH` periods, keep their measured
-        drift.
+        If a part has no request, or its request is older than `FRESH` periods, its measured drift
+        is returned.
         """
         drift = parts.velocity.copy()
         if 0 <= t - self.stamp <= FRESH * period:
@@ -93,16 +99,17 @@ class LastRequest:
 
 @dataclass(frozen=True)
 class DriftBias:
-    """Disturbance observer of the drift error: the difference between actual and predicted motion.
+    """Disturbance observer of the drift error, which is the difference between the actual and the
+    predicted motion.
 
-    Weak motors, a more slippery surface or errors of the solver's model cause similar errors in
-    consecutive cycles. With the position x, the prediction p made the time T before, and the gain
-    k, the drift error b is updated by
+    Weak motors, lower friction or errors of the solver's model cause similar errors in consecutive
+    cycles. Let x be the position of a part, p its prediction made a time T before, and k the gain.
+    The drift error b is updated by
 
         b += k ((x - p)/T - b).
 
-    On a path the error is nearly constant along and across it. Therefore it is stored in axes that
-    the task chooses.
+    On a path, the components of the error along and across the path are nearly constant. Therefore
+    it is stored in axes that the task chooses.
 
     Attributes
     ----------
@@ -112,11 +119,11 @@ class DriftBias:
     place : (M, 2)
         Predicted position of each part [m, plate_home].
     stamp : float
-        Time of the predicted positions [s]; NaN if there is no prediction.
+        Time of the predicted positions [s]. NaN if there is no prediction.
     span : float
-        Prediction horizon: `stamp` minus the time of the prediction [s].
+        Prediction horizon [s]: `stamp` minus the time of the prediction.
     latency : float or None
-        Image latency assumed in the prediction [s]; None if unknown.
+        Image latency that the prediction assumes [s]. None if unknown.
     """
 
     ids: tuple[str, ...] = ()
@@ -136,20 +143,22 @@ class DriftBias:
         gain: float,
         most: np.ndarray,
     ) -> DriftBias:
-        """Update the drift error by the difference between parts and prediction.
+        """Update the drift error by the difference between the parts and their prediction.
 
         Parameters
         ----------
         parts : Parts
-            M parts at `Estimator.stamp`.
+            M parts at the time `Estimator.stamp`.
         seen : (M,) bool
             Whether the image shows the part. Other parts are not updated.
         t : float
-            `Estimator.stamp` [s]. There is no update if the prediction is for another time.
+            `Estimator.stamp` [s]. The drift error is not updated if the prediction is for another
+            time.
         latency : float or None
-            Image latency assumed now [s]. There is no update if it is unknown or has changed.
+            Image latency assumed now [s]. The drift error is not updated if the latency is unknown
+            or has changed.
         axes : (M, 2, 2)
-            Unit vectors in rows, at the middle of the cycle that has ended.
+            Unit vectors of each part's axes, in rows, at the middle of the cycle that has ended.
         gain : float
             Weight of the new difference, 0 to 1 [-].
         most : (M,)
@@ -166,8 +175,8 @@ class DriftBias:
         return DriftBias(parts.ids, drift, parts.position)
 
     def predict(self, place: np.ndarray, t: float, at: float, latency: float | None) -> DriftBias:
-        """Return the observer with the positions (M, 2) [m] predicted at t [s] for the time `at`
-        [s]."""
+        """Return the observer with a new prediction: the positions (M, 2) [m] for the time `at`
+        [s], predicted at time t [s]."""
         return replace(self, place=place, stamp=at, span=at - t, latency=latency)
 
     def along(self, axes: np.ndarray) -> np.ndarray:
@@ -185,9 +194,10 @@ class DriftBias:
 
 @dataclass(frozen=True)
 class Turning:
-    """Orientation and angular velocity of the parts, if cycle starts are reported.
+    """Orientation and angular velocity of the parts. They are known only if cycle starts are
+    reported.
 
-    They are measured in the image closest to each cycle start, when the plate hardly moves.
+    They are measured in the image closest to each cycle start, because the plate hardly moves then.
 
     Attributes
     ----------
@@ -211,7 +221,7 @@ class Turning:
     last: Turning | None = None
 
     def update(self, log: CycleLog, parts: Parts, time: float) -> Turning:
-        """Process an image taken at `time` [s]."""
+        """Process an image that was taken at `time` [s]."""
         starts = np.array([*(begin for begin, _ in log.runs), log.end])
         start = float(starts[np.argmin(np.abs(starts - time))])
         same = abs(start - self.start) < SNAP * log.period
@@ -229,7 +239,7 @@ class Turning:
     def of(self, ids: tuple[str, ...], t: float) -> tuple[np.ndarray, np.ndarray]:
         """Return the angles (K,) [rad] of parts at time t [s], and their spins (K,) [rad/s].
 
-        Both are 0 for unknown parts.
+        Both are 0 for parts that are not known.
         """
         row = rows_of(ids, self.ids)
         spin = np.append(self.spin, 0.0)[row]
@@ -252,16 +262,16 @@ class Estimator:
     seen : Parts
         Parts detected in the last image.
     request : LastRequest
-        Requested drift. It is the motion model until the plate's motion is known.
+        Requested drift. It is the motion model as long as the plate's motion is not known.
     odd : int
         Number of consecutive images whose interval to the previous image is not a whole number of
         cycles.
     turning : Turning
-        Orientations of the parts, if cycle starts are reported.
+        Orientations of the parts. They are known only if cycle starts are reported.
     before, before_stamp : Parts, float
         Parts at the last call of `observe`, and their stamp [s].
     bias : DriftBias
-        Observed error of the predicted drift.
+        Estimated error of the predicted drift.
     """
 
     rig: Rig
@@ -285,9 +295,9 @@ class Estimator:
         ----------
         rig : Rig
         default_period : float
-            Assumed length of a cycle until it is known [s].
+            Length of a cycle that is assumed until it is known [s].
         latency : float or None
-            Age of an image at its stamp [s]. None to estimate this age.
+            Age of an image at its stamp [s]. If None, this age is estimated.
         """
         clock = CycleClock.starting(default_period)
         hypotheses = LatencyHypotheses.of(latency)
@@ -309,7 +319,7 @@ class Estimator:
         `CycleLog.started`."""
         latency = self.latency
         if self.rig.camera.trigger is not None and not self.log.reported:
-            # With reported cycle starts, the exposure times are known.
+            # If cycle starts are reported, the exposure times are known.
             latency = LatencyHypotheses.of(0.0)
         return replace(self, log=self.log.started(cycle, begin, triggered), latency=latency)
 
@@ -350,12 +360,12 @@ class Estimator:
 
     @property
     def image_rate(self) -> float:
-        """Number of images per second; 0 until it is known."""
+        """Number of images per second. 0 until it is known."""
         return self.frames.rate
 
     @property
     def image_problem(self) -> str:
-        """Description of a problem with the timing of images; empty if there is none."""
+        """Description of a problem with the times of images. Empty if there is none."""
         if not self.log.known:
             return ""
         rate, cycles = self.image_rate, 1 / self.period
@@ -370,7 +380,7 @@ class Estimator:
 
     @property
     def answer_problem(self) -> str:
-        """Description of a delay of the answers; empty if there is none."""
+        """Description of a delay of the results. Empty if there is none."""
         late = self.log.delay
         cycles = "a cycle" if late == 1 else f"{late} cycles"
         return f"results start {cycles} late: the computer or the line is too slow" if late else ""
@@ -382,8 +392,8 @@ class Estimator:
 
     @property
     def unanswered(self) -> str:
-        """Description of the cycles without an answer since the task began; empty if they are at
-        most `FEW_UNANSWERED`."""
+        """Description of the number of cycles without a result since the task began. Empty if at
+        most a fraction of `FEW_UNANSWERED` had none."""
         log = self.log
         if log.unanswered <= FEW_UNANSWERED * log.begun:
             return ""
@@ -401,10 +411,10 @@ class Estimator:
 
     @property
     def stamp(self) -> float:
-        """Time to which `parts` refers [s].
+        """Time for which `parts` holds [s].
 
-        It is the start of the running cycle if starts are reported, otherwise the stamp of the last
-        image. Minus infinity before the first image.
+        If cycle starts are reported, it is the start of the running cycle. Otherwise it is the
+        stamp of the last image. Minus infinity before the first image.
         """
         if self.log.reported:
             return self.log.begin
@@ -412,7 +422,7 @@ class Estimator:
 
     @property
     def taken(self) -> float:
-        """Time at which the last image was taken [s]; minus infinity before the first."""
+        """Time at which the last image was taken [s]. Minus infinity before the first image."""
         stamp = -np.inf if self.clock.stamp is None else self.clock.stamp
         return stamp - self.latency.latency
 
@@ -423,24 +433,25 @@ class Estimator:
 
     @property
     def _known_rest(self) -> float:
-        """Start of the plate's rest [s], from reported cycles, sent cycles or requests."""
+        """Start of the plate's rest [s]. It is derived from reported cycles, sent cycles or
+        requests."""
         if self.log.known:
             return self.log.resting_since
-        requested = self.request.stamp  # the request is executed in the cycle after its image
+        requested = self.request.stamp  # executed in the cycle after its image
         return requested + 2 * self.period if requested <= self.stamp else -np.inf
 
     @property
     def resting_since(self) -> float:
         """Start of the plate's rest [s], if the plate remains at rest until the next request.
 
-        It is infinite if the plate moves or may move: if the cycle of the last image has not been
-        reported, or if the last request may still begin.
+        It is infinite if the plate moves or may move. The plate may move if the cycle of the last
+        image has not been reported, or if the last request may still begin.
         """
         log, requested = self.log, self.request.stamp
         if not log.known:
             return self._known_rest
         shown = max((begin for begin, _ in log.runs if begin < self.taken + STARTS_S), default=0.0)
-        reports = log.last_report > self.taken - MEMORY_S  # false if no start was reported recently
+        reports = log.last_report > self.taken - MEMORY_S  # false if there is no recent report
         # False also if the clock was set back.
         unanswered = log.answered < requested < self.taken + MEMORY_S
         may_come = unanswered or log.may_move(log.last_report if reports else self.taken)
@@ -448,18 +459,18 @@ class Estimator:
 
     @property
     def period(self) -> float:
-        """Length of the last cycle that is not a tail [s]. If no cycle is known, it is estimated
-        from the stamps."""
+        """Length of the last cycle that is not a tail [s]. If no cycle is known, the length is
+        estimated from the stamps."""
         return self.log.period if self.log.known else self.clock.period
 
     @property
     def next_start(self) -> float:
-        """Time at which the answer to the last image takes effect [s]."""
+        """Time at which the result for the last image takes effect [s]."""
         return self.log.until_answer.end if self.log.known else self.stamp + self.clock.period
 
     @property
     def next_rest(self) -> float:
-        """Time at which the plate comes to rest if the answer to the last image requests no motion
+        """Time at which the plate comes to rest if no motion is requested for the last image
         [s]."""
         tail = self.log.until_answer.runs[-1][1].tail if self.log.known else None
         return self.next_start + (tail.period if tail is not None else 0.0)
@@ -471,19 +482,19 @@ class Estimator:
 
     @property
     def mean(self) -> np.ndarray:
-        """State of the parts (M, 5), as `StateEstimate.mean`, at the time of each part's last
-        detection."""
+        """State of the parts (M, 5), in the order of `StateEstimate.mean`. Each state holds at the
+        time of the part's last detection."""
         return self.latency.estimate.mean[self.latency.best]
 
     @property
     def friction(self) -> np.ndarray:
-        """Friction of each part (M,) divided by the rig's."""
+        """Friction of each part (M,) relative to the friction in the rig."""
         return np.exp(self.mean[:, 4])
 
     @property
     def parts(self) -> Parts:
-        """The parts at `stamp`. Until the plate's motion is known, these are the last
-        detections."""
+        """The parts at the time `stamp`. Until the plate's motion is known, the last detections are
+        returned."""
         if not self.log.known:
             return self.seen
         estimate, best = self.latency.estimate, self.latency.best
@@ -494,7 +505,7 @@ class Estimator:
         return Parts.make(estimate.ids, place, self._drift(place), angle, spin, grip)
 
     def _angles(self, ids: tuple[str, ...]) -> tuple[np.ndarray, np.ndarray]:
-        """Return the angles (K,) [rad] at `stamp` and the spins (K,) [rad/s] of parts.
+        """Return the angles (K,) [rad] and the spins (K,) [rad/s] of parts at the time `stamp`.
 
         Both are 0 for parts without a measurement.
         """
@@ -504,10 +515,11 @@ class Estimator:
         return np.append(self.seen.angle, 0.0)[row], np.append(self.seen.spin, 0.0)[row]
 
     def _drift(self, place: np.ndarray) -> np.ndarray:
-        """Return the drift (M, 2) [m/s] of the parts, which are at `place` (M, 2) [m] at `stamp`.
+        """Return the drift (M, 2) [m/s] of the parts. `place` (M, 2) [m] are their positions at
+        `stamp`.
 
         If cycle starts are reported, it is the mean velocity since the last call of `observe`.
-        Otherwise it is the drift measured by vision.
+        Otherwise it is the drift that vision measured.
         """
         if not self.log.reported:
             return self.latency.estimate.drift
@@ -538,11 +550,12 @@ class Estimator:
 
     @property
     def next_plate(self) -> np.ndarray | None:
-        """Pose, twist and acceleration (3, 3) of the plate at `next_start`; None if uncertain."""
+        """Pose, twist and acceleration (3, 3) of the plate at `next_start`. None if uncertain."""
         return self.log.until_answer.plate if self.log.certain else None
 
     def as_asked(self, parts: Parts) -> np.ndarray:
-        """Return the positions (M, 2) [m] of parts at `next_start` if they follow the request."""
+        """Return the positions (M, 2) [m] of the parts at `next_start`, if they follow the
+        request."""
         drift = self.request.drift_of(parts, self.stamp, self.period)
         return parts.position + (self.next_start - self.stamp) * drift
 
@@ -554,8 +567,8 @@ class Estimator:
         gain: float,
         most: np.ndarray,
     ) -> Estimator:
-        """Update the observed drift error with the parts at `stamp`, and store the positions
-        `predicted` (M, 2) [m] for `next_start`. The other parameters are as in
+        """Update the estimated drift error with the parts at `stamp`. Store the positions
+        `predicted` (M, 2) [m] for `next_start`. The other parameters are the same as in
         `DriftBias.update`."""
         seen, latency = rows_of(parts.ids, self.seen.ids) >= 0, self._known_latency
         # A prediction with a short horizon contains less information.
@@ -566,7 +579,7 @@ class Estimator:
 
     @property
     def _known_until(self) -> float:
-        """Time of the last detection on which predictions are based [s]."""
+        """Time of the last detection that predictions use [s]."""
         if not self.log.reported:
             return self.stamp
         return float(np.max(self.latency.estimate.time[self.latency.best], initial=self.log.begin))
@@ -578,13 +591,13 @@ class Estimator:
 
     @property
     def _known_latency(self) -> float | None:
-        """Latency [s] assumed in predictions; None while it is being estimated."""
+        """Latency that predictions assume [s]. None while it is being estimated."""
         known = self.latency_known or not self.log.known
         return self.latency.latency if known else None
 
 
 def warm_up(rig: Rig) -> None:
-    """Track a part for one step, so that all code is loaded before the first image arrives."""
+    """Track a part for one step. This loads all code before the first image arrives."""
     part = Parts.make(("part_1",), np.zeros((1, 2)))
     estimator = (
         Estimator.of(rig, 0.1, None).update(part, 0.0).record_cycle(PlateCycle.rest(0.1), 0.0)

@@ -8,19 +8,20 @@
 
 namespace plate {
 
-// Prevents a division by zero for a state that does not move in a step.
+// Prevents a division by zero if a state does not move in a step.
 constexpr double TINY = 1e-300;
 
-// States are propagated in parallel. Their number is rounded up to a multiple of this one; the
+// States are propagated in parallel. Their number is rounded up to a multiple of this number. The
 // additional states do not move.
 constexpr int LANES = 8;
 
-// Propagates states (K, 5) in place by implicit Coulomb steps. The columns are x, y [m], vx, vy
-// [m/s]; the fifth one is not changed. With the slip d = surface - v, v += d min(1, bound dt /
+// Propagates states (K, 5) in place by implicit Coulomb steps. The columns are x, y [m] and vx, vy
+// [m/s]. The fifth column is not changed. With the slip d = surface - v, v += d min(1, bound dt /
 // |d|), x += v dt.
 //
-// bound (K,): mu g [m/s2], above 0. pose, twist (n, 3): the plate at the middles of n steps of dt
-// [s]. begin, end (K,): interval in which a state is propagated [s since the first step].
+// bound (K,): mu g [m/s2], above 0. pose, twist (n, 3): pose and twist of the plate at the middles
+// of n steps of dt [s]. begin, end (K,): interval in which a state is propagated [s since the first
+// step].
 PLATE_WIDE inline void stick_slip(View<double, 2> state, const double* bound, Samples pose,
                                   Samples twist, const double* begin, const double* end,
                                   double dt) {

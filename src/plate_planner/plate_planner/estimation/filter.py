@@ -1,12 +1,13 @@
 """Kalman filter of the parts' positions, velocities and friction on the stick-slip motion.
 
-A camera measures only positions, at any time in a cycle, and with a latency. The motion model
-propagates every part from image to image by the cycles that ran. The differences between images and
-model determine the friction of a part. The state of a part is x, y [m], vx, vy [m/s] in plate_home,
-and the logarithm of its friction divided by the rig's. Each part has its own filter, but an error
-of an image's stamp is common to all parts.
+A camera measures only positions. It takes an image at any time in a cycle, and delivers it with a
+latency. From image to image, the motion model propagates each part by the cycles that were
+executed. The friction of a part is estimated from the differences between the images and the model.
+The state of a part is x, y [m], vx, vy [m/s] in plate_home, and the logarithm of its friction
+relative to the friction in the rig. Each part has its own filter, but an error in the stamp of an
+image affects all parts.
 
-All computations run in parallel for A hypotheses of the image latency.
+All computations are done in parallel for A hypotheses of the image latency.
 """
 
 from __future__ import annotations
@@ -26,33 +27,33 @@ STEP_S = 0.25e-3
 
 DIFFERENCE = np.array([1e-4, 1e-4, 5e-3, 5e-3, 0.03])
 """Step sizes of the finite differences of the motion model [m, m, m/s, m/s, -]. They are as large
-as the uncertainty, because the model has kinks where parts stick."""
+as the uncertainty of the state, because the model has kinks where parts stick."""
 
 CAMERA_M = 0.02e-3
-"""Standard deviation of a measured position [m], from camera noise and motion blur."""
+"""Standard deviation of a measured position [m]. Its causes are camera noise and motion blur."""
 
 PROCESS_NOISE = np.array([0.02e-3, 0.02e-3, 2e-3, 2e-3, 0.01])
-"""Standard deviations of the model error per cycle (units as DIFFERENCE). Causes are uneven
+"""Standard deviations of the model error per cycle (units as in DIFFERENCE). The causes are uneven
 friction, finite steps, and deviations of the plate's motion."""
 
 FIRST_SEEN = np.array([0.02e-3, 0.02e-3, 0.02, 0.02, 0.15])
-"""Standard deviations of a part at its first detection (units as DIFFERENCE)."""
+"""Standard deviations of the state of a part at its first detection (units as in DIFFERENCE)."""
 
 PUSHED_SIGMA = 6.0
-"""If a part is farther from its prediction than this number of standard deviations, an external
-push is assumed. The filter is then reset to the measured position, with the initial covariance."""
+"""Number of standard deviations between a part and its prediction above which an external push is
+assumed. The filter is then reset to the measured position, with the initial covariance."""
 
 FRICTION_RANGE = np.log(3.0)
-"""The estimated friction is limited to between 1/3 and 3 times the friction of the part's type
-[log]."""
+"""Logarithm of the range of the estimated friction. The friction is limited to between 1/3 and 3
+times the friction of the part's type."""
 
 SAMPLES = np.vstack([np.zeros(5), np.diag(DIFFERENCE)])
 """Offsets (6, 5) of the state and its five neighbours for the finite differences."""
 
 
 class Coast(NamedTuple):
-    """Maximum number of consecutive images without a detection for which an object is propagated:
-    for parts, and for objects of the class `unknown`."""
+    """Maximum number of consecutive images without a detection for which the state of an object is
+    propagated. `parts` applies to parts, and `unknown` to objects of the class `unknown`."""
 
     parts: int
     unknown: int
@@ -66,19 +67,19 @@ class StateEstimate:
     ----------
     ids : tuple of str
     time : (A, M)
-        Time of each state: the last detection [s, the time of the stamps].
+        Time of each state, which is the time of the last detection [s, the time of the stamps].
     mean : (A, M, 5)
     covariance : (A, M, 5, 5)
     drift : (M, 2)
-        Last drift measured by vision [m/s].
+        Last drift that vision measured [m/s].
     unseen : (M,)
         Number of consecutive images without a detection of the part.
     start : float
-        Start of the last cycle recorded by `update` [s]; NaN if there is none.
+        Start of the last cycle that `update` recorded [s]. NaN if there is none.
     start_mean : (A, M, 5)
-        Predicted state of the parts at `start`.
+        Predicted state of the parts at the time `start`.
     usual : (M,)
-        Friction of the parts' types divided by the rig's [log].
+        Friction of the parts' types relative to the friction in the rig [log].
     """
 
     ids: tuple[str, ...]
@@ -93,7 +94,7 @@ class StateEstimate:
 
     @classmethod
     def nothing(cls, count: int) -> StateEstimate:
-        """Return an estimate without parts for `count` hypotheses."""
+        """Return an estimate for `count` hypotheses, without parts."""
         return cls(
             (), np.zeros((count, 0)), np.zeros((count, 0, 5)), np.zeros((count, 0, 5, 5)),
             np.zeros((0, 2)), np.zeros(0, int), np.nan, np.zeros((count, 0, 5)),
@@ -110,8 +111,9 @@ class StateEstimate:
     def at(self, hypothesis: int, log: CycleLog, t: float, friction_accel: float) -> np.ndarray:
         """Return the state of the parts (M, 5) at time t [s], for one hypothesis.
 
-        If a part was detected after t, the predicted state `start_mean` is returned for t equal to
-        `start`, and the state at the detection for any other t.
+        If a part was detected after t and t is equal to `start`, its predicted state `start_mean`
+        is returned. If t is any other time before the detection, its state at the detection is
+        returned.
         """
         mean, time = self.mean[hypothesis], self.time[hypothesis]
         ahead = propagate(log, mean, time, np.maximum(time, t), friction_accel)
@@ -136,15 +138,15 @@ class StateEstimate:
         parts : Parts
             P parts that the image shows.
         time : (A, P)
-            Time at which each part was imaged, for each hypothesis [s].
+            Exposure time of each part, for each hypothesis [s].
         friction_accel : float
             mu g of the rig [m/s2].
         most : Coast
-            Maximum number of consecutive images without a detection before a part is removed.
+            Maximum number of consecutive images without a detection, after which a part is removed.
         jitter : float
             Standard deviation of the images' stamps [s].
         friction : (P,)
-            Initial friction of a newly detected part, divided by the rig's.
+            Friction of a newly detected part, relative to the friction in the rig.
 
         Returns
         -------
@@ -188,7 +190,7 @@ class StateEstimate:
     def moved(self, log: CycleLog, later: np.ndarray, friction_accel: float) -> StateEstimate:
         """Return the estimate with all times shifted by `later` (A,) [s].
 
-        Positions are kept; velocities and friction are propagated to the new times.
+        The positions are kept. The velocities and the friction are propagated to the new times.
         """
         time = self.time + later[:, None]
         end = propagate(
@@ -246,12 +248,13 @@ class Fit:
     ----------
     log_likelihood : (A,)
     lateness : (A,)
-        Estimated error of the imaging time, from this image only [s]. It is positive if the parts
-        were imaged later than assumed.
+        Error of the exposure time, estimated from this image only [s]. It is positive if the
+        exposure was later than assumed.
     square : (A,)
-        Mean square of the normalised innovations; the expected value is 1.
+        Mean square of the normalised innovations. The expected value is 1.
     information : (A,)
-        Reciprocal of the variance of `lateness` [1/s2]; 0 if the image contains no information.
+        Reciprocal of the variance of `lateness` [1/s2]. 0 if the image contains no information on
+        it.
     """
 
     log_likelihood: np.ndarray
@@ -267,19 +270,20 @@ def kalman_update(
     jitter: float,
     of_type: np.ndarray | float = 0.0,
 ) -> tuple[np.ndarray, np.ndarray, Fit]:
-    """Return mean (A, K, 5), covariance (A, K, 5, 5) and fit after measured positions (K, 2) [m].
+    """Return mean (A, K, 5), covariance (A, K, 5, 5) and fit after an update with measured
+    positions (K, 2) [m].
 
-    `of_type` (K,) is the friction of the parts' types divided by the rig's [log].
+    `of_type` (K,) is the friction of the parts' types relative to the friction in the rig [log].
 
-    The stamp has an error T, common to all parts and normally distributed with the standard
-    deviation s = `jitter` [s]. A part with the velocity v_i, the position covariance P_i and the
-    innovation z_i obeys z_i = T v_i + noise with the covariance S_i = P_i + r^2 1. The posterior of
-    T is normal with
+    The stamp has an error T that is common to all parts. T is normally distributed with the
+    standard deviation s = `jitter` [s]. Let v_i be the velocity of part i, P_i the covariance of
+    its position, and z_i its innovation. Then z_i = T v_i + noise. The noise has the covariance S_i
+    = P_i + r^2 1. The posterior of T is normal with
 
         variance q = s^2 / (1 + s^2 sum v_i' S_i^-1 v_i),    mean T = q sum v_i' S_i^-1 z_i,
 
-    and each part's update is gain_i (z_i - T v_i) with the gain P S_i^-1. A part farther than
-    `PUSHED_SIGMA` from its prediction is not used for T, and is reset to its measured position.
+    Each part is updated by gain_i (z_i - T v_i) with the gain P S_i^-1. If a part is farther than
+    `PUSHED_SIGMA` from its prediction, it is not used for T and is reset to its measured position.
     """
     innovation, velocity = seen - mean[..., :2], mean[..., 2:4]
     spread = covariance[..., :2, :2] + CAMERA_M**2 * np.eye(2)
@@ -288,8 +292,8 @@ def kalman_update(
     weighted = np.einsum("aki,akij->akj", velocity, inverse)
     information = np.einsum("aki,aki->ak", weighted, velocity)
     lateness = np.einsum("aki,aki->ak", weighted, innovation)
-    # Ignore pushed parts when the error of the stamp is estimated. For each part alone,
-    # z' (S + s^2 v v')^-1 z follows from S^-1 by Sherman and Morrison (1950).
+    # Pushed parts are ignored when the error of the stamp is estimated. For each part alone, z' (S
+    # + s^2 v v')^-1 z follows from S^-1 by the formula of Sherman and Morrison (1950).
     usual = np.maximum(square - jitter**2 * lateness**2 / (1 + jitter**2 * information), 0)
     known = usual <= PUSHED_SIGMA**2
     information, lateness = (np.sum(x * known, axis=1) for x in (information, lateness))
@@ -310,7 +314,7 @@ def kalman_update(
     rest[row, part] = np.diag(FIRST_SEEN**2)
     rest[row, part, 4, 4] = covariance[row, part, 4, 4]
     square = np.minimum(square, PUSHED_SIGMA**2)
-    # For all parts together the same formula gives sum left' S^-1 left + late^2/s^2, and the
+    # For all parts together, the same formula gives sum left' S^-1 left + late^2/s^2. The
     # determinant has the additional factor 1 + s^2 sum v' S^-1 v.
     likelihood = -0.5 * (
         np.sum(square + np.log(np.linalg.det(spread)), axis=1)
@@ -330,9 +334,10 @@ def propagate(
     end: np.ndarray | float,
     friction_accel: float,
 ) -> np.ndarray:
-    """Propagate states (K, 5) from the times `begin` to the times `end` by the cycles that ran.
+    """Propagate states (K, 5) from the times `begin` to the times `end` by the cycles that were
+    executed.
 
-    Both are arrays (K,) or scalars [s].
+    Both times are arrays (K,) or scalars [s].
     """
     state = state.copy()
     if not len(state):

@@ -1,8 +1,9 @@
 """Estimates the exposure times of a free-running camera from the stamps of its images.
 
-The frames are regular, but their stamps are noisy. A Kalman filter estimates the time of the last
-frame and the frame interval. If a stamp is several intervals after the previous one, images were
-dropped. Input are the stamps; outputs are the time, its standard deviation and the image rate.
+The frames have regular intervals, but their stamps are noisy. A Kalman filter estimates the time of
+the last frame and the frame interval. If a stamp is several intervals after the previous one,
+images were dropped. The input are the stamps. The outputs are the time of the last frame, its
+standard deviation and the image rate.
 """
 
 from __future__ import annotations
@@ -14,14 +15,21 @@ from statistics import median
 
 import numpy as np
 
-WANDER_S, DRIFT_S = 0.05e-3, 1e-6
-"""Process noise per frame: standard deviations of the frame time and of the interval [s]."""
+WANDER_S = 0.05e-3
+"""Process noise per frame: standard deviation of the frame time [s]."""
 
-FIRST_S, MIN_S = 5e-3, 0.05e-3
-"""Initial and minimum standard deviation of the stamps [s]."""
+DRIFT_S = 1e-6
+"""Process noise per frame: standard deviation of the frame interval [s]."""
+
+FIRST_S = 5e-3
+"""Initial standard deviation of the stamps [s]."""
+
+MIN_S = 0.05e-3
+"""Minimum standard deviation of the stamps [s]."""
 
 FIRST_INTERVAL_S = 1.5e-3
-"""Standard deviation of the initial interval, which is the median interval of the stamps [s]."""
+"""Standard deviation of the initial interval [s]. The initial interval is the median interval of
+the stamps."""
 
 SCATTER_FRAMES = 30
 """Number of frames over which the standard deviation of the stamps is averaged."""
@@ -30,42 +38,47 @@ DROPPED = 0.005
 """Assumed probability of a dropped image."""
 
 GIVEN_UP = 12.0
-"""Log-likelihood difference to the best at which a hypothesis on dropped images is discarded."""
+"""A hypothesis on dropped images is discarded if its log-likelihood is lower than the best one by
+this value."""
 
 ACQUIRE = 12
-"""Number of stamps for the initial interval. Before that, the stamp itself is the frame time."""
+"""Number of stamps that determine the initial interval. Until then, the stamp is used as the frame
+time."""
 
 IRREGULAR = 6.0
 """If a stamp deviates by more than this number of standard deviations, the camera is not regular
-and the clock restarts."""
+and the estimation restarts."""
 
 OTHER = 0.3
-"""The clock restarts if the median interval of the last stamps deviates by more than this fraction
-of the estimated interval plus two standard deviations of the stamps."""
+"""Fraction of the estimated interval for a check of the median interval of the last stamps. If the
+median deviates from the estimate by more than this fraction plus two standard deviations of the
+stamps, the estimation restarts."""
 
 WIDEST = 2.0
-"""The clock restarts if the standard deviation of the stamps exceeds this value [intervals]."""
+"""If the standard deviation of the stamps exceeds this value, the estimation restarts
+[intervals]."""
 
 MAX_S = 1.0
-"""The clock restarts after this time without images [s]."""
+"""If no image arrives for this time, the estimation restarts [s]."""
 
 
 @dataclass(frozen=True)
 class FrameClock:
-    """Estimate of the frame times.
+    """Estimate of the times of the frames.
 
     Attributes
     ----------
     stamps : tuple of float
         Stamps of the last images [s], at most `ACQUIRE`.
     frame : (H,)
-        Frame number of the last image for each hypothesis, relative to the best hypothesis.
+        Frame number of the last image for each hypothesis, relative to the number of the best
+        hypothesis.
     log_likelihood : (H,)
-        Log-likelihood of each hypothesis minus the maximum.
+        Log-likelihood of each hypothesis minus the maximum log-likelihood.
     time : (H, 2)
         Time of the last frame and frame interval, for each hypothesis [s].
     covariance : (2, 2)
-        Covariance of time and interval [s2]; infinite until they are known.
+        Covariance of time and interval [s2]. Infinite until they are known.
     scatter : float
         Standard deviation of the stamps [s].
     """
@@ -89,12 +102,12 @@ class FrameClock:
 
     @property
     def interval(self) -> float:
-        """Frame interval [s]; NaN until it is known."""
+        """Frame interval [s]. NaN until it is known."""
         return float(self.time[np.argmax(self.log_likelihood), 1])
 
     @property
     def deviation(self) -> float:
-        """Standard deviation of `instant` [s]. Until the frame interval is known, it is
+        """Standard deviation of `instant` [s]. Until the frame interval is known, it is equal to
         `scatter`."""
         if not np.isfinite(self.interval):
             return self.scatter
@@ -104,7 +117,7 @@ class FrameClock:
 
     @property
     def rate(self) -> float:
-        """Number of images per second; 0 until it is known."""
+        """Number of images per second. 0 until it is known."""
         if len(self.stamps) < 2:
             return 0.0
         known = np.isfinite(self.interval)
@@ -127,21 +140,22 @@ class FrameClock:
             clock = replace(self, time=np.array([[stamps[0], interval]]), covariance=covariance)
             for each in stamps[1:]:
                 clock = clock._next(each)
-        # Stamps with a larger standard deviation contain no information on the frame times.
+        # If the standard deviation is larger, the stamps contain no information on the frame times.
         if not clock.scatter <= WIDEST * clock.interval:
             return FrameClock.at(stamp)
         return replace(clock, stamps=stamps)
 
     def _next(self, stamp: float) -> FrameClock:
-        """Update with a stamp when the interval is known. The clock restarts if the stamp does not
-        fit.
+        """Update with a stamp, if the interval is known. If the stamp does not fit, the estimation
+        restarts.
 
-        The image belongs to the frame after the last one, or to a later frame if images were
-        dropped. A single late stamp is ambiguous. Therefore each hypothesis of the frame number has
-        its own filter. With the time t and the interval h of its last frame, n frames later the
-        innovation of a stamp is e = stamp - t - n h with a variance q, and the log-likelihood
-        changes by (n - 1) log(DROPPED) - (e^2/q + log q)/2. If two hypotheses have the same number,
-        the likelier one is kept (Viterbi).
+        The image belongs to the frame after the last one or, if images were dropped, to a later
+        frame. A single late stamp is ambiguous, because the image may be late or a frame may have
+        been dropped. Therefore each hypothesis of the frame number has its own filter. Let t be the
+        time and h the interval of the last frame. After n frames, the innovation of a stamp is e =
+        stamp - t - n h with a variance q. The log-likelihood changes by (n - 1) log(DROPPED) -
+        (e^2/q + log q)/2. If two hypotheses have the same number, the likelier one is kept
+        (Viterbi).
         """
         if not math.isfinite(self.interval):
             return FrameClock.at(stamp)

@@ -1,10 +1,11 @@
-"""Estimates the image latency (age of an image at its stamp) by parallel hypotheses.
+"""Estimates the image latency by parallel hypotheses. The latency is the age of an image at its
+stamp.
 
 The latency of a camera is rarely known, and parts move by millimetres in 10 ms. Each hypothesis
-assumes another latency and has its own Kalman filters. The hypothesis whose predictions have the
-highest likelihood is accepted. The grid of latencies is refined around it to a spacing of 0.5 ms,
-and it follows a latency that changes. The jitter of the stamps is estimated from the remaining
-timing errors.
+assumes a different latency and has its own Kalman filters. The hypothesis whose predictions have
+the highest likelihood is accepted. The grid of latencies is refined around it to a spacing of 0.5
+ms. The grid follows if the latency changes. The jitter of the stamps is estimated from the
+remaining timing errors.
 """
 
 from __future__ import annotations
@@ -21,27 +22,37 @@ from .filter import Coast, Fit, StateEstimate
 STEPS = np.arange(-2, 3)
 """Latencies of the hypotheses, in steps from the middle one."""
 
-COARSE_S, FINE_S = 0.025, 0.5e-3
-"""Initial and final spacing of the latencies [s]. The first hypotheses cover 0 to 0.1 s. The effect
-of 0.5 ms is hardly above the camera's noise."""
+COARSE_S = 0.025
+"""Initial spacing of the latencies [s]. The first hypotheses cover 0 to 0.1 s."""
+
+FINE_S = 0.5e-3
+"""Final spacing of the latencies [s]. The effect of this difference is hardly larger than the
+camera's noise."""
 
 MAX_S = 0.5
 """Maximum latency [s]."""
 
-FEWEST_IMAGES, CLEAR, BETTER = 4, 12.0, 4.0
-"""Minimum number of images before latencies are discarded; log-likelihood difference to the best at
-which they are discarded; and smaller difference at which another latency is accepted, from the
-first image of a moving plate on. The differences are large because the model and the noise are not
-exact.
-"""
+FEWEST_IMAGES = 4
+"""Minimum number of images before a latency is discarded."""
+
+CLEAR = 12.0
+"""A latency is discarded if its log-likelihood is lower than the best one by this value. The value
+is large because the model and the noise are not exact."""
+
+BETTER = 4.0
+"""Another latency is accepted if its log-likelihood is higher by this value. This smaller value
+applies from the first image of a moving plate on."""
 
 SOON_IMAGES = 4
-"""Number of images at cycle starts after which the difference for accepting another latency
-increases."""
+"""Number of images at cycle starts. After this number, a larger difference is required to accept
+another latency."""
 
-MISFIT, MISFIT_IMAGES = 6.0, 8
-"""Maximum mean square of the normalised innovations (expected: 1), and number of images over which
-it is averaged. If it is exceeded, all hypotheses are wrong and the estimation restarts."""
+MISFIT = 6.0
+"""Maximum mean square of the normalised innovations (expected: 1). If it is exceeded, all
+hypotheses are wrong and the estimation restarts."""
+
+MISFIT_IMAGES = 8
+"""Number of images over which this mean square is averaged."""
 
 MEMORY_S = 3.0
 """Time constant with which old images lose their weight in the likelihood [s]."""
@@ -57,12 +68,12 @@ JITTER_IMAGES = 50
 class Jitter:
     """Variance of the stamps: a weighted mean of squared timing errors.
 
-    The weight of an image depends on the information in it.
+    The weight of an image depends on its information about the timing error.
 
     Attributes
     ----------
     total, weight : float
-        Weighted sum of squares [1/s2], and of weights [1/s4].
+        Weighted sum of the squared errors [1/s2], and sum of the weights [1/s4].
     """
 
     total: float = 1 / JITTER_S[1] ** 2
@@ -70,11 +81,12 @@ class Jitter:
 
     @property
     def deviation(self) -> float:
-        """The standard deviation [s]."""
+        """The standard deviation of the stamps [s]."""
         return float(np.clip(np.sqrt(max(self.total / self.weight, 0.0)), *JITTER_S[::2]))
 
     def update(self, lateness: float, information: float) -> Jitter:
-        """Update with the lateness of an image [s] and its information [1/s2], as in `Fit`."""
+        """Update with the lateness of an image [s] and its information [1/s2], as defined in
+        `Fit`."""
         if information <= 0:
             return self
         noise, keep = 1 / information, 1 - 1 / JITTER_IMAGES
@@ -104,8 +116,8 @@ class LatencyHypotheses:
         1.
     jitter : Jitter
     trusting : bool
-        Whether a stamp at a cycle start is accepted as proof of zero latency (`none_old`). It
-        becomes False when the motion contradicts.
+        Whether zero latency is accepted if the stamps coincide with cycle starts (`none_old`). It
+        becomes False if the motion of the parts contradicts zero latency.
     """
 
     latencies: np.ndarray
@@ -119,7 +131,8 @@ class LatencyHypotheses:
 
     @classmethod
     def of(cls, latency: float | None) -> LatencyHypotheses:
-        """Return the initial hypotheses: one latency [s], or several if it is None (unknown)."""
+        """Return the initial hypotheses. There is one if the latency [s] is given, and there are
+        several if it is None (unknown)."""
         tried = COARSE_S * (STEPS - STEPS[0]) if latency is None else np.array([latency])
         nothing = StateEstimate.nothing(len(tried))
         blank = np.zeros(len(tried))
@@ -148,12 +161,12 @@ class LatencyHypotheses:
     ) -> LatencyHypotheses:
         """Update with the parts of an image with stamp t [s].
 
-        The log-likelihood L of each hypothesis becomes exp(-dt/MEMORY_S) L + log p(parts), with the
-        time dt since the last image and the likelihood p of the measured positions.
+        The log-likelihood L of each hypothesis becomes exp(-dt/MEMORY_S) L + log p(parts). dt is
+        the time since the last image, and p is the likelihood of the measured positions.
 
         `unsure` is the minimum standard deviation of the stamp [s]. `delay` (P,) is the time from
-        the middle of the image to the exposure of each part [s]. The other parameters are as in
-        `StateEstimate.update`.
+        the middle of the image to the exposure of each part [s]. The other parameters are the same
+        as in `StateEstimate.update`.
         """
         time = t - self.latencies[:, None] + delay
         last = np.max(self.estimate.time[self.best], initial=-np.inf)
@@ -181,8 +194,8 @@ class LatencyHypotheses:
         if len(self.latencies) == 1:
             return seen
         likely = seen.log_likelihood
-        # Images at cycle starts contain little information on the latency. So the longer a latency
-        # has been accepted, the larger the difference required to replace it.
+        # Images at cycle starts contain little information on the latency. Therefore the required
+        # difference increases with the time for which a latency has been accepted.
         better = BETTER if log.reported else BETTER * max(seen.images / SOON_IMAGES, 1.0)
         best, middle = int(np.argmax(likely)), len(STEPS) // 2
         if likely[best] - likely[self.best] < better:
@@ -198,9 +211,9 @@ class LatencyHypotheses:
         return replace(seen, best=best)
 
     def none_old(self, log: CycleLog, friction_accel: float) -> LatencyHypotheses:
-        """Return the hypothesis of zero latency, because stamps coincide with cycle starts.
+        """Return the hypothesis of zero latency, because the stamps coincide with cycle starts.
 
-        Unchanged if the latency is known or `trusting` is False.
+        If the latency is known or `trusting` is False, the hypotheses are not changed.
         """
         if len(self.latencies) == 1 or not self.trusting:
             return self
@@ -208,7 +221,8 @@ class LatencyHypotheses:
         return replace(self.of(0.0), estimate=estimate, jitter=self.jitter, trusting=True)
 
     def _jitter(self, fit: Fit) -> Jitter:
-        """Return the jitter updated with an image. It is unchanged until the latency is known."""
+        """Return the jitter updated with an image. Until the latency is known, it is not
+        changed."""
         if not self.estimated:
             return self.jitter
         return self.jitter.update(float(fit.lateness[self.best]), float(fit.information[self.best]))

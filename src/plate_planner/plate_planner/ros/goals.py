@@ -1,7 +1,7 @@
 """Action servers of the planner.
 
-One server per action passes each goal to the node. A goal stays accepted while its task runs, and
-is executed when the task ends.
+One server per action passes each goal to the node. A goal has the state accepted while its task
+runs. It is executed when the task ends.
 """
 
 from __future__ import annotations
@@ -17,15 +17,16 @@ from plate_interfaces.msg import TaskProgress, TaskStatus
 
 
 class GoalServers:
-    """Accepts goals of all actions, and sends each client its result.
+    """Accepts goals of all actions, and sends the result of each goal to its client.
 
     Parameters
     ----------
     node : Node
     on_goal : callable
-        Receives each goal handle. The owner must call `finish` for it, at once or later.
+        Receives each goal handle. The owner must call `finish` for it, either at once or later.
     on_cancel : callable
-        Receives the goal handle that a client cancels, and returns whether this is accepted.
+        Receives the goal handle whose cancellation a client requests. Returns whether the
+        cancellation is accepted.
     """
 
     def __init__(
@@ -34,7 +35,7 @@ class GoalServers:
         on_goal: Callable[[Any], None],
         on_cancel: Callable[[Any], CancelResponse],
     ) -> None:
-        self._results: dict[bytes, TaskStatus] = {}  # results that are not delivered yet, by goal
+        self._results: dict[bytes, TaskStatus] = {}  # results not delivered yet, by goal
         self._servers = [
             ActionServer(
                 node, action, name, self._result, handle_accepted_callback=on_goal,
@@ -46,7 +47,8 @@ class GoalServers:
     def finish(self, goal: Any, status: TaskStatus) -> None:
         """Send the result to the client of a goal.
 
-        The goal is executed only now, because rclpy would poll a coroutine that waits for the task.
+        The goal is executed only now. If it were executed earlier, rclpy would poll a coroutine
+        that waits for the task.
         """
         self._results[bytes(goal.goal_id.uuid)] = status
         goal.execute()

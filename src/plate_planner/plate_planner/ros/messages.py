@@ -1,4 +1,4 @@
-"""Convert the planner's state to ROS messages."""
+"""Conversion of the planner's state to ROS messages."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ STATES = {
     Phase.LOST: TaskStatus.LOST,
     Phase.ABORTED: TaskStatus.ABORTED,
 }
-"""State in TaskStatus of each phase of a task."""
+"""Value of `TaskStatus.state` for each phase of a task."""
 
 
 def progress_to_msg(progress: Progress) -> TaskProgress:
@@ -41,7 +41,7 @@ def progress_to_msg(progress: Progress) -> TaskProgress:
 
 
 def run_to_msg(run: Run, answered: Time) -> TaskStatus:
-    """Convert the state of a task to a message. `answered` is its stamp."""
+    """Convert the state of a task to a message. `answered` is the stamp of the message."""
     status = TaskStatus(
         header=Header(stamp=answered), task=run.name, state=STATES[run.task.phase],
         reason=int(run.task.reason), text=run.task.text,
@@ -66,7 +66,8 @@ def feed_to_msg(
     moves : bool
         Whether the plate is requested to move after this image.
     shown : mapping of str to Part
-        Parts of the last image, by id. The message omits ready parts that this image does not show.
+        Parts of the last image, by id. If this image does not show a ready part, the message omits
+        that part.
     stamp : Time
         Stamp of that image.
     """

@@ -1,7 +1,7 @@
 """Publishers of the planner's task_status, part_targets and feed_status.
 
-`TaskReports` keeps what was published last, so that unchanged targets are not published again and
-an unchanged text is not logged again.
+`TaskReports` stores the last published values. Unchanged targets are not published again, and an
+unchanged text is not logged again.
 """
 
 from __future__ import annotations
@@ -52,11 +52,11 @@ class TaskReports:
         Parameters
         ----------
         run : Run or None
-            None if there is no task to report.
+            Task to report. None if there is none.
         answered : Time
-            Stamp of the last image, or of the last cycle start, that was answered.
+            Stamp of the last image or cycle start for which a request was published.
         reason : Reason
-            Reason in the status if `run` is None.
+            Text in the status if `run` is None.
         """
         if run is None:
             status = TaskStatus(header=Header(stamp=answered), text="idle", reason=int(reason))
@@ -72,18 +72,18 @@ class TaskReports:
             self._targets.publish(targets_to_msg(tasks.targets, stamp))
 
     def publish_feed(self, run: Run, moves: bool, stamp: Time) -> None:
-        """Publish the state of a `feed` task, and nothing for other tasks. `moves` states whether
+        """Publish the state of a `feed` task. Do nothing for other tasks. `moves` states whether
         the task requests motion after the image with this stamp."""
         memory = run.state.memory
         if isinstance(run.planner.scenario.task, FeedTask) and memory is not None:
             self._feed.publish(feed_to_msg(memory.report, moves, self._shown, stamp))
 
     def is_new(self, text: str) -> bool:
-        """Return whether a text differs from the text of the last call. If so, it should be
+        """Return whether a text differs from the text of the last call. If so, the text should be
         logged."""
         new, self._logged_text = text != self._logged_text, text
         return new
 
     def forget_text(self) -> None:
-        """Forget the last text, so that `is_new` accepts it once more."""
+        """Forget the last text, so that `is_new` returns True for it once more."""
         self._logged_text = ""

@@ -1,8 +1,9 @@
-"""Objects on the plate that do not belong to the task and that vision cannot classify.
+"""Objects on the plate that do not belong to the task, or that vision cannot classify.
 
-Vision publishes some of them as parts of the classes `unknown` and `group`. The planner keeps these
-on the plate and away from the parts, like all parts without a goal. Other objects are only listed
-as overlooked. Parts may collide with them, so the planner reports them.
+Vision publishes some of these objects as parts of the classes `unknown` and `group`. The planner
+treats them like all parts without a goal: it keeps them on the plate and away from the parts of the
+task. Vision lists other objects only as overlooked. Parts may collide with them, so the planner
+reports them.
 """
 
 from __future__ import annotations
@@ -23,10 +24,11 @@ from plate_core import (
 )
 
 SEVERAL = 5
-"""Number of last images of which the majority must show an object. It rejects short reflections."""
+"""Number of the last images. An object counts if the majority of them shows it. This rejects short
+reflections."""
 
 LISTED = 3
-"""Maximum number of objects listed with positions in a message. Others are only counted."""
+"""Maximum number of objects that a message lists with their positions. Others are only counted."""
 
 
 def is_bystander(part_id: str, labels: tuple[str, ...]) -> bool:
@@ -37,7 +39,7 @@ def is_bystander(part_id: str, labels: tuple[str, ...]) -> bool:
 
 
 def bystanders_text(parts: Parts, labels: tuple[str, ...]) -> str:
-    """Return a text that lists these objects; empty if there are none."""
+    """Return a text that lists these objects. Empty if there are none."""
     rows = [row for row, name in enumerate(parts.ids) if is_bystander(name, labels)]
     if not rows:
         return ""
@@ -47,8 +49,8 @@ def bystanders_text(parts: Parts, labels: tuple[str, ...]) -> str:
 
 
 def without_surplus(parts: Parts, labels: tuple[str, ...]) -> Parts:
-    """Return at most `MAX_PARTS` parts, the solver's maximum. Unknown objects are removed
-    first."""
+    """Return at most `MAX_PARTS` parts, which is the maximum of the solver. Unknown objects are
+    removed first."""
     if len(parts) <= MAX_PARTS:
         return parts
     last = [is_bystander(name, labels) for name in parts.ids]
@@ -57,7 +59,7 @@ def without_surplus(parts: Parts, labels: tuple[str, ...]) -> Parts:
 
 @dataclass
 class Overlooked:
-    """Objects in the last images that may be parts, but that vision does not publish as parts.
+    """Objects in the last images that may be parts, although vision does not publish them as parts.
 
     Attributes
     ----------
@@ -77,7 +79,7 @@ class Overlooked:
         areas = areas or [np.pi * self.rig.parts.radius_m**2]
         low = np.sqrt(PLAUSIBLE_AREA[0] * min(areas) / np.pi)
         high = np.sqrt(PLAUSIBLE_AREA[1] * max(areas) / np.pi)
-        # An object that reaches farther out may be the plate's edge.
+        # An object that extends farther outwards may be the plate's edge.
         inner = self.rig.plate.half - self.rig.limits.stroke_m
         candidates = []
         for thing in things:
@@ -95,7 +97,7 @@ class Overlooked:
 
     @property
     def text(self) -> str:
-        """Text with their number and positions; empty if there are none."""
+        """Text with the number and the positions of these objects. Empty if there are none."""
         count = self.count
         if not count:
             return ""

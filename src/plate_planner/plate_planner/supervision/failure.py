@@ -17,17 +17,18 @@ from ..estimation import LastRequest
 from .phase import LOOK, Failure, Reason
 
 NEAR_EDGE = 3.0
-"""Maximum distance of a part's last position from an edge at which the part counts as having left
-the plate [part radii]."""
+"""Maximum distance from an edge at which a lost part counts as having left the plate [part radii].
+It is measured from the part's last position."""
 
 SAME_PLACE = 3.0
-"""Maximum distance of an unknown object from a part's last position at which it counts as that part
-[part radii]."""
+"""Maximum distance of an unknown object from a part's last position at which the object counts as
+that part [part radii]."""
 
 NOBODY = Parts.make((), np.zeros((0, 2)))
 
 FEW = 5
-"""Number of parts that can be moved independently. More parts leave a cycle little freedom."""
+"""Number of parts that can be moved independently. If there are more parts, few cycles can move all
+of them as requested."""
 
 AT_REST_MPS = 0.5e-3
 """Requested drift below which a part is not expected to move [m/s]."""
@@ -72,8 +73,8 @@ def loss_of(
 def shortfall_text(
     request: LastRequest, rig: Rig, parts: Parts, distance: np.ndarray, count: int
 ) -> str:
-    """Return a text on the part with the largest `distance` (M,) [m] from its goal: its requested
-    and actual drift, and a remedy."""
+    """Return a text on the part with the largest `distance` (M,) [m] from its goal. It states the
+    requested and the actual drift, and a remedy."""
     if not len(distance):
         return ""
     worst = int(np.argmax(distance))
@@ -98,8 +99,8 @@ def shortfall_text(
 
 
 def outlook(rig: Rig, count: int, time_limit_s: float) -> str:
-    """Return a warning before the start if the shaking ratio is too low; empty if it is
-    sufficient."""
+    """Return a warning before the start if the shaking ratio is too low. Empty if it is high
+    enough."""
     if rig.gamma >= MIN_GAMMA:
         return ""
     expect = "longer"
@@ -123,7 +124,7 @@ def remedy(rig: Rig, count: int) -> str:
 
 
 def weak_plate_text(rig: Rig) -> str:
-    """Return a text on a shaking ratio below `MIN_GAMMA`."""
+    """Return a text that describes a shaking ratio below `MIN_GAMMA`."""
     return (
         f"the plate shakes too little: shaking ratio {rig.gamma:.1f}, limited by "
         f"{rig.reach.limit}, advised: {MIN_GAMMA:g} or more (see check_rig)"

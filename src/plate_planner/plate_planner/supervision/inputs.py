@@ -1,7 +1,7 @@
-"""The planner's inputs: when each message arrived, and whether the task can continue.
+"""The planner's inputs: the arrival time of each message, and whether the task can continue.
 
-All functions are pure; the time is an argument. All times are from the steady clock [s]. So an old
-image stamp or a stopped simulated clock cannot make an input look fresh.
+All functions are pure; the time is an argument. All times are from the steady clock [s]. Therefore
+an old image stamp or a stopped simulated clock cannot make an input appear new.
 """
 
 from __future__ import annotations
@@ -15,38 +15,42 @@ from plate_core.status import Finding, Input, Level
 from .phase import Failure, Reason
 
 CYCLES = 3.0
-"""Minimum input timeout, in cycles. It overrides a shorter configured timeout."""
+"""Minimum timeout of an input [cycles]. If the configured timeout is shorter, this minimum is
+used."""
 
 SECOND_HAND_S = 0.2
-"""Additional timeout of the planner compared with the preceding node [s]. If that node times out
-first, its message is the better reason."""
+"""Time by which the planner's timeout exceeds the timeout of the preceding node [s]. The preceding
+node then reports first, and its message is a more exact reason."""
 
 ERROR_TIMEOUT_S = 1.0
-"""Maximum duration of an error that the driver or the detector reports [s]. After that, the task
-ends. A connection may fail for a moment, and a single image may be misread."""
+"""Maximum duration of an error that the driver or the detector reports [s]. If the error lasts
+longer, the task ends. Short errors are tolerated, because a connection may fail for a moment and a
+single image may be misread."""
 
 REPORT_TIMEOUT_S = 1.3
-"""Maximum age of a node's diagnostics, which are published once per second [s]. After that, the
-node counts as timed out."""
+"""Maximum age of a node's diagnostics, which are published once per second [s]. If they are older,
+the node counts as timed out."""
 
 LOOP = ("detector", "solver", "driver", "device", "simulator")
-"""Nodes whose diagnostics count. If one of them has no input, the plate does not move as
+"""Nodes whose diagnostics are evaluated. If one of them has no input, the plate does not move as
 planned."""
 
 FEEDER_S = 1.5
-"""Timeout of a feeder's orders [s]. The feeder repeats them every 0.5 s. After that, the plate must
-rest."""
+"""Timeout of a feeder's orders [s]. The feeder repeats them every 0.5 s. If no order arrives for
+this time, the plate must rest."""
 
-FRESH_S, LIFE_S = 0.5, 0.8
-"""Maximum age of parts or cycles, unless cycles are long, and of driver_status, which is published
-every 0.5 s [s]. If an input is older, missing inputs of later nodes are a consequence, not a
-separate reason."""
+FRESH_S = 0.5
+"""Maximum age of parts or cycles, unless cycles are long [s]. If an input is older, missing inputs
+of later nodes are a consequence, not a separate reason."""
+
+LIFE_S = 0.8
+"""Maximum age of driver_status [s]. The driver publishes it every 0.5 s."""
 
 
 @dataclass(frozen=True)
 class Report:
     """The newest diagnostics of a node: arrival time, level, message, and time since which the
-    level has been the same."""
+    level is unchanged."""
 
     at: float
     level: Level
@@ -61,27 +65,28 @@ class Inputs:
     Attributes
     ----------
     parts, driver : Input
-        Parts count as received only if their stamp is new.
+        Arrival times by topic. Parts count as received only if their stamp is new.
     ran : float
-        Time of the planner's last activity.
+        Time at which the planner was last active.
     stamp : int or None
         Stamp of the last parts [ns].
     unanswered : float or None
-        Time of the first part_forces that no plate_cycle has followed yet.
+        Time of the first part_forces for which no plate_cycle has arrived yet.
     driver_status : DriverStatus or None
-        Newest status.
+        Newest driver_status.
     error_since : float or None
-        Time since which the status has been an error.
+        Time since which the driver_status has been an error.
     enabled_ns : int or None
         Time at which the motors were enabled, from the newest ready status [ns, wall clock].
     enabled_again : float or None
-        Time at which `enabled_ns` changed. The motors were stopped before, even without a report.
+        Time at which `enabled_ns` changed. A change shows that the motors were stopped before, even
+        if no message reported the stop.
     reports : mapping of str to Report
-        Diagnostics by node.
+        Newest diagnostics by node.
     starts : Input or None
-        Reported cycle starts; None if reports are not required.
+        Arrival of reported cycle starts. None if reports are not required.
     orders : Input or None
-        Orders of a feeder. The feeder repeats them. None until the first one.
+        Arrival of a feeder's orders. The feeder repeats them. None until the first one.
     """
 
     parts: Input
@@ -101,7 +106,7 @@ class Inputs:
     def none_yet(cls, now: float, timeout_s: float, triggered: bool = True) -> Inputs:
         """Return the initial state, without inputs.
 
-        Cycle starts must be reported, unless the camera is triggered at cycle starts.
+        Cycle starts must be reported unless the camera is triggered at cycle starts.
         """
         parts = Input("parts", "parts", "do the detector and the camera run?", timeout_s, now)
         driver = Input("driver_status", "driver_status", "does the driver run?", timeout_s, now)
@@ -164,11 +169,11 @@ class Inputs:
         return max(self.parts.timeout_s, CYCLES * period) + SECOND_HAND_S
 
     def answer_overdue(self, now: float, period: float) -> bool:
-        """Whether the solver's answer has exceeded the timeout."""
+        """Whether the wait for the solver's result has exceeded the timeout."""
         return self.unanswered is not None and now - self.unanswered > self.timeout(period)
 
     def driver_problem(self, now: float) -> str:
-        """Return why the driver prevents the start of a task; empty if it does not."""
+        """Return the reason why the driver prevents the start of a task. Empty if it does not."""
         gone = self.driver.gone(now)
         if gone is not None:
             return gone.message
@@ -182,11 +187,11 @@ class Inputs:
 
     @property
     def _driver_ready(self) -> bool:
-        """Whether cycles reach the motors."""
+        """Whether the cycles are executed by the motors."""
         return self.driver_status is not None and self.driver_status.state is DriverState.READY
 
     def parts_problem(self, now: float, publishers: Callable[[str], int]) -> str:
-        """Return why missing parts prevent the start of a task; empty if they do not."""
+        """Return the reason why missing parts prevent the start of a task. Empty if they do not."""
         if self.parts.came is None:
             return f"no parts yet: {self._blame_for_parts(now, publishers)}"
         if self.parts.gone(now) is not None:
@@ -194,7 +199,8 @@ class Inputs:
         return ""
 
     def starts_problem(self, now: float) -> str:
-        """Return why missing cycle starts prevent the start of a task; empty if they do not."""
+        """Return the reason why missing cycle starts prevent the start of a task. Empty if they do
+        not."""
         if self.starts is None:
             return ""
         gone = self.starts.gone(now)
@@ -205,20 +211,20 @@ class Inputs:
     def problem(
         self, now: float, began: float, period: float, publishers: Callable[[str], int]
     ) -> Failure | None:
-        """Return why a running task cannot continue; None if it can.
+        """Return the reason why a running task cannot continue. None if it can.
 
         Parameters
         ----------
         now : float
         began : float
-            Start of the task. Earlier interruptions are ignored.
+            Start of the task. Interruptions before it are ignored.
         period : float
             Length of a cycle [s].
         publishers : callable
-            Returns the number of publishers of a topic.
+            Function that returns the number of publishers of a topic.
         """
         why = self._missing(now, began, period, publishers)
-        # A failed connection is the reason; missing inputs are its consequence.
+        # A failed connection is the reason. Missing inputs are its consequence.
         return self._driver_failure if why and self.error_since is not None else why
 
     @property
@@ -244,10 +250,10 @@ class Inputs:
             return Failure(Reason.DRIVER_STOPPED, why)
         silent = self.starts is not None and min(self.starts.silence(now), now - began)
         if self.starts is not None and silent > max(self.starts.timeout_s, CYCLES * period):
-            # Missing inputs of other nodes are a consequence.
+            # Missing inputs of other nodes are a consequence of this.
             return Failure(Reason.NO_CYCLE, self.starts_problem(now))
         silence = min(self.parts.silence(now), now - began)
-        if self.unanswered is not None:  # in lockstep the simulator waits for the answer
+        if self.unanswered is not None:  # in lockstep the simulator waits for the result
             silence, question = now - max(self.unanswered, began), "does the solver run?"
             if silence > timeout:
                 why = self._blame("plate_cycle", "solver", question, now, publishers)
@@ -255,7 +261,7 @@ class Inputs:
         elif silence > timeout:
             return Failure(Reason.NO_PARTS, self._no_parts(now, silence, publishers))
         seen = self.reports.get("detector")
-        # The detector reports that positions are wrong.
+        # The detector reports that its positions are wrong.
         wrong = seen is not None and seen.level is Level.ERROR
         if seen is not None and wrong and seen.at - max(seen.since, began) > ERROR_TIMEOUT_S:
             return Failure(Reason.CUT_OFF, f"detector: {seen.message}")
@@ -267,9 +273,9 @@ class Inputs:
         return Failure(Reason.CUT_OFF, gone.message) if gone is not None else None
 
     def _cut_off(self, now: float, began: float, period: float) -> str:
-        """Return the first node of the loop that reports missing input; empty if none does.
+        """Return the first node of the loop that reports missing input. Empty if there is none.
 
-        Nodes after it, or after a node that timed out, lack input only as a consequence.
+        If a node follows this node or a node that timed out, it lacks input only as a consequence.
         """
         fresh = max(FRESH_S, CYCLES * period)
         stale = {
@@ -277,7 +283,7 @@ class Inputs:
             for name, report in self.reports.items()
             if report.level is Level.STALE and report.at - began > self.parts.timeout_s
         }
-        if "detector" in stale:  # a simulated device's images depend on its motion
+        if "detector" in stale:  # images of a simulated device depend on its motion
             driven = "device" in self.reports and "simulator" in stale
             return "simulator" if driven else "detector"
         if self.parts.silence(now) > fresh:
@@ -293,7 +299,8 @@ class Inputs:
         return next((name for name in ("device", "simulator") if name in stale), "")
 
     def findings(self, now: float, publishers: Callable[[str], int]) -> list[Finding | None]:
-        """Return findings on missing inputs for diagnostics, with or without a running task."""
+        """Return the findings on missing inputs for the diagnostics. They do not depend on a
+        running task."""
         parts = self.parts.gone(now)
         if parts is not None:
             parts = Finding(Level.STALE, self.parts_problem(now, publishers))
@@ -304,10 +311,11 @@ class Inputs:
         return [parts, driver, starts]
 
     def stood_still(self, now: float, period: float) -> Failure | None:
-        """Return a failure if the planner's process stalled for longer than the input timeout, or
-        None.
+        """Return a failure if the planner's process stalled for longer than the input timeout.
+        Otherwise return None.
 
-        Messages that arrived during the stall look fresh, but the driver has stopped the plate.
+        Messages that arrived during the stall appear to be new, but the driver has stopped the
+        plate.
         """
         away = now - self.ran
         if away <= self.timeout(period):
@@ -315,11 +323,12 @@ class Inputs:
         return Failure(Reason.STOOD_STILL, f"the planner was stalled for {away:.1f} s")
 
     def ran_at(self, now: float) -> Inputs:
-        """Return the inputs with the time of the planner's last activity."""
+        """Return the inputs with `now` as the time at which the planner was last active."""
         return replace(self, ran=now)
 
     def woken(self, now: float) -> Inputs:
-        """Return the inputs after a stall. Arrival times of earlier messages are discarded."""
+        """Return the inputs after a stall of the process. Arrival times of earlier messages are
+        discarded."""
         parts, driver = (
             replace(each, since=now, came=None if each.came is None else now)
             for each in (self.parts, self.driver)
@@ -338,7 +347,7 @@ class Inputs:
     def _blame(
         self, topic: str, node: str, question: str, now: float, publishers: Callable[[str], int]
     ) -> str:
-        """Return why a node sends nothing on its topic. If the reason is unknown, return
+        """Return the reason why a node does not publish its topic. If the reason is unknown, return
         `question`."""
         if not publishers(topic):
             return f"no node publishes them, does the {node} run?"

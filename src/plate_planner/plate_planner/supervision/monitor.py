@@ -1,4 +1,5 @@
-"""Monitor of the planner's inputs: whether a task can start, and whether it can continue.
+"""Monitor of the planner's inputs. It decides whether a task can start, and whether it can
+continue.
 
 `InputMonitor` combines four checks: timeouts of inputs, the driver's state, a second publisher of a
 topic, and stalls of the planner's own process. The caller passes the time [s, steady clock].
@@ -15,19 +16,19 @@ from .inputs import Inputs
 from .phase import Failure, Reason, TaskState
 
 STILL_S = 1.0
-"""If the planner stalled for longer than this, it refuses goals that may have waited meanwhile
+"""Minimum duration of a stall after which the planner refuses goals that may have waited during it
 [s]."""
 
 SINGLE = ("parts", "part_forces", "plate_cycle", "driver_status", "cycle_started", "feed_orders")
 """Topics that only one node may publish."""
 
 MARGIN_S = 0.1
-"""Additional time that the monitor waits for all parts, so that the planner itself ends the task
-first [s]."""
+"""Additional time that the monitor waits for all parts [s]. Because of it, the planner itself ends
+the task first."""
 
 
 class InputMonitor:
-    """Keeps the state of the planner's inputs, and decides whether a task can start or continue.
+    """Stores the state of the planner's inputs, and decides whether a task can start or continue.
 
     Times are on the steady clock [s].
 
@@ -38,14 +39,14 @@ class InputMonitor:
         Maximum time from a goal until all parts are detected.
     now : float
     publishers : callable
-        Returns the number of publishers of a topic.
+        Function that returns the number of publishers of a topic.
     second_publisher : callable
-        Returns a message if several nodes publish a topic, otherwise "".
+        Function that returns a message if several nodes publish a topic, otherwise "".
 
     Attributes
     ----------
     inputs : Inputs
-        Inputs received so far. The owner records each message in it.
+        Inputs received so far. The owner records each message in this object.
     """
 
     def __init__(
@@ -62,7 +63,7 @@ class InputMonitor:
 
     def wake(self, now: float, period: float) -> Failure | None:
         """Record that the planner runs. Return a failure if its process has stalled since the last
-        call, for longer than the input timeout.
+        call for longer than the input timeout.
 
         Call this first in each callback. `period` is the length of a cycle [s].
         """
@@ -72,20 +73,20 @@ class InputMonitor:
         return failure
 
     def goal_may_be_old(self, now: float) -> bool:
-        """Whether a goal received at `now` may have waited during a stall."""
+        """Whether a goal that is received at `now` may have waited during a stall."""
         return self._standstill.is_late(now)
 
     def second_publishers(self) -> str:
-        """Return a message if several nodes publish a topic that only one may publish, otherwise
-        ""."""
+        """Return a message if several nodes publish a topic that only one may publish. Otherwise
+        return ""."""
         return next(filter(None, map(self._second_publisher, SINGLE)), "")
 
     def findings(self, now: float) -> list[Finding | None]:
-        """Return findings on missing inputs at `now`, for the diagnostics."""
+        """Return the findings on missing inputs at `now` for the diagnostics."""
         return self.inputs.findings(now, self._publishers)
 
     def start_problem(self, now: float) -> str:
-        """Return the reason why a task cannot start. "" if it can."""
+        """Return the reason why a task cannot start. Return "" if it can start."""
         return (
             self.second_publishers()
             or self.inputs.driver_problem(now)
@@ -96,7 +97,7 @@ class InputMonitor:
     def task_problem(
         self, now: float, goal_time: float, task: TaskState, period: float
     ) -> Failure | None:
-        """Return the reason why a running task cannot continue. None if it can.
+        """Return the reason why a running task cannot continue. Return None if it can continue.
 
         Parameters
         ----------
@@ -110,7 +111,8 @@ class InputMonitor:
         failure = self.inputs.problem(now, goal_time, period, self._publishers)
         waited = now - goal_time > self._start_timeout_s + MARGIN_S
         if failure is None and task.began is None and waited:
-            # The planner's own wait uses stamps, so it never ends if the stamps do not advance.
+            # The planner's own time limit uses stamps. If the stamps do not advance, that limit is
+            # never reached.
             text = f"not all parts were detected within {self._start_timeout_s:g} s after the goal"
             failure = Failure(Reason.PARTS_MISSING, text)
         if several := self.second_publishers():

@@ -1,7 +1,8 @@
-"""State machine of a task: its phase, and the time and reason of its end.
+"""State machine of a task: its phase, and the time and the reason of its end.
 
-Done, stuck, lost part and aborted are final phases. Only a new start leaves them. All functions are
-pure. They take a state and return the new one.
+Done, stuck, lost part and aborted are final phases. Only a new start leaves a final phase. All
+functions are pure: they take a state and return the new state. They take a state and return the new
+one.
 """
 
 from __future__ import annotations
@@ -21,10 +22,11 @@ TIME_TOLERANCE_S = 1e-6
 
 
 LOOK = "look at the topic detections_image"
-"""Advice if parts are not detected."""
+"""Advice for the user if parts are not detected."""
 
 STILL_S = 3.0
-"""If the distance to the goal decreased within this time, the task still made progress [s]."""
+"""If the distance to the goal has decreased within this time, the task counts as still making
+progress [s]."""
 
 
 class Phase(StrEnum):
@@ -49,7 +51,7 @@ class Phase(StrEnum):
 
 
 class Reason(IntEnum):
-    """Why a task ended. plate_interfaces/TaskStatus describes each value."""
+    """Reason why a task ended. plate_interfaces/TaskStatus describes each value."""
 
     NONE = 0
     TIME_LIMIT = 1
@@ -82,23 +84,24 @@ class Failure(NamedTuple):
 
 @dataclass(frozen=True)
 class TaskLimits:
-    """Time limits of a task. Times are the stamps of cycle starts, or of images if they are taken
-    at cycle starts [s].
+    """Time limits of a task. Times are differences of stamps [s]. The stamps are those of cycle
+    starts or, if images are taken at cycle starts, those of images.
 
     Attributes
     ----------
     time_limit_s : float
         Maximum duration of the task.
     hold_s : float
-        Time for which the goal must be met before the task is done.
+        Time for which the goal must be met until the task is done.
     start_timeout_s : float
         Maximum time from `start` until all parts are detected.
     unseen_timeout_s : float
-        Maximum time without a detection of a part. After that, the part is lost.
+        Maximum time without a detection of a part. After it, the part counts as lost.
     stuck_timeout_s : float
-        Maximum time without progress towards the goal. After that, the task is stuck.
+        Maximum time without progress towards the goal. After it, the task counts as stuck.
     nearer_m : float
-        Minimum decrease of the distance that counts as progress, summed over parts [m].
+        Minimum decrease of the distance that counts as progress [m]. The distance is the sum over
+        the parts.
     """
 
     time_limit_s: float
@@ -111,7 +114,7 @@ class TaskLimits:
 
 @dataclass(frozen=True)
 class TaskState:
-    """State of the supervision. Times are stamps [s]; None if the event has not happened.
+    """State of the supervision. Times are stamps [s]. They are None if the event has not happened.
 
     Attributes
     ----------
@@ -119,19 +122,20 @@ class TaskState:
     reason : Reason
         Why the task ended.
     detail : str
-        Text on the end: the result if the task is done, otherwise the cause and a remedy.
+        Description of the end: the result if the task is done, otherwise the cause and a remedy.
     waiting_since : float or None
-        Stamp of the first image after `start`.
+        Stamp of the first image after the call of `start`.
     began : float or None
-        Start of the task: stamp of the second image with the same complete set of parts.
+        Start of the task: stamp of the second image that shows the same complete set of parts.
     ended : float or None
         Stamp of the image at which the task ended.
     missing_since : tuple of (str, float)
-        Parts that are not detected, and the start of the interruption.
+        Parts that are not detected, each with the time since which it has not been detected.
     met_since : float or None
-        Time since which the goal has been met, by the detected parts.
+        Time since which the detected parts have met the goal.
     nearest_m, nearest_at : float
-        Minimum distance to the goal so far, summed over parts [m], and its time [s].
+        Minimum distance to the goal so far [m], and its time [s]. The distance is the sum over the
+        parts.
     """
 
     phase: Phase = Phase.IDLE
@@ -152,7 +156,8 @@ class TaskState:
 
     @property
     def text(self) -> str:
-        """The phase. At the end, with time and reason: `done after 14.1 s: 10 of 10 parts ...`."""
+        """Description of the phase. At the end, it contains the time and the reason: `done after
+        14.1 s: 10 of 10 parts ...`."""
         if not self.phase.is_end:
             return self.phase.value
         time = ""
@@ -163,20 +168,22 @@ class TaskState:
     def held(self, t: float, limits: TaskLimits) -> bool:
         """Whether the goal has been met for `hold_s`.
 
-        If so, the plate must come to rest, and an image must then show all parts.
+        If so, the plate must come to rest. Then an image must show all parts.
         """
         met = self.active and self.met_since is not None
         return met and t - (self.met_since or 0.0) >= limits.hold_s - TIME_TOLERANCE_S
 
     def elapsed(self, t: float) -> float:
-        """Time [s] from the start of the task to `t` or to its end; 0 if a clock was set back."""
+        """Time from the start of the task to `t` or to its end [s]. It is 0 if a clock was set
+        back."""
         if self.began is None:
             return 0.0
         return max(0.0, (t if self.ended is None else self.ended) - self.began)
 
 
 def missing_parts(scenario: Scenario, known: tuple[str, ...], parts: Parts) -> tuple[str, ...]:
-    """Return the missing parts of the scenario, by id if it is in `known`, otherwise by class."""
+    """Return the missing parts of the scenario. A part is named by its id if that is in `known`,
+    otherwise by its class."""
     there = Counter(part_class(i) for i in parts.ids)
     names: list[str] = []
     for label, wanted in Counter(scenario.labels).items():
@@ -201,9 +208,9 @@ def begin(
     limits: TaskLimits,
     others: str = "",
 ) -> TaskState:
-    """Begin a requested task as soon as two images show the same complete set of parts.
+    """Begin a requested task when two images show the same complete set of parts.
 
-    A single image is not sufficient, because a reflection may be mistaken for a part.
+    A single image is not sufficient, because vision may mistake a reflection for a part.
 
     Parameters
     ----------
@@ -213,10 +220,10 @@ def begin(
     missing : tuple of str
         Names of the parts of the scenario that are not detected.
     again : bool
-        Whether the parts are the same as in the last image with all parts.
+        Whether the parts are the same as in the last image that showed all parts.
     limits : TaskLimits
     others : str
-        Text on other objects on the plate, one of which may be a missing part. Empty if there are
+        Text on other objects on the plate. One of them may be a missing part. Empty if there are
         none.
     """
     if state.phase is not Phase.RUNNING or state.began is not None:
@@ -234,13 +241,14 @@ def begin(
 
 
 STOP = Failure(Reason.STOPPED, "stopped")
-"""Failure that represents a stop requested by the service."""
+"""Failure that represents a stop by the service."""
 
 
 def stopped(state: TaskState, t: float | None, why: Failure = STOP) -> TaskState:
     """Return the state after a stop.
 
-    A running task is aborted at stamp t [s], None without an image. Otherwise the phase is idle.
+    A running task is aborted at stamp t [s]. t is None if there was no image. If no task runs, the
+    phase becomes idle.
     """
     if state.phase is not Phase.RUNNING:
         return TaskState()
@@ -249,7 +257,7 @@ def stopped(state: TaskState, t: float | None, why: Failure = STOP) -> TaskState
 
 @dataclass(frozen=True)
 class Findings:
-    """Evaluation of a running task for one image.
+    """Evaluation of one image in a running task.
 
     Attributes
     ----------
@@ -258,22 +266,24 @@ class Findings:
     goal_met : bool
         Whether the goal is met in this image.
     to_go_m : float
-        Distance to the goal, summed over parts [m].
+        Distance to the goal [m], summed over the parts.
     problem : str
-        Why the task cannot continue; empty if it can.
+        Reason why the task cannot continue. Empty if it can.
     detail : callable
-        Returns a text on the part farthest from its goal, its request and a remedy.
+        Function that returns a text on the part farthest from its goal, with its request and a
+        remedy.
     outcome : str
-        Result text if the task is done now.
+        Text on the result, if the task is done now.
     loss : callable
-        Returns the failure for the name of a missing part.
+        Function that returns the failure for the name of a missing part.
     all_seen : bool
-        Whether the image shows all parts. The positions of other parts are predictions.
+        Whether the image shows all parts. If it does not, the positions of the other parts are
+        predictions.
     at_rest : bool
-        Whether plate and parts were at rest when the image was taken. If the plate moves, a part
-        may leave it after the image.
+        Whether the plate and the parts were at rest when the image was taken. If the plate moves, a
+        part may leave it after the image.
     unanswered : str
-        Text on the number of unanswered cycles; empty if there were few.
+        Text on the number of cycles without a result. Empty if there were few.
     """
 
     missing: tuple[str, ...]
@@ -295,10 +305,10 @@ def evaluate(state: TaskState, t: float, findings: Findings, limits: TaskLimits)
     before = dict(state.missing_since)
     missing_since = tuple((name, before.get(name, t)) for name in findings.missing)
     met_since = state.met_since
-    if not (findings.missing and findings.goal_met):  # the goal of a missing part is undecided
+    if not (findings.missing and findings.goal_met):  # without all parts, the goal is undecided
         met_since = _since(met_since, findings.goal_met, t)
     state = replace(state, missing_since=missing_since, met_since=met_since)
-    # Missing parts have no distance, so a sum without them would look like progress.
+    # Missing parts have no distance. A sum without them would be smaller and appear as progress.
     if not findings.missing and findings.to_go_m < state.nearest_m - limits.nearer_m:
         state = replace(state, nearest_m=findings.to_go_m, nearest_at=t)
     timeout = limits.unseen_timeout_s + TIME_TOLERANCE_S
@@ -315,7 +325,7 @@ def evaluate(state: TaskState, t: float, findings: Findings, limits: TaskLimits)
         text = _joined(findings.outcome, findings.unanswered)
         return _end(state, t, Phase.DONE, Reason.NONE, text)
     reason, text = Reason.NONE, ""
-    # If the goal was held in time, allow more time for an image at rest.
+    # If the goal was met in time, allow more time for an image at rest.
     longest = limits.time_limit_s + (limits.unseen_timeout_s if held else 0.0)
     if state.elapsed(t) > longest + TIME_TOLERANCE_S:
         reason, text = Reason.TIME_LIMIT, f"time limit of {limits.time_limit_s:g} s"

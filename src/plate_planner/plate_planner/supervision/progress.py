@@ -1,5 +1,5 @@
-"""Progress of a task, as published in task_status, action feedback and diagnostics. It is computed
-once per image or cycle."""
+"""Progress of a task. It is published in task_status, action feedback and diagnostics. It is
+computed once per image or cycle."""
 
 from __future__ import annotations
 
@@ -17,23 +17,26 @@ class Progress:
     ----------
     phase : Phase
     text : str
-        Phase, with a text on the running task. At the end: time, result or reason, and remedy.
+        Description of the phase, with a text on the running task. At the end, it contains the time,
+        the result or the reason, and a remedy.
     time_s : float
-        Time from the start of the task to now or to its end [s].
+        Time from the start of the task until now or until its end [s].
     parts_total, parts_seen, parts_sorted : int
-        Number of parts of the scenario (or of sorted parts, if larger), of parts on the plate in
-        this image, and of parts at their goals.
+        Number of parts of the scenario (or of sorted parts, if larger), number of parts on the
+        plate in this image, and number of parts at their goals.
     to_go_m : float
-        Distance to the goal, summed over parts [m]. Following: maximum remaining path length.
+        Distance to the goal, summed over parts [m]. In a task that follows paths, it is the maximum
+        remaining path length.
     rms_error_m : float
-        Following: root mean square distance of parts from their references, over parts and images.
-        Assembling and posing: root mean square distance from the targets in this image [m].
+        Root mean square error [m]. In a task that follows paths, it is the distance of the parts
+        from their references, over all parts and images. In tasks that assemble or pose parts, it
+        is the distance from the targets in this image.
     max_error_m : float
         Maximum of these distances [m].
     turn_error : float
-        Posing: maximum angle error in this image [rad].
+        In a task that poses parts: maximum angle error in this image [rad].
     speed_scaling : float
-        Following: speed of the references relative to full speed [-].
+        In a task that follows paths: speed of the references relative to full speed [-].
     pace : float
         Mean of `speed_scaling` since the references began to move [-].
     period_s : float

@@ -1,5 +1,6 @@
-"""Rules of an assembling task: parts fill a pattern of places. In each image every part gets the
-place of its class that minimises the sum of squared distances. Its place is its target."""
+"""Rules of an assembling task, in which parts fill a pattern of places. In each image, every part
+is assigned to a place of its class. The assignment minimises the sum of squared distances. The
+place is the target of the part."""
 
 from __future__ import annotations
 
@@ -60,8 +61,8 @@ class Assembler(TaskRules):
         return Targets(aim - band, aim + band, weight, GAP * self.rig.parts.radius_m)
 
     def _aim(self, parts: Parts) -> tuple[np.ndarray, np.ndarray]:
-        """Return each part's place (M, 2) [m], and whether it has one (M,). Without a place, the
-        part's position is returned."""
+        """Return the place of each part (M, 2) [m], and whether it has one (M,). If a part has no
+        place, its position is returned."""
         place = np.array(self.task.place)
         row = assign(self.task.labels, place, parts)
         placed = row >= 0

@@ -1,7 +1,7 @@
-"""Drift intervals, which tasks request, and the mean forces for them.
+"""Drift intervals, which tasks request, and the mean forces that produce these drifts.
 
-A drift is the mean velocity of a part over a cycle. Input are the parts with their present drift;
-output are intervals of drifts and forces.
+A drift is the mean velocity of a part over a cycle. The input are the parts with their present
+drift. The output are intervals of drifts and forces.
 """
 
 from __future__ import annotations
@@ -13,10 +13,10 @@ import numpy as np
 from plate_core import Parts, Rig, Targets, part_class
 
 APPROACH = 1.5
-"""Drift towards a target, per metre to go [1/s]."""
+"""Requested drift towards a target, per metre of distance [1/s]."""
 
 MAX_DRIFT = 0.05
-"""Maximum drift towards a target [m/s]. Many parts cannot move faster at the same time."""
+"""Maximum drift towards a target [m/s]. A plate cannot move many parts faster at the same time."""
 
 
 @dataclass(frozen=True)
@@ -30,8 +30,8 @@ class DriftInterval:
     def towards(cls, position: np.ndarray, targets: Targets) -> DriftInterval:
         """Return the drift of parts at (M, 2) [m] towards their targets.
 
-        v = APPROACH (target - position), limited to `MAX_DRIFT`. Along an axis without a target any
-        drift up to `MAX_DRIFT` is accepted.
+        v = APPROACH (target - position), limited to `MAX_DRIFT`. If a target leaves an axis free,
+        any drift up to `MAX_DRIFT` along this axis is accepted.
         """
         low, high = (
             np.where(
@@ -53,10 +53,10 @@ class DriftInterval:
         return DriftInterval(self.low - bias, self.high - bias)
 
     def force(self, parts: Parts, rig: Rig, period: float) -> tuple[np.ndarray, np.ndarray]:
-        """Return the mean force over a cycle that changes the present drift to the requested one.
+        """Return the mean force over a cycle that changes the present drift to the requested drift.
 
-        F = m (v_requested - v)/T. The solver computes v + F T/m with the same v, so an error of the
-        measured v cancels, unless F is limited to mu m g.
+        F = m (v_requested - v)/T. The solver computes v + F T/m with the same v. Therefore an error
+        of the measured v cancels, unless F is limited to mu m g.
 
         Parameters
         ----------

@@ -1,15 +1,15 @@
-"""Rules of a feeding task: parts are made ready for a robot, isolated and at their angles, while
-parts are added and removed.
+"""Rules of a feeding task. Parts are made ready for a robot: they are isolated and rotated to the
+requested angles. Parts are added and removed during the task.
 
 As in `move`, each cycle minimises the sum of squared weighted distances to targets. Ready parts
-stay ready, the parts nearest to being ready move to their windows and angles, and unwanted parts
-move over the edge to the chute. All parts keep the gripper's clearance, so heaps dissolve. When
-enough parts are ready, the plate rests and the robot may pick.
+stay ready. The parts that are nearest to being ready move to their windows and angles. Unwanted
+parts move over the edge into the chute. All parts keep the gripper's clearance from each other, so
+that heaps dissolve. When enough parts are ready, the plate rests and the robot may pick.
 
-The targets of wanted parts do not depend on whether unwanted parts leave. Among the unwanted parts,
-only the part nearest to the chute has the same weight as wanted parts. Wanted parts are kept from
-the chute only by the wall that keeps parts from all edges. A stronger restraint would also stop the
-crowd around them, and no part would leave.
+The targets of wanted parts are the same whether or not unwanted parts leave. Among the unwanted
+parts, only the part nearest to the chute has the full weight of a wanted part. Wanted parts are
+kept from the chute only by the wall that keeps parts from all edges. A stronger restraint would
+also stop the unwanted parts among them, and no part would leave.
 """
 
 from __future__ import annotations
@@ -38,55 +38,64 @@ from .targets import FULL_DISTANCE_M, distance_weight
 from .task import Assessment, Situation, TaskRules
 
 STILL_M = 1e-3
-"""Maximum displacement of a ready part since the last image, on a plate at rest [m]."""
+"""Maximum displacement since the last image at which a part on a plate at rest counts as ready
+[m]."""
 
-MARGIN_M, BAND = 4e-3, 0.3
-"""Margin of the targets inside the window [m], and half width of the target interval of angles [the
-pick's tolerance]."""
+MARGIN_M = 4e-3
+"""Margin of the targets inside the window [m]."""
+
+BAND = 0.3
+"""Half width of the target interval of angles [the pick's tolerance]."""
 
 KEPT = 0.8
 """Half width of the angle interval in which a ready part has no error [the pick's tolerance]."""
 
 GAP_MARGIN_M = 2e-3
-"""Margin that is added to the gripper's clearance [m]."""
+"""Margin added to the gripper's clearance [m]."""
 
 STOCK = 0.03
-"""Weight of the distance to the window or to the chute, for parts that are not needed yet, relative
-to others [-]. With a larger weight, many such parts would push the others against the wall, and all
-would stop."""
+"""Weight of the distance to the window or to the chute, for parts that are not needed yet. It is
+relative to the weight of other parts [-]. With a larger weight, many such parts would push the
+others against the wall, and no part would move."""
 
 MANY_UNWANTED = 5
-"""Number of unwanted parts at which all of them move to the chute, even if enough others are
+"""Number of unwanted parts from which all of them move to the chute, even if enough other parts are
 ready."""
 
 PURGED = 6.0
-"""Weight of the distance to the chute, in a purge, for the part nearest to it, relative to others
-[-]."""
+"""In a purge: weight of the distance to the chute for the part nearest to it, relative to the
+weight of other parts [-]."""
 
 NEAREST_M = 1e-3
-"""Minimum distance in the weight of a part that must get ready at an angle [m]. Its weight is
-inversely proportional to its distance, so that the nearest part is ready sooner. Round parts do not
-use this, because they would hinder each other (found by trial)."""
+"""Minimum distance that is used to compute the weight of a part that must get ready at an angle
+[m]. Its weight is inversely proportional to its distance, so that the nearest part is ready sooner.
+This does not apply to round parts, because they would hinder each other (found by trial)."""
 
 CHANGE_M = 0.02
-"""Another part replaces a part on its way to being ready only if it is nearer by this distance
-[m]."""
+"""Minimum difference in distance [m]. A part on its way to being ready is replaced by another part
+only if that part is nearer by this difference."""
 
 RENAMED_M = 0.02
-"""Maximum distance of a new part from a vanished part of its class at which it counts as the same
-part [m]."""
+"""Maximum distance between a new part and a vanished part of its class at which they count as the
+same part [m]."""
 
-BEYOND_M, FAR_M = 0.01, 0.1
-"""Minimum and maximum distance of targets beyond the chute's edge [m]."""
+BEYOND_M = 0.01
+"""Minimum distance of targets beyond the chute's edge [m]."""
 
-NEAR_EDGE, NEAR_CHUTE = 1.5, 4.0
-"""Maximum distance of a vanished part's last position from an edge, and from the chute's edge, at
-which it counts as having left there [its reach]."""
+FAR_M = 0.1
+"""Maximum distance of targets beyond the chute's edge [m]."""
+
+NEAR_EDGE = 1.5
+"""Maximum distance from an edge at which a vanished part counts as having left over this edge [its
+reach]. It is measured from the part's last position."""
+
+NEAR_CHUTE = 4.0
+"""The same distance for the chute's edge [its reach]."""
 
 
 @dataclass(frozen=True)
 class FeedReport:
-    """Report of the task at one image.
+    """Report of the task for one image.
 
     Attributes
     ----------
@@ -94,13 +103,14 @@ class FeedReport:
         Time at which the image was taken [s].
     mode : FeedMode
     at_rest : bool
-        Whether plate and parts were at rest in the image and remain at rest.
+        Whether the plate and the parts were at rest in the image and remain at rest.
     ready : Parts
         Parts that the robot may grip.
     seen : mapping of str to int
         Number of parts on the plate, by class.
     discharged, lost : int
-        Number of unwanted parts that left over the chute's edge, and of all other parts that left.
+        Number of unwanted parts that left over the chute's edge, and number of all other parts that
+        left.
     """
 
     stamp: float = -np.inf
@@ -119,10 +129,10 @@ class FeedMemory:
     Attributes
     ----------
     rest_from : float
-        Time from which the plate rests [s]; infinite while it moves.
+        Time from which the plate rests [s]. Infinite while it moves.
     place : mapping of str to (x, y)
         Positions of parts at the last image [m, plate_home]. If that image was ignored, the ready
-        parts are omitted, because the robot may take them.
+        parts are omitted, because the robot may have taken them.
     chosen : tuple of str
         Parts on their way to being ready.
     clearing : bool
@@ -146,21 +156,21 @@ class Feeder(TaskRules):
 
     @property
     def hold_s(self) -> float:
-        """Infinite: the task is never done [s]."""
+        """Infinite, because the task is never done [s]."""
         return np.inf
 
     @property
     def endless(self) -> bool:
-        """True: the task runs until it is canceled."""
+        """True, because the task runs until it is canceled."""
         return True
 
     @property
     def open_ended(self) -> bool:
-        """True: parts may be added and removed."""
+        """True, because parts may be added and removed."""
         return True
 
     def check(self, scenario: Scenario) -> None:
-        """Accept any recipe. `check_scenario` has already checked that it fits the rig."""
+        """Accept any recipe, because `check_scenario` has already checked that it fits the rig."""
 
     def assess(self, memory: FeedMemory | None, now: Situation) -> tuple[FeedMemory, Assessment]:
         """Evaluate one image and return the request, see `TaskRules.assess`."""
@@ -186,7 +196,7 @@ class Feeder(TaskRules):
             for name, (x, y) in zip(parts.ids, parts.position.tolist(), strict=True)
             if name in now.seen.ids or name in memory.place
         }
-        if now.kept:  # parts that the robot takes are not lost
+        if now.kept:  # the robot takes parts, so they are not lost
             taken = memory.report.ready.ids
             place = {name: at for name, at in memory.place.items() if name not in taken}
         ready, ordered = len(report.ready), sum(pick.ready for pick in self._picks)
@@ -205,7 +215,7 @@ class Feeder(TaskRules):
         )
 
     def keeps_last(self, memory: FeedMemory | None) -> bool:
-        """Whether the image is ignored: the robot hides parts, and all parts are at rest."""
+        """Whether the image is ignored, because the robot hides parts and all parts are at rest."""
         report = FeedReport() if memory is None else memory.report
         return (
             self.task.order.hidden and self._mode is FeedMode.REST is report.mode and report.at_rest
@@ -220,7 +230,7 @@ class Feeder(TaskRules):
         return self.task.order.picks or self.task.picks
 
     def _report(self, memory: FeedMemory, now: Situation, rest_from: float) -> FeedReport:
-        """Return the report of this image. It counts the parts that left since the last one. The
+        """Return the report of this image. It counts the parts that left since the last report. The
         plate rests from `rest_from` [s] on."""
         seen, before = now.seen, memory.report
         hidden = [i for i, name in enumerate(now.parts.ids) if name not in seen.ids]
@@ -264,8 +274,8 @@ class Feeder(TaskRules):
         return self._mode is not FeedMode.PURGE and part_class(name) in labels
 
     def _left_over(self, name: str, place: np.ndarray) -> tuple[int, int] | None:
-        """Return the side over which a part with the last position (2,) [m] left. None if the part
-        did not leave."""
+        """Return the side over which a part left, for its last position (2,) [m]. Return None if
+        the part did not leave."""
         reach = self.rig.part_type(part_class(name)).reach_m
         away = self.rig.plate.half - np.abs(place)
         axis = int(np.argmin(away))
@@ -293,10 +303,11 @@ class Feeder(TaskRules):
         gap: np.ndarray,
         clearing: bool,
     ) -> tuple[Targets | None, tuple[str, ...]]:
-        """Return the targets of M parts, and the ids of those that must get ready.
+        """Return the targets of M parts, and the ids of the parts that must get ready.
 
-        `near` (picks, M) tells which parts are ready, `gap` (M,) are their free gaps [m]. The
-        targets are None if enough parts are ready and no parts must be cleared.
+        `near` (picks, M) states which parts are ready for each pick. `gap` (M,) is the free gap
+        around each part [m]. The targets are None if enough parts are ready and no parts must be
+        cleared.
         """
         aims, chosen = Aims.none(parts, self.rig), []
         purging = self._mode is FeedMode.PURGE
@@ -324,8 +335,8 @@ class Feeder(TaskRules):
         return self.task.clearance_m + GAP_MARGIN_M
 
     def _aim(self, aims: Aims, parts: Parts, pick: Pick, near: np.ndarray) -> np.ndarray:
-        """Set the window and angle of a pick as targets of the parts of its class. `near` (M,)
-        tells which are ready. Return which parts are of the class (M,)."""
+        """Set the window and the angle of a pick as targets for the parts of its class. `near` (M,)
+        states which parts are ready. Return a mask (M,) of the parts of this class."""
         mine = np.array([part_class(name) == pick.label for name in parts.ids], dtype=bool)
         low, high = pick_window(pick, self.rig)
         low, high = behind_wall(low, high, pick.label, self.rig)
@@ -356,7 +367,7 @@ class Feeder(TaskRules):
 
 @dataclass
 class Aims:
-    """Targets of M parts under construction.
+    """Targets of M parts. The rules fill them in step by step.
 
     Attributes
     ----------
@@ -365,11 +376,11 @@ class Aims:
     low, high : (M, 2)
         Target intervals [m, plate_home].
     weight : (M,)
-        Weight of the distance to go, relative to the full weight [-].
+        Weight of the distance to the target, relative to the full weight [-].
     full : (M,) bool
-        Whether the weight is at least the full weight.
+        Whether the part has at least the full weight.
     angle, turn, slack : (M,)
-        Angles of the parts, requested rotations, and tolerances of the rotations [rad].
+        Angle of each part, requested rotation, and tolerance of the rotation [rad].
     angled : (M,) bool
         Whether an angle is requested.
     leaving : (M,) bool
@@ -404,16 +415,17 @@ class Aims:
 
     @property
     def left(self) -> np.ndarray:
-        """Distances to go (M,) plus arc lengths of the remaining rotations at the edge [m]."""
+        """Distances to the targets (M,) [m]. The arc length of the remaining rotation at the part's
+        edge is added."""
         distance = np.hypot(*(self.position - np.clip(self.position, self.low, self.high)).T)
         return np.asarray(distance + self.reach * np.maximum(np.abs(self.turn) - self.slack, 0))
 
     def targets(self, gap_m: float) -> Targets:
-        """Return the targets of the parts, with a minimum gap [m].
+        """Return the targets of the parts, with a minimum gap [m] between parts.
 
-        The weight scales the longest distance with full weight to `FULL_DISTANCE_M`, separately for
-        leaving and for other parts. If a part must get ready at an angle, the distance of this part
-        is scaled instead.
+        The weight scales the longest distance with full weight to `FULL_DISTANCE_M`. Parts that
+        leave and other parts are scaled separately. If a part must get ready at an angle, the
+        distance of this part is scaled instead.
         """
         left = self.left
         counts, offset = np.zeros(len(left)), np.column_stack([left, 0 * left])
@@ -432,7 +444,7 @@ class Aims:
 
 
 def _is_among(parts: Parts, name: str, place: tuple[float, float]) -> bool:
-    """Whether one of the parts has the class of `name` and is at the place (x, y). It is then the
+    """Whether one of the parts has the class of `name` and is at the place (x, y). If so, it is the
     same part with a new id."""
     same = [part_class(each) == part_class(name) for each in parts.ids]
     away = np.hypot(*(parts.position - place).T)

@@ -1,16 +1,16 @@
-"""Rules of a path-following task: a PD controller computes the drift of each part once per cycle.
+"""Rules of a path-following task. Once per cycle, a PD controller computes the drift of each part.
 
-The answer to image k acts during cycle k+1. So the controller uses the error predicted for the
-start of that cycle, and requests the mean drift over it:
+The request for image k acts during cycle k+1. Therefore the controller uses the error that is
+predicted for the start of cycle k+1. It requests the mean drift over this cycle:
 
     v_des = (x_ref(t + 2T) - x_ref(t + T))/T + kp (x_ref(t + T) - x_pred)/T
 
-kp = 1 corrects the whole predicted error in one cycle. If one of the last answers began n cycles
-late, kp is divided by 1 + n: the plate may repeat a cycle n times before the next one begins, and
-all of them together must correct the error once. The solver changes a part's drift from the present
-to the requested one. This is the D term, with a gain of 1. The drift bias is the observed deviation
-of parts from the model. It is part of the prediction, and the planner subtracts it from the
-request.
+kp = 1 corrects the whole predicted error in one cycle. If one of the last results began n cycles
+late, kp is divided by 1 + n. The reason is that the plate may repeat a cycle n times before the
+next one begins, and all repetitions together must correct the error once. The solver changes the
+drift of a part from the present drift to the requested drift. This is the D term, with a gain of 1.
+The drift bias is the observed difference between the motion of the parts and the model. It is added
+in the prediction, and the planner subtracts it from the request.
 """
 
 from __future__ import annotations
@@ -31,57 +31,67 @@ from .targets import UNMATCHED, match_targets, matched_rows, rematch_targets, st
 from .task import Assessment, Situation, TaskRules
 
 EDGE = (0.70, 0.85)
-"""Start and end of the zone near the edges in which parts without a path are increasingly moved
-inwards [fraction of the half side]."""
+"""Start and end of a zone near each edge [fraction of the half side]. In this zone, parts without a
+path are moved inwards, with a speed that increases towards the edge."""
 
-LACKING, SLOW_DOWN = 0.1, 0.7
-"""If the shortfall of drift in a cycle exceeds the first fraction of a path's speed, the speed
-scaling is multiplied by the second [-]."""
+LACKING = 0.1
+"""Shortfall of drift in a cycle above which the references slow down [path's speed]."""
+
+SLOW_DOWN = 0.7
+"""Factor by which the speed scaling is then multiplied [-]."""
 
 LEAST = 0.05
-"""Minimum speed scaling due to a shortfall of drift [-]. Errors may stop the references, because
-they then decrease. A shortfall may persist while the references stand still, and the task would be
-stuck."""
+"""Minimum speed scaling due to a shortfall of drift [-]. There is no minimum for errors: they may
+stop the references, because errors decrease while the references stand still. A shortfall may
+persist while the references stand still. Without a minimum, the task would then be stuck."""
 
 NEGLIGIBLE = 0.3e-3
-"""Shortfall of drift that is always accepted [m/s]. Solver and filter cause about 0.2 mm/s, which
-must not slow down a slow path."""
+"""Shortfall of drift that is always accepted [m/s]. Solver and filter cause a shortfall of about
+0.2 mm/s, which must not slow down a slow path."""
 
 SLOW_START = 0.1
 """Speed scaling at the start and until the image latency is known [-]. Until then, errors increase
 with the speed."""
 
 SPEED_UP = 0.1
-"""Maximum increase of the speed scaling per cycle [-]. It is more gradual than the decrease."""
+"""Maximum increase of the speed scaling per cycle [-]. The increase is slower than the decrease."""
 
 TURN = 0.12
-"""Maximum acceleration of references at corners, starts and ends [mu g]. They slow down before
-these."""
+"""Maximum acceleration of references at corners, starts and ends [mu g]. The references slow down
+before them."""
 
 CLOSE = 4
 """Number of times per cycle at which the paths ahead are sampled."""
 
 
-BIAS_MAX, SPEED_RATIO_MAX = 1.0, 3.0
-"""Maximum drift bias along and across the path, and maximum requested drift [path's speed]."""
+BIAS_MAX = 1.0
+"""Maximum drift bias along and across the path [path's speed]."""
 
-SLOW_FROM, SLOW_TO = 0.15, 0.5
-"""Errors at which the references begin to slow down, and at which they stop [max_error_m]."""
+SPEED_RATIO_MAX = 3.0
+"""Maximum requested drift [path's speed]."""
+
+SLOW_FROM = 0.15
+"""Error above which the references slow down [max_error_m]."""
+
+SLOW_TO = 0.5
+"""Error at which the references stop [max_error_m]."""
 
 LEAD_TO_M = 1e-3
-"""Minimum tolerance of the parts at the starts of their paths [m]. If the error `SLOW_FROM` is
-larger, it is used instead, because the references can then start at full speed."""
+"""Minimum tolerance of the parts at the starts of their paths [m]. If the error at `SLOW_FROM` is
+larger, that error is the tolerance, because the references can then start at full speed."""
 
 KEPT_MPS = (0.08, 0.08, 0.04, 0.02, 0.02, 0.01)
-"""Speeds that one, two, ... six or more parts reached on circles [m/s]: docs/results.md, (f), and
-the scenario follow_8."""
+"""Speeds that one, two, ... six or more parts reached on circles [m/s]. Sources: docs/results.md,
+(f), and the scenario follow_8."""
 
-REACHED, PERIOD_S = 0.3, 0.1
-"""Fraction of the bound a T/16 that two parts reached at shaking ratios of 3 and 5 [-], and length
-T of a cycle for few parts [s]."""
+REACHED = 0.3
+"""Fraction of the bound a T/16 that two parts reached at shaking ratios of 3 and 5 [-]."""
+
+PERIOD_S = 0.1
+"""Length T of a cycle for a small number of parts [s]. The bound a T/16 is computed with it."""
 
 SLOWED = 0.95
-"""Mean pace below which the result text reports it [-]."""
+"""Mean pace below which the text of the result states the pace [-]."""
 
 
 @dataclass(frozen=True)
@@ -91,7 +101,7 @@ class FollowOptions:
     Attributes
     ----------
     kp : float
-        Fraction of the predicted position error to correct in one cycle [-].
+        Fraction of the predicted position error that is corrected in one cycle [-].
     observer_gain : float
         Gain of the drift bias observer: weight of the newest prediction error [-].
     """
@@ -114,7 +124,7 @@ def pd_drift(
     kp: float,
     speed_max: np.ndarray,
 ) -> np.ndarray:
-    """Return the requested mean drift over the cycle in which the answer acts.
+    """Return the requested mean drift over the cycle in which the result acts.
 
     Parameters
     ----------
@@ -152,11 +162,11 @@ class FollowMemory:
     anchor, progress : float
         A time [s], and the path time of the references at this time [s at full speed].
     scaling : (float, float)
-        Speed scaling before and after the anchor: path time per time. 1 is full speed.
+        Speed scaling before and after the anchor, as path time per time. 1 is full speed.
     leading : bool
-        Whether parts are still moving to the starts of their paths. The references wait.
+        Whether parts are still moving to the starts of their paths. The references wait until then.
     lead_s : float
-        Duration of this motion [s].
+        Duration of the motion to the starts [s].
     square_sum, samples : float, int
         Sum of squared distances from the references [m2], and number of distances.
     max_error_m : float
@@ -200,12 +210,12 @@ class Follower(TaskRules):
 
     @property
     def hold_s(self) -> float:
-        """0: the task is done when the references reach their ends [s]."""
+        """0, because the task is done when the references reach the ends of their paths [s]."""
         return 0.0
 
     @property
     def nearer_m(self) -> float:
-        """0: references have no noise, so any decrease of the distance is progress [m]."""
+        """0, because references have no noise and any decrease of the distance is progress [m]."""
         return 0.0
 
     @property
@@ -250,12 +260,12 @@ class Follower(TaskRules):
         )
 
     def _begun(self, memory: FollowMemory | None, now: Situation) -> FollowMemory:
-        """Begin the task. It begins again while parts move to the starts of their paths, and until
-        the length of a cycle is known."""
+        """Begin the task. It begins again as long as parts move to the starts of their paths, and
+        until the length of a cycle is known."""
         early = memory is None or now.stamp < memory.began - now.period / 2
         if memory is not None and not memory.leading and not (early and now.motion_known):
             return memory
-        # The first running cycle determines the length of cycles, so wait for it.
+        # Wait for the first running cycle, because it determines the length of the cycles.
         start = now.start if now.motion_known else now.start + now.period
         again = self.begin(now.parts, start)
         if not now.latency_known:
@@ -268,7 +278,8 @@ class Follower(TaskRules):
         return replace(again, leading=leading, lead_s=led)
 
     def _lead(self, memory: FollowMemory, now: Situation) -> Assessment:
-        """Return the assessment while parts move to the starts of their paths, as in assembling."""
+        """Return the assessment while parts move to the starts of their paths. The rules are the
+        same as in assembling."""
         found = self._leader.assess(None, now)[1]
         return replace(
             found,
@@ -297,8 +308,8 @@ class Follower(TaskRules):
             )
 
     def warnings(self) -> tuple[str, ...]:
-        """Return a warning if paths are faster than was reached before, or than any motion of the
-        plate allows."""
+        """Return a warning if paths are faster than the speeds reached before, or faster than any
+        motion of the plate allows."""
         count, fastest = len(self.paths), float(np.max(self._speeds))
         kept = min(KEPT_MPS[min(count, len(KEPT_MPS)) - 1], REACHED * self._bound)
         if fastest <= kept:
@@ -313,7 +324,8 @@ class Follower(TaskRules):
 
     @property
     def _bound(self) -> float:
-        """Maximum mean speed of a part [m/s]. No motion of the plate exceeds this bound, a T/16."""
+        """Maximum mean speed of a part [m/s], a T/16. No motion of the plate moves a part
+        faster."""
         return self.rig.gamma * self.rig.friction.accel * PERIOD_S / 16
 
     def begin(self, parts: Parts, start: float) -> FollowMemory:
@@ -343,26 +355,26 @@ class Follower(TaskRules):
             square_sum=memory.square_sum + float(np.sum(distance**2)),
             samples=memory.samples + len(distance),
             max_error_m=max(memory.max_error_m, worst),
-            # Until the answer takes effect, the references keep their previous speed.
+            # Until the result takes effect, the references keep their previous speed.
             anchor=now.start,
             progress=time,
             scaling=(before, after),
         )
 
     def _scaling(self, before: float, worst: float, lacking: float) -> float:
-        """Return the next speed scaling, for an error [m] and a shortfall of drift [path's
+        """Return the next speed scaling for an error [m] and a shortfall of drift [path's
         speed]."""
         room = (SLOW_TO - worst / self.task.max_error_m) / (SLOW_TO - SLOW_FROM)
         most = max(before * SLOW_DOWN, LEAST) if lacking > LACKING else before + SPEED_UP
         return float(np.clip(room, 0, min(1.0, most)))
 
     def _ahead(self, time: float, period: float) -> float:
-        """Return the maximum speed scaling at a path time [s] at which no corner ahead requires a
+        """Return the maximum speed scaling at a path time [s]. With it, no corner ahead requires a
         higher acceleration than `TURN`.
 
-        With the scaling s, the path time advances by s dt. At the deceleration a and the speed v of
-        the path, s ds/dtime = a/v. So s^2 may be larger by 2 a/v per second of path time to a
-        corner.
+        With the scaling s, the path time advances by s dt. Let a be the deceleration and v the
+        speed of the path. Then s ds/dtime = a/v. Therefore s^2 may be larger by 2 a/v for each
+        second of path time before a corner.
         """
         accel, fastest = TURN * self.rig.friction.accel, float(np.max(self._speeds))
         away = np.arange(0.0, fastest / (2 * accel) + period, period / CLOSE)
@@ -381,12 +393,14 @@ class Follower(TaskRules):
         return np.array([path.position(time) for path in self.paths])
 
     def to_go(self, memory: FollowMemory, t: float) -> float:
-        """Return the maximum remaining path length [m]: remaining path time times maximum speed."""
+        """Return the maximum remaining path length [m], which is the remaining path time times the
+        maximum speed."""
         time = memory.path_time(t)
         return max(max(path.duration - time, 0) * path.speed for path in self.paths)
 
     def errors(self, memory: FollowMemory, parts: Parts, t: float) -> np.ndarray:
-        """Return the distance of each part (M,) from its reference [m]; 0 without a path."""
+        """Return the distance of each part (M,) from its reference [m]. It is 0 for a part without
+        a path."""
         result = np.zeros(len(parts))
         path, part = matched_rows(memory.match, parts)
         result[part] = np.hypot(*(parts.position[part] - self.reference(memory, t)[path]).T)
@@ -397,8 +411,8 @@ class Follower(TaskRules):
         return memory.path_time(t) >= max(path.duration for path in self.paths) - 1e-6
 
     def problem(self, memory: FollowMemory, parts: Parts, t: float) -> str:
-        """Return a text on the part farthest from its path, with a remedy. It is empty if all
-        errors are allowed."""
+        """Return a text on the part that is farthest from its path, with a remedy. It is empty if
+        all errors are allowed."""
         error = self.errors(memory, parts, t)
         if not len(error) or np.max(error) <= self.task.max_error_m:
             return ""
@@ -438,7 +452,7 @@ class Follower(TaskRules):
         return axes
 
     def bias_limit(self, memory: FollowMemory | None, parts: Parts, period: float) -> np.ndarray:
-        """Return the maximum drift bias (M,) [m/s]; 0 for parts without a path."""
+        """Return the maximum drift bias (M,) [m/s]. It is 0 for parts without a path."""
         limit = np.zeros(len(parts))
         if memory is not None:
             path, part = matched_rows(memory.match, parts)
@@ -454,9 +468,10 @@ class Follower(TaskRules):
         ]
         low, high = (np.column_stack(ends) for ends in zip(*intervals, strict=True))
         path, part = matched_rows(memory.match, now.parts)
-        # With an unknown latency, prediction errors may exceed the motion of the parts.
+        # If the latency is unknown, prediction errors may exceed the motion of the parts.
         scaling = 1.0 if now.latency_known else memory.scaling[1]
-        # A cycle may run 1 + late times before the next answer. Together they are one correction.
+        # A cycle may be executed 1 + late times before the next result begins. Together these
+        # executions are one correction.
         times = 1 + now.late
         low[part] = high[part] = pd_drift(
             now.predicted[part],

@@ -1,9 +1,9 @@
-"""Rules of a moving task: individual targets for parts, which may change while the task runs.
+"""Rules of a moving task. Parts have individual targets, which may change while the task runs.
 
 As in `pose`, each cycle minimises the sum of squared weighted distances to the targets. A part
 without a target should stay at its home: its position at the start of the task or at its first
-detection. If all other distances are short, the weight of such a part is relatively small, so that
-the part makes room.
+detection. If all other distances are short, the weight of such a part is relatively small. The part
+then moves aside for the others.
 """
 
 from __future__ import annotations
@@ -24,16 +24,22 @@ from .task import Assessment, Situation, TaskRules
 BAND = 0.3
 """Half width of the target intervals of position and angle [tolerance]."""
 
-HOME, MAX_HOME_WEIGHT, HOME_BAND_M = 2.0, 0.2, 5e-3
-"""Weight of a part without a target relative to parts with one, and its maximum [-]. With these
-weights, the part stays in place while distances are long, and makes room when they are short. The
-third value is the deviation from its home that has no error [m]."""
+HOME = 2.0
+"""Weight of a part without a target, relative to the weight of parts with a target [-]. With this
+weight, the part stays in place while the distances of the others are long."""
+
+MAX_HOME_WEIGHT = 0.2
+"""Maximum weight of a part without a target [-]. With this maximum, the part moves aside when the
+distances of the others are short."""
+
+HOME_BAND_M = 5e-3
+"""Deviation of a part from its home that counts as no error [m]."""
 
 
 @dataclass(frozen=True)
 class MoveMemory:
-    """Homes (x, y) [m, plate_home] of the parts: positions at the start of the task or at their
-    first detection."""
+    """Homes (x, y) [m, plate_home] of the parts. A home is the position at the start of the task or
+    at the first detection."""
 
     home: Mapping[str, tuple[float, float]] = field(default_factory=dict)
 
@@ -47,11 +53,11 @@ class RemainingMotion:
     requested : (M,) bool
         Whether the part has a target.
     aim : (M, 2)
-        Target or, without one, home [m, plate_home].
+        Target [m, plate_home]. If there is no target, the home.
     distance : (M,)
         Distance from `aim` [m].
     missing : (M,)
-        Remaining rotation [rad]; 0 if no angle is requested.
+        Remaining rotation [rad]. 0 if no angle is requested.
     turned : (M,) bool
         Whether an angle is requested.
     """
@@ -149,7 +155,7 @@ class Mover(TaskRules):
         )
 
     def _in_the_way(self, parts: Parts, remaining: RemainingMotion, there: np.ndarray) -> list[str]:
-        """Return texts on the parts that occupy targets of other parts."""
+        """Return texts on parts that occupy targets of other parts."""
         reach = np.array([part.reach_m for part in self._types(parts)])
         texts = []
         for k in np.flatnonzero(remaining.requested & ~there):

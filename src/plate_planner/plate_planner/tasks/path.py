@@ -1,7 +1,9 @@
-"""Polygonal paths with a speed profile: reference position of a part as a function of time.
+"""Polygonal paths with a speed profile. They give the reference position of a part as a function of
+time.
 
-Input is a `PathTask` with corners, laps and speeds at fractions of the length. Between two entries
-the speed is linear in the arc length, so time and arc length are related in closed form.
+The input is a `PathTask` with corners, laps, and speeds at fractions of the length. Between two
+entries of the speed profile, the speed is linear in the arc length. Therefore time and arc length
+are related in closed form.
 """
 
 from __future__ import annotations
@@ -66,13 +68,14 @@ class PolygonPath:
     def position(self, t: np.ndarray | float) -> np.ndarray:
         """Return the reference position (..., 2) [m, plate_home] at times t (...) [s].
 
-        It is the first corner for t < 0, and the end of the path after the duration.
+        It is the first corner for t < 0, and the end of the path after the last lap.
         """
         along = self._along(t)
         return np.stack([np.interp(along, self.arc, axis) for axis in self.corner.T], axis=-1)
 
     def heading(self, t: np.ndarray | float) -> np.ndarray:
-        """Return the direction (..., 2) of the edge with the reference at times t (...) [s]."""
+        """Return the direction (..., 2) of the edge on which the reference is located at times t
+        (...) [s]."""
         edge = np.searchsorted(self.arc, self._along(t), side="right") - 1
         edge = np.clip(edge, 0, len(self.arc) - 2)
         return np.asarray((np.diff(self.corner, axis=0) / np.diff(self.arc)[:, None])[edge])
@@ -89,8 +92,8 @@ class PolygonPath:
         return float(t[i] + (along - s[i]) / _log_mean(v[i], there))
 
     def _along(self, t: np.ndarray | float) -> np.ndarray:
-        """Return the arc length within the lap (...) [m]. The end of a lap is the start of the
-        next."""
+        """Return the arc length within the lap (...) [m]. The end of a lap counts as the start of
+        the next lap."""
         since = np.clip(np.asarray(t, dtype=float), 0, self.duration)
         if self.laps != 1:
             since = np.mod(since, self._lap_time)
@@ -102,15 +105,16 @@ class PolygonPath:
 
 
 def _profile(pairs: tuple[tuple[float, float], ...], length: float) -> np.ndarray:
-    """Return arc length, speed and time (k, 3) at the entries (fraction of the length, speed)."""
+    """Return arc length [m], speed [m/s] and time [s], (k, 3), at the entries (fraction of the
+    length, speed) of the profile."""
     fraction, speed = np.array(pairs).T
     step = length * np.diff(fraction) / _log_mean(speed[:-1], speed[1:])
     return np.column_stack([length * fraction, speed, np.append(0.0, np.cumsum(step))])
 
 
 def _log_mean(a: np.ndarray, b: np.ndarray) -> np.ndarray:
-    """Return the mean speed on a segment on which the speed changes from a to b linearly with the
-    arc length: (b - a)/log(b/a)."""
+    """Return the mean speed on a segment. The speed changes from a to b linearly with the arc
+    length, so the mean is (b - a)/log(b/a)."""
     ratio = np.log(np.asarray(b) / a)
     return np.asarray(a * _expm1_over(ratio))
 

@@ -21,7 +21,8 @@ BAND = 0.3
 """Half width of the target intervals of position and angle [tolerance]."""
 
 STAY = 1.0
-"""Minimum weight of a part that must stay at its position, relative to errors at edges [-]."""
+"""Minimum weight of a part that must stay at its position, relative to the weight of errors at
+edges [-]."""
 
 
 @dataclass(frozen=True)
@@ -80,8 +81,8 @@ class Poser(TaskRules):
         )
 
     def begin(self, parts: Parts) -> PoseMemory:
-        """Assign to each pose a part of its class, with the minimum sum of squared distances and
-        arcs."""
+        """Assign a part of its class to each pose. The assignment minimises the sum of squared
+        distances and arc lengths."""
         poses = self.task.poses
         place = np.array([(np.nan, np.nan) if p.place is None else p.place for p in poses])
         offset = place[:, None] - parts.position
@@ -113,7 +114,7 @@ class Poser(TaskRules):
 
     def problem(self, memory: PoseMemory, parts: Parts) -> str:
         """Return a text on the part farthest from the position at which it must stay. It is empty
-        if all are within the tolerance."""
+        if all such parts are within the tolerance."""
         distance, _ = self.errors(memory, parts)
         pose, part = matched_rows(memory.match, parts)
         stays = np.array([self.task.poses[row].place is None for row in pose], dtype=bool)
@@ -152,7 +153,8 @@ class Poser(TaskRules):
         return Targets(aim - band, aim + band, weight, gap, angles)
 
     def _reach(self, label: str) -> float:
-        """Return the reach of parts of a class [m]."""
+        """Return the reach of parts of a class [m]: the maximum distance of the edge from the
+        centre."""
         return self.rig.part_type(label).reach_m
 
     def _missing(self, pose: Pose, angle: np.ndarray) -> np.ndarray:

@@ -1,8 +1,9 @@
 """Rules of a sorting task: each part moves to the region of its class.
 
-The targets are intervals: a part may be anywhere in its region, and coordinates that the region
-does not restrict are free. This leaves the solver as much freedom as possible, which it needs with
-many parts. Parts that cross the plate in opposite directions pass each other in two lanes.
+The targets are intervals. A part may be anywhere in its region, and coordinates that the region
+does not restrict are free. The solver therefore has as much freedom as possible, which it needs if
+there are many parts. Parts that cross the plate in opposite directions pass each other in two
+lanes.
 """
 
 from __future__ import annotations
@@ -20,22 +21,33 @@ from plate_core.tasks import Bin, Scenario, Side, SortTask, behind_wall
 from .targets import GAP, assign, distance_weight
 from .task import Assessment, Situation, TaskRules
 
-MARGIN, END = 0.03, 0.85
-"""Distance of the targets beyond the goal line, and outer end of the area that counts for the
-capacity of a side or corner [fraction of the half length and width]."""
+MARGIN = 0.03
+"""Distance of the targets beyond the goal line [fraction of the half length and width]."""
 
-LANE, LANE_M, LANE_AT = 0.1, 0.1, 0.25
-"""Weight of the distance from a lane for parts with at least `LANE_M` [m] to go along x [-]; and
-inner edge of the lanes [fraction of the half width]. For shorter distances the weight is
-proportional to the distance. Weights of 0.1 and 0.3 are equally fast with 50 parts, 0.6 is
-slower."""
+END = 0.85
+"""Outer end of the area that counts for the capacity of a side or corner [fraction of the half
+length and width]."""
+
+LANE = 0.1
+"""Weight of the distance from a lane, for a part with at least `LANE_M` to go along x [-]. For
+shorter distances, the weight is proportional to the distance. Weights of 0.1 and 0.3 are equally
+fast with 50 parts, and 0.6 is slower."""
+
+LANE_M = 0.1
+"""Distance along x from which the lane has its full weight [m]."""
+
+LANE_AT = 0.25
+"""Inner edge of the lanes [fraction of the half width]."""
 
 SWITCH = 0.3
-"""Mean displacement of the parts to the wrong side at which the swirl changes its direction
+"""Mean displacement of the parts to the wrong side at which the swirl reverses its direction
 [fraction of the half width]."""
 
-SLOT_SPACING, SLOT_CLEAR = 3.5, 1.25
-"""Distance between neighbouring slots, and of slots from the bin's sides [part radii]."""
+SLOT_SPACING = 3.5
+"""Distance between neighbouring slots [part radii]."""
+
+SLOT_CLEAR = 1.25
+"""Distance of the slots from the sides of the bin [part radii]."""
 
 GRID_TRIES = 4
 """Number of shifts of the grid of slots along each axis. The shift with the most slots is used."""
@@ -54,13 +66,13 @@ class Sorter(TaskRules):
         return self.task.hold_s
 
     def check(self, scenario: Scenario) -> None:
-        """Check that each region has room for its parts, and that bins do not overlap.
+        """Check that each region has enough space for its parts, and that bins do not overlap.
 
         Raises
         ------
         ScenarioError
-            With the class, its number of parts and the capacity of its region, or with both classes
-            of overlapping bins.
+            If not. The error names the class, its number of parts and the capacity of its region,
+            or both classes of overlapping bins.
         """
         for group in scenario.parts:
             region = self.task.regions[group.label]
@@ -89,7 +101,8 @@ class Sorter(TaskRules):
                 )
 
     def _room(self, label: str, region: Side) -> int:
-        """Return the capacity of a side or corner for parts of a class in a square pattern."""
+        """Return the capacity of a side or corner for parts of a class. The parts are placed in a
+        square pattern."""
         half, wide = self.rig.plate.half, 2 * self.rig.parts.radius_m
         goal = self.task.goal_fraction
         ends = np.maximum(END, goal + 4 * MARGIN)
@@ -120,7 +133,7 @@ class Sorter(TaskRules):
         class without a region."""
         sign, goal = self._signs(parts), self.task.goal_fraction * self.rig.plate.half
         short = np.where(sign != 0, np.maximum(goal - parts.position * sign, 0), 0)
-        # A part on the goal line is not yet in its region.
+        # A part on the goal line is not in its region yet.
         on_line = np.any((sign != 0) & (parts.position * sign <= goal), axis=1)
         result = np.maximum(np.hypot(*short.T), np.where(on_line, np.finfo(float).tiny, 0))
         result[~np.any(sign, axis=1)] = np.nan
@@ -129,9 +142,10 @@ class Sorter(TaskRules):
         return result
 
     def hand(self, before: float | None, parts: Parts) -> float:
-        """Return the direction of the swirl: 1 if parts to the right pass above parts to the left,
-        and -1 if they pass below. Opposite corners determine it. Otherwise it changes only if the
-        other direction is much closer to the present positions."""
+        """Return the direction of the swirl. It is 1 if parts to the right pass above parts to the
+        left, and -1 if they pass below. If the regions are opposite corners, they determine the
+        direction. Otherwise the direction changes only if the other one is much closer to the
+        present positions."""
         sign = self._signs(parts)
         if diagonal := _diagonal(sign):
             return diagonal
@@ -160,14 +174,14 @@ class Sorter(TaskRules):
             displacement[rows] = place - parts.position[rows]
         requested = (low > -half) | (high < half)
         weight = np.where(requested, distance_weight(displacement), 0.0)
-        # Far from their sides, parts to the left and to the right use different lanes, so that one
-        # swirl moves all of them.
+        # Far from their sides, parts to the left and parts to the right use different lanes. One
+        # swirl then moves all of them.
         lane = LANE * np.minimum(displacement[:, 0] / LANE_M, 1) * (sign[:, 0] != 0)
         if not _diagonal(sign):
             lane[sign[:, 1] != 0] = 0
         if np.all(sign[:, 0] >= 0) or np.all(sign[:, 0] <= 0):
-            lane[:] = 0  # if all parts move in one direction, lanes are not needed
-        # A higher weight of the corner overrides the lane.
+            lane[:] = 0  # parts that all move one way need no lanes
+        # If the weight of the corner is higher, it replaces the weight of the lane.
         lane[lane <= np.where(sign[:, 1] != 0, weight[:, 1], 0)] = 0
         upper = hand * sign[:, 0] > 0
         middle = LANE_AT * half[1]
@@ -177,13 +191,14 @@ class Sorter(TaskRules):
         return Targets(low, high, weight, GAP * self.rig.parts.radius_m)
 
     def _displacements(self, parts: Parts, sign: np.ndarray) -> np.ndarray:
-        """Return the distances (M, 2) [m] to the targets, `MARGIN` beyond the goal lines. `sign`
-        (M, 2) are the signs of the sides."""
+        """Return the distances (M, 2) [m] to the targets, which are `MARGIN` beyond the goal lines.
+        `sign` (M, 2) are the signs of the sides."""
         line = (self.task.goal_fraction + MARGIN) * self.rig.plate.half
         return np.where(sign != 0, np.maximum(line - parts.position * sign, 0), 0)
 
     def _signs(self, parts: Parts) -> np.ndarray:
-        """Return the signs (M, 2) of the parts' sides along x and y; 0 if a coordinate is free."""
+        """Return the signs (M, 2) of the parts' sides along x and y. A sign is 0 if the coordinate
+        is free."""
         sides = {k: v for k, v in self.task.regions.items() if isinstance(v, Side)}
         signs = [(s.x, s.y) if (s := sides.get(part_class(i))) else (0, 0) for i in parts.ids]
         return np.array(signs, dtype=float).reshape(-1, 2)
@@ -210,8 +225,9 @@ def _diagonal(sign: np.ndarray) -> float:
 
 
 def slots(region: Bin, label: str, rig: Rig) -> np.ndarray:
-    """Return places (n, 2) [m] in a bin for parts of a class. They are inside the wall along the
-    plate's edges. If the bin has no such places, the minimum distance from the edges is used."""
+    """Return places (n, 2) [m] in a bin for parts of a class. The places are inside the wall that
+    keeps parts from the plate's edges. If the bin has no such places, the minimum distance from the
+    edges is used instead."""
     margin = rig.edge_margin(label)
     behind = _grid(region, margin.wall_m, rig)
     return behind if len(behind) else _grid(region, margin.least_m, rig)

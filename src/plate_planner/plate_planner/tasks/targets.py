@@ -1,8 +1,8 @@
-"""Assignment of parts to targets, and weights of their distances.
+"""Assignment of parts to targets, and the weights of the distances.
 
-The assignment minimises the sum of squared distances (scipy's linear_sum_assignment), with parts of
-the correct class only. `distance_weight` scales the longest distance to a fixed length, so that it
-dominates the squared errors.
+The assignment minimises the sum of squared distances (scipy's linear_sum_assignment). Only parts of
+the correct class are assigned. `distance_weight` scales the longest distance to a fixed length, so
+that this distance dominates the squared errors.
 """
 
 from __future__ import annotations
@@ -17,15 +17,20 @@ from plate_core import Parts, part_class
 from ..estimation import rows_of
 
 UNMATCHED = ""
-"""Id of the part of a target without a part."""
+"""Id that is returned for a target without a part."""
 
 WRONG_CLASS_M = 1e3
-"""Cost of a part of the wrong class [m]. It exceeds any sum of distances on a plate."""
+"""Cost of a part of the wrong class [m]. It exceeds any sum of distances on a plate, so such a pair
+is never chosen."""
 
-FULL_DISTANCE_M, MIN_DISTANCE_M = 0.006, 0.005
-"""Weights scale the longest distance to go to the first length, in comparison with errors at edges,
-so that the parts with the longest distances come first. Distances below the second length are not
-scaled further [m]."""
+FULL_DISTANCE_M = 0.006
+"""Length to which the weights scale the longest distance of a part from its target [m]. With this
+length, the distances are larger than errors at edges, and the parts with the longest distances move
+first."""
+
+MIN_DISTANCE_M = 0.005
+"""Minimum of the longest distance when the weights are computed [m]. Shorter distances are not
+scaled further."""
 
 GAP = 0.5
 """Minimum gap between the edges of two moving parts [radii of the rig's parts]."""
@@ -43,14 +48,14 @@ def match_targets(
     target : (P, 2)
         Target positions [m, plate_home].
     parts : Parts
-        Available parts.
+        Parts that can be assigned.
     reach_m : float
         Maximum distance of a matched pair [m].
 
     Returns
     -------
     tuple of P ids
-        Id of the part of each target; UNMATCHED if there is none.
+        Id of the part of each target. UNMATCHED if there is none.
     """
     target = np.reshape(target, (-1, 2))
     square = np.sum((target[:, None] - parts.position[None]) ** 2, axis=2)
@@ -61,8 +66,7 @@ def match_by_cost(
     labels: Sequence[str], cost: np.ndarray, parts: Parts, most: float = np.inf
 ) -> tuple[str, ...]:
     """Match parts to P targets of their class with the minimum sum of costs (P, M) [m2]. Pairs that
-    cost more than `most` are not matched. The result has the form of the result of
-    `match_targets`."""
+    cost more than `most` are not matched. The result has the same form as in `match_targets`."""
     match = [UNMATCHED] * len(labels)
     if not len(parts) or not labels:
         return tuple(match)
@@ -81,10 +85,10 @@ def rematch_targets(
     parts: Parts,
     reach_m: float,
 ) -> tuple[str, ...]:
-    """Match targets whose part is not detected to an unmatched part of the class close to the
+    """For targets whose part is not detected, find an unmatched part of the same class close to the
     target.
 
-    Vision gives a part that was hidden for a long time a new id.
+    Vision assigns a new id to a part that was hidden for a long time.
     """
     vacant = [k for k, part_id in enumerate(match) if part_id not in parts.ids]
     spare = [i for i, part_id in enumerate(parts.ids) if part_id not in match]
@@ -100,25 +104,26 @@ def rematch_targets(
 
 
 def matched_rows(match: tuple[str, ...], parts: Parts) -> tuple[np.ndarray, np.ndarray]:
-    """Return the indices of matched targets and of their detected parts: two arrays (K,)."""
+    """Return the indices of matched targets and of their detected parts, two arrays (K,)."""
     row = rows_of(match, parts.ids)
     target = np.flatnonzero(row >= 0)
     return target, row[target]
 
 
 def assign(labels: tuple[str, ...], place: np.ndarray, parts: Parts) -> np.ndarray:
-    """Assign parts to places (P, 2) [m] of their class, with the minimum sum of squared distances.
+    """Assign parts to places (P, 2) [m] of their class. The assignment minimises the sum of squared
+    distances.
 
     Returns
     -------
     (M,) int
-        Row of each part's place; -1 for a part without one.
+        Index of each part's place. -1 for a part without a place.
     """
     return rows_of(parts.ids, match_targets(labels, place, parts))
 
 
 def distance_weight(offset: np.ndarray) -> float:
-    """Return the weight per metre for parts with distances (M, 2) [m] to go."""
+    """Return the weight per metre for parts with distances (M, 2) [m] to their targets."""
     return FULL_DISTANCE_M / max(float(np.max(np.hypot(*offset.T), initial=0.0)), MIN_DISTANCE_M)
 
 
@@ -127,21 +132,22 @@ def stay_within(
 ) -> tuple[np.ndarray, np.ndarray]:
     """Return drift intervals that keep parts away from the plate's edges.
 
-    Up to `inner` (fraction of the half side), any drift within +-wander is accepted. From `inner`
-    to `outer`, the interval narrows to one value, and its middle changes from 0 to `speed` inwards.
+    Up to the fraction `inner` of the half side, any drift within +-wander is accepted. From `inner`
+    to `outer`, the interval narrows to a single value. Its middle changes from 0 to the drift
+    `speed` inwards.
 
     Parameters
     ----------
     coordinate : (M,)
-        x or y [m, plate_home].
+        Coordinate x or y of the parts [m, plate_home].
     half : float
-        Half side of the plate along it [m].
+        Half side length of the plate along this coordinate [m].
     inner, outer : float
-        Start and end of the transition [fraction of half].
+        Start and end of the transition [fraction of `half`].
     speed : float
         Requested inward drift at the edge [m/s].
     wander : float
-        Accepted drift in the middle [m/s].
+        Accepted drift in the middle of the plate [m/s].
 
     Returns
     -------
@@ -157,6 +163,6 @@ def stay_within(
 def nearness(
     coordinate: np.ndarray, half: float | np.ndarray, inner: float, outer: float
 ) -> np.ndarray:
-    """Return the proximity to an edge: 0 up to `inner`, 1 from `outer` (fractions of half), linear
-    in between."""
+    """Return the proximity to an edge. It is 0 up to `inner` and 1 from `outer` on (fractions of
+    `half`), and linear in between."""
     return np.clip((np.abs(coordinate) / half - inner) / (outer - inner), 0, 1)

@@ -1,5 +1,5 @@
 """Interface between the planner and the rules of a task. `Situation` is the input at each image or
-cycle, `Assessment` the output. `TaskRules` is the base class of all rules."""
+cycle, and `Assessment` is the output. `TaskRules` is the base class of all rules."""
 
 from __future__ import annotations
 
@@ -14,18 +14,19 @@ from plate_core.tasks import Scenario
 from .drift import DriftInterval
 
 SIGHT_M, SIGHT_RAD = 3e-4, 0.01
-"""Maximum difference between measured and true pose of a part [m, rad]. Tasks are evaluated by
+"""Maximum difference between measured and true pose of a part [m, rad]. Tasks are evaluated with
 measured poses."""
 
 NEARER_M = 0.002
-"""Minimum decrease of the distance to the goal that counts as progress, summed over parts [m]. It
-exceeds the camera's noise."""
+"""Minimum decrease of the distance to the goal that counts as progress [m]. The distance is the sum
+over the parts. It exceeds the camera's noise."""
 
 BIAS_GAIN = 0.3
 """Gain of the drift bias observer: weight of the newest prediction error [-]."""
 
 BIAS_M = 5e-3
-"""Maximum prediction error per cycle that counts as drift bias [m]. A larger error is a push."""
+"""Maximum prediction error per cycle that counts as drift bias [m]. A larger error is caused by a
+push."""
 
 
 @dataclass(frozen=True)
@@ -39,13 +40,13 @@ class Situation:
     stamp : float
         Stamp of the image [s].
     start : float
-        Time at which the answer takes effect [s].
+        Time at which the result takes effect [s].
     rests : float
         Time at which the plate comes to rest if no motion is requested from `start` on [s].
     period : float
         Length of a cycle [s].
     motion_known : bool
-        Whether the plate's cycles are known. If False, predictions assume that parts follow the
+        Whether the plate's cycles are known. If False, predictions assume that the parts follow the
         last request.
     latency_known : bool
         Whether the image latency is known to within a few milliseconds.
@@ -54,7 +55,7 @@ class Situation:
     shortfall : (M,)
         Requested drift minus predicted drift of the running cycle [m/s].
     active : bool
-        Whether the task has begun and not ended.
+        Whether the task has begun and has not ended.
     seen : Parts
         Parts on the plate as the last image shows them.
     taken : float
@@ -62,9 +63,9 @@ class Situation:
     kept : bool
         Whether that image was ignored: see `TaskRules.keeps_last`.
     late : int
-        Maximum delay of the last answers, in cycles.
+        Maximum delay of the last results [cycles].
     resting_since : float
-        Start of the plate's rest [s]; infinite if it is not known to be at rest.
+        Start of the plate's rest [s]. Infinite if the plate is not known to be at rest.
     """
 
     parts: Parts
@@ -91,30 +92,32 @@ class Assessment:
     Attributes
     ----------
     request : DriftInterval or Targets or None
-        Request for the M parts: their drift in the next cycle, or their targets. None: the plate
+        Request for the M parts: their drift in the next cycle, or their targets. If None, the plate
         rests.
     goal_met : bool
         Whether the goal is met in this image.
     count : int
         Number of parts at their goals.
     total : int
-        Number of parts that the task counts, if it may exceed the scenario's number.
+        Number of parts that the task counts. It is set only if it may exceed the number in the
+        scenario.
     distance : (M,)
         Distance of each part from its goal [m].
     to_go_m : float
-        Distance to the goal, summed over parts [m].
+        Distance to the goal [m], summed over the parts.
     problem : str
-        Why the task cannot continue; empty if it can.
+        Reason why the task cannot continue. Empty if it can.
     missing : tuple of str, or None
-        Missing parts; None: the parts of the scenario that are not detected.
+        Missing parts. If None, they are the parts of the scenario that are not detected.
     rms_error_m, max_error_m : float
         Root mean square and maximum position error, as the task defines it [m].
     turn_error : float
         Maximum angle error [rad].
     speed_scaling, pace : float
-        Speed of the references relative to that of their paths, now and on average [-].
+        Speed of the references relative to the speed of their paths: present value and mean value
+        [-].
     outcome : str
-        Text on the result if the task is done now.
+        Text on the result, if the task is done now.
     doing : str
         Text on the running task.
     """
@@ -137,9 +140,10 @@ class Assessment:
 
 
 class TaskRules(Protocol):
-    """Rules of one task on one rig. They are pure: their memory is an argument and a result.
+    """Rules of one task on one rig. They are pure: the memory is an argument and a result.
 
-    A new task must implement `hold_s` and `assess`. The defaults of the others suit most tasks.
+    A new task must implement `hold_s` and `assess`. For the other methods, the defaults are
+    suitable for most tasks.
     """
 
     @property
@@ -153,7 +157,7 @@ class TaskRules(Protocol):
         Parameters
         ----------
         memory
-            Memory returned by the last call; None at the first call after start.
+            Memory that the last call returned. None at the first call after the start.
         now : Situation
 
         Returns
@@ -166,13 +170,13 @@ class TaskRules(Protocol):
 
     @property
     def endless(self) -> bool:
-        """Whether the task runs until it is canceled. If so, it is never done or stuck."""
+        """Whether the task runs until it is canceled. If so, it never ends as done or stuck."""
         return False
 
     @property
     def open_ended(self) -> bool:
-        """Whether parts may be added and removed. If so, the task begins with any parts, and none
-        is missing."""
+        """Whether parts may be added and removed. If so, the task begins with any number of parts,
+        and no part counts as missing."""
         return False
 
     def keeps_last(self, memory: Any) -> bool:
@@ -198,7 +202,7 @@ class TaskRules(Protocol):
         return BIAS_GAIN
 
     def bias_axes(self, memory: Any, parts: Parts, t: float) -> np.ndarray:
-        """Return unit vectors (M, 2, 2), in rows, along which the parts' bias is nearly
+        """Return unit vectors (M, 2, 2), in rows. Along them, the bias of each part is nearly
         constant."""
         return np.tile(np.eye(2), (len(parts), 1, 1))
 
