@@ -20,7 +20,15 @@ from rclpy.node import Node
 from rclpy.signals import SignalHandlerOptions
 
 from plate_core import PlateError, choose_network
-from plate_core.ros import ACTIONS, DATA, REFUSED, new_goal_id, scenario_to_goal, targets_to_msg
+from plate_core.ros import (
+    ACTIONS,
+    DATA,
+    REFUSED,
+    action_name,
+    new_goal_id,
+    scenario_to_goal,
+    targets_to_msg,
+)
 from plate_core.tasks import PartTarget, Scenario
 from plate_interfaces.msg import Targets, TaskProgress, TaskStatus
 
@@ -202,7 +210,7 @@ class PlateClient:
         if isinstance(task, Scenario):
             name, goal = scenario_to_goal(task)
         else:
-            name, goal = next(n for n, kind in ACTIONS.items() if isinstance(task, kind.Goal)), task
+            name, goal = action_name(task), task
         client = self._clients[name]
         end = time.monotonic() + FOUND_S
         while not self._until(client.server_is_ready, AGAIN_S):

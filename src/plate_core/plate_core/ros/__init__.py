@@ -34,6 +34,7 @@ from .frames import FRAME, add_prefix, camera_to_msg, plate_to_msg
 from .goals import (
     ACTIONS,
     REFUSED,
+    action_name,
     goal_to_scenario,
     msg_to_order,
     msg_to_pick,
@@ -69,6 +70,7 @@ __all__ = [
     "Report",
     "SafeLifecycleNode",
     "UnlockedSubscription",
+    "action_name",
     "add_prefix",
     "array_to_image",
     "camera_to_info",

@@ -59,6 +59,11 @@ ACTIONS: Mapping[str, Any] = {
 NOWHERE = float("nan")
 
 
+def action_name(goal: Any) -> str:
+    """Return the name of the action that a goal message belongs to."""
+    return next(name for name, kind in ACTIONS.items() if isinstance(goal, kind.Goal))
+
+
 def new_goal_id() -> UUID:
     """Return a new goal id. A goal that is sent again with the same id is started only once."""
     return UUID(uuid=list(uuid4().bytes))

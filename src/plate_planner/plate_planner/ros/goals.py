@@ -12,7 +12,7 @@ from typing import Any
 from rclpy.action import ActionServer, CancelResponse
 from rclpy.node import Node
 
-from plate_core.ros import ACTIONS, RESULT_S
+from plate_core.ros import ACTIONS, RESULT_S, action_name
 from plate_interfaces.msg import TaskProgress, TaskStatus
 
 
@@ -55,7 +55,7 @@ class GoalServers:
 
     def feed_back(self, goal: Any, progress: TaskProgress) -> None:
         """Send the progress to the client of a goal."""
-        feedback = ACTIONS[_action_name(goal.request)].Feedback()
+        feedback = ACTIONS[action_name(goal.request)].Feedback()
         feedback.progress = progress
         goal.publish_feedback(feedback)
 
@@ -72,10 +72,6 @@ class GoalServers:
             goal.canceled()
         else:
             goal.abort()
-        result = ACTIONS[_action_name(goal.request)].Result()
+        result = ACTIONS[action_name(goal.request)].Result()
         result.status = status
         return result
-
-
-def _action_name(request: Any) -> str:
-    return next(name for name, kind in ACTIONS.items() if isinstance(request, kind.Goal))
