@@ -118,8 +118,8 @@ MAP = StabilityMap(
     bounds=(0.0, 1.5),
     log="y",
     steps=True,
-    finding="Motions with the requested average forces move parts wrongly, unless the shaking "
+    finding="Motions with the requested average forces move parts wrongly unless the shaking "
     "ratio is much higher than a rig can reach.",
-    note=f"Over one cycle, from rest; median of {REQUESTS} random requests up to {FORCE:g} mu mg "
-    "on each axis. The default rig has Γ = 40.8.",
+    note=f"Values are for one cycle from rest, and the median of {REQUESTS} random requests up to "
+    f"{FORCE:g} mu mg on each axis. The default rig has Γ = 40.8.",
 )

@@ -67,6 +67,8 @@ MAP = StabilityMap(
     measure=measure,
     bounds=(0.0, 1.0),
     steps=True,
-    finding="One harmonic moves no part, two move five.",
-    note=f"{REQUESTS} random requests up to {FORCE:g} mu mg, solved to {TOLERANCE:g}.",
+    finding="Motions with one harmonic move no part, and motions with two harmonics move five "
+    "parts.",
+    note=f"Each cell has {REQUESTS} random requests up to {FORCE:g} mu mg, which count as solved "
+    f"if the error is at most {TOLERANCE:g}.",
 )

@@ -183,9 +183,9 @@ MAP = StabilityMap(
     measure=measure,
     bounds=(0.0, 6.0),
     log="x",
-    finding="A loop that treats late images as new is unstable from a latency of about half a "
-    "cycle on, or less if the friction is higher than assumed. If it is lower, the predicted "
-    "growth of some per cent per cycle is not visible within the runs.",
-    note=f"One part, {CYCLES} cycles of 0.1 s, mean of {len(SEEDS)} runs; kp = {KP:g}. "
-    "Unlike in the planner, friction and age are not estimated.",
+    finding="A loop that treats late images as new is unstable above a latency of about half a "
+    "cycle, or less if the friction is higher than assumed. If the friction is lower, the error "
+    "should grow by some per cent per cycle, which is not visible within the runs.",
+    note=f"Mean of {len(SEEDS)} runs with one part and {CYCLES} cycles of 0.1 s; kp = {KP:g}. "
+    "Unlike the planner, this loop does not estimate friction and the age of images.",
 )

@@ -106,5 +106,5 @@ MAP = StabilityMap(
     log="y",
     finding="The average force is exact if the part never rests. Larger requests need a higher "
     "shaking ratio.",
-    note=f"Periodic state, after {CYCLES} cycles.",
+    note=f"The fraction is that of the periodic state, after {CYCLES} cycles.",
 )

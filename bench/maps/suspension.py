@@ -105,7 +105,7 @@ def measure(quick: bool) -> list[Grid]:
 
 MAP = StabilityMap(
     key="suspension",
-    title="Soft plate: natural frequency and method, nothing learned",
+    title="Soft plate: natural frequency and method, without calibration",
     x_label="parts",
     y_label="natural frequency [Hz]",
     z_label="velocity error over velocity [-]",
@@ -115,8 +115,8 @@ MAP = StabilityMap(
     bounds=(0.0, 2.0),
     log="y",
     steps=True,
-    finding="A plate below the line needs a calibration. Because of their fast ramps, rotations "
-    "need a natural frequency 1.6 to 3.3 times that of sinusoids.",
-    note=f"Root mean squares; median of {REQUESTS} random requests, periodic state; "
-    f"damping {100 * DAMPING:g} %, motors 15 % apart, with a lag of 200 Hz.",
+    finding="A plate with a natural frequency below the line needs a calibration. Rotations need a "
+    "natural frequency 1.6 to 3.3 times that of sinusoids, because their ramps are fast.",
+    note=f"Root mean squares in the periodic state, median of {REQUESTS} random requests. The "
+    f"damping is {100 * DAMPING:g} %; the motors differ by 15 % and have a bandwidth of 200 Hz.",
 )

@@ -54,7 +54,7 @@ def feeding(rows: list[Row]) -> Drawn:
     return Drawn(
         panels,
         f"Parts a minute with a robot cycle of 2 s (maximum 30): {told}. "
-        f"Ours lost {lost or 'none'} over an edge.",
+        f"This project's feeder lost {lost or 'none'} over an edge.",
     )
 
 

@@ -46,10 +46,10 @@ def force_map(rows: list[Row]) -> Drawn:
         panels,
         f"The 99th percentile of the error is {best['p99']:.0e} mu mg in {best['us']:.0f} µs, "
         f"{quad['us'] / best['us']:.0f} times as fast as scipy's quad. Equal steps are faster, "
-        f"but exceed {WANTED:g} a hundredfold if the surface is almost at rest, as at the end of "
-        "a search.",
-        "average_force for evaluation, forces inside the search. They are the fastest with a 99th "
-        f"percentile below {WANTED:g} mu mg.",
+        f"but their error exceeds {WANTED:g} a hundredfold if the surface is almost at rest, as at "
+        "the end of a search.",
+        "average_force evaluates motions, and forces is used inside the search. They are the "
+        f"fastest functions with a 99th percentile below {WANTED:g} mu mg.",
     )
 
 
@@ -97,11 +97,11 @@ def inversion(rows: list[Row]) -> Drawn:
     right.points(named, "median_ms", "name", Look("median time", THIRD))
     free = [r for r in rows if "(" in str(r["harmonics"])]
     least = min(r["share"] for r in free if r["share"] is not None)
-    told = ", ".join(f"{r['solved']:.0f} % of {r['parts']} parts" for r in free)
+    solved = ", ".join(f"{r['solved']:.0f} % with {r['parts']} parts" for r in free)
     return Drawn(
         panels,
-        f"Solved with the default number of harmonics: {told}. For the rest, the median feasible "
-        f"fraction is at least {least:.2f}.",
+        f"Requests solved with the default number of harmonics: {solved}. Of an unsolved request, "
+        f"at least the fraction {least:.2f} (median) is feasible.",
     )
 
 

@@ -91,16 +91,16 @@ def control(rows: list[Row]) -> Drawn:
         panel.kinds(these, "method", "solve_ms", value, METHODS, hollow=failed, note=note)
         default = next(r for r in these if r["default"])
         panel.mark(default["solve_ms"], default[value])
-    told = "; ".join(
-        f"{r['scenario']}: {shown(r['rms_mm'])} mm in {r['solve_ms']:.1f} ms"
+    defaults = ", ".join(
+        f"{r['scenario']} {shown(r['rms_mm'])} mm with {r['solve_ms']:.1f} ms"
         if r["rms_mm"] is not None
-        else f"{r['scenario']}: {r['time_s']:.0f} s at {r['solve_ms']:.1f} ms"
+        else f"{r['scenario']} {r['time_s']:.0f} s with {r['solve_ms']:.1f} ms"
         for r in rows
         if r["default"] and r["method"] == "sinusoids"
     )
     return Drawn(
         panels,
-        f"The default per cycle: {told}.",
+        f"Result of the default settings, with the computing time per cycle: {defaults}.",
     )
 
 
@@ -140,8 +140,9 @@ def cameras(rows: list[Row]) -> Drawn:
     usual = next(r for r in rows if r["changed"] == "image_rate" and r["value"] == 30)
     return Drawn(
         panels,
-        f"{shown(usual['rms_mm'])} mm at 30 images a second, {shown(triggered['rms_mm'])} mm with "
-        f"a triggered camera. Good enough, in the tested ranges: {'; '.join(borders)}.",
+        f"The error is {shown(usual['rms_mm'])} mm at 30 images a second, and "
+        f"{shown(triggered['rms_mm'])} mm with a triggered camera. Good enough values, within the "
+        f"tested ranges: {'; '.join(borders)}.",
     )
 
 
@@ -205,8 +206,8 @@ def rigs(rows: list[Row]) -> Drawn:
     right = sum((r["feasible"] == "likely") == (percent(r) > 50) for r in rows)
     return Drawn(
         panels,
-        f"Not all runs ended well: {told or 'none'}. `feasible` was right in {right} of "
-        f"{len(rows)} cases (likely: more than half of the runs end well).",
+        f"Rigs on which not all runs ended well: {told or 'none'}. `feasible` was right in "
+        f"{right} of {len(rows)} cases (likely: more than half of the runs end well).",
     )
 
 

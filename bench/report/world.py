@@ -70,10 +70,11 @@ def sim(rows: list[Row]) -> Drawn:
     counts = ", ".join(str(r["parts"]) for r in cases["lead"])
     return Drawn(
         panels,
-        f"At the same error, {lead} times as fast as pymunk with {counts} parts that move in all "
-        f"directions. The minimum error is {min(column(cases['travel'], 'error_mm')):.0e} mm.",
+        f"At the same error, the simulator is {lead} times as fast as pymunk with {counts} parts "
+        "that move in all directions. The minimum error is "
+        f"{min(column(cases['travel'], 'error_mm')):.0e} mm.",
         f"Points by events with a tolerance of {DEFAULT_TOLERANCE}, finite parts in steps of "
-        f"{1e3 * STEP:g} ms. No camera detects their overlap.",
+        f"{1e3 * STEP:g} ms. Their overlap is too small for a camera.",
     )
 
 
@@ -160,9 +161,9 @@ def vision(rows: list[Row]) -> Drawn:
     ours = [r for r in rows if r["method"] == methods[0]]
     return Drawn(
         panels,
-        f"This project: {span(ours, 'rms_px')} px in {span(ours, 'loop_ms')} ms in a separate "
-        f"loop, {span(ours, 'turns_ms')} ms in turns with the peers. No disc is missed or "
-        "invented.",
+        f"The error of this project is {span(ours, 'rms_px')} px, in {span(ours, 'loop_ms')} ms in "
+        f"a separate loop, or {span(ours, 'turns_ms')} ms in turns with the baselines. No disc is "
+        "missed, and no false disc is detected.",
     )
 
 
