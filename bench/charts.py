@@ -16,7 +16,7 @@ import argparse
 import sys
 from pathlib import Path
 
-from harness import ROOT, commit, folder_made, is_done, optional, read, run_all, told
+from harness import ROOT, commit, folder_made, is_done, optional, read, report_failures, run_all
 from plate_core import piped
 
 
@@ -55,13 +55,13 @@ def main() -> int:
     charts = report.made(data, results, columns)
     if not charts:
         print(f"error: no data in {folder} or {results}: omit --draw", file=sys.stderr)
-        return told(failed) or 1
+        return report_failures(failed) or 1
     report.write_results(text, facts, charts)
     report.write_report(args.out / "report/index.html", facts, charts)
     if own:
         report.fill_documents(data, facts)
     print(f"{text}\n{args.out / 'report/index.html'}")
-    return told(failed)
+    return report_failures(failed)
 
 
 def arguments() -> argparse.Namespace:

@@ -54,8 +54,8 @@ def main() -> int:
         return 2
     rows = []
     print(f"{args.scenario}, Gamma = {rig.gamma:.1f}, {len(setups)} runs", flush=True)
-    for doubt in planner.warnings():
-        print(f"warning: {doubt}", flush=True)
+    for warning in planner.warnings():
+        print(f"warning: {warning}", flush=True)
     try:
         for row in _rows(setups, rig, args):
             rows.append(row)
@@ -92,12 +92,14 @@ def _line(row: dict) -> str:
     if row["turn_error_deg"] is not None:
         rms += f"  centre max {1e3 * row['max_error_m']:.3f} mm"
         rms += f"  angle {row['turn_error_deg']:.2f} deg"
-    told = "" if row["pace"] is None or row["pace"] > 0.995 else f"  pace {row['pace']:.2f}"
-    told += "".join(f"  {row[k]} {k[:4]} cycles" for k in ("held_cycles", "late_cycles") if row[k])
+    remarks = "" if row["pace"] is None or row["pace"] > 0.995 else f"  pace {row['pace']:.2f}"
+    remarks += "".join(
+        f"  {row[k]} {k[:4]} cycles" for k in ("held_cycles", "late_cycles") if row[k]
+    )
     return (
         f"seed {row['seed']:4d}  {'ok  ' if row['success'] else 'FAIL'}  {row['time_s']:6.1f} s"
         f"  dropped {row['dropped']}{rms}  missed {100 * row['missed_share']:.0f} %"
-        f"  solve {row['solve_ms_median']:.1f} ms, p99 {row['solve_ms_p99']:.1f}{told}"
+        f"  solve {row['solve_ms_median']:.1f} ms, p99 {row['solve_ms_p99']:.1f}{remarks}"
         + ("" if row["success"] else f"  {row['message']}")
     )
 

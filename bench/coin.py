@@ -33,7 +33,7 @@ limits."""
 COIN_RADIUS = 9.525e-3
 """Radius of a 1 cent coin [m]."""
 
-START, MOST = 0.08, 3600
+START, MAX_S = 0.08, 3600
 """Initial distance of the coin from the plate's centre [m], and maximum duration [s]."""
 
 SHOWN, MEAN = 2.0, 10
@@ -78,7 +78,7 @@ def carried(rig: Rig, cycle: PlateCycle) -> np.ndarray:
     rig = replace(rig, parts=replace(rig.parts, radius_m=COIN_RADIUS))
     state = WorldState.at_rest(("coin",), np.array([[START, 0.0]]))
     track = [state.position[0]]
-    while state.on_plate[0] and len(track) < MOST * FREQUENCY:
+    while state.on_plate[0] and len(track) < MAX_S * FREQUENCY:
         state = run_cycle(state, cycle, rig)
         track.append(state.position[0])
     return np.array(track)

@@ -10,7 +10,7 @@ import json
 import sys
 from pathlib import Path
 
-from harness import LONG, MEASUREMENTS, ROOT, folder_made, run_all, text_table, told
+from harness import LONG, MEASUREMENTS, ROOT, folder_made, report_failures, run_all, text_table
 from plate_core import did_you_mean, piped
 
 
@@ -35,7 +35,7 @@ def main() -> int:
             print("\n".join(text_table(table)))
         for line in data["summary"]:
             print(f"  -> {line}")
-    return told(failed)
+    return report_failures(failed)
 
 
 def arguments() -> argparse.Namespace:

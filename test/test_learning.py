@@ -8,7 +8,7 @@ import pytest
 from plate_core import PlateCycle, PlateError, load_rig
 from plate_driver.calibration import Calibration, Response, harmonics, save_response, saved_response
 from plate_driver.setpoints import prepare
-from stages.learning import Plate, error, hung, wanted
+from stages.learning import Plate, error, hung, random_cycle
 
 RIG = load_rig()
 HUNG = hung(RIG)
@@ -36,7 +36,7 @@ def test_errors_fall_from_over_a_half_to_below_two_per_cent(learned):
     response, experiments = learned
     assert experiments <= 10
     for seed in range(5):  # none of them was seen in the calibration
-        cycle = wanted(seed)
+        cycle = random_cycle(seed)
         assert steady_error(cycle, cycle) > 0.5
         assert steady_error(cycle, response.command(cycle)) < 0.02
 
@@ -48,7 +48,7 @@ def test_a_new_cycle_every_200_ms_is_right_too(learned):
     miss = np.zeros(2)
     size = 0.0
     for seed in range(20):
-        cycle = wanted(100 + seed)
+        cycle = random_cycle(100 + seed)
         speed = cycle.twist(t)
         size += np.sum(speed[:, :2] ** 2)
         for k, (plate, command) in enumerate(((told, cycle), (corrected, response.command(cycle)))):
@@ -63,20 +63,20 @@ def test_what_is_measured_later_corrects_it(learned):
     frequency = np.arange(1, 30) / 0.2
     exact = learned[0]._at(learned[0].matrix, frequency)
     response = Response(frequency, 1.1 * exact, learned[0].lever)
-    assert steady_error(wanted(7), response.command(wanted(7))) > 0.08
+    assert steady_error(random_cycle(7), response.command(random_cycle(7))) > 0.08
     t = np.arange(512) * 0.2 / 512
     for seed in range(200, 208):
-        command = response.command(wanted(seed))
+        command = response.command(random_cycle(seed))
         motion = Plate(HUNG, 0).play(command, 12)
         got = 2 / 512 * np.fft.rfft(motion.accel(t), axis=0)[1:30]
         response = response.updated(harmonics(command, 29), got)
-    assert steady_error(wanted(7), response.command(wanted(7))) < 0.04
+    assert steady_error(random_cycle(7), response.command(random_cycle(7))) < 0.04
 
 
 def test_commands_begin_at_rest_and_keep_the_limits(learned):
     response, _ = learned
     for seed in range(3):
-        cycle = wanted(seed).scaled(10)
+        cycle = random_cycle(seed).scaled(10)
         assert response.command(cycle).starts_at_rest
         table, fit = prepare(RIG, cycle, 0, correction=response.command)
         assert np.max(np.abs(table.q)) <= RIG.limits.stroke_m

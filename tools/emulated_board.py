@@ -159,11 +159,11 @@ class EmulatedBoard:
         if data:
             self._come(data)
         self._rest(1 - self._word)
-        said = b""
+        sent = b""
         with contextlib.suppress(BlockingIOError):
             while some := self._line.recv(65_536):
-                said += some
-        return said
+                sent += some
+        return sent
 
     def room(self) -> int:
         """Return the free space in the board's receive ring [bytes]."""

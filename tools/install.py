@@ -33,10 +33,10 @@ ELSEWHERE = ("UV_PREFIX", "UV_PYTHON", "UV_SYSTEM_PYTHON", "UV_TARGET")
 def settings() -> dict[str, str]:
     """Return pip's settings as environment variables of uv. Missing folders are omitted, as pip
     does."""
-    said = subprocess.run([*PIP, "config", "list"], capture_output=True, text=True, check=False)
+    listed = subprocess.run([*PIP, "config", "list"], capture_output=True, text=True, check=False)
     found = {"UV_INDEX_STRATEGY": "unsafe-best-match"}  # all indexes have the same priority
     # Settings of the environment come first and have priority.
-    for line in said.stdout.splitlines():
+    for line in listed.stdout.splitlines():
         name, _, value = line.partition("=")
         key = name.rpartition(".")[2]
         if key in FROM_PIP:

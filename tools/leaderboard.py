@@ -23,7 +23,7 @@ MARK = "<!-- made of benchmarks/ -->\n"
 ERRORS = {"error_mm": "error [mm]", "turn_error_deg": "error [degrees]"}
 """Columns of errors. A task has them only if an episode has such an error."""
 
-LEAST = 20
+MIN_SEEDS = 20
 """Minimum number of seeds per task. They start at 0."""
 
 
@@ -51,10 +51,10 @@ def tables(folder: Path) -> str:
             raise PlateError(f"{name}: {problem}") from problem
         for task, found in result["tasks"].items():
             seeds = sorted(own["seed"] for own in found["rows"])
-            if seeds != list(range(max(len(seeds), LEAST))):
+            if seeds != list(range(max(len(seeds), MIN_SEEDS))):
                 raise PlateError(
-                    f"{name}: {task}: seeds are {ranges(seeds)}, allowed: from 0 on, {LEAST} or "
-                    "more"
+                    f"{name}: {task}: seeds are {ranges(seeds)}, allowed: from 0 on, "
+                    f"{MIN_SEEDS} or more"
                 )
     text = ""
     for task in TASKS:

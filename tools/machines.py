@@ -130,8 +130,8 @@ def do(*words: str) -> str:
     try:
         return subprocess.run(words, check=True, capture_output=True, text=True).stdout
     except (OSError, subprocess.CalledProcessError) as error:
-        told = getattr(error, "stderr", "") or str(error)
-        raise PlateError(f"{' '.join(words)}: {told.strip()}; this requires root") from None
+        reason = getattr(error, "stderr", "") or str(error)
+        raise PlateError(f"{' '.join(words)}: {reason.strip()}; this requires root") from None
 
 
 def enter(pid: int) -> list[str]:

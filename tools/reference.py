@@ -39,12 +39,12 @@ def page() -> str:
 
 def _sections(sections: Iterable[Section]) -> Iterable[str]:
     """Yield the sections of a file. The meaning of a key is given only once."""
-    told: set[tuple[str, str]] = set()
+    described: set[tuple[str, str]] = set()
     for section in sections:
         yield f"\n### `{section.where}`\n\n{section.about}\n\n"
         for key in section.keys:
-            meaning = "as above" if (key.name, key.meaning) in told else key.meaning
-            told.add((key.name, key.meaning))
+            meaning = "as above" if (key.name, key.meaning) in described else key.meaning
+            described.add((key.name, key.meaning))
             yield f"- `{key.name}` ({_what(key)}{_default(key)}): {meaning}\n"
 
 

@@ -10,7 +10,7 @@ from pathlib import Path
 sys.path.append(str(Path(__file__).resolve().parents[2] / "tools"))
 
 from harness.cache import Cache
-from harness.measurements import LONG, MEASUREMENTS, is_done, read, run_all, told
+from harness.measurements import LONG, MEASUREMENTS, is_done, read, report_failures, run_all
 from harness.pairs import paired, places
 from harness.pool import by_case, executor, parallel, resumed
 from harness.race import MIN_ROUNDS, Race, cpu_time, race, timed
@@ -53,6 +53,7 @@ __all__ = [
     "places",
     "race",
     "read",
+    "report_failures",
     "resumed",
     "rounded",
     "run_all",
@@ -60,6 +61,5 @@ __all__ = [
     "shown",
     "text_table",
     "timed",
-    "told",
     "write",
 ]  # fmt: skip

@@ -81,7 +81,7 @@ def run_all(names: Iterable[str], quick: bool, out: Path, quiet: bool = False) -
     return failed
 
 
-def told(failed: list[str]) -> int:
+def report_failures(failed: list[str]) -> int:
     """Print the names of failed measurements. Return the exit code of the program."""
     if failed:
         print(f"error: failed measurements: {', '.join(failed)}", file=sys.stderr)
@@ -90,13 +90,13 @@ def told(failed: list[str]) -> int:
 
 def await_quiet() -> None:
     """Wait until other programs use at most `MAX_CORES`, and print that it waits."""
-    told = False
+    has_printed = False
     while (cores := busy_cores()) > MAX_CORES:
-        if not told:
+        if not has_printed:
             print(
                 f"waiting for other programs, which use {cores:.1f} cores ... ", end="", flush=True
             )
-        told = True
+        has_printed = True
 
 
 def busy_cores() -> float:

@@ -88,7 +88,9 @@ def first_order(rig: Rig, cycle: PlateCycle, position: np.ndarray) -> float:
 
 def least_gamma(rig: Rig, cases: list[tuple[PlateCycle, np.ndarray, float]]) -> float:
     """Return the shaking ratio above which averages hold to the level, by first order (median)."""
-    return float(np.median([first_order(rig, c, p) / asked for c, p, asked in cases])) / LEVEL
+    return (
+        float(np.median([first_order(rig, c, p) / requested for c, p, requested in cases])) / LEVEL
+    )
 
 
 def measure(quick: bool) -> list[Grid]:
@@ -98,7 +100,9 @@ def measure(quick: bool) -> list[Grid]:
     cases = [motions(rig, m, 3 if quick else REQUESTS) for m in parts]
     z = [
         [
-            float(np.median([error(rig, c.scaled(gamma), p) / asked for c, p, asked in mine]))
+            float(
+                np.median([error(rig, c.scaled(gamma), p) / requested for c, p, requested in mine])
+            )
             for mine in cases
         ]
         for gamma in gammas

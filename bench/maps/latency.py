@@ -57,11 +57,13 @@ class Loop:
         drift = pd_drift(ahead, self.home, self.home, self.period, KP, np.full(1, SPEED))
         return self.motion(ahead, then, drift * self.period), then
 
-    def motion(self, position: np.ndarray, velocity: np.ndarray, wanted: np.ndarray) -> PlateCycle:
+    def motion(
+        self, position: np.ndarray, velocity: np.ndarray, requested: np.ndarray
+    ) -> PlateCycle:
         """Return a cycle for a displacement (1, 2) [m]."""
         least = DRIFT_TOLERANCE * self.period
         friction = np.full(1, self.rig.friction.accel)
-        goal = Goal(position, velocity, wanted, np.zeros((1, 2)), friction)
+        goal = Goal(position, velocity, requested, np.zeros((1, 2)), friction)
         good = max(least, EXACT_MISS * goal.size)
         return self.solver.steer(goal, least, good).cycle
 
@@ -98,10 +100,10 @@ class LinearLoop:
         rng, velocity, self.cases = np.random.default_rng(SEED), np.zeros((1, 2)), []
         self.response = cache(self._response)
         for _ in range(CASES):
-            wanted = ASKED_M * rng.normal(size=(1, 2))
-            cycle = loop.motion(loop.home, velocity, wanted)
+            requested = ASKED_M * rng.normal(size=(1, 2))
+            cycle = loop.motion(loop.home, velocity, requested)
             true = velocity + ASKED_M / self.period * rng.normal(size=(1, 2))
-            self.cases.append((cycle, loop.home, wanted, velocity, true))
+            self.cases.append((cycle, loop.home, requested, velocity, true))
             velocity = self._after(cycle, loop.home, velocity, 1.0, 1.0)[1]
 
     def _after(
@@ -121,9 +123,9 @@ class LinearLoop:
         if share == 0:
             return np.array([[0.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
         rows, ends = [], []
-        for cycle, home, wanted, believed, true in self.cases:
+        for cycle, home, requested, assumed, true in self.cases:
             place, velocity = self._after(cycle, home, true, friction, share)
-            rows.append(np.stack([wanted[0], believed[0], true[0]], axis=1))
+            rows.append(np.stack([requested[0], assumed[0], true[0]], axis=1))
             ends.append(np.stack([(place - home)[0], velocity[0]], axis=1))
         return np.linalg.lstsq(np.concatenate(rows), np.concatenate(ends), rcond=None)[0].T
 

@@ -19,12 +19,12 @@ MAPS: dict[str, StabilityMap] = {
 
 def measure(quick: bool) -> Result:
     """Measure all maps."""
-    samples, told = [], []
+    samples, sentences = [], []
     for one in MAPS.values():
         found = grids(one, quick, Cache.of(f"maps.{one.key}"))
         samples += [{"map": one.key, **row} for grid in found for row in grid.rows]
-        told.append(f"{one.title}. {nearness(one, found)}")
-    return Result([], told, samples)
+        sentences.append(f"{one.title}. {nearness(one, found)}")
+    return Result([], sentences, samples)
 
 
 def grids(one: StabilityMap, quick: bool, cache: Cache) -> list[Grid]:

@@ -36,9 +36,9 @@ def motions(rig: Rig, method: str, parts: int, count: int = REQUESTS) -> list[Pl
     period = solver.steering_period(parts)
     none, cycles = np.zeros((parts, 2)), []
     for _ in range(count):
-        position, wanted = scatter(rig, parts, rng), DRIFT * period * rng.normal(size=(parts, 2))
+        position, requested = scatter(rig, parts, rng), DRIFT * period * rng.normal(size=(parts, 2))
         solver.reset()
-        goal = Goal(position, none, wanted, none, np.full(parts, rig.friction.accel))
+        goal = Goal(position, none, requested, none, np.full(parts, rig.friction.accel))
         cycles.append(solver.steer(goal, 2e-4 * period, 0.05 * DRIFT * period).cycle)
     return cycles
 
@@ -55,9 +55,9 @@ def realised_error(rig: Rig, cycle: PlateCycle, frequency: float) -> float:
     for _ in range(1 + int(np.ceil(settling / cycle.period))):
         motion, state = realise(real, state, cycle)
     t = np.arange(SAMPLES) * cycle.period / SAMPLES
-    wanted = cycle.twist(t) * lengths(rig)
-    missed = motion.twist(t) * lengths(rig) - wanted
-    return float(np.linalg.norm(missed) / np.linalg.norm(wanted))
+    requested = cycle.twist(t) * lengths(rig)
+    missed = motion.twist(t) * lengths(rig) - requested
+    return float(np.linalg.norm(missed) / np.linalg.norm(requested))
 
 
 def predicted_error(rig: Rig, cycle: PlateCycle, frequency: float | np.ndarray) -> np.ndarray:

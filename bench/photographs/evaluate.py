@@ -151,9 +151,9 @@ def evaluate(photographs: Iterable[Photograph]) -> tuple[list[dict[str, Any]], l
 
 def of_half(half: str) -> tuple[list[Photograph], int]:
     """Return the photographs of a half whose files exist, and the number of missing ones."""
-    wanted = [p for p in load_photographs() if p.half == half]
-    there = [p for p in wanted if is_there(p)]
-    return there, len(wanted) - len(there)
+    selected = [p for p in load_photographs() if p.half == half]
+    there = [p for p in selected if is_there(p)]
+    return there, len(selected) - len(there)
 
 
 @piped()

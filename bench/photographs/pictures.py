@@ -112,9 +112,9 @@ def _photograph(name: str, entry: dict[str, Any]) -> Photograph:
         for row in kind.get(key, ())
     ]
     crop, plate = entry.get("crop_px"), entry.get("plate")
-    told = {key: entry[key] for key in ("half", "source", "licence", "by", "sha256")}
+    facts = {key: entry[key] for key in ("half", "source", "licence", "by", "sha256")}
     return Photograph(
-        name, **told,
+        name, **facts,
         crop_px=None if crop is None else (crop[0], crop[1], crop[2], crop[3]),
         shrink=entry.get("shrink", 1),
         parts=np.array(rows, TRUTH),

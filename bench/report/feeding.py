@@ -46,14 +46,14 @@ def feeding(rows: list[Row]) -> Drawn:
         panel.rule("goal", y=GOAL)
     small = [{**r, "kind": "discs in a window of 100 mm"} for r in rows if r["window_mm"]]
     kinds = by([*(r for r in rows if r["changed"] == "kind"), *small], "kind")
-    told = "; ".join(
+    rates = "; ".join(
         f"{kind} " + ", ".join(f"{r['parts_per_min']:.1f} {r['method']}" for r in these)
         for kind, these in kinds.items()
     )
     lost = sum(r["lost"] for r in rows if r["method"] == "ours")
     return Drawn(
         panels,
-        f"Parts a minute with a robot cycle of 2 s (maximum 30): {told}. "
+        f"Parts a minute with a robot cycle of 2 s (maximum 30): {rates}. "
         f"This project's feeder lost {lost or 'none'} over an edge.",
     )
 

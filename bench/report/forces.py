@@ -10,7 +10,7 @@ from report.panels import LIMIT, OURS, PEER, SECOND, THIRD, Look, Panels, Row, b
 MIN_ERROR = 1e-11
 """Minimum drawn error [mu mg]. Smaller errors are rounding errors, and are drawn at this value."""
 
-WANTED = 1e-6
+MAX_P99 = 1e-6
 """Required error of the force map at the 99th percentile [mu mg]."""
 
 
@@ -36,7 +36,7 @@ def force_map(rows: list[Row]) -> Drawn:
         for r, colour, marker in zip([best, *others], (OURS, *COLOURS), "osD^vx", strict=False):
             look = Look(r["method"], colour, marker)
             panel.points([r], "us", "p99", look, note="median error {median:.3g}")
-        panel.rule("wanted", y=WANTED)
+        panel.rule("wanted", y=MAX_P99)
         panel.mark(best["us"], best["p99"])
     best, quad = (
         next(r for r in groups["one"] if r["method"].startswith(name))
@@ -46,10 +46,10 @@ def force_map(rows: list[Row]) -> Drawn:
         panels,
         f"The 99th percentile of the error is {best['p99']:.0e} mu mg in {best['us']:.0f} µs, "
         f"{quad['us'] / best['us']:.0f} times as fast as scipy's quad. Equal steps are faster, "
-        f"but their error exceeds {WANTED:g} a hundredfold if the surface is almost at rest, as at "
-        "the end of a search.",
+        f"but their error exceeds {MAX_P99:g} a hundredfold if the surface is almost at rest, as "
+        "at the end of a search.",
         "average_force evaluates motions, and forces is used inside the search. They are the "
-        f"fastest functions with a 99th percentile below {WANTED:g} mu mg.",
+        f"fastest functions with a 99th percentile below {MAX_P99:g} mu mg.",
     )
 
 

@@ -164,7 +164,7 @@ def drives(rows: list[Row]) -> Drawn:
         mine = [r for r in rows if r["changed"] == changed]
         panel.kinds(mine, "drive", "value", "rms_mm", looks, hollow=not_all, note=ENDED)
         panel.rule("bridges", y=bridges["rms_mm"], colour=LIMIT)
-    told = {
+    errors = {
         (r["changed"], r["value"]): shown(r["rms_mm"]) for r in rows if r["drive"] == "interpolated"
     }
     words = {
@@ -172,7 +172,7 @@ def drives(rows: list[Row]) -> Drawn:
         ("jitter_ms", 5): "with up to 5 ms of jitter", ("loop_hz", 75): "with loops of 75 Hz",
         ("loop_hz", 300): "with loops of 300 Hz",
     }  # fmt: skip
-    found = ", ".join(f"{word} {told[case]} mm" for case, word in words.items())
+    found = ", ".join(f"{word} {errors[case]} mm" for case, word in words.items())
     return Drawn(
         panels,
         f"Median error: bridges {shown(bridges['rms_mm'])} mm; {found}.",
@@ -199,14 +199,14 @@ def rigs(rows: list[Row]) -> Drawn:
         if any(column(mine, "rms_mm")):
             error.points(mine, "rms_mm", "rig", look, hollow=not_all)
             pace.points(mine, "kept", "rig", look, hollow=not_all)
-    told = "; ".join(
+    failures = "; ".join(
         f"{rig}: " + ", ".join(f"{r['scenario']} {r['succeeded']}" for r in these)
         for rig, these in by(list(filter(not_all, rows)), "rig").items()
     )
     right = sum((r["feasible"] == "likely") == (percent(r) > 50) for r in rows)
     return Drawn(
         panels,
-        f"Rigs on which not all runs ended well: {told or 'none'}. `feasible` was right in "
+        f"Rigs on which not all runs ended well: {failures or 'none'}. `feasible` was right in "
         f"{right} of {len(rows)} cases (likely: more than half of the runs end well).",
     )
 
@@ -263,12 +263,12 @@ def horizon(rows: list[Row]) -> Drawn:
         for one in these:
             ends = [one | {"change": one["change"] + sign * one["error"]} for sign in (-1, 1)]
             time.points(ends, "change", "name", Look(trial, colour, "", "-"))
-    told = "; ".join(
+    changes = "; ".join(
         f"{trial}: " + ", ".join(changed(r) for r in these)
         for trial, these in by(trials, "trial").items()
     )
     return Drawn(
-        panels, f"Change of the task time [%], and relative computing time in brackets: {told}."
+        panels, f"Change of the task time [%], and relative computing time in brackets: {changes}."
     )
 
 

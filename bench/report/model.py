@@ -34,8 +34,8 @@ def model(rows: list[Row]) -> Drawn:
     for (scene, mine), colour in zip(ours.items(), COLOURS, strict=False):
         last.points(mine, "parts", "error_um", Look(f"error, {scene}", colour, "s", "-"))
     most = [mine[-1] for mine in ours.values()]
-    told = ", ".join(f"{r['scene']} {shown(r['cpu_ms'])}" for r in most)
+    times = ", ".join(f"{r['scene']} {shown(r['cpu_ms'])}" for r in most)
     return Drawn(
         panels,
-        f"CPU time of a cycle with {most[0]['parts']} parts [ms]: {told}.",
+        f"CPU time of a cycle with {most[0]['parts']} parts [ms]: {times}.",
     )

@@ -41,10 +41,10 @@ def write_report(path: Path, facts: Data, charts: Sequence[Chart]) -> None:
         f"<td>{escape(one.finding)}</td></tr>"
         for one in charts
     )
-    told = [f'<p class="soft">Measured on: {escape(text)}.</p>' for text in machines(facts)]
+    sentences = [f'<p class="soft">Measured on: {escape(text)}.</p>' for text in machines(facts)]
     text = Template(PAGE.read_text(encoding="utf-8")).substitute(
         style=STYLE.read_text(encoding="utf-8"), script=get_plotlyjs(), warning=warning(facts),
-        machines="\n".join(told), links=links, rows=rows,
+        machines="\n".join(sentences), links=links, rows=rows,
         sections="\n".join(section(one, facts) for one in charts),
     )  # fmt: skip
     path.parent.mkdir(parents=True, exist_ok=True)
@@ -62,8 +62,8 @@ def machines(facts: Data) -> dict[str, list[str]]:
     """Return the names of the measurements by a text on their computer."""
     found: dict[str, list[str]] = {}
     for name, item in facts.items():
-        told = [f"{key} {value}" for key, value in item["machine"].items() if key != "load"]
-        found.setdefault(", ".join(told), []).append(name)
+        description = [f"{key} {value}" for key, value in item["machine"].items() if key != "load"]
+        found.setdefault(", ".join(description), []).append(name)
     return found
 
 
@@ -91,11 +91,11 @@ def section(chart: Chart, facts: Data) -> str:
 
 def repeat(sources: Iterable[str], facts: Data) -> str:
     """Return a text with the commands that repeat measurements."""
-    told = [
+    commands = [
         f"<code>make bench ARGS={name}</code>{escape(measured(facts.get(name)))}"
         for name in sources
     ]
-    return "To measure again: " + ", ".join(told) + "." if told else ""
+    return "To measure again: " + ", ".join(commands) + "." if commands else ""
 
 
 def measured(facts: Mapping[str, Any] | None, common: str = "") -> str:
@@ -104,8 +104,8 @@ def measured(facts: Mapping[str, Any] | None, common: str = "") -> str:
     if facts is None:
         return ""
     commit, load = facts.get("commit") or "unknown", facts["machine"]["load"]
-    told = "" if commit == common else f"commit {commit}, "
-    return f" ({facts['seconds']:.0f} s, {told}load {load:g})"
+    commit_text = "" if commit == common else f"commit {commit}, "
+    return f" ({facts['seconds']:.0f} s, {commit_text}load {load:g})"
 
 
 def usual_commit(facts: Data) -> str:

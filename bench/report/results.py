@@ -42,10 +42,10 @@ def read_facts(folder: Path, data: Data) -> tuple[dict[str, Any], dict[str, Any]
     in the folder were made.
     """
     path = folder / FACTS
-    told = json.loads(path.read_text(encoding="utf-8")) if path.exists() else {}
+    stored = json.loads(path.read_text(encoding="utf-8")) if path.exists() else {}
     keys = ("quick", "seconds", "commit", "machine")
     new = {name: {key: item.get(key) for key in keys} for name, item in data.items()}
-    return told.get("measurements", {}) | new, told.get("columns", {})
+    return stored.get("measurements", {}) | new, stored.get("columns", {})
 
 
 def write_results(path: Path, facts: Data, charts: Sequence[Chart]) -> None:
@@ -59,8 +59,8 @@ def write_results(path: Path, facts: Data, charts: Sequence[Chart]) -> None:
     names = dict.fromkeys(name for one in charts for name in one.sources if name in facts)
     used = {name: facts[name] for name in names}
     columns = {one.key: one.sheet.columns for one in charts}
-    told = json.dumps({"measurements": facts, "columns": columns}, indent=1)
-    (folder / FACTS).write_text(told + "\n", encoding="utf-8")
+    text = json.dumps({"measurements": facts, "columns": columns}, indent=1)
+    (folder / FACTS).write_text(text + "\n", encoding="utf-8")
     lines = [
         f"Machine{'' if len(machines(used)) == 1 else ' of ' + ', '.join(mine)}: {facts}."
         for facts, mine in machines(used).items()
@@ -89,9 +89,9 @@ def section(chart: Chart, facts: Data, commit: str) -> str:
     ]
     if chart.default:
         lines.append(f"Default: {chart.default}\n")
-    told = [f"`{name}`{measured(facts.get(name), commit)}" for name in chart.sources]
+    measurements = [f"`{name}`{measured(facts.get(name), commit)}" for name in chart.sources]
     rows = f"[{len(chart.sheet.rows)} rows]({FOLDER}/{chart.key}.csv)"
-    lines.append(f"{rows}: {', '.join(told)}.\n")
+    lines.append(f"{rows}: {', '.join(measurements)}.\n")
     return "\n".join(lines)
 
 
@@ -111,10 +111,10 @@ def demos(folder: Path) -> str:
         "picture strip with the forces on the whole plate.\n",
     ]
     for name, run in runs.items():
-        told = f"{run['description']} {AS_USUAL.sub('', run['outcome'])}"
+        text = f"{run['description']} {AS_USUAL.sub('', run['outcome'])}"
         if run["command"] != f"make demo SCENARIO={name} ARGS=--lockstep":
-            told += f" `{run['command']}`"
-        lines.append(f"### {name}\n\n{told}\n")
+            text += f" `{run['command']}`"
+        lines.append(f"### {name}\n\n{text}\n")
         if (folder / f"{name}.webp").exists():
             film, strip = f"{FOLDER}/{name}.webp", f"{FOLDER}/{name}.png"
             lines.append(f"[![{name}]({film})]({strip})\n")

@@ -12,7 +12,7 @@ from report.panels import OURS, PEER, SECOND, Look, Panels, Row, by
 MIN_ERROR = 1e-11
 """Minimum drawn error [mu mg]. Smaller errors are rounding errors, and are drawn at this value."""
 
-WANTED = 1e-4
+MAX_ERROR = 1e-4
 """Maximum error of a force that counts as met [mu mg]."""
 
 METHODS = {"sinusoids": Look("B: sinusoids", OURS), "rotations": Look("A: rotations", SECOND)}
@@ -47,15 +47,16 @@ def solver(rows: list[Row]) -> Drawn:
             median = Look(f"{look.name}, median", look.colour, "D")
             panel.points([typical], "ms", "error", median)
         panel.mark(typical["ms"], typical["error"])
-        panel.rule("wanted", y=WANTED)
+        panel.rule("wanted", y=MAX_ERROR)
 
-    def told(count: int, method: str) -> str:
+    def solved_text(count: int, method: str) -> str:
         mine = groups[count, method]
-        met = 100 * np.mean([error <= WANTED for error in column(mine, "error")])
+        met = 100 * np.mean([error <= MAX_ERROR for error in column(mine, "error")])
         return f"{met:.0f} % in {shown(float(np.median(column(mine, 'ms'))))} ms"
 
     lead = "; ".join(
-        f"{parts(n)} {told(n, 'SinusoidSolver')} (scipy {told(n, 'scipy lm')})" for n in counts
+        f"{parts(n)} {solved_text(n, 'SinusoidSolver')} (scipy {solved_text(n, 'scipy lm')})"
+        for n in counts
     )
     return Drawn(
         panels,
@@ -87,16 +88,16 @@ def options(rows: list[Row]) -> Drawn:
             if r["default"] and r["method"] == "B":
                 panel.mark(r["median_ms"], r["missed_percent"])
 
-    def told(method: str, option: str) -> str:
+    def error_text(method: str, option: str) -> str:
         mine = [r for r in rows if (r["method"], r["option"]) == (method, option)]
         return " / ".join(f"{r['missed_percent']:.0f} % in {r['median_ms']:.0f} ms" for r in mine)
 
     counts = " / ".join(str(n) for n in by(rows, "parts"))
     return Drawn(
         panels,
-        f"Error with {counts} parts: Method B {told('B', '40 restarts')}, Method A "
-        f"{told('A', '1 restarts')}, scipy with finite differences "
-        f"{told('scipy, own differences', '3 restarts')}.",
+        f"Error with {counts} parts: Method B {error_text('B', '40 restarts')}, Method A "
+        f"{error_text('A', '1 restarts')}, scipy with finite differences "
+        f"{error_text('scipy, own differences', '3 restarts')}.",
     )
 
 

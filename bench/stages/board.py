@@ -19,7 +19,7 @@ PACKETS = 10_000
 LINES = (92, 128)
 """Bytes that the line carries per tick: at 921,600 baud, and the maximum that a tick reads."""
 
-MOST = 42_000
+MAX_INSTRUCTIONS = 42_000
 """Maximum number of instructions per tick: a quarter of 1 ms at 168 MHz."""
 
 
@@ -57,11 +57,11 @@ def attack_row(elf: Path, pace: int, packets: int) -> dict[str, Any]:
         host.begin()
         host.enable()
         attack, ticks = attacked(host, packets, seed=1)
-        told = ", ".join(f"{kind} {count}" for kind, count in sorted(attack.kinds.items()))
+        kinds = ", ".join(f"{kind} {count}" for kind, count in sorted(attack.kinds.items()))
         return {
             "bytes": pace,
             "packets": sum(attack.kinds.values()),
-            "kinds": told,
+            "kinds": kinds,
             "refused": host.now().refused,
             **row_of(ticks),
         }

@@ -37,7 +37,7 @@ CYCLES = 10
 TRUST = 0.3
 """Weight of an experiment after the calibration."""
 
-MOST = 10
+MAX_EXPERIMENTS = 10
 """Number of iterations: the three experiments of the calibration, then further ones."""
 
 
@@ -61,7 +61,7 @@ def hung(rig: Rig, frequency: float = HZ) -> Rig:
     )
 
 
-def wanted(seed: int) -> PlateCycle:
+def random_cycle(seed: int) -> PlateCycle:
     """Return a random motion of eight harmonics that begins at rest, up to 30 m/s2."""
     rng = np.random.default_rng(seed)
     frequency = np.arange(HARMONICS + 1) / PERIOD
@@ -113,13 +113,13 @@ def error(rig: Rig, cycle: PlateCycle, command: PlateCycle) -> float:
     t = np.arange(512) * cycle.period / 512
     got = 2 / 512 * np.fft.rfft(motion.accel(t), axis=0)[1 : HARMONICS + 1]
     lever = float(np.hypot(*rig.plate.half))
-    scale, wanted = np.array([1.0, 1.0, lever]), harmonics(cycle, HARMONICS)
-    return 100 * float(np.linalg.norm((got - wanted) * scale) / np.linalg.norm(wanted * scale))
+    scale, target = np.array([1.0, 1.0, lever]), harmonics(cycle, HARMONICS)
+    return 100 * float(np.linalg.norm((got - target) * scale) / np.linalg.norm(target * scale))
 
 
 def judged(rig: Rig, iteration: int, response: Response, cycles: int) -> dict[str, Any]:
     """Return a row with the errors of cycles that the procedure does not use."""
-    tries = [wanted(1000 + k) for k in range(cycles)]
+    tries = [random_cycle(1000 + k) for k in range(cycles)]
     errors = [error(rig, cycle, response.command(cycle)) for cycle in tries]
     return {"iteration": iteration, "median": float(np.median(errors)), "most": max(errors)}
 
@@ -138,7 +138,7 @@ def iterations(rig: Rig, cycles: int) -> list[dict[str, Any]]:
         response = response.updated(calibration.commanded[-1], calibration.measured[-1])
         rows.append(judged(real, len(rows), response, cycles))
     response = calibration.response
-    while len(rows) <= MOST:
+    while len(rows) <= MAX_EXPERIMENTS:
         again = Calibration.start(rig, seed=len(rows))
         cycle = again.cycles[len(rows) % 3]
         again = replace(again, cycles=(cycle,))

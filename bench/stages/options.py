@@ -60,7 +60,7 @@ def rows_of(rig: Rig, parts: int, count: int) -> list[dict[str, Any]]:
     rng = np.random.default_rng(SEED + parts)
     runners = contestants(rig, parts)
     goals = [request(rig, parts, rng) for _ in range(count + 1)]
-    asked = [np.mean((goal.displacement / period_of(parts)) ** 2) for goal in goals[1:]]
+    requested = [np.mean((goal.displacement / period_of(parts)) ** 2) for goal in goals[1:]]
     found: dict[tuple[str, str], list[tuple[float, float]]] = {key: [] for key in runners}
     for goal in goals:
         for key, run in runners.items():
@@ -73,8 +73,8 @@ def rows_of(rig: Rig, parts: int, count: int) -> list[dict[str, Any]]:
             "parts": parts, "method": method, "option": option, "runs": count,
             "default": is_default(method, option),
             "median_ms": np.median(ms), "p99_ms": np.percentile(ms, 99),
-            "missed_percent": 100 * np.sqrt(np.mean(missed) / np.mean(asked)),
-            "worst_percent": 100 * np.sqrt(np.max(missed / asked)),
+            "missed_percent": 100 * np.sqrt(np.mean(missed) / np.mean(requested)),
+            "worst_percent": 100 * np.sqrt(np.max(missed / requested)),
         })  # fmt: skip
     return rows
 
@@ -93,16 +93,16 @@ def request(rig: Rig, parts: int, rng: np.random.Generator) -> Goal:
     """Return a request for drifts of parts at rest."""
     position = scatter(rig, parts, rng)
     still, period = np.zeros_like(position), period_of(parts)
-    wanted = period * rng.uniform(-DRIFT, DRIFT, position.shape)
-    return Goal(position, still, wanted, still, np.array([rig.friction.accel]))
+    displacement = period * rng.uniform(-DRIFT, DRIFT, position.shape)
+    return Goal(position, still, displacement, still, np.array([rig.friction.accel]))
 
 
 def miss(rig: Rig, goal: Goal, cycle: PlateCycle) -> float:
     """Return the mean square error of the simulated drift [(m/s)^2]."""
     run = simulate(cycle, goal.position, goal.velocity, rig.friction.mu, rig.friction.gravity)
     drift = (run.position[-1] - goal.position) / cycle.period
-    wanted = goal.displacement / period_of(len(goal.position))
-    return float(np.mean((wanted - drift) ** 2))
+    drift_requested = goal.displacement / period_of(len(goal.position))
+    return float(np.mean((drift_requested - drift) ** 2))
 
 
 def good_enough(goal: Goal) -> tuple[float, float]:
@@ -125,9 +125,9 @@ def contestants(rig: Rig, parts: int) -> dict[tuple[str, str], Contestant]:
     found["B", "paper's map"] = averaged(b, period)
     found["A", "paper's map"] = averaged(RotationSolver(rig, period=period, restarts=1), period)
     for restarts in PEER_RESTARTS:
-        for own, told in ((True, "own differences"), (False, "our derivatives")):
+        for own, derivatives in ((True, "own differences"), (False, "our derivatives")):
             peer = Peer(rig, parts, own, restarts)
-            found[f"scipy, {told}", f"{restarts} restarts"] = peer.answer
+            found[f"scipy, {derivatives}", f"{restarts} restarts"] = peer.answer
     return found
 
 

@@ -49,25 +49,25 @@ def time_rows(rig: Rig, seconds: float) -> list[dict[str, Any]]:
     library = Library.around(rig.plate.half)
     position, direction = request(rig, PARTS, 0)
     moved = position + 1e-3 * np.random.default_rng(0).normal(size=position.shape)
-    matrix, wanted = library.forces(moved), direction.T.ravel()
+    matrix, requested = library.forces(moved), direction.T.ravel()
     ones, dear = np.ones(matrix.shape[1]), np.full(len(matrix), 1e3)
-    basis = least_time(library.forces(position), wanted, ones, dear, dear).basis
+    basis = least_time(library.forces(position), requested, ones, dear, dear).basis
     both = np.hstack([matrix, -matrix])
     few = Library.about(grid(rig.plate.half), rig.plate.half).forces(moved)
     timed = race(
         {
-            "ours, cold": lambda: least_time(matrix, wanted, ones, dear, dear),
-            "ours, last basis": lambda: least_time(matrix, wanted, ones, dear, dear, basis),
+            "ours, cold": lambda: least_time(matrix, requested, ones, dear, dear),
+            "ours, last basis": lambda: least_time(matrix, requested, ones, dear, dear, basis),
             "scipy linprog (HiGHS)": lambda: linprog(
-                np.ones(both.shape[1]), A_eq=both, b_eq=wanted, method="highs"
+                np.ones(both.shape[1]), A_eq=both, b_eq=requested, method="highs"
             ),
-            "numpy lstsq, library": lambda: np.linalg.lstsq(matrix, wanted, rcond=None),
-            "SVD, 24 centres": lambda: solve_weights(few, wanted, GAIN),
+            "numpy lstsq, library": lambda: np.linalg.lstsq(matrix, requested, rcond=None),
+            "SVD, 24 centres": lambda: solve_weights(few, requested, GAIN),
         },
         seconds,
     )
-    ours = least_time(matrix, wanted, ones, dear, dear).cost
-    peer = linprog(np.ones(both.shape[1]), A_eq=both, b_eq=wanted, method="highs").fun
+    ours = least_time(matrix, requested, ones, dear, dear).cost
+    peer = linprog(np.ones(both.shape[1]), A_eq=both, b_eq=requested, method="highs").fun
     if abs(ours - peer) > 1e-6 * peer:
         raise RuntimeError(f"least times differ: {ours} and {peer} by HiGHS")
     return [row("time", n, 1e3 * timed.median(n), n.startswith("ours")) for n in timed.times]

@@ -77,8 +77,8 @@ def measure(quick: bool) -> Result:
     cv2.setNumThreads(1)
     count = QUICK_SCENES if quick else SCENES
     rows = [row for kind in kinds() for row in kind_rows(kind, count)]
-    told = [sentence(rows, name) for name in METHODS]
-    return Result([Table.of("shapes", rows, parts=PARTS, size=SIZE_PX)], told)
+    sentences = [sentence(rows, name) for name in METHODS]
+    return Result([Table.of("shapes", rows, parts=PARTS, size=SIZE_PX)], sentences)
 
 
 def sentence(rows: list[dict[str, Any]], method: str) -> str:

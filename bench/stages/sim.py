@@ -133,10 +133,10 @@ def lead(count: int, quick: bool) -> float:
     return SPAN / PEER_SPAN * timed.lead("ours", PYMUNK)
 
 
-def loosest(scene: Scene, truth: np.ndarray, wanted: float) -> float:
+def loosest(scene: Scene, truth: np.ndarray, limit: float) -> float:
     """Return the largest tolerance whose error does not exceed the required one [m]."""
     for tolerance in 10.0 ** np.arange(-3, -10, -1):
-        if rms(scene.travel(tolerance) - truth) <= wanted:
+        if rms(scene.travel(tolerance) - truth) <= limit:
             break
     return float(tolerance)
 

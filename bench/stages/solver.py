@@ -52,7 +52,9 @@ def measure(quick: bool) -> Result:
     samples = []
     for parts in HARMONICS:
         samples += solve_all(rig, parts, 4 if quick else 45)
-    return Result([], [told(parts, m, samples) for parts in HARMONICS for m in METHODS], samples)
+    return Result(
+        [], [solved_sentence(parts, m, samples) for parts in HARMONICS for m in METHODS], samples
+    )
 
 
 def solve_all(rig: Rig, parts: int, count: int) -> list[dict[str, Any]]:
@@ -141,7 +143,7 @@ class ScipySolver:
         return least_squares(errors, start, jacobian, method="lm", max_nfev=60)
 
 
-def told(parts: int, method: str, samples: list[dict[str, Any]]) -> str:
+def solved_sentence(parts: int, method: str, samples: list[dict[str, Any]]) -> str:
     """Return the statistics of one method's samples for one number of parts."""
     mine = [s for s in samples if s["parts"] == parts and s["method"] == method]
     met = 100 * np.mean([s["error"] <= TOLERANCE for s in mine])

@@ -85,19 +85,19 @@ def scene(
     drift = rng.uniform(-DRIFT, DRIFT, position.shape)
     velocity = np.zeros_like(position)
     running = PlateCycle.rest(0.1)
-    milliseconds, missed, predicted, asked = [], [], [], []
+    milliseconds, missed, predicted, requested = [], [], [], []
     ids = tuple(f"black_{i}" for i in range(len(position)))
     for number in range(CYCLES + 1):
-        wanted = Wanted.make(Parts.make(ids, position, drift))
-        answer, seconds = timed(controller.answer, wanted, running)
+        request = Wanted.make(Parts.make(ids, position, drift))
+        answer, seconds = timed(controller.answer, request, running)
         milliseconds.append(1e3 * seconds)
         run = simulate(running, position, velocity, rig.friction.mu, rig.friction.gravity)
         if number:
             way = drift * running.period
             error = way - (run.position[-1] - position)
             missed.append(float(np.sqrt(np.mean(error**2))))
-            asked.append(float(np.sqrt(np.mean(way**2))))
+            requested.append(float(np.sqrt(np.mean(way**2))))
         if number < CYCLES:
             predicted.append(answer.error_m)
         position, velocity, running = run.position[-1], run.velocity[-1], answer.cycle
-    return np.array([milliseconds[:CYCLES], missed, predicted, asked]), running.period
+    return np.array([milliseconds[:CYCLES], missed, predicted, requested]), running.period

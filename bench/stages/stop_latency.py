@@ -46,15 +46,15 @@ def serve(link: str, ready: Event, done: Event, stops: Any) -> None:
 
     Where it gets no time of a processor itself, the frame was there earlier than that.
     """
-    reader, last, looked = Reader(), -1, time.monotonic()
+    reader, last, last_poll = Reader(), -1, time.monotonic()
     for data in device(link, ready, done):
         now = time.monotonic()
         reader, packets = reader.fed(data)
         for packet in map(parse, packets):
             if isinstance(packet.message, Stop) and packet.sequence != last:
                 last = packet.sequence
-                stops.put((now, looked))
-        looked = now
+                stops.put((now, last_poll))
+        last_poll = now
 
 
 FLOOD = """
@@ -184,12 +184,12 @@ def one(bench: Bench, stops: Any, number: int, task: bool) -> list[tuple[float, 
     began = time.monotonic()
     future = bench.stop.call_async(Trigger.Request())
     try:
-        told, looked = stops.get(timeout=10.0)
+        arrival, last_poll = stops.get(timeout=10.0)
     except queue.Empty:
         return [(float("inf"), float("inf"))]
     bench.until(future.done, 5.0)
     bench.until(lambda: bench.state == DriverState.STOPPED, 10.0)
-    return [(1e3 * (told - began), max(0.0, 1e3 * (looked - began)))]
+    return [(1e3 * (arrival - began), max(0.0, 1e3 * (last_poll - began)))]
 
 
 def measure(quick: bool) -> Result:

@@ -103,7 +103,7 @@ def fastest(
             start, begin = best + size * rng.standard_normal(best.size), velocity
         theta = start
         for most in (1.3, 1.0):
-            goal = wanted(rig, position, begin, way)
+            goal = goal_towards(rig, position, begin, way)
             theta = descend(Problem.of(goal, motions, most), theta, 0.0, ITERATIONS).parameters
             cycle = kept(rig, family.cycle(theta))
             speed, begin = steady(rig, cycle, position, way)
@@ -112,7 +112,7 @@ def fastest(
     return score
 
 
-def wanted(rig: Rig, position: np.ndarray, velocity: np.ndarray, way: np.ndarray) -> Goal:
+def goal_towards(rig: Rig, position: np.ndarray, velocity: np.ndarray, way: np.ndarray) -> Goal:
     """Return a goal for parts at (M, 2) [m]: as far as possible along x, each in its direction
     (M,), with free y."""
     displacement = np.column_stack([way * (AHEAD_M + FAR_M), np.zeros(len(way))])

@@ -49,14 +49,14 @@ def row(scenario: str, runs: list[dict[str, Any]]) -> dict[str, Any]:
 
 def error(runs: list[dict[str, Any]]) -> str:
     """Return a text with the errors of the runs: of paths or positions, and of angles."""
-    told = []
+    sentences = []
     for key, unit, kind, factor in (
         ("rms_error_m", "mm", "RMS ", 1e3), ("turn_error_deg", "degrees", "turned ", 1.0),
     ):  # fmt: skip
         values = [factor * run[key] for run in runs if run[key]]
         if values:
             low, high = of_median(values)
-            told.append(
+            sentences.append(
                 f"{kind}{median(values):.2f} {unit}, {low:.2f} to {high:.2f} ({max(values):.2f})"
             )
-    return "; ".join(told)
+    return "; ".join(sentences)

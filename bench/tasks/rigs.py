@@ -45,14 +45,18 @@ def measure(quick: bool) -> Result:
         for name, rig in rigs().items()
         for task in (SCENARIOS[:1] if quick else SCENARIOS)
     }
-    asked = {(*kind, "feasible"): [(rig, kind[1])] for kind, rig in kinds.items()}
-    told = by_case(judged, asked, cache)
+    predicted_cases = {(*kind, "feasible"): [(rig, kind[1])] for kind, rig in kinds.items()}
+    predictions = by_case(judged, predicted_cases, cache)
     cases = {
         kind: [(Setup(kind[1], seed), UNEVEN, rig) for seed in seeds] for kind, rig in kinds.items()
     }
     rows = [
-        {"rig": kind[0], "gamma": kinds[kind].gamma, "scenario": kind[1]} | summed(runs) | said[0]
-        for (kind, runs), said in zip(runs_of(cache, cases).items(), told.values(), strict=True)
+        {"rig": kind[0], "gamma": kinds[kind].gamma, "scenario": kind[1]}
+        | summed(runs)
+        | prediction[0]
+        for (kind, runs), prediction in zip(
+            runs_of(cache, cases).items(), predictions.values(), strict=True
+        )
     ]
     facts = {"first": seeds[0], "last": seeds[-1]}
     return Result([Table.of("rigs", rows, **facts), Table.of("by_rig", by_rig(rows), **facts)])
@@ -91,15 +95,15 @@ def by_rig(rows: list[dict[str, Any]]) -> list[dict[str, Any]]:
     found: dict[str, dict[str, Any]] = {}
     for row in rows:
         mine = found.setdefault(row["rig"], {"rig": row["rig"], "gamma": row["gamma"]})
-        told = [row["succeeded"]]
+        result = [row["succeeded"]]
         if row["time_s"] is not None:
-            told.append(f"{row['time_s']:.0f} s")
+            result.append(f"{row['time_s']:.0f} s")
         if row["rms_mm"] is not None:
-            told.append(f"{row['rms_mm']:.2f} mm")
+            result.append(f"{row['rms_mm']:.2f} mm")
         if row["pace"] is not None and row["pace"] < FULL_PACE:
-            told.append(f"{100 * row['pace']:.0f} % of the speed")
-        said = "yes" if row["feasible"] == "likely" else "no"
+            result.append(f"{100 * row['pace']:.0f} % of the speed")
+        prediction = "yes" if row["feasible"] == "likely" else "no"
         if row["feasible_s"] is not None:
-            said += f", {row['feasible_s']:.0f} s"
-        mine[row["scenario"].removesuffix("_desk")] = f"{', '.join(told)} ({said})"
+            prediction += f", {row['feasible_s']:.0f} s"
+        mine[row["scenario"].removesuffix("_desk")] = f"{', '.join(result)} ({prediction})"
     return list(found.values())

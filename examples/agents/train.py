@@ -50,7 +50,7 @@ RATE = 3e-3
 STEPS = 64
 """Time steps per cycle in the model."""
 
-LONGEST = 120
+MAX_CYCLES = 120
 """Maximum number of cycles until a plate of the model is reset."""
 
 EDGE_M, EDGE_COST = 0.03, 2.0
@@ -253,17 +253,17 @@ class Crowd:
 
     def go_on(self) -> None:
         """Detach all tensors from the gradient. Reset plates that lost a part, are sorted, or have
-        run for more than `LONGEST` cycles."""
+        run for more than `MAX_CYCLES` cycles."""
         for name, values in list(vars(self).items()):
             if torch.is_tensor(values):
                 setattr(self, name, values.detach())
         off = (self.place.abs() > self._model.half).flatten(1).any(1)
         done = (self._model.ways(self.place) < 1e-5).all(1) & (torch.rand(PLATES) < 0.3)
         self._age += CYCLES
-        anew = off | done | (self._age > LONGEST)
-        self.place[anew] = self._drawn(int(anew.sum()))
+        restarted = off | done | (self._age > MAX_CYCLES)
+        self.place[restarted] = self._drawn(int(restarted.sum()))
         for values in (self.speed, self.drift, self.last, self.own, self._age):
-            values[anew] = 0
+            values[restarted] = 0
 
     def _drawn(self, count: int) -> Any:
         inner = self._model.half - CLEAR_M

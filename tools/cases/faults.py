@@ -331,11 +331,11 @@ def cells(result: dict[str, Any]) -> list[dict[str, str]]:
 
     rows = []
     for row in result["rows"]:
-        told = "; ".join(
+        changes = "; ".join(
             f"{name} {level} {seconds:.1f} s" for name, level, seconds, _ in row["diagnostics"]
         )
         rest = "no" if row["rest_s"] is None else f"{row['rest_s']:.1f} s"
         task, driver = after(row["task"], row["task_s"]), after(row["driver"], row["driver_s"])
-        some = row["fault"], row["node"], task, driver, told, rest, ", ".join(row["to_go_on"])
+        some = row["fault"], row["node"], task, driver, changes, rest, ", ".join(row["to_go_on"])
         rows.append(dict(zip(HEADS, some, strict=True)))
     return rows

@@ -216,7 +216,7 @@ class Judge:
 
     def _on_table(self, msg: Any) -> None:
         if isinstance(msg, JointTrajectory):
-            self._look(msg_to_motors(self.rig, msg))
+            self._check(msg_to_motors(self.rig, msg))
         self.publish(msg)
 
     def tick(self) -> None:
@@ -225,9 +225,9 @@ class Judge:
             self.node._watch()
         elif self.verdict.node == "simulator":
             self.node._begin_cycle()
-            self._look(self.node._timeline.cycle)
+            self._check(self.node._timeline.cycle)
 
-    def _look(self, cycle: PlateCycle) -> None:
+    def _check(self, cycle: PlateCycle) -> None:
         share = float(np.max(limit_shares(self.rig, cycle)))
         self.verdict.tables += 1
         self.verdict.moving += share > 0

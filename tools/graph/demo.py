@@ -626,16 +626,16 @@ class StatusLine:
 def progress(task: Task, record: Record) -> str:
     """Return a text on the progress of a running task, from the diagnostics."""
 
-    def told(key: str) -> str:
+    def value(key: str) -> str:
         return record.last("planner", key)
 
-    if not told("time_s"):
+    if not value("time_s"):
         return "waiting for the first image"
     if isinstance(task, FollowTask):
-        done = f"error {1e3 * float(told('rms_error_m')):.2f} mm rms"
+        done = f"error {1e3 * float(value('rms_error_m')):.2f} mm rms"
     else:
-        done = f"{told('parts_sorted')}/{told('parts_total')} parts {there(task)}"
+        done = f"{value('parts_sorted')}/{value('parts_total')} parts {there(task)}"
     return (
-        f"{done} | {float(told('time_s')):5.1f} s | {1e3 * float(told('to_go_m')):4.0f} mm to go"
+        f"{done} | {float(value('time_s')):5.1f} s | {1e3 * float(value('to_go_m')):4.0f} mm to go"
         f" | solve {float(record.last('solver', 'solve_ms_median', '0')):3.0f} ms"
     )

@@ -102,11 +102,11 @@ class Server:
         order = {"words": words, "environment": dict(environment), "log": str(log.absolute())}
         self._orders.write(json.dumps(order | {"folder": os.getcwd()}).encode() + b"\n")
         self._orders.flush()
-        told = select.select([self._answers], [], [], START_S)[0] and self._answers.readline()
-        if not told:
+        line = select.select([self._answers], [], [], START_S)[0] and self._answers.readline()
+        if not line:
             self._process.kill()
             raise OSError("the process that starts nodes has ended, or does not answer")
-        return int(told)
+        return int(line)
 
     def _end(self) -> None:
         with contextlib.suppress(OSError):
@@ -227,9 +227,9 @@ def _become(
         # This call raises an error if the program has ended.
         os.write(answers, f"{os.getpid()}\n".encode())
         os.close(answers)
-        said = os.open(log, os.O_WRONLY | os.O_APPEND | os.O_CREAT, 0o644)
+        log_file = os.open(log, os.O_WRONLY | os.O_APPEND | os.O_CREAT, 0o644)
         for number in (1, 2):
-            os.dup2(said, number)
+            os.dup2(log_file, number)
         os.dup2(os.open(os.devnull, os.O_RDONLY), 0)
         _libc.prctl(PR_SET_NAME, os.path.basename(words[0]).encode())
         faulthandler.enable()  # with it, a crash prints its traceback

@@ -69,11 +69,11 @@ class Hops(Listener):
         self.newest: dict[str, bytes] = {}
         for number, (topic, kind) in enumerate(CHAIN):
             if number or images:
-                heard = self._listener(number, topic)
-                self.node.create_subscription(kind, topic, heard, CAMERA, raw=True)
+                on_message = self._listener(number, topic)
+                self.node.create_subscription(kind, topic, on_message, CAMERA, raw=True)
 
     def _listener(self, number: int, topic: str) -> Any:
-        def heard(data: bytes, info: dict[str, int]) -> None:
+        def on_message(data: bytes, info: dict[str, int]) -> None:
             second, nanosecond = STAMP.unpack_from(data)
             stamp = second * 1_000_000_000 + nanosecond
             row = self.times[stamp]
@@ -81,4 +81,4 @@ class Hops(Listener):
             row[number] = row[number] or info["source_timestamp"]
             self.newest[topic] = data
 
-        return heard
+        return on_message

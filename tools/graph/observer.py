@@ -384,8 +384,8 @@ class Observer:
         for name in ("detector", "planner", "solver"):
             if name in newest and newest[name].level in (Level.ERROR, Level.STALE):
                 return f"{name}: {newest[name].text}"
-        told = [f"{name}: {said.text}" for name, said in newest.items()]
-        return "; ".join(told) or "no node publishes diagnostics"
+        texts = [f"{name}: {said.text}" for name, said in newest.items()]
+        return "; ".join(texts) or "no node publishes diagnostics"
 
     def activate_driver(self) -> None:
         """Configure and activate the driver, so that it forwards the solver's cycles.
@@ -415,10 +415,10 @@ class Observer:
         now = self.call(GetState, f"{node}/get_state", GetState.Request(), AGAIN_S)
         if now.current_state.label == AFTER.get(transition):
             return
-        said, now = self.record.said, time.monotonic()
-        self.until(lambda: any(each.at > now for each in said.get(node, ())), FRESH_S)
-        told = said[node][-1].text if node in said else "nothing"
-        raise GraphError(f"{transition} refused, {node} reports: {told}")
+        reports, now = self.record.said, time.monotonic()
+        self.until(lambda: any(each.at > now for each in reports.get(node, ())), FRESH_S)
+        reported = reports[node][-1].text if node in reports else "nothing"
+        raise GraphError(f"{transition} refused, {node} reports: {reported}")
 
     def check_not_stopped(self) -> None:
         """Check that nobody has stopped the motors or the task. Only a person may clear such a
@@ -470,10 +470,10 @@ class Observer:
         """
         end = time.monotonic() + READY_S
         while not self.until(lambda: self.record.ready, LOOK_S):
-            said = "nothing" if self.record.driver is None else self.record.driver.text
+            reported = "nothing" if self.record.driver is None else self.record.driver.text
             if time.monotonic() > end:
-                raise GraphError(f"the driver is not ready within {READY_S:g} s: {said}")
-            self._waiting(f"waiting for the driver, it reports: {said}")
+                raise GraphError(f"the driver is not ready within {READY_S:g} s: {reported}")
+            self._waiting(f"waiting for the driver, it reports: {reported}")
 
     def start(self, scenario: Scenario, ready_timeout_s: float = ACCEPTED_S) -> Task:
         """Send the goal of a scenario, and wait until its task runs or has ended. A refused goal is

@@ -140,9 +140,9 @@ class Robot:
             before = arm
             arm, act = before.step(self._now())
             if act is Act.ASK:
-                told = dict(VALUE.findall(self._done("get_part")))
-                x, y, name = 1e-3 * float(told["x"]), 1e-3 * float(told["y"]), told["id"]
-                arm = arm.told((x, y, math.radians(float(told["angle"]))), self._now())
+                reply = dict(VALUE.findall(self._done("get_part")))
+                x, y, name = 1e-3 * float(reply["x"]), 1e-3 * float(reply["y"]), reply["id"]
+                arm = arm.told((x, y, math.radians(float(reply["angle"]))), self._now())
             elif act is Act.LEAVE:
                 self._move(MoveRobot.Request.AWAY)
                 self._done(f"part_taken {name} {'ok' if self.grips[-1].taken else 'failed'}")
@@ -193,11 +193,11 @@ def feed_result(
     away = [1e3 * grip.error_m for grip in taken]
     turned = [abs(math.degrees(grip.error_rad)) for grip in taken]
 
-    def gone(what: str) -> int:
+    def last_count(what: str) -> int:
         return int(record.last("simulator", what, "0"))
 
-    astray = sum(gone(f"{label} over the chute") for label in wanted)
-    lost = gone("parts dropped") + astray
+    astray = sum(last_count(f"{label} over the chute") for label in wanted)
+    lost = last_count("parts dropped") + astray
     near = bool(taken) and max(away) <= NEAR_MM and max(turned) <= NEAR_DEG
     return {
         "success": len(taken) >= picks and near and lost == 0,
@@ -210,5 +210,5 @@ def feed_result(
         "robot_waits_share": round(sum(g.waited_s for g in grips) / time_s, 4) if grips else 0,
         "pick_error_mm": [round(float(f(away)), 3) for f in (np.median, max) if taken],
         "pick_error_deg": [round(float(f(turned)), 2) for f in (np.median, max) if taken],
-        "discharged": gone("parts over the chute") - astray,
+        "discharged": last_count("parts over the chute") - astray,
     }

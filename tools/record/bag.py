@@ -85,7 +85,7 @@ class Recorder:
             package, _, name = kinds[0].split("/")
             kind = getattr(importlib.import_module(f"{package}.msg"), name)
             write = self._write(topic, kinds[0], offered)
-            self._node.create_subscription(kind, topic, write, wanted(offered), raw=True)
+            self._node.create_subscription(kind, topic, write, profile_for(offered), raw=True)
 
     def _write(
         self, topic: str, kind: str, offered: Sequence[QoSProfile]
@@ -100,7 +100,7 @@ class Recorder:
         return write
 
 
-def wanted(offered: Sequence[QoSProfile]) -> QoSProfile:
+def profile_for(offered: Sequence[QoSProfile]) -> QoSProfile:
     """Return the quality of service that is compatible with all publishers of a topic. If all are
     latched, it also requests the messages from before the subscription."""
     reliable = all(qos.reliability == ReliabilityPolicy.RELIABLE for qos in offered)

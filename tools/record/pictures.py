@@ -208,13 +208,13 @@ class Layout:
     ) -> Image.Image:
         """Return a picture of the title, the frames with their clocks in rows, and the key."""
         gap = np.full((frames[0].shape[0] + round(1.6 * self.words), self.GAP, 3), 255, np.uint8)
-        told = [
+        tiles = [
             np.vstack([heading(self.frame[0], self.words, clock), frame])
             for clock, frame in zip(clocks, frames, strict=True)
         ]
         rows = [
-            np.hstack([piece for frame in told[k : k + self.columns] for piece in (gap, frame)])
-            for k in range(0, len(told), self.columns)
+            np.hstack([piece for frame in tiles[k : k + self.columns] for piece in (gap, frame)])
+            for k in range(0, len(tiles), self.columns)
         ]
         top = heading(self.width, self.words, title, right)
         page = np.vstack([top, *(row[:, self.GAP :] for row in rows), key])
@@ -407,13 +407,13 @@ def samples(scene: Scene, arrows: Arrows, frame: Canvas) -> list[Sample]:
         )
     )
     if scene.scenario.marked:
-        told = "angle of a part" + "; dashed: target" * bool(scene.poses)
-        found.append(Sample(ray, lambda c: c.line([(0, 0), (ray, 0)], INK, 2), told))
+        text = "angle of a part" + "; dashed: target" * bool(scene.poses)
+        found.append(Sample(ray, lambda c: c.line([(0, 0), (ray, 0)], INK, 2), text))
     if scene.chute is not None:
         found.append(Sample(2 * radius, lambda c: c.line([(0, 0), 2 * end], FORCE, 6), "chute"))
     if scene.feeds:
-        told = "just taken, or fallen over the edge"
-        found.append(Sample(2 * radius, lambda c: c.cross(end, radius, INK), told))
+        text = "just taken, or fallen over the edge"
+        found.append(Sample(2 * radius, lambda c: c.cross(end, radius, INK), text))
     elif scene.film.dropped:
         found.append(Sample(2 * radius, lambda c: c.cross(end, radius, INK), "fell off here"))
     mark = radius / 2
@@ -426,10 +426,10 @@ def class_sample(scene: Scene, label: str, radius: float) -> Sample:
     """Return the key's entry of a class: its target or path, a trail, and a part of a radius
     [m]."""
     colour = class_colour(label)
-    wide, told = 6 * radius, [f"{label}: part, trail"]
+    wide, labels = 6 * radius, [f"{label}: part, trail"]
     target = label in [one for one, _ in scene.targets]
     path = label in [one for one, _ in scene.paths]
-    told += ["target"] * target + ["path"] * path
+    labels += ["target"] * target + ["path"] * path
 
     def draw(canvas: Canvas) -> None:
         high = 1.6 * radius
@@ -441,7 +441,7 @@ def class_sample(scene: Scene, label: str, radius: float) -> Sample:
         canvas.line([(0.5 * radius, 0), (4.5 * radius, 0)], colour, 2)
         draw_part(scene, canvas, label, np.array([4.5 * radius, 0, 0]), face=True)
 
-    return Sample(wide, draw, ", ".join(told))
+    return Sample(wide, draw, ", ".join(labels))
 
 
 def from_above(
