@@ -37,6 +37,7 @@ class Playback:
 
     def __init__(self, guard: Guard, latch: Latch, publish: Callable[[MotorTable], None]) -> None:
         self.guard, self._latch, self._publish = guard, latch, publish
+        self._number = latch.number  # number of stops before the last table was sent
         # Motions of the corrected tables, by stamp of their cycles [ns].
         self._motions: dict[int, PlateCycle] = {}
 
@@ -54,8 +55,14 @@ class Playback:
         self.guard = replace(self.guard, repeats=repeats)
 
     def guard_for(self, transport: TransportThread) -> Guard:
-        """Return the guard with the transport's present `hold_s`."""
-        return replace(self.guard, hold_s=transport.hold_s)
+        """Return the guard with the transport's present `hold_s`.
+
+        After a stop it has no tables, even if the motors were enabled again before the next call
+        of `rest`.
+        """
+        stopped = self._number != self._latch.number
+        guard = self.guard.without_tables() if stopped else self.guard
+        return replace(guard, hold_s=transport.hold_s)
 
     def send(self, transport: TransportThread, guard: Guard, number: int) -> None:
         """Send the table of `guard`, and keep `guard`.
@@ -76,7 +83,7 @@ class Playback:
         transport.send(guard.table, guard.plays, number)
         if transport.motors:
             self._publish(guard.table)
-        self.guard = guard
+        self.guard, self._number = guard, number
 
     def send_push(
         self, transport: TransportThread, cycle: PlateCycle, stamp_ns: int, now: float
@@ -89,9 +96,9 @@ class Playback:
         PlateError
             If the plate cannot perform this motion.
         """
-        before = self.guard_for(transport)
+        number, before = self._latch.number, self.guard_for(transport)
         guard, fit = replace(before, hold_cycles=1).commanded(cycle, stamp_ns, now)
-        self.send(transport, guard, self._latch.number)
+        self.send(transport, guard, number)
         self.guard = replace(guard, hold_cycles=before.hold_cycles)
         return fit.factor
 

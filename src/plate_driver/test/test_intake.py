@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from plate_core import CycleError, PlateCycle, PlateError, load_rig
-from plate_core.driver_status import DriverState, DriverStatus
+from plate_core.driver_status import DriverReason, DriverState, DriverStatus
 from plate_core.motion import motor_state
 from plate_driver.calibration import CalibrationRun, Response
 from plate_driver.clocks import Clocks
@@ -120,6 +120,37 @@ def test_a_cycle_that_arrived_before_a_stop_is_not_sent_after_it(desk):
     desk.on_poll = lambda: desk.latch.close(2)
     desk.refuse("the plate was stopped in the meantime", FIRST)
     assert desk.playback.guard.table is None
+
+
+def test_a_cycle_continues_no_table_from_before_a_stop(desk):
+    """Also if the motors were enabled again before anybody has looked at their state."""
+    desk.send(FIRST)
+    desk.now += 0.05
+    desk.send(SECOND)
+    desk.latch.close(DriverReason.EMERGENCY_STOP)
+    assert desk.latch.open(desk.latch.number)
+    desk.now += 0.01
+    desk.refuse("plate_cycle: begins in motion", SECOND)
+    desk.send(FIRST)
+    desk.now += 0.05
+    desk.send(SECOND)
+
+
+def test_a_push_from_before_a_stop_is_not_sent_after_it(desk):
+    """The stop, and an enable, come while the push is computed."""
+
+    def stopped(*_):
+        desk.latch.close(DriverReason.EMERGENCY_STOP)
+        desk.latch.open(desk.latch.number)
+        return Guard(RIG).commanded(shaking(0.001), 1, desk.now)
+
+    guard = desk.playback.guard
+    slow = type("Slow", (Guard,), {"commanded": stopped})
+    desk.playback.guard = slow(RIG)
+    with pytest.raises(CycleError, match="the plate was stopped in the meantime"):
+        desk.playback.send_push(desk.transport, shaking(0.001), desk.stamp_ns(), desk.now)
+    assert desk.tables == []
+    desk.playback.guard = guard
 
 
 def test_a_push_is_played_once_and_keeps_the_settings(desk):

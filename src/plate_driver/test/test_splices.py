@@ -248,6 +248,35 @@ def test_a_table_with_a_tail_is_played_once(pair):
     rested.accepted(first, 2, 10.2)
 
 
+@pytest.mark.parametrize("now", [10.151, 50.0, 2.0, 1e-6])
+def test_a_table_that_has_ended_is_not_continued(pair, now):
+    """Also before anything has called `watched`: after its tail, and if the clock was set back."""
+    first, second = pair
+    guard, _ = Guard(RIG).accepted(first, 1, 10.0)
+    with pytest.raises(CycleError, match=r"begins in motion, .* from rest"):
+        guard.accepted(second, 2, now)
+    again, _ = guard.accepted(first, 2, now)
+    assert again.lasts_s == pytest.approx(PERIOD + TAIL)
+    assert again.sent == (again.table.cycle,)
+    again.accepted(second, 3, now + PERIOD)
+
+
+@pytest.mark.parametrize("earlier", range(6))
+def test_a_cycle_may_continue_any_of_the_last_tables(rng, earlier):
+    guard = Guard(RIG)
+    cycles = [spliced(rng) for _ in range(6)]
+    for k, cycle in enumerate(cycles):
+        guard, _ = guard.accepted(cycle, k, 0.1 * k)
+    follower = spliced(rng, cycles[-1 - earlier])
+    if earlier < SENT_KEPT:
+        guard.accepted(follower, 9, 0.55)
+    else:
+        with pytest.raises(CycleError, match="begins in motion"):
+            guard.accepted(follower, 9, 0.55)
+    with pytest.raises(CycleError, match=r"begins in motion, .* from rest"):
+        guard.resting(0.55).accepted(follower, 9, 0.55)
+
+
 def test_what_was_refused_is_not_followed(pair, rng):
     first, second = pair
     guard, _ = Guard(RIG).accepted(first, 10, 10.0)

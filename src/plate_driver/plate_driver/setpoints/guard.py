@@ -166,11 +166,16 @@ class Guard:
     def commanded(self, cycle: PlateCycle, stamp_ns: int, now: float) -> tuple[Guard, Fit]:
         """Return the guard with a cycle's table, without a check of the order of stamps.
 
+        If the last table has ended or the clock was set back, the plate rests: no earlier table
+        can be continued.
+
         Raises
         ------
         CycleError
             If the plate cannot execute the cycle.
         """
+        if self.over(now):  # `watched` has not been called since
+            return self.resting(now).commanded(cycle, stamp_ns, now)
         thermal = self.thermal.at_time(self.rig, now)
         # Upper bound: two plays more than `hold_cycles`, with fades. The current table is played to
         # its end.
@@ -218,7 +223,11 @@ class Guard:
     def resting(self, now: float) -> Guard:
         """Return the guard after the plate has stopped or come to rest."""
         thermal = self.thermal.at_time(self.rig, now).under(np.zeros(4))
-        return replace(self, table=None, sent=(), thermal=thermal)
+        return replace(self.without_tables(), thermal=thermal)
+
+    def without_tables(self) -> Guard:
+        """Return the guard without the tables sent, so that the next cycle must begin at rest."""
+        return replace(self, table=None, sent=())
 
     def over(self, now: float, times: float = 1.0) -> bool:
         """Return whether no more cycles arrive.
