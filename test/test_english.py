@@ -52,3 +52,59 @@ def test_plain_sentences_pass(tmp_path, sentence):
     file = tmp_path / "page.md"
     file.write_text(f"{sentence}\n\n```\n{BAD[0]}\n```\n\n| {BAD[1]} |\n")
     assert check([str(file)]) == 0
+
+
+ODD = {
+    "latin.md": b"caf\xe9\n",
+    "binary.yaml": b"\xff\xfe\x00\x01",
+    "broken.py": b"def f(:\n",
+    "indented.py": b"if True:\n        a = 1\n    b = 2\n",
+    "open.py": b'text = """\n',
+    "zero.py": b"a = 1\x00\n",
+    "coding.py": b"# -*- coding: nothing -*-\n",
+}
+"""Contents that are not what the names say."""
+
+
+@pytest.mark.parametrize("name", [*ODD, "missing.md", "folder.md", "dangling.py"])
+def test_an_odd_file_is_a_finding_and_the_others_are_checked(tmp_path, capsys, name):
+    odd, bad = tmp_path / name, tmp_path / "bad.md"
+    bad.write_text(f"{BAD[0]}\n")
+    if name in ODD:
+        odd.write_bytes(ODD[name])
+    elif name == "folder.md":
+        odd.mkdir()
+    elif name == "dangling.py":
+        odd.symlink_to(tmp_path / "nothing")
+    assert check([str(odd), str(bad)]) == 1
+    first, second = capsys.readouterr().out.splitlines()
+    assert first.startswith(
+        f"{odd}: not readable as {'Python' if odd.suffix == '.py' else 'UTF-8'}"
+    )
+    assert second.startswith(f"{bad}:1: ")
+
+
+@pytest.mark.parametrize(
+    ("name", "data", "line"),
+    [
+        ("empty.py", b"", None),
+        ("empty.md", b"", None),
+        ("dos.py", f"# Fine.\r\n# {BAD[0]}\r\n".encode(), 2),
+        ("dos.md", f"Fine.\r\n\r\n{BAD[0]}\r\n".encode(), 3),
+        ("mark.py", f"\ufeff# {BAD[0]}\n".encode(), 1),
+        ("latin.py", f"# coding: latin-1\n# caf\xe9: {BAD[4]}\n".encode("latin-1"), 2),
+        ("block.c", f"int a;\n/* {BAD[0]} */\n".encode(), 2),
+        ("behind.cpp", f"int a;  // {BAD[0]}\n".encode(), 1),
+        ("value.yaml", f"key: 1\n# {BAD[0]}\n".encode(), 2),
+    ],
+)
+def test_any_encoding_and_line_end_is_read(tmp_path, name, data, line):
+    file = tmp_path / name
+    file.write_bytes(data)
+    assert [found for found, *_ in findings(file)] == ([] if line is None else [line])
+
+
+def test_a_huge_page_is_checked_in_linear_time(tmp_path):
+    file = tmp_path / "huge.md"
+    file.write_text("A plain line of a page.\n```\ncode\n```\n" * 50_000 + BAD[0] + "\n")
+    assert [line for line, *_ in findings(file)] == [200_001]

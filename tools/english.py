@@ -11,6 +11,7 @@ from __future__ import annotations
 
 import argparse
 import ast
+import io
 import re
 import subprocess
 import sys
@@ -36,24 +37,26 @@ SUFFIXES = (".py", ".md", ".hpp", ".cpp", ".c", ".h", ".msg", ".srv", ".action",
 EXCEPTIONS = ("tools/english.py",)
 """Files that may contain the patterns."""
 
+COMMENT = re.compile(r"(?:^\s*(?:\*|#)|//|/\*)[*/!]*\s?(.*)")
+"""Comment of a line in a file that is neither Python nor Markdown. It may follow code."""
+
 
 def texts(path: Path) -> Iterator[tuple[int, str]]:
     """Yield the line number and the text of each docstring, comment and literal of a file."""
     if path.suffix == ".md":
         yield from _markdown(path.read_text(encoding="utf-8"))
     elif path.suffix == ".py":
-        with path.open("rb") as file:
-            tokens = list(tokenize.tokenize(file.readline))
-        for token in tokens:
+        source = path.read_bytes()
+        for token in tokenize.tokenize(io.BytesIO(source).readline):
             if token.type == tokenize.COMMENT:
                 yield token.start[0], token.string.lstrip("# ")
-        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+        for node in ast.walk(ast.parse(source)):
             if isinstance(node, ast.Constant) and isinstance(node.value, str) and " " in node.value:
                 for paragraph in re.split(r"\n\s*\n", node.value):
                     yield node.lineno, re.sub(r"\s+", " ", paragraph).strip()
     else:
         for number, line in enumerate(path.read_text(encoding="utf-8").splitlines(), 1):
-            if comment := re.match(r"\s*(?://|\*|#)\s?(.*)", line):
+            if comment := COMMENT.search(line):
                 yield number, comment[1]
 
 
@@ -86,16 +89,36 @@ def main() -> int:
 
 
 def check(names: list[str]) -> int:
-    """Check files, print the findings, and return the exit code."""
+    """Check files, print the findings, and return the exit code.
+
+    A file that cannot be read, or is not Python as its name says, counts as a finding.
+    """
     if not names:
-        listed = subprocess.run(["git", "ls-files"], capture_output=True, text=True, check=True)
-        names = [name for name in listed.stdout.splitlines() if _is_checked(name)]
+        names = [name for name in _listed() if _is_checked(name)]
     count = 0
     for name in names:
-        for line, advice, text in findings(Path(name)):
-            print(f"{name}:{line}: {advice}: {text[:160]}")
+        try:
+            found = findings(Path(name))
+        except (OSError, SyntaxError, ValueError, RecursionError, tokenize.TokenError) as error:
+            print(f"{name}: not readable as {_kind(name)}: {error}")
             count += 1
+            continue
+        for line, advice, text in found:
+            print(f"{name}:{line}: {advice}: {text[:160]}")
+        count += len(found)
     return 1 if count else 0
+
+
+def _listed() -> list[str]:
+    """Return the names of the repository's files. Links and deleted files are left out."""
+    listed = subprocess.run(["git", "ls-files", "-z"], capture_output=True, text=True, check=True)
+    names = [name for name in listed.stdout.split("\0") if name]
+    return [name for name in names if Path(name).is_file() and not Path(name).is_symlink()]
+
+
+def _kind(name: str) -> str:
+    """Return the expected content of a file, for a message."""
+    return "Python" if name.endswith(".py") else "UTF-8 text"
 
 
 def _is_checked(name: str) -> bool:
