@@ -1,7 +1,7 @@
 """Simulation of parts on the vibrating plate, its camera and its motor controller.
 
-Subpackages: `world`, `plate`, `friction`, `contacts`, `camera`, `device`. The names used most are
-exported here."""
+Subpackages: `world`, `plate`, `friction`, `contacts`, `camera`, `device`. The most frequently used
+names are exported here."""
 
 from .camera import Camera, part_greys
 from .contacts import Contacts

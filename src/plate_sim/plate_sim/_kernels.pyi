@@ -1,4 +1,4 @@
-"""Compiled kernels. `kernels.cpp` of each subpackage defines them."""
+"""Compiled kernels. `kernels.cpp` of each subpackage implements them."""
 
 from typing import Any
 
@@ -11,32 +11,33 @@ class Device:
     ----------
     limits : DeviceLimits
     boot : int
-        Number that changes with each reset.
+        Number that changes at each reset.
     now_us : int
         Device time [us].
 
     Attributes
     ----------
     triggered : bool
-        Whether the camera's line is high.
+        Whether the camera's trigger line is high.
     now_us, heard_us, enabled_us : int
-        Times of the last tick, of the host's last frame, and of the last time the current was
-        switched on [us].
+        Time of the last tick, time of the last frame from the host, and time at which the current
+        was last switched on [us].
     state, faults, stops : int
-        As in Telemetry.
+        Value of the field in Telemetry.
     refused : int
-        Damaged frames, modulo 65536.
+        Number of damaged frames, modulo 65536.
     searches : bool
-        Whether a search for home runs.
+        Whether a search for home is in progress.
     room : int
         Number of bytes that the board can receive. Further bytes would be lost.
     hottest : float
-        Thermal load of the hottest motor relative to the allowed one.
+        Thermal load of the hottest motor, relative to the allowed load.
     playing, waiting : int
-        Number of the table or stream that plays, and of the one that plays next. 0 means none.
+        Number of the table or stream that is being played, and of the one that follows. 0 means
+        none.
     play : (int, int, int) or None
-        Buffer of the table that plays, number of completed plays, and time since the start of this
-        play [TICK_S]. None if no table plays.
+        Buffer of the table that is being played, number of completed plays, and time since the
+        start of this play [TICK_S]. None if no table is being played.
     """
 
     boot: int
@@ -65,12 +66,13 @@ class Device:
         home_found: bool = True,
         line_idle: bool = True,
     ) -> tuple[bytes, np.ndarray | None]:
-        """Simulate one tick. Return the sent bytes and the setpoint, or None while current is off.
+        """Simulate one tick. Return the sent bytes and the setpoint. The setpoint is None while the
+        current is off.
 
         Parameters
         ----------
         now_us : int
-            Its clock [us].
+            Time of the board's clock [us].
         measured : (2, 4)
             Position [m] and acceleration [m/s2] of the motors, float32.
         data : bytes
@@ -78,7 +80,7 @@ class Device:
         faults : int
             Current faults of the board: SUPPLY, HARDWARE.
         home_found : bool
-            Whether a running search for home ends.
+            Whether the search for home ends in this tick.
         line_idle : bool
             Whether all sent bytes have left the board.
 
@@ -93,6 +95,7 @@ class Device:
 
     def table(self) -> tuple[np.ndarray, np.ndarray, int]:
         """Return the times (k + 1,) [TICK_S] and states (k + 1, 3, 4) [m], [m/s], [m/s2] of the
-        knots that play or played last, and the time of the splice [TICK_S], 0 if there is none."""
+        knots of the table that is being played or was played last, and the time of the splice
+        [TICK_S]. The time is 0 if there is no splice."""
 
 def __getattr__(name: str) -> Any: ...

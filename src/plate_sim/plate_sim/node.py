@@ -1,5 +1,6 @@
-"""ROS node of the simulator. It simulates plate and parts for received motor tables or motions of
-the device, and publishes camera images and ground truth. The model is `world.Simulation`."""
+"""ROS node of the simulator. It simulates the plate and the parts for received motor tables, or for
+the motion of the simulated device. It publishes camera images and the ground truth.
+`world.Simulation` is the model."""
 
 from __future__ import annotations
 
@@ -47,37 +48,38 @@ from .plate import PlateMotion, check_table
 from .world import RANGES, WORLD_RANGES, Disturbances, Simulation, run_cycle
 
 START_NS = 1_000_000_000
-"""Simulated time of the first image [ns]. It is not 0 because a zero stamp means "no time"."""
+"""Simulated time of the first image [ns]. It is not 0, because a stamp of 0 means "no time"."""
 
 CLOCK_PERIOD_S = 0.01
-"""Time between two messages on /clock [s, wall]."""
+"""Interval between two messages on /clock [s, wall]."""
 
 REPEAT_PERIOD_S = 1.0
-"""Interval at which an unanswered image and its cycle's start are repeated [s, wall]."""
+"""In lockstep: interval at which an unanswered image and the start of its cycle are published again
+[s, wall]."""
 
 MIN_NS = 20_000_000
-"""Minimum length of a segment of the device's motion that gets an image [ns]."""
+"""Minimum length of a segment of the device's motion for which an image is taken [ns]."""
 
 GAP_NS = 1_000_000
-"""Maximum gap between consecutive segments of the device's motion [ns]."""
+"""Maximum gap between two consecutive segments of the device's motion [ns]."""
 
 MAX_CLOCK_ERROR_NS = 50_000_000
-"""Maximum difference between stamps and the system's clock in real time [ns]."""
+"""In real time: maximum difference between stamps and the system's clock [ns]."""
 
 DRAWN = "Effects in the images, see config/nodes.yaml"
-"""Heading of the parameters that only images depend on."""
+"""Heading of the parameters that affect only images."""
 
 NO_USE = CycleUsage(0.0, 0.0, 0.0, 0.0)
 
 
 def _disturbance(name: str, description: str, live: bool = True, group: str = "") -> Any:
-    """Return the parameter of a field of `Disturbances`."""
+    """Return the parameter for a field of `Disturbances`."""
     value = getattr(Disturbances, name)
     return parameter(value, description, *RANGES[name], live=live, group=group)
 
 
 def _drawn(name: str, description: str) -> Any:
-    """Return the parameter of a disturbance that affects only images."""
+    """Return the parameter for a disturbance that affects only images."""
     return _disturbance(name, description, group=DRAWN)
 
 
@@ -184,8 +186,8 @@ class Options(NodeOptions):
 
 @dataclass
 class Tally:
-    """Counts since the last report: tables received, tables refused with the last reason, and
-    cycles that started late."""
+    """Counts since the last report: tables received, tables refused with the reason of the last
+    refusal, and cycles that started late."""
 
     tables: int = 0
     refused: int = 0
@@ -194,23 +196,27 @@ class Tally:
 
 
 class SimulatorNode(SafeLifecycleNode[Options]):
-    """Lifecycle node `simulator`. It plays motor tables, simulates the parts and publishes images.
+    """Lifecycle node `simulator`. It executes motor tables, simulates the parts and publishes
+    images.
 
-    Subscribes motor_setpoints or, driven by the device, motor_motion (and camera_trigger, if the
-    rig's motor controller triggers the camera).
-    Publishes image_raw, camera_info, cycle_started, diagnostics, ground_truth; /clock if simulated.
-    Services: ~/reset restarts the scenario with the seed that was set, or else with the next one;
-    ~/place_part and ~/remove_part act by hand; hopper/open drops parts; ~/move_robot takes a part.
-    After one of these, or a change of a live parameter, a seed does not reproduce the run.
-    `ground_truth` (true names, angles, velocities and spins) is only for the evaluation of a run.
+    The node subscribes to motor_setpoints. If the device drives the plate, it subscribes to
+    motor_motion instead, and to camera_trigger if the rig's motor controller triggers the camera.
+    It publishes image_raw, camera_info, cycle_started, diagnostics, ground_truth and, if time is
+    simulated, /clock.
+    Services: ~/reset restarts the scenario, with the seed that was set or, if none was set, with
+    the next seed. ~/place_part and ~/remove_part place and remove a part as if by hand. hopper/open
+    drops parts. ~/move_robot picks a part. After one of these calls, or after a change of a live
+    parameter, a seed no longer reproduces the run. `ground_truth` contains the true names, angles,
+    velocities and spins. It must be used only for the evaluation of a run.
 
     Cycle k begins at t_k with the newest table. `cycle_started` publishes it with the stamp t_k.
-    Then image k is taken, and the parts are simulated until t_k+1. In real time the next cycle
-    begins on schedule; in lockstep when a table with the stamp of image k arrives, or at once if
-    image k is missed. Without a new table the last one is repeated, or its tail is played.
-    If `image_rate` is above 0, images are independent of cycles. If the device drives the plate,
-    the parts follow each segment of `motor_motion` after it was played, and an image is taken at
-    its end or at each trigger pulse. Simulated time stops while the node is not active.
+    Then image k is taken, and the parts are simulated until t_k+1. In real time, the next cycle
+    begins on schedule. In lockstep, it begins when a table with the stamp of image k arrives, or at
+    once if image k is missing. If there is no new table, the last one is repeated, or its tail is
+    executed. If `image_rate` is above 0, images are independent of cycles. If the device drives the
+    plate, the parts follow each segment of `motor_motion` after the device has executed it. An
+    image is taken at the end of each segment or at each trigger pulse. Simulated time stops while
+    the node is not active.
     """
 
     def __init__(self) -> None:
@@ -223,7 +229,8 @@ class SimulatorNode(SafeLifecycleNode[Options]):
         )  # fmt: skip
 
     def configure(self) -> None:
-        """Load rig and scenario, place the parts, and create publishers and subscriptions."""
+        """Load the rig and the scenario, place the parts, and create publishers and
+        subscriptions."""
         options = self.options
         self._rig = load_rig(options.rig_file)
         self._scenario, self._seed = load_scenario(options.scenario), options.seed
@@ -253,7 +260,7 @@ class SimulatorNode(SafeLifecycleNode[Options]):
         self._connect()
 
     def begin(self) -> None:
-        """Continue with the plate at rest. In real time the next cycle begins now."""
+        """Continue with the plate at rest. In real time, the next cycle begins now."""
         options = self.options
         self._timeline = Timeline.at_rest(options.idle_period)
         self._tally = Tally()
@@ -272,19 +279,19 @@ class SimulatorNode(SafeLifecycleNode[Options]):
             self._begin_cycle()
 
     def rest(self) -> None:
-        """Let the plate come to rest: simulate the rest of the cycle, and its tail."""
+        """Let the plate come to rest: simulate the rest of the cycle and the tail of the cycle."""
         if not self._driven:
             self._move(self._timeline.cycle, self._next_ns)
             if self._timeline.cycle.tail is not None:
                 self._simulation.run(self._timeline.cycle.tail)
 
     def retune(self) -> None:
-        """Apply changed disturbances, noise, friction and rate.
+        """Apply the changed values of disturbances, noise, friction and rate.
 
         Raises
         ------
         PlateError
-            If the rate cannot change in this mode, or a value is out of range.
+            If the rate cannot be changed in this mode, or if a value is out of range.
         """
         options, before = self.options, self._rate
         if options.rate != before and (options.lockstep or not self._simulated_time):
@@ -301,7 +308,7 @@ class SimulatorNode(SafeLifecycleNode[Options]):
                 self._wait(self._moved_ns)
 
     def _note_seed(self, parameters: list[Parameter]) -> None:
-        """Store a seed for the next reset, even if it equals the present one."""
+        """Store a seed for the next reset, even if it is equal to the present one."""
         for item in parameters:
             if item.name == "seed":
                 self._next_seed = int(item.value)
@@ -315,8 +322,8 @@ class SimulatorNode(SafeLifecycleNode[Options]):
         )  # fmt: skip
 
     def _warm_up(self) -> None:
-        """Simulate and render once, so that libraries are loaded and tables computed before the
-        first cycle."""
+        """Simulate and render once. This loads libraries and computes tables before the first
+        cycle."""
         state = self._simulation.state
         angle, rng = np.zeros(len(state.ids)), np.random.default_rng(0)
         run_cycle(state, PlateCycle.rest(self.options.idle_period), self._rig)
@@ -351,12 +358,12 @@ class SimulatorNode(SafeLifecycleNode[Options]):
     # Time
 
     def _begin_cycle(self) -> None:
-        """Start the next cycle. In lockstep, continue until a cycle has an image."""
+        """Start the next cycle. In lockstep, start further cycles until one has an image."""
         while not self._run_cycle() and self.options.lockstep:
             pass
 
     def _run_cycle(self) -> bool:
-        """Choose the next cycle's table, take its image, and simulate the parts until the next
+        """Select the table of the next cycle, take its image, and simulate the parts until the next
         event. Return whether there was an image.
         """
         self._time_ns = self._moved_ns = self._next_ns
@@ -370,7 +377,7 @@ class SimulatorNode(SafeLifecycleNode[Options]):
         self._next_ns += period_ns
         self._due_ns += round(period_ns / options.rate)
         self._count["cycles"] += 1
-        # If there is no new table, the last one is repeated, or its tail is played.
+        # If there is no new table, the last one is repeated, or its tail is executed.
         tail_alone = before.waiting is None and cycle is before.cycle.tail
         alone = self._timeline.repeats > 0 or tail_alone
         self._count["held cycles"] += alone
@@ -379,8 +386,8 @@ class SimulatorNode(SafeLifecycleNode[Options]):
         return seen
 
     def _advance(self) -> None:
-        """Simulate the parts until the next image's delivery or the end of the cycle, and set the
-        alarm to this time."""
+        """Simulate the parts until the next image is delivered or the cycle ends. Set the alarm to
+        this time."""
         cycle, end_ns = self._timeline.cycle, self._next_ns
         if self._shot is not None and self._delivered_ns < end_ns:
             end_ns = self._delivered_ns
@@ -395,7 +402,7 @@ class SimulatorNode(SafeLifecycleNode[Options]):
         self._alarm.reset()
 
     def _move(self, motion: PlateCycle | PlateMotion, end_ns: int) -> None:
-        """Simulate the parts from `_moved_ns` to `end_ns` on a motion that began at `_time_ns`."""
+        """Simulate the parts from `_moved_ns` to `end_ns`. Their motion began at `_time_ns`."""
         begin, end = (1e-9 * (t - self._time_ns) for t in (self._moved_ns, end_ns))
         if begin == 0 and end_ns == self._next_ns:
             self._simulation.run(motion)
@@ -411,13 +418,13 @@ class SimulatorNode(SafeLifecycleNode[Options]):
         behind_ns = time.monotonic_ns() - self._due_ns
         now_ns = Clock(clock_type=ClockType.SYSTEM_TIME).now().nanoseconds
         late = behind_ns > (self._next_ns - self._time_ns) / self.options.rate
-        # If the system clock was set, or the computer was suspended, correct the stamps.
+        # If the system clock was set or the computer was suspended, correct the stamps.
         wrong = (
             abs(now_ns - behind_ns - self._next_ns) > MAX_CLOCK_ERROR_NS
             and not self._simulated_time
         )
         if late or wrong:
-            # Plate and parts did not move during the delay, so continue from now.
+            # The plate and the parts did not move during the delay, so continue from now.
             self._due_ns += behind_ns
             if not self._simulated_time:
                 self._next_ns = now_ns
@@ -427,7 +434,7 @@ class SimulatorNode(SafeLifecycleNode[Options]):
         self._begin_cycle()
 
     def _aim(self, begin_ns: int) -> None:
-        """Start the image sequence of a free-running camera at `begin_ns`."""
+        """Start the sequence of images of a free-running camera at `begin_ns`."""
         self._shot = None
         if self.options.image_rate > 0:
             self._shots = self._simulation.shots(0.0)
@@ -441,7 +448,7 @@ class SimulatorNode(SafeLifecycleNode[Options]):
         return self._shots_ns + round(1e9 * self._shot.delivered)
 
     def _shoot(self) -> None:
-        """Deliver the image that is due."""
+        """Deliver the image whose delivery time has come."""
         shot = self._shot
         assert shot is not None
         age = 1e-9 * (self._moved_ns - self._shots_ns) - shot.middle
@@ -471,7 +478,7 @@ class SimulatorNode(SafeLifecycleNode[Options]):
         lockstep = self.options.lockstep
         self._hear()
         if lockstep and nanoseconds(msg.header.stamp) != self._time_ns:
-            return  # the solver repeats its reply to an earlier image
+            return  # the solver repeats an old reply
         try:
             cycle = msg_to_motors(self._rig, msg)
             if cycle.moves and (rivals := self.rivals("motor_setpoints")):
@@ -488,7 +495,8 @@ class SimulatorNode(SafeLifecycleNode[Options]):
             self._begin_cycle()
 
     def _on_motion(self, msg: JointTrajectory) -> None:
-        """Simulate the parts during a segment of the device's motion, and take the images in it."""
+        """Simulate the parts during a segment of the device's motion. Take the images that belong
+        to it."""
         self._hear()
         try:
             times, *motors = msg_to_knots(msg, [motor.name for motor in self._rig.motors])
@@ -519,21 +527,22 @@ class SimulatorNode(SafeLifecycleNode[Options]):
         self._move(motion, end_ns)
 
     def _on_pulse(self, msg: Header) -> None:
-        """Take an image if the parts are already simulated up to the pulse. Otherwise `_on_motion`
-        takes it later."""
+        """Take an image if the parts are already simulated up to the trigger pulse. Otherwise
+        `_on_motion` takes it later."""
         self._pulse_ns = nanoseconds(msg.stamp)
         if abs(self._moved_ns - self._pulse_ns) <= GAP_NS:
             self._expose(self._pulse_ns)
 
     def _expose(self, now_ns: int) -> None:
-        """Take an image, unless the last one was less than `MIN_NS` ago."""
+        """Take an image, unless the last image was taken less than `MIN_NS` ago."""
         if now_ns - self._time_ns >= MIN_NS:
             self._time_ns = now_ns
             self._count["missed images"] += not self._take_image(now_ns)
             self._publish_truth()
 
     def _on_reset(self, _: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
-        """Restart the scenario with the seed that was set, or else with the next one."""
+        """Restart the scenario with the seed that was set or, if none was set, with the next
+        seed."""
         self._seed = (self._seed + 1) % 2**31 if self._next_seed is None else self._next_seed
         plate, self._next_seed = self._simulation.plate, None
         self._simulation = self._scattered()
@@ -571,7 +580,7 @@ class SimulatorNode(SafeLifecycleNode[Options]):
     def _on_open(
         self, request: OpenHopper.Request, response: OpenHopper.Response
     ) -> OpenHopper.Response:
-        """Open the hopper for a given time."""
+        """Open the hopper for the requested time."""
         try:
             count = self._simulation.open_hopper(request.duration_s)
         except PlateError as error:
@@ -584,7 +593,7 @@ class SimulatorNode(SafeLifecycleNode[Options]):
     def _on_move(
         self, request: MoveRobot.Request, response: MoveRobot.Response
     ) -> MoveRobot.Response:
-        """Move the robot, and grip if requested."""
+        """Move the robot. Grip a part if requested."""
         try:
             done = self._simulation.move_robot(request.to, request.x, request.y, request.angle)
         except PlateError as error:
@@ -597,7 +606,8 @@ class SimulatorNode(SafeLifecycleNode[Options]):
     # Messages
 
     def _take_image(self, stamp_ns: int, age: float | None = None) -> bool:
-        """Publish the image of `Simulation.capture`, if any. Return whether there was one."""
+        """Publish the image that `Simulation.capture` returns, if any. Return whether there was an
+        image."""
         stamp, pixels = to_time(stamp_ns), self._simulation.capture(age)
         if pixels is not None:
             self._image = array_to_image(pixels, stamp, "mono8" if pixels.ndim == 2 else "bgr8")
@@ -616,12 +626,12 @@ class SimulatorNode(SafeLifecycleNode[Options]):
         self._truths.publish(parts_to_msg(truth, to_time(self._time_ns), Part.SIMULATED))
 
     def _publish_start(self) -> None:
-        """Publish the cycle that the plate plays, with its start time."""
+        """Publish the cycle that the plate executes, with its start time."""
         if self._starts.get_subscription_count():
             self._starts.publish(cycle_to_msg(self._timeline.cycle, to_time(self._time_ns)))
 
     def _repeat_image(self) -> None:
-        """Publish the unanswered image and its cycle's start again, in lockstep."""
+        """In lockstep, publish the unanswered image and the start of its cycle again."""
         self._publish_start()
         self._publish_image()
 
@@ -635,7 +645,8 @@ class SimulatorNode(SafeLifecycleNode[Options]):
             self._repeat.reset()
 
     def _find(self, now: float) -> Finding:
-        """Evaluate received tables and the state of plate and parts, see `plate_core.status`."""
+        """Return the diagnostics of the received tables, the plate and the parts, see
+        `plate_core.status`."""
         tally, dropped = self._tally, self._simulation.dropped
         findings = [used("tables", tally.tables, tally.refused, tally.why), self._input.gone(now)]
         troubles = [f"parts dropped: {dropped}"] if dropped else []

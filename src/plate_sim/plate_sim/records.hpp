@@ -1,4 +1,5 @@
-// Argument checks for bindings, and access to array rows as records: structs of 8-byte numbers.
+// Argument checks for bindings, and access to array rows as records. A record is a struct of 8-byte
+// numbers.
 #pragma once
 #include <plate/bind.hpp>
 
@@ -8,7 +9,7 @@
 
 namespace plate {
 
-// Raise a ValueError with the text `what` unless `right`.
+// Throw a ValueError with the text `what` unless `right` is true.
 inline void require(bool right, const char* what) {
     if (!right) throw std::invalid_argument(what);
 }

@@ -1,6 +1,6 @@
 """Synthetic images of the plate and its parts. They show the parts' heights, lens distortion,
-light, shadows, motion blur and noise. Inputs are the poses of parts and plate and the parts' types
-or grey values. The output is a grey or colour image."""
+light, shadows, motion blur and noise. The inputs are the poses of the parts and the plate, and the
+types or grey values of the parts. The output is a grey or colour image."""
 
 from __future__ import annotations
 
@@ -18,77 +18,104 @@ from plate_core.rig import PartType, camera_place, homography, project, to_home
 from .raster import Outlines, Sprites, draw_parts, draw_plate, expose, joined, outlines_of
 from .sweeps import scaled, swept
 
-ROOM, PLATE = 60.0, 220.0
-"""Grey values of the room and the plate at full light."""
+ROOM = 60.0
+"""Grey value of the surroundings of the plate at full light."""
+
+PLATE = 220.0
+"""Grey value of the plate at full light."""
 
 GREY_OF_CLASS = {"black": 40.0, "grey": 130.0}
 """Grey values of the parts at full light, by class."""
 
 UNKNOWN_GREY = 80.0
-"""Grey value of parts of a type without a known colour."""
+"""Grey value of a part whose type has no known colour."""
 
 SHADING = 0.10
-"""Fraction of the light that is missing in the image's corners."""
+"""Fraction of the light that is missing in the corners of the image."""
 
 NOISE = 2.0
-"""Default standard deviation of a pixel's noise [grey values]."""
+"""Default standard deviation of the noise of a pixel [grey values]."""
 
 NOISE_BANK = 1 << 20
-"""Number of precomputed noise values. Drawing 307200 new values takes 3 ms per image."""
+"""Number of precomputed noise values. They are precomputed because drawing 307200 new values takes
+3 ms per image."""
 
 BLUR_STEP_PX = 0.1
-"""Distance [px] between two positions that are averaged over the exposure. A smaller distance makes
-no visible difference."""
+"""Distance between two positions whose images are averaged over the exposure [px]. A smaller
+distance makes no visible difference."""
 
 EDGE_STEP_PX = 0.25
-"""Distance between two averaged positions of the plate's edges [px]. It is a quarter of an edge's
-width, and larger than `BLUR_PX` because these edges have many pixels."""
+"""Distance between two positions of the plate's edges whose images are averaged [px]. It is a
+quarter of the width of an edge. It is larger than `BLUR_PX`, because the plate's edges have many
+pixels."""
 
 BLUR_MOST = 16
-"""Maximum number of positions averaged over one exposure."""
+"""Maximum number of positions whose images are averaged over one exposure."""
 
-MARK_PLACE, MARK_RADIUS = 0.5, 0.3
-"""Distance of the mark of the angle from a disc's centre, and radius of the mark [disc radii]."""
+MARK_PLACE = 0.5
+"""Distance of the mark from a disc's centre [disc radii]. The mark shows the angle of the disc."""
 
-MARK_OF_DARK, MARK_OF_LIGHT, LIGHT = 130.0, 40.0, 85.0
-"""Grey values of the mark on a part darker than `LIGHT`, and on any other part. The mark contrasts
-with the part and is darker than the plate, so that the part remains one dark disc."""
+MARK_RADIUS = 0.3
+"""Radius of this mark [disc radii]."""
+
+MARK_OF_DARK = 130.0
+"""Grey value of the mark on a part that is darker than `LIGHT`. The mark contrasts with the part.
+It is darker than the plate, so that the part remains one dark disc."""
+
+MARK_OF_LIGHT = 40.0
+"""Grey value of the mark on any other part."""
+
+LIGHT = 85.0
+"""Grey value below which a part counts as dark."""
 
 STRIP_STEP = 0.002
-"""Step of the width of the strip along the plate's edge that is repainted [m]. The list of pixels
-of each width is cached."""
+"""Step of the width of the repainted strip along the plate's edge [m]. The list of pixels of each
+width is cached."""
 
 FAR = 1e6
-"""Coordinate of pixels that show no point of the plate's plane [m], far off the plate."""
+"""Coordinate for pixels that show no point of the plate's plane [m]. It is far off the plate."""
 
-SHADOW_M, SHADOW_DEG, PENUMBRA_M = 2.5e-3, -36.9, 1.5e-3
-"""Defaults of a shadow: its length beyond the part [m], its direction from x [degrees, plate_home],
-and the width of its soft edge at the far end [m]."""
+SHADOW_M = 2.5e-3
+"""Default length of a shadow beyond the part [m]."""
+
+SHADOW_DEG = -36.9
+"""Default direction of a shadow from x [degrees, plate_home]."""
+
+PENUMBRA_M = 1.5e-3
+"""Default width of the soft edge of a shadow at its far end [m]."""
 
 PENUMBRA_STEPS = 5
-"""Number of shadows of equal weight that are superposed to a soft one. With 5 an edge of 3 mm looks
-smooth at 1 px/mm."""
+"""Number of shadows of equal weight that are superposed to a shadow with a soft edge. With 5
+shadows, an edge of 3 mm looks smooth at 1 px/mm."""
 
 SIDE_SHADE = 0.7
-"""Default brightness of a part's side face relative to its top face."""
+"""Default brightness of the side face of a part, relative to its top face."""
 
 EDGE_PX = 0.7
 """Distance between the edge of a top face and the edge of its side face in the image [px]. Edges
-are one pixel wide, so edges that coincide would be drawn twice."""
+are one pixel wide. Edges that coincide would be drawn twice."""
 
 GLOSS_PLACE = 0.35
-"""Displacement of the lamp's image on a glossy part, from the point farthest from the outline
-towards the lamp, relative to the distance of this point from the outline."""
+"""Displacement of the lamp's image on a glossy part, towards the lamp. It starts at the point
+farthest from the outline, and it is relative to the distance of this point from the outline."""
 
-HIGHLIGHT_OPACITY, HIGHLIGHT_WIDEST = 0.9, 0.8
-"""Opacity of a highlight, which is a white disc, and its maximum radius relative to the distance of
-its centre from the outline."""
+HIGHLIGHT_OPACITY = 0.9
+"""Opacity of a highlight, which is a white disc."""
+
+HIGHLIGHT_WIDEST = 0.8
+"""Maximum radius of a highlight, relative to the distance of its centre from the outline."""
 
 WHITE = 255.0
 
-ARM_M, HEAD_M, ARM_END_M = 0.06, 0.04, 1.0
-"""Width of a robot's arm, diameter of its gripper, and length of the arm along +y, beyond the edge
-of the image [m]. They are drawn without perspective, as if they were flat on the plate."""
+ARM_M = 0.06
+"""Width of a robot's arm [m]. The robot is drawn without perspective, as if it were flat on the
+plate."""
+
+HEAD_M = 0.04
+"""Diameter of the robot's gripper [m]."""
+
+ARM_END_M = 1.0
+"""Length of the robot's arm along +y beyond the edge of the image [m]."""
 
 ROBOT = (
     PartType(
@@ -102,12 +129,12 @@ ROBOT_GREY = (150.0, 150.0, 100.0)
 """Grey values of the shapes in `ROBOT` at full light."""
 
 MARGIN_PX = 2.0
-"""Margin of a part's window beyond the expected edge of the part [px]."""
+"""Margin of the image window of a part beyond its expected edge [px]."""
 
 
 @dataclass(frozen=True)
 class Lighting:
-    """Light, and its effects on parts.
+    """Light of an image, and its effects on the parts.
 
     Attributes
     ----------
@@ -123,8 +150,9 @@ class Lighting:
     penumbra_m : float
         Width of the shadows' soft edge at the far end [m]. At the part they are sharp.
     gloss : float
-        Radius of the lamp's image on each part, relative to a disc's radius or to the maximum
-        distance of a point of the part from its outline. 0 means no image of the lamp.
+        Radius of the lamp's image on each part. It is relative to the radius of a disc or, for
+        other parts, to the maximum distance of a point from the outline. 0 means no image of the
+        lamp.
     side_shade : float
         Brightness of side faces relative to top faces.
     level : float
@@ -154,9 +182,9 @@ EVEN = Lighting()
 def part_colours(
     types: Sequence[PartType], colour: bool, greys: Mapping[str, float] = GREY_OF_CLASS
 ) -> np.ndarray:
-    """Return the grey values (M,), or blue, green and red (M, 3), of parts of these types at full
-    light. If a type has no colour, the grey value for its name in `greys` is used, or by default
-    `UNKNOWN_GREY`.
+    """Return the grey values (M,) of parts at full light, or blue, green and red (M, 3). `types`
+    are the types of the parts. If a type has no colour, the grey value for its name in `greys` is
+    used. If there is none, `UNKNOWN_GREY` is used.
     """
     known = [greys.get(part.name, UNKNOWN_GREY) for part in types]
     result = np.tile(np.array(known)[:, None], (1, 3))
@@ -182,7 +210,7 @@ def part_greys(classes: list[str]) -> np.ndarray:
 
 
 class _Solids(NamedTuple):
-    """M parts as the camera sees them.
+    """M parts as they appear to the camera.
 
     Attributes
     ----------
@@ -190,15 +218,15 @@ class _Solids(NamedTuple):
     path : (s, M, 2)
         Positions on the plate [m].
     top : Outlines
-        Outlines of the top faces, projected onto the plate's plane.
+        Outlines of the top faces, projected onto the plane of the plate.
     seen : (s, M, 2)
         Positions of the projected top faces [m].
     size : (M,) or None
-        Size relative to the type. None means 1 for all.
+        Size of each part relative to its type. None means 1 for all.
     growth : (M,) or None
-        Magnification of the top faces by the projection. None if all parts are flat.
+        Factor by which the projection enlarges each top face. None if all parts are flat.
     low : (2,) or None
-        Point of the plate's plane below the camera [m]. None if all parts are flat.
+        Point of the plate's plane vertically below the camera [m]. None if all parts are flat.
     """
 
     types: Sequence[PartType]
@@ -211,9 +239,9 @@ class _Solids(NamedTuple):
 
 
 class _Layer(NamedTuple):
-    """Layer of the drawing with one shape for each of M parts, such as all side faces. Fields: kind
-    of grey (see `Camera._sprites`), positions (s, M, 2) [m], outlines, opacity, and cosine and sine
-    of the angles (M, 2) or (2,)."""
+    """Layer of the drawing. It has one shape for each of M parts, for example all side faces. The
+    fields are the kind of grey (see `Camera._sprites`), positions (s, M, 2) [m], outlines, opacity,
+    and cosine and sine of the angles (M, 2) or (2,)."""
 
     kind: int
     path: np.ndarray
@@ -223,18 +251,18 @@ class _Layer(NamedTuple):
 
 
 class Camera:
-    """Renderer of images of one rig. The background with the plate at home is drawn once and
+    """Renderer of images for one rig. The background with the plate at home is drawn once and
     cached.
 
-    An instance is not thread-safe: use one per thread.
+    An instance is not thread-safe. Use one instance per thread.
 
     Parameters
     ----------
     rig : Rig
     noise : float
-        Standard deviation of a pixel's noise [grey values].
+        Standard deviation of the noise of a pixel [grey values].
     plate, room : float
-        Grey values of plate and room at full light.
+        Grey values of the plate and the surroundings at full light.
     defocus_px : float
         Standard deviation of the Gaussian blur by defocus [px]. 0 disables it.
     """
@@ -289,40 +317,42 @@ class Camera:
         Parameters
         ----------
         position : (M, 2) or (s, M, 2)
-            Positions of the parts [m], plate_home: at the start of the exposure, or s samples
-            equally spaced from its start to its end.
+            Positions of the parts [m], plate_home. They are positions at the start of the exposure,
+            or s samples at equal intervals from the start to the end of the exposure.
         grey : (M,) or (M, 3)
             Grey values of the parts at full light, or blue, green and red for a colour image.
         rng : numpy.random.Generator
-            Generator for the noise: one number per image, the offset in the bank of noise values.
+            Generator for the noise. It draws one number per image: the offset in the bank of noise
+            values.
         velocity : (M, 2), optional
-            Velocities of the parts [m/s], for motion blur. Allowed only with positions (M, 2).
-            Default: 0.
+            Velocities of the parts for motion blur [m/s]. They require positions (M, 2). Default:
+            0.
         pose : (3,), (s, 3) or (b, s, 3), optional
-            Pose of the plate [m, m, rad], plate_home: constant, s samples over the exposure, or s
-            samples for each of b equal bands of rows. Default: home, as at each start of a cycle of
-            a rigid plate.
+            Pose of the plate [m, m, rad], plate_home. It is constant, or it has s samples over the
+            exposure, or s samples for each of b equal bands of image rows. Default: home, which is
+            correct at each start of a cycle if the plate is rigid.
         angle : (M,), optional
-            Angles of the parts [rad], counter-clockwise. Without `types` each part has a mark in
-            this direction: grey on black, black on grey.
+            Angles of the parts [rad], counter-clockwise. Without `types`, each part has a mark in
+            this direction. The mark is grey on a black part and black on a grey part.
         types : sequence of M, optional
-            Types of the parts. Default: discs of the rig's radius.
+            Types of the parts. Default: discs with the rig's part radius.
         lighting : Lighting
-            Highlights, shadows and brightness.
+            Light of the image.
         gripper : (2,), optional
-            Position of a robot's gripper above the plate [m, plate_home]. The gripper and the arm,
-            which extends from it along +y, hide everything below.
+            Position of a robot's gripper above the plate [m, plate_home]. The gripper and the arm
+            hide everything below them. The arm extends from the gripper along +y.
         height : (M,), optional
             Heights of the parts' top faces above the plate [m]. Default: flat. The camera sees the
-            top face of a high part displaced outwards and enlarged, and its side face.
+            top face of a high part displaced outwards and enlarged. It also sees the side face of
+            this part.
         size : (M,), optional
             Sizes of the parts relative to their types. Default: 1.
 
         Raises
         ------
         PlateError
-            If a value is not finite, lengths disagree, a part is as high as the camera, or heights
-            are given and the rig does not give the camera's position (`camera_place`).
+            If a value is not finite, if lengths disagree, if a part is as high as the camera, or if
+            heights are given but the rig does not contain the camera's position (`camera_place`).
         """
         path = self._path(position, velocity)
         count = path.shape[1]
@@ -350,7 +380,7 @@ class Camera:
             if robot is not None:
                 draw_parts(canvas, self._light, self._places, robot, _robot_outlines())
             if self._defocus_px:
-                # The import takes 0.2 s, and most images are sharp.
+                # Import only if it is needed: the import takes 0.2 s, and most images are sharp.
                 from scipy.ndimage import gaussian_filter
 
                 gaussian_filter(canvas, self._defocus_px, output=canvas)
@@ -364,7 +394,7 @@ class Camera:
         return np.stack(channels, axis=2) if colour else channels[0]
 
     def _path(self, position: np.ndarray, velocity: np.ndarray | None) -> np.ndarray:
-        """Return s positions per part over the exposure, (s, M, 2) [m], s at least 2."""
+        """Return s positions of each part over the exposure, (s, M, 2) [m], s at least 2."""
         position = np.asarray(position, dtype=float)
         if position.ndim == 3 and velocity is not None:
             raise PlateError("velocity requires positions of shape (M, 2), not over the exposure")
@@ -379,7 +409,7 @@ class Camera:
         return np.concatenate([path, path + self._rig.camera.exposure_s * velocity])
 
     def _outlines_of(self, types: Sequence[PartType] | None, count: int) -> Outlines:
-        """Return the outlines of M parts. The outlines of each type are computed once."""
+        """Return the outlines of M parts. The outlines of each type are computed only once."""
         if types is not None and len(types) != count:
             raise PlateError(f"types: {len(types)} for {count} parts, allowed: {count}")
         new = [part for part in dict.fromkeys(types or ()) if part not in self._types]
@@ -398,8 +428,8 @@ class Camera:
     ) -> _Solids:
         """Project parts at positions (s, M, 2) [m] on the plate, see `_Solids`.
 
-        A point at height h is seen on the plate's plane at low + (p - low) H/(H - h), with the
-        camera at the height H above the point `low`.
+        Let H be the height of the camera and `low` the point below it. A point p at height h
+        appears on the plate's plane at low + (p - low) H/(H - h).
         """
         count = path.shape[1]
         kinds = [self._types[0]] * count if types is None else types
@@ -429,20 +459,21 @@ class Camera:
     def _sprites(
         self, scene: _Solids, angle: np.ndarray, marked: bool, lighting: Lighting
     ) -> tuple[Sprites, Outlines, np.ndarray]:
-        """Return the shapes to draw, in this order: shadows, side faces, top faces, marks on discs,
-        and highlights. They still have the grey value `WHITE`.
+        """Return the shapes to draw in this order: shadows, side faces, top faces, marks on discs,
+        and highlights. Their grey value is still `WHITE`.
 
-        The third result is the index (n,) of each shape's grey value in an array with five rows
-        of M parts: black, the part's grey, its mark's grey, white, and its side face's grey.
-        If parts have heights, the shapes other than shadows are drawn part by part instead. The
-        part farthest from the point below the camera is first.
+        The third result is the index (n,) of each shape's grey value. It refers to an array with
+        five rows of M parts: black, the grey value of the part, the grey value of its mark, white,
+        and the grey value of its side face. If parts have heights, all shapes except shadows are
+        drawn part by part instead of layer by layer. The part farthest from the point below the
+        camera is first.
         """
         own, path, count = scene.top, scene.seen, scene.seen.shape[1]
         turn, level = np.stack([np.cos(angle), np.sin(angle)], axis=1), np.array([1.0, 0.0])
         layers = [_Layer(1, path, own, 1.0, turn)]
         size = np.ones(count) if scene.size is None else scene.size
         if lighting.shadows:
-            # All layers have equal opacity, and together they have the opacity of the shadow.
+            # All layers have the same opacity. Together they have the opacity of the shadow.
             opacity = 1 - (1 - lighting.shadows) ** (1 / PENUMBRA_STEPS)
             shift = np.tile(lighting.shadow_m * lighting.shadow_way, (count, 1))
             reach = size * [part.reach_m for part in scene.types]
@@ -454,7 +485,7 @@ class Camera:
             layers = [*shadows, *layers]
         first = len(layers) - 1
         if scene.growth is not None:
-            # The side face ends just below the top face, see EDGE_PX.
+            # The side face ends slightly inside the top face, see EDGE_PX.
             rise = path.mean(axis=0) - scene.path.mean(axis=0)
             swell = (scene.growth - 1)[:, None]
             reach = size * [part.reach_m for part in scene.types]
@@ -499,7 +530,7 @@ class Camera:
         return sprites, outlines, kind
 
     def _robot(self, gripper: np.ndarray) -> Sprites:
-        """Return the shapes of a robot with its gripper at (2,) [m, plate_home]."""
+        """Return the shapes of a robot whose gripper is at (2,) [m, plate_home]."""
         outlines, count = _robot_outlines(), len(ROBOT)
         path = np.tile(gripper, (2, count, 1))
         window, scale, copies = self._windows(path, outlines.reach)
@@ -516,11 +547,11 @@ class Camera:
     def _windows(
         self, path: np.ndarray, radius: np.ndarray
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Return for each shape its window in the image (rows and columns, (n, 4)), its scale
-        [px/m] (n,), and the number of positions to average (n,).
+        """Return three values for each shape: its window in the image (rows and columns, (n, 4)),
+        its scale [px/m] (n,), and the number of positions that are averaged (n,).
 
-        A window's half size is that of the shape and its path, times the largest singular value of
-        the image's Jacobian at the middle of the path, plus margins.
+        The half size of a window covers the shape and its path. It is multiplied by the largest
+        singular value of the image's Jacobian at the middle of the path, and margins are added.
         """
         middle = 0.5 * (path[0] + path[-1])
         seen = project(self._to_image, middle)
@@ -534,7 +565,7 @@ class Camera:
         square = np.sum(slopes**2, axis=(1, 2))
         longest = np.sqrt(0.5 * (square + np.sqrt(np.maximum(square**2 - 4 * area**2, 0))))
         spread = np.linalg.norm(path - middle, axis=2).max(axis=0)
-        # 10 % margin, because the scale varies across a part.
+        # Add a margin of 10 %, because the scale varies across a part.
         reach = 1.1 * longest * (radius + spread) + MARGIN_PX
         size = np.array([self._rig.camera.width_px, self._rig.camera.height_px])
         low = np.clip(seen - reach[:, None], 0, size).astype(int)
@@ -545,8 +576,8 @@ class Camera:
         return window, scale, _copies(length * scale)
 
     def _move_plate(self, canvas: np.ndarray, poses: np.ndarray, rows: np.ndarray) -> None:
-        """Repaint the pixels in rows [rows[0], rows[1]) that differ between a plate at home and a
-        plate at poses (s, 3)."""
+        """Repaint pixels in the rows from rows[0] to rows[1] (exclusive). These are the pixels that
+        differ between a plate at home and a plate at the poses (s, 3)."""
         corners = np.array([to_home(pose, self._rig.plate.corners) for pose in poses])
         away = np.linalg.norm(corners - self._rig.plate.corners, axis=2).max()
         travel = np.linalg.norm(np.diff(corners, axis=0), axis=2).sum(axis=0).max()
@@ -567,12 +598,12 @@ class Camera:
 
 
 def _copies(length_px: np.ndarray, step_px: float = BLUR_STEP_PX) -> np.ndarray:
-    """Return the number of positions to average along paths of length (n,) [px]."""
+    """Return the number of positions that are averaged along paths of length (n,) [px]."""
     return np.minimum(BLUR_MOST, 1 + length_px / step_px).astype(int)
 
 
 def _checked(name: str, value: np.ndarray, shape: tuple[int, ...]) -> np.ndarray:
-    """Return `value` as an array, checked for its shape and for finite numbers. The first axis
+    """Return `value` as an array, after a check of its shape and for finite numbers. The first axis
     counts the parts."""
     array = np.ascontiguousarray(value, dtype=float)
     if array.shape != shape:
@@ -584,8 +615,8 @@ def _checked(name: str, value: np.ndarray, shape: tuple[int, ...]) -> np.ndarray
 
 
 def _samples(name: str, value: np.ndarray, shape: tuple[int, ...]) -> np.ndarray:
-    """Return `value` as an array (s, *shape), s at least 1, checked for finite numbers. An array of
-    shape `shape` becomes one sample."""
+    """Return `value` as an array (s, *shape), s at least 1, after a check for finite numbers. An
+    array of shape `shape` becomes one sample."""
     array = np.ascontiguousarray(value, dtype=float)
     if array.shape == shape:
         array = array[None]
@@ -626,7 +657,7 @@ def _robot_outlines() -> Outlines:
 
 @lru_cache(maxsize=4)
 def _noise_bank(pixels: int) -> np.ndarray:
-    """Return standard normal numbers (`NOISE_BANK` + pixels,), float32: the bank, repeated
+    """Return standard normal numbers (`NOISE_BANK` + pixels,), float32. They are the bank, repeated
     cyclically. The numbers are the same in every run."""
     bank = np.random.default_rng(0).standard_normal(NOISE_BANK, dtype=np.float32)
     return np.resize(bank, NOISE_BANK + pixels)

@@ -11,7 +11,7 @@ namespace {
 template <class T, nb::ssize_t N>
 using In = Array<const T, N>;
 
-// Whether numbers (n,) never decrease and are all within [low, high].
+// Returns whether numbers (n,) never decrease and are all within [low, high].
 bool ordered(const View<const int64_t, 1>& numbers, int64_t low, int64_t high) {
     for (int i = 0; i < numbers.size(0); i++) {
         if (numbers(i) < low || numbers(i) > high) return false;

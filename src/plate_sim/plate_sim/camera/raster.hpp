@@ -1,8 +1,9 @@
-// Rasterisation of plate and parts into an image, limited to the affected pixels. See raster.py.
+// Rasterisation of plate and parts into an image, limited to the pixels that change. See raster.py.
 //
-// `places` gives the point of the plate's plane that each pixel shows [m, plate_home], `canvas` its
-// grey value, and `light` the fraction of full light. Grey values of parts and plate are those at
-// full light. Pixels at edges are collected, and their coverage is computed in batches.
+// `places` contains for each pixel the point of the plate's plane that it shows [m, plate_home].
+// `canvas` contains its grey value, and `light` the fraction of full light. Grey values of parts
+// and plate are those at full light. Pixels at edges are collected, and their coverage is computed
+// in batches.
 #pragma once
 #include <algorithm>
 #include <cmath>
@@ -60,15 +61,16 @@ struct Pixels {
     int64_t index[ROOM];
     int count = 0;
 
-    // Add a pixel. Return whether the batch has room for another one.
+    // Add a pixel. Return whether the batch can take another one.
     bool add(int64_t pixel, double its_x, double its_y) {
         x[count] = its_x, y[count] = its_y, index[count] = pixel;
         return ++count < ROOM;
     }
 };
 
-// A path has `last` equal pieces and is divided into `copies` equal intervals. `Along` is the
-// middle of interval k: the piece with this point, and the point's position in the piece, 0 to 1.
+// A path has `last` equal pieces and is divided into `copies` equal intervals. `Along` describes
+// the middle of interval k: the index of the piece that contains it, and its position in the piece,
+// 0 to 1.
 struct Along {
     int piece;
     double part;
@@ -81,12 +83,13 @@ struct Along {
     double operator()(double from, double to) const { return from + part * (to - from); }
 };
 
-// Covered fraction of a pixel with its centre at a distance inside an edge [px].
+// Covered fraction of a pixel whose centre is at a given distance inside an edge [px].
 [[gnu::always_inline]] inline double covered(double inside) {
     return std::min(std::max(inside + 0.5, 0.0), 1.0);
 }
 
-// Distances [m] of a point from the nearer edge of the plate along each axis, positive inside.
+// Distances [m] of a point from the nearer edge of the plate along each axis. They are positive
+// inside the plate.
 [[gnu::always_inline]] inline Vec depths(const Pose& pose, const double half[2], double x,
                                         double y) {
     const double dx = x - pose.x, dy = y - pose.y;
@@ -94,7 +97,7 @@ struct Along {
             half[1] - std::abs(pose.cos * dy - pose.sin * dx)};
 }
 
-// Compute the mean coverage of pixels by the plate over its poses.
+// Compute the mean coverage of pixels by the plate, averaged over its poses.
 PLATE_WIDE inline void cover_by_plate(Pixels& pixels, std::span<const Pose> poses,
                                       const double half[2], double scale) {
     double cover[Pixels::ROOM] = {};
@@ -106,7 +109,7 @@ PLATE_WIDE inline void cover_by_plate(Pixels& pixels, std::span<const Pose> pose
     for (int p = 0; p < Pixels::ROOM; p++) pixels.cover[p] = cover[p] / poses.size();
 }
 
-// Repaint background and plate in some pixels, see raster.py.
+// Repaint background and plate in some pixels, as described in raster.py.
 inline void draw_plate(View<float, 1> canvas, View<const float, 1> light,
                        View<const double, 2> places, View<const int64_t, 1> some,
                        View<const double, 2> poses, int copies, double travel, const double half[2],
@@ -149,8 +152,8 @@ inline void draw_plate(View<float, 1> canvas, View<const float, 1> light,
     paint_edge();
 }
 
-// Positions on a path over which a shape is averaged, midpoint of the path's ends, and maximum
-// distance of a position from this midpoint [m].
+// Positions on a path over which a shape is averaged, middle of the path's ends, and maximum
+// distance of a position from this middle [m].
 struct Positions {
     std::vector<Vec> centre;
     Vec middle;
@@ -172,14 +175,16 @@ struct Positions {
     }
 };
 
-// A shape: a disc of a radius [m], or the adjacent convex polygons [begin, hole) of the outlines,
-// minus the holes [hole, end). scale [px/m].
+// A shape is a disc of a radius [m], or a union of adjacent convex polygons with holes. The
+// polygons have the indices [begin, hole) in the outlines, and the holes have the indices [hole,
+// end). scale [px/m].
 struct Shape {
     const Outlines& outlines;
     int begin, hole, end;
     double radius, cos, sin, scale;
 
-    // Radius [m] of a circle around the centre that is inside the shape without its holes.
+    // Radius [m] of a circle around the centre. The circle is inside the shape and outside its
+    // holes.
     double inner_radius() const {
         if (begin == hole) return radius;
         double inner = 0.0;
@@ -213,7 +218,8 @@ struct Shape {
     for (int p = 0; p < ROOM; p++) cover[p] = std::min(cover[p], 1.0);
 }
 
-// Compute the coverage of pixels by a shape, summed over the positions of its centre.
+// Compute the coverage of pixels by a shape. The coverage is summed over the positions of the
+// shape's centre.
 PLATE_WIDE inline void cover_by_part(Pixels& pixels, std::span<const Vec> centres,
                                      const Shape& shape) {
     constexpr int ROOM = Pixels::ROOM;
@@ -236,7 +242,7 @@ PLATE_WIDE inline void cover_by_part(Pixels& pixels, std::span<const Vec> centre
     for (int p = 0; p < ROOM; p++) pixels.cover[p] = sum[p];
 }
 
-// Blend shapes into the canvas (height, width), one after the other, see raster.py.
+// Blend shapes into the canvas (height, width) one after the other, as described in raster.py.
 inline void draw_parts(View<float, 2> canvas, View<const float, 2> light,
                        View<const double, 3> places, const Sprites& sprites,
                        const Outlines& outlines) {

@@ -1,8 +1,9 @@
-"""Rasterisation of plate and parts into an image, limited to the affected pixels.
+"""Rasterisation of plate and parts into an image, limited to the pixels that change.
 
-A table gives for each pixel the point of the plate's plane that it shows; it includes lens and
-perspective. The intensity at an edge is the covered fraction of the pixel, approximated as linear
-in the distance between the pixel's centre and the edge.
+A table contains for each pixel the point of the plate's plane that it shows. The table includes the
+lens distortion and the perspective. The intensity of a pixel at an edge is the covered fraction of
+the pixel. It is approximated as a linear function of the distance between the pixel's centre and
+the edge.
 """
 
 from __future__ import annotations
@@ -23,24 +24,25 @@ SPOT_GRID = 25
 
 
 class Outlines(NamedTuple):
-    """Outlines of M parts. Each consists of adjacent convex polygons, followed by the polygons of
-    its holes.
+    """Outlines of M parts. Each outline consists of adjacent convex polygons, followed by the
+    polygons of its holes.
 
     Attributes
     ----------
     edges : (e, 3)
-        Outward normal of each polygon's edges, and distance of the edge from the part's centre [m].
+        Outward normal of each polygon edge, and distance of this edge from the part's centre [m].
     pieces : (p + 1,)
         Index of the first edge of every polygon, and the total number of edges.
     first, hole : (M,)
-        Index of the first polygon of every part and of its first hole. Equal for a disc.
+        Index of the first polygon of each part, and index of its first hole. Both are equal for a
+        disc.
     end : (M,)
-        Index after the part's last polygon.
+        Index of the last polygon of each part, plus 1.
     reach : (M,)
         Maximum distance of the outline from the part's centre [m].
     spot : (M, 4)
-        Point farthest from the outline [m, part's frame], its distance [m], and the part's area
-        [m2].
+        Point with the maximum distance from the outline [m, part's frame], this distance [m], and
+        the area of the part [m2].
     """
 
     edges: np.ndarray
@@ -62,18 +64,18 @@ class Outlines(NamedTuple):
 
 
 class Sprites(NamedTuple):
-    """Placement and look of n shapes, in the order in which they are drawn.
+    """Placement and appearance of n shapes, in the order in which they are drawn.
 
     Attributes
     ----------
     window : (n, 4)
-        First and end row, first and end column in the image; the ends are exclusive.
+        First and last row, first and last column in the image. The last ones are exclusive.
     scale : (n,)
         Scale of the image at the shape [px/m].
     copies : (n,)
-        Number of positions averaged over the exposure.
+        Number of positions that are averaged over the exposure.
     path : (s, n, 2)
-        Positions [m, plate_home], equally spaced over the exposure.
+        Positions [m, plate_home] at equal intervals over the exposure.
     radius : (n,)
         Radius of the disc, or of a circle around the polygons [m].
     turn : (n, 2)
@@ -100,7 +102,8 @@ class Sprites(NamedTuple):
 
 
 def joined(groups: Sequence[Outlines]) -> Outlines:
-    """Concatenate several groups of outlines. Groups with the same edges share them."""
+    """Concatenate several groups of outlines. Groups that refer to the same edges share one copy of
+    them."""
     first = groups[0]
     if all(other.edges is first.edges for other in groups):
         rows = zip(*(other[2:] for other in groups), strict=True)
@@ -143,7 +146,7 @@ def outlines_of(types: Sequence[PartType]) -> Outlines:
 
 
 def _spot(part: PartType) -> tuple[float, float, float, float]:
-    """Return `Outlines.spot` of a part, to the nearest point of a grid (`SPOT_GRID`)."""
+    """Return `Outlines.spot` of a part, rounded to the nearest point of a grid (`SPOT_GRID`)."""
     axis = part.reach_m * np.linspace(-1, 1, SPOT_GRID)
     place = np.stack(np.meshgrid(axis, axis), axis=-1).reshape(-1, 2)
     shape = shapely.Polygon(part.polygon, part.holes)
@@ -154,7 +157,8 @@ def _spot(part: PartType) -> tuple[float, float, float, float]:
 
 
 def edges_of(corner: np.ndarray) -> np.ndarray:
-    """Return the edges (k, 3) of a convex polygon (k, 2), counter-clockwise, see `Outlines`."""
+    """Return the edges (k, 3) of a convex polygon (k, 2), counter-clockwise, in the form of
+    `Outlines`."""
     side = np.roll(corner, -1, axis=0) - corner
     normal = np.stack([side[:, 1], -side[:, 0]], axis=1) / np.hypot(*side.T)[:, None]
     return np.column_stack([normal, np.sum(normal * corner, axis=1)])
@@ -173,15 +177,15 @@ def draw_plate(canvas, light, places, pixels, poses, copies, travel, half, scale
     Parameters
     ----------
     canvas : (n,)
-        Grey values. Modified.
+        Grey values. They are modified.
     light : (n,)
-        Fraction of full light.
+        Fraction of full light in each pixel.
     places : (n, 2)
         Point of the plate's plane that each pixel shows [m, plate_home].
     pixels : (p,)
         Indices of the pixels to repaint.
     poses : (s, 3)
-        Poses of the plate [m, m, rad], equally spaced over the exposure.
+        Poses of the plate [m, m, rad], at equal intervals over the exposure.
     copies : int
         Number of interpolated poses that are averaged.
     travel : float
@@ -202,13 +206,13 @@ def draw_parts(canvas, light, places, sprites, outlines):
     Parameters
     ----------
     canvas : (height, width)
-        Grey values. Modified.
+        Grey values. They are modified.
     light : (height, width)
-        Fraction of full light.
+        Fraction of full light in each pixel.
     places : (height, width, 2)
         Point of the plate's plane that each pixel shows [m, plate_home].
     sprites : Sprites
-        Placement and look of n shapes.
+        Placement and appearance of the n shapes.
     outlines : Outlines
         Outlines of the n shapes.
     """

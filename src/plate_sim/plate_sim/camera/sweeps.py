@@ -1,10 +1,11 @@
 """Outlines of enlarged parts, and outlines of side faces and shadows as swept areas.
 
-An image point is interpreted in the plate's plane. A camera at height H sees the top face of a part
-of height h enlarged by H/(H - h) about the point below the camera. From bottom to top the sections
-are displaced and scaled linearly. The sections of a convex piece sweep the convex hull of the
-bottom and the top section. Inside a hole the plate is visible where no section hides it. A shadow
-is the area that the outline sweeps along the light, and its end may be larger or smaller.
+All points of an image are expressed in the plane of the plate. A camera at height H sees the top
+face of a part of height h enlarged by the factor H/(H - h) about the point below the camera. From
+the bottom to the top of a part, its sections are displaced and scaled linearly. If the sections
+belong to a convex piece, they sweep the convex hull of the bottom and the top section. Inside a
+hole, the plate is visible at points that no section hides. A shadow is the area that the outline
+sweeps in the direction of the light. The outline at its end may be larger or smaller.
 """
 
 from __future__ import annotations
@@ -21,16 +22,16 @@ from ..friction.outline import convex_pieces
 from .raster import Outlines, edges_of
 
 ROUND = 96
-"""Number of edges of the polygon that replaces a disc in swept areas. It is circumscribed: its
-corners are 0.05 % outside the disc."""
+"""Number of edges of the polygon that replaces a disc in a swept area. The polygon is
+circumscribed: its corners are 0.05 % outside the disc."""
 
 STRAIGHT = 1e-9
 """Minimum length of a displacement that sweeps an area [m]."""
 
 
 class _Contour(NamedTuple):
-    """A convex piece of a part or of a hole, in the part's frame: corners (m, 2) [m], edges (m, 3)
-    as in `Outlines`, and the radius of a disc [m], 0 for a polygon."""
+    """A convex piece of a part or of a hole, in the part's frame. It has corners (m, 2) [m] and
+    edges (m, 3) as in `Outlines`. `radius` is the radius of a disc [m], or 0 for a polygon."""
 
     corners: np.ndarray
     edges: np.ndarray
@@ -79,8 +80,7 @@ def swept(
     Returns
     -------
     Outlines
-        The frame of each outline has the axes of plate_home and its origin in the middle of
-        `shift`.
+        The frame of each outline has the axes of plate_home. Its origin is the middle of `shift`.
     """
     count = len(types)
     edges: list[np.ndarray] = [np.empty((0, 3))]
@@ -119,8 +119,9 @@ def _swept_piece(
     """Return the edges (P, e, 3) of the area that a convex piece of P parts sweeps. If the piece is
     a hole (not `solid`), return the edges of the intersection of all sections.
 
-    Each edge of the piece is placed at the larger (solid) or smaller (hole) of its distances at
-    both ends. The swept hull also has two common tangents of both ends as edges.
+    An edge of the piece has a distance from the centre at both ends of the sweep. The larger
+    distance is used for a solid piece, and the smaller one for a hole. The swept hull of a solid
+    piece also has two edges that are common tangents of both ends.
     """
     normal = piece.edges[:, :2] @ np.swapaxes(rotation, 1, 2)
     near = size[:, None] * piece.edges[:, 2]
@@ -132,7 +133,8 @@ def _swept_piece(
             if piece.radius
             else _tangents(piece.corners, rotation, size, growth, shift)
         )
-        # If one end is inside the other, there is no common tangent. Repeat an edge instead.
+        # If one end is inside the other, there is no common tangent. An edge is then repeated
+        # instead.
         lacking = np.isnan(touch)
         tangent[lacking] = np.broadcast_to(normal[:, :1], tangent.shape)[lacking]
         touch = np.where(lacking, distance[:, :1], touch)
@@ -146,8 +148,9 @@ def _disc_tangents(
     radius: np.ndarray, growth: np.ndarray, shift: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
     """Return normals (P, 2, 2) and distances (P, 2) of the two outer common tangents of two discs.
-    The first has its centre at the origin and `radius`; the second is at `shift` and has `growth`
-    times this radius. NaN if there are no such tangents."""
+    The first disc has its centre at the origin and the radius `radius`. The second disc has its
+    centre at `shift` and the radius `growth` times `radius`. The result is NaN if there are no such
+    tangents."""
     way = np.hypot(*shift.T)
     with np.errstate(all="ignore"):
         cosine = (1 - growth) * radius / way
@@ -165,8 +168,7 @@ def _tangents(
     growth: np.ndarray,
     shift: np.ndarray,
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Return normals and distances as `_disc_tangents` does, for convex polygons with corners (m,
-    2).
+    """Return the same for convex polygons with corners (m, 2).
 
     Each corner moves along a straight line. This line is a common tangent if the whole polygon is
     on one side of it.
@@ -192,7 +194,7 @@ def _tangents(
 
 @lru_cache(maxsize=64)
 def _contours(part: PartType) -> tuple[list[_Contour], list[_Contour]]:
-    """Return the convex pieces of a part, and of its holes."""
+    """Return the convex pieces of a part and of its holes."""
     if part.radius_m:
         angle = 2 * np.pi * np.arange(ROUND) / ROUND
         normal = np.stack([np.cos(angle), np.sin(angle)], axis=1)

@@ -1,6 +1,7 @@
-"""Contacts between parts, and between parts and walls: detection, contact points and impulses.
+"""Contacts between parts, and between parts and walls. The package detects contacts and computes
+contact points and impulses.
 
-Public: `Contacts`, the parameters of a contact."""
+Public name: `Contacts`, the parameters of a contact."""
 
 from .parameters import INELASTIC, Contacts
 

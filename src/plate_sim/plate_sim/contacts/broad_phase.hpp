@@ -1,7 +1,8 @@
-// Broad phase: a list of near pairs of parts that stays valid for many steps.
+// Broad phase of collision detection: a list of pairs of parts that are near each other. The list
+// stays valid for many steps.
 //
 // Parts are sorted by x, and pairs with a gap below a skin are listed. The list is complete until
-// two parts have approached each other by the skin.
+// two parts have approached each other by the width of the skin.
 #pragma once
 #include <algorithm>
 #include <cmath>
@@ -12,21 +13,21 @@
 
 namespace plate::contacts {
 
-// Pairs with a gap below this fraction of the maximum reach are listed. No other pair can touch
-// until two parts have approached by this distance.
+// Width of the skin, as a fraction of the maximum reach. Pairs with a smaller gap are listed. No
+// other pair can touch until two parts have approached each other by this width.
 constexpr double SKIN = 0.25;
 
 struct Pair {
     int i, j;
 };
 
-// Pairs of parts on the plate (`here`, (M,)) with a small gap.
+// Pairs of parts with a small gap. Only parts on the plate (`here`, (M,)) are listed.
 struct NearPairs {
     std::vector<Pair> pairs;
-    double skin = INFINITE;  // maximum approach [m] for which the list is valid
+    double skin = INFINITE;  // approach [m] up to which the list is valid
     double gap = INFINITE;   // minimum gap [m] of any two parts, at most the skin
-    std::vector<double> x, y;  // positions of the parts when the list was made (marks)
-    std::vector<int> order;    // all parts in order of x when the list was made
+    std::vector<double> x, y;  // positions when the list was made (marks)
+    std::vector<int> order;    // parts in order of x when the list was made
 
     // Rebuild the list.
     void find(const State& state, Bodies bodies, View<const bool, 1> here) {
@@ -43,7 +44,7 @@ struct NearPairs {
             const int i = order[a];
             most = std::max(most, bodies[i].reach);
             int b = a;
-            // An insertion sort is fast if the order has changed little.
+            // An insertion sort is fast, because the order changes little.
             for (; b > 0 && x[i] < x[order[b - 1]]; b--)
                 order[b] = order[b - 1];
             order[b] = i;

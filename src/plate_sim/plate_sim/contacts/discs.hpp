@@ -1,14 +1,16 @@
-// Collisions of two discs, and of a disc with a wall: closed form of the method in impulses.hpp.
+// Collisions of two discs, and of a disc with a wall. They are the closed form of the method in
+// impulses.hpp.
 //
-// The normal impulse passes through a disc's centre, so it does not rotate the disc. Friction
-// between the edges does not change the closing speed. So one normal and one tangential impulse
-// suffice:
+// The normal impulse passes through the centre of a disc, so it does not rotate the disc. Friction
+// between the edges does not change the closing speed. Therefore one normal and one tangential
+// impulse are sufficient:
 //
 //     J = (1 + e) c / (1/m1 + 1/m2),
 //     J_t = u / (1/m1 + 1/m2 + r1^2/I1 + r2^2/I2),   limited to mu_c J,
 //
-// with the closing speed c, the tangential speed u at the contact, and its distances r1, r2 from
-// the centres. Both act at the time of the contact, within the step.
+// c is the closing speed, u the tangential speed at the contact, and r1, r2 are the distances of
+// the contact from the centres. Both impulses act at the time of the contact, which is within the
+// step.
 #pragma once
 #include <algorithm>
 #include <cmath>
@@ -17,7 +19,7 @@
 
 namespace plate::contacts {
 
-// Change a part's velocity by `speed` [m/s] along n, as if that happened `ago` [s] earlier.
+// Change a part's velocity by `speed` [m/s] along n, as if this had happened `ago` [s] earlier.
 inline void push(const State& state, int i, double speed, double nx, double ny, double ago) {
     state(VX, i) += speed * nx;
     state(VY, i) += speed * ny;
@@ -25,13 +27,13 @@ inline void push(const State& state, int i, double speed, double nx, double ny, 
     state(Y, i) += ago * speed * ny;
 }
 
-// Change a part's spin by `spin` [rad/s], as if that happened `ago` [s] earlier.
+// Change a part's spin by `spin` [rad/s], as if this had happened `ago` [s] earlier.
 inline void turn(const State& state, int i, double spin, double ago) {
     state(SPIN, i) += spin;
     state(ANGLE, i) += ago * spin;
 }
 
-// Depth [m] of the overlap of two discs; 0 if they do not overlap.
+// Depth [m] of the overlap of two discs. It is 0 if they do not overlap.
 inline double overlap(const State& state, Bodies bodies, int i, int j) {
     const double dx = state(X, i) - state(X, j), dy = state(Y, i) - state(Y, j);
     const double size = bodies[i].radius + bodies[j].radius;
@@ -39,7 +41,7 @@ inline double overlap(const State& state, Bodies bodies, int i, int j) {
     return lack > 0 ? lack / (size + std::sqrt(dx * dx + dy * dy)) : 0.0;
 }
 
-// Collide two discs if they touch, in place. Return the depth [m] of their overlap. step [s].
+// If two discs touch, collide them in place. Return the depth [m] of their overlap. step [s].
 inline double collide_discs(const State& state, Bodies bodies, int i, int j, const Rules& rules,
                             double step) {
     double dx = state(X, i) - state(X, j), dy = state(Y, i) - state(Y, j);
@@ -91,8 +93,8 @@ inline double collide_discs(const State& state, Bodies bodies, int i, int j, con
     return depth;
 }
 
-// Collide a disc with a wall into which it reaches by `depth` [m]. n is the wall's inward normal.
-// The last entry of the state is the plate's pose and twist.
+// Collide a disc with a wall. `depth` [m] is the overlap of the disc and the wall. n is the wall's
+// inward normal. The last entry of the state is the plate's pose and twist.
 inline void collide_with_wall(const State& state, Bodies bodies, int i, double depth, double nx,
                               double ny, const Rules& rules, double step) {
     const int wall = state.walls();

@@ -1,15 +1,16 @@
 // Impulses between rotating rigid parts, and removal of their overlaps.
 //
-// If touching parts approach each other, the minimum normal impulses that stop the approach are
-// computed (one or two points, solved together) and multiplied by 1 + e, where e is the
-// restitution. This never adds energy for any shape: the inelastic result is the nearest one in the
-// energy norm, and the elastic one is its mirror image. Then friction acts at each point: an
-// impulse of up to mu_c times the normal impulse reduces the tangential speed and never reverses
-// it. Impulses act on both parts at one place and one time, so momentum and angular momentum are
-// conserved. This time is the time of the contact, within the step. An overlap that remains in a
-// crowd is removed by a displacement without a change of velocity.
+// If touching parts approach each other, normal impulses at one or two points stop the approach.
+// The minimum impulses are computed (both points together) and multiplied by 1 + e, where e is the
+// restitution. This method never adds energy, whatever the shapes: the inelastic result is the
+// nearest one in the energy norm, and the elastic result is its mirror image. Then friction acts at
+// each point. An impulse of up to mu_c times the normal impulse reduces the tangential speed, but
+// never reverses it. Both parts receive their impulses at the same place and at the same time.
+// Therefore momentum and angular momentum are conserved. This time is the time of the contact,
+// which is within the step. In a crowd an overlap may remain. It is removed by a displacement that
+// does not change the velocities.
 //
-// For two discs see the simpler discs.hpp.
+// discs.hpp contains a simpler method for two discs.
 #pragma once
 #include <algorithm>
 #include <cmath>
@@ -22,24 +23,24 @@
 
 namespace plate::contacts {
 
-// Overlap [m] that is not removed. It ends when the parts separate. Without a displacement, their
-// angular momentum is not disturbed.
+// Overlap [m] that is not removed. It disappears when the parts separate. Because the parts are not
+// displaced, their angular momentum is not disturbed.
 constexpr double KEPT = 5e-6;
 
-// Maximum number of impulse iterations of a collision. If friction acts off the line of centres,
-// more than one iteration can be necessary.
+// Maximum number of impulse iterations of a collision. More than one iteration can be necessary if
+// friction acts at points off the line of centres.
 constexpr int REBOUNDS = 20;
 
-// A closing speed below this fraction of the first one counts as 0.
+// Closing speed that counts as 0, as a fraction of the first closing speed.
 constexpr double ROUNDING = 1e-12;
 
-// If the relative determinant of two points is smaller than this, they count as one point.
+// Relative determinant of two contact points below which they count as one point.
 constexpr double RANK = 1e-9;
 
-// One body per part of a state. The last one is the walls.
+// Bodies of a state, one per part. The last body represents the walls.
 using Bodies = std::span<const Body>;
 
-// Restitution and friction coefficient of contacts; whether parts can collide with each other; and
+// Restitution and friction coefficient of contacts, whether parts can collide with each other, and
 // whether there are walls.
 struct Rules {
     double restitution, friction;
@@ -87,8 +88,8 @@ inline double touched(const State& state, int i, int j, const Manifold& contact,
     return ago;
 }
 
-// Arm to contact point k at the time of the contact. The first part is a disc if `radius` is not 0;
-// the second is a wall or a part.
+// Arm to contact point k at the time of the contact. If `radius` is not 0, the first part is a
+// disc. The second is a wall or a part.
 inline Arm arm_of(const State& state, int i, int j, double radius, bool wall,
                   const Manifold& contact, int k, double ago) {
     Arm arm;
@@ -116,9 +117,9 @@ inline double speed(const State& state, int i, int j, const Arm& arm, Vec n) {
     return n.x * (a.x - b.x) + n.y * (a.y - b.y);
 }
 
-// Change of that speed at `arm` by an impulse of 1 N s along n at `other` [1/kg]:
+// Compliance [1/kg]: change of that speed at `arm` by an impulse of 1 N s along n at `other`. It is
 // 1/m1 + 1/m2 + (a x n)(c x n)/I1 + (b x n)(d x n)/I2, where a, b are the vectors of `arm` and c, d
-// those of `other`.
+// are the vectors of `other`.
 inline double compliance(const Arm& arm, const Arm& other, Vec n, const Inertia& inertia) {
     const double a = arm.first.x * n.y - arm.first.y * n.x;
     const double b = arm.second.x * n.y - arm.second.y * n.x;
@@ -128,7 +129,8 @@ inline double compliance(const Arm& arm, const Arm& other, Vec n, const Inertia&
            inertia.second_turn * b * d;
 }
 
-// Apply an impulse along n to both parts: to their velocities (row VX) or their positions (row X).
+// Apply an impulse along n to both parts. It changes their velocities (row VX) or their positions
+// (row X).
 inline void push(const State& state, int i, int j, const Arm& arm, Vec n, double impulse,
                  const Inertia& inertia, int row) {
     const auto [a, b] = arm;
@@ -166,7 +168,8 @@ struct Least {
     }
 };
 
-// Apply impulses until no point approaches. v0, v1 are the points' speeds [m/s] along n.
+// Apply impulses until no contact point approaches. v0, v1 are the speeds [m/s] of the points along
+// n.
 inline void bounce(const State& state, int i, int j, const Arm arms[2], Vec n,
                    const Inertia& inertia, int count, double v0, double v1, const Rules& rules) {
     const Vec t{-n.y, n.x};
@@ -185,17 +188,17 @@ inline void bounce(const State& state, int i, int j, const Arm arms[2], Vec n,
                 push(state, i, j, arms[k], t, std::min(std::max(drag, -most), most), inertia, VX);
             }
         }
-        // Friction may have restored a closing speed
+        // Friction may have restored a closing speed, so repeat.
         v0 = speed(state, i, j, arms[0], n);
         v1 = count == 2 ? speed(state, i, j, arms[1], n) : 0.0;
     }
 }
 
-// Collide two parts, or a part and a wall, at their contact points, in place.
+// Collide two parts, or a part and a wall, at their contact points. The state is changed in place.
 //
-// i, j: two parts, at least one of them not a disc, or a part that is not a disc and a wall. A disc
-// comes first. A wall comes second; it is the last of all columns and bodies, and its state is the
-// plate's pose and twist. step [s].
+// i, j: two parts, at least one of which is not a disc; or a part that is not a disc, and a wall. A
+// disc is the first of the two. A wall is the second one. It is the last column of the state and
+// the last body. Its state is the pose and twist of the plate. step [s].
 inline void collide(const State& state, Bodies bodies, int i, int j, Manifold contact,
                     const Rules& rules, double step) {
     const Body &a = bodies[i], &b = bodies[j];

@@ -1,7 +1,7 @@
-// Contact points of two rigid parts in the plane: discs and convex polygons.
+// Contact points of two rigid parts in the plane. The parts are discs or convex polygons.
 //
 // Two convex polygons touch at the side with the maximum separation (separating axes: Gottschalk,
-// Lin and Manocha 1996). The nearest side of the other polygon is clipped to it.
+// Lin and Manocha 1996). The nearest side of the other polygon is clipped to this side.
 #pragma once
 #include <algorithm>
 #include <cmath>
@@ -14,11 +14,11 @@ namespace plate::contacts {
 
 constexpr double INFINITE = std::numeric_limits<double>::infinity();
 
-// Minimum excess of separation [m] with which a side of the second part becomes the reference side.
+// Excess of separation [m] that a side of the second part needs to become the reference side.
 constexpr double PREFER = 1e-6;
 
 // Contact of two parts: number of points (0 to 2), unit normal from the second part to the first,
-// points [m] in the middle of the overlap, and depth of the overlap [m] at each.
+// points [m] in the middle of the overlap, and depth of the overlap [m] at each point.
 struct Manifold {
     int count = 0;
     Vec normal{};
@@ -27,14 +27,15 @@ struct Manifold {
 };
 
 // A corner of a part's outline: its position, the outward normal of the side that begins there, and
-// 1 if that side is part of the outline, or 0 if it adjoins another piece of the part.
+// a flag. The flag is 1 if that side belongs to the outline, and 0 if it adjoins another piece of
+// the part.
 struct Corner {
     double x, y, out_x, out_y, open;
 };
 static_assert(sizeof(Corner) == 5 * sizeof(double));
 using Corners = std::span<const Corner>;
 
-// The corner after k.
+// The corner that follows corner k.
 inline int next(int k, Corners corners) {
     return k + 1 < static_cast<int>(corners.size()) ? k + 1 : 0;
 }
@@ -52,7 +53,7 @@ inline Manifold disc_polygon(double cx, double cy, double radius, Corners corner
     if (side < 0) return {};
     double nx = corners[side].out_x, ny = corners[side].out_y;
     if (most > 0) {
-        // The side or one of its ends is nearest
+        // The nearest feature is the side or one of its ends.
         const Corner &a = corners[side], &b = corners[next(side, corners)];
         const double along = (a.x - cx) * ny - (a.y - cy) * nx;
         const double beyond = (cx - b.x) * ny - (cy - b.y) * nx;
@@ -68,8 +69,8 @@ inline Manifold disc_polygon(double cx, double cy, double radius, Corners corner
     return {1, {nx, ny}, {{cx - arm * nx, cy - arm * ny}}, {depth}};
 }
 
-// Maximum separation of two polygons by an open side of the first one, and that side. The gap is 0
-// if any side separates them.
+// Maximum separation of two polygons by an open side of the first polygon, and that side. The gap
+// is 0 if any side separates them.
 struct Separation {
     double gap;
     int side;
@@ -93,7 +94,7 @@ struct Separation {
 inline Manifold clip(Corners flat, int side, Corners other) {
     const double x0 = flat[side].x, y0 = flat[side].y;
     const double nx = flat[side].out_x, ny = flat[side].out_y, tx = -ny, ty = nx;
-    // Side of the other polygon with the most opposite normal
+    // Side of the other polygon with the most opposite normal.
     double facing = INFINITE;
     int k = 0;
     for (int i = 0; i < static_cast<int>(other.size()); i++) {
@@ -102,7 +103,7 @@ inline Manifold clip(Corners flat, int side, Corners other) {
     }
     const Corner &end = flat[next(side, flat)], &a = other[k], &b = other[next(k, other)];
     const double length = tx * (end.x - x0) + ty * (end.y - y0);
-    // Coordinates along and normal to the reference side
+    // Coordinates along the reference side and normal to it.
     const double along[] = {tx * (a.x - x0) + ty * (a.y - y0), tx * (b.x - x0) + ty * (b.y - y0)};
     const double out[] = {nx * (a.x - x0) + ny * (a.y - y0), nx * (b.x - x0) + ny * (b.y - y0)};
     Manifold contact{0, {nx, ny}};
@@ -121,7 +122,7 @@ inline Manifold clip(Corners flat, int side, Corners other) {
         }
     }
     if (contact.count) return contact;
-    // The clipped side gives no point: use the deepest corner
+    // If the clipped side gives no point, use the deepest corner.
     for (const Corner& corner : other) {
         const double d = nx * (corner.x - x0) + ny * (corner.y - y0);
         if (-d > contact.depth[0])
@@ -143,13 +144,13 @@ inline Manifold polygon_polygon(Corners first, Corners second) {
     return contact;
 }
 
-// Manifold of an outline with a wall through a point; n is the wall's inward normal.
+// Manifold of an outline and a wall through a point. n is the wall's inward normal.
 inline Manifold polygon_wall(Corners rim, Vec wall, Vec n) {
     Manifold contact{0, n};
     for (const Corner& corner : rim) {
         const double depth = n.x * (wall.x - corner.x) + n.y * (wall.y - corner.y);
         if (depth <= 0) continue;
-        // Keep the two deepest points
+        // Keep the two deepest points.
         int at = contact.count;
         if (at < 2) {
             contact.count++;

@@ -1,4 +1,5 @@
-"""Parameters of contacts between parts and with walls: restitution, friction, and walls or not."""
+"""Parameters of contacts between parts and with walls: restitution, friction, and whether there are
+walls."""
 
 from __future__ import annotations
 
@@ -16,9 +17,9 @@ class Contacts:
     Attributes
     ----------
     restitution : float
-        Ratio of the normal speed after to that before the collision, 0 to 1.
+        Ratio of the normal speed after the collision to the normal speed before it, 0 to 1.
     friction : float
-        Coulomb friction coefficient between edges, at least 0.
+        Coulomb friction coefficient between the edges of two parts, at least 0.
     walls : bool
         Whether walls around the plate keep parts on it. They have the same restitution and
         friction.

@@ -1,8 +1,8 @@
 // Contacts between parts and with walls in one step.
 //
-// Input are the near pairs of the broad phase. Gauss-Seidel passes collide each touching pair and
-// each part at a wall, until the maximum overlap is small enough. They change velocities and
-// positions in place.
+// The input are the near pairs of the broad phase. Each Gauss-Seidel pass collides each touching
+// pair, and each part at a wall. The passes end when the maximum overlap is small enough. They
+// change velocities and positions in place.
 #pragma once
 #include <algorithm>
 #include <cmath>
@@ -20,7 +20,7 @@ namespace plate::contacts {
 // Maximum number of Gauss-Seidel passes over the near pairs of a step.
 constexpr int SWEEPS = 24;
 
-// The passes end if the maximum overlap is at most this [m]: a hundredth of a pixel.
+// Maximum overlap at which the passes end [m]: a hundredth of a pixel.
 constexpr double OVERLAP = 1e-5;
 
 // Pairs with a gap below this fraction of their size take part in the passes of a step, because
@@ -30,12 +30,13 @@ constexpr double MARGIN = 0.03;
 // Estimated maximum approach of two parts in a pass, relative to the deepest overlap.
 constexpr double PUSHES = 4.0;
 
-// First corner, and last + 1, of a convex piece.
+// First corner, and last corner + 1, of a convex piece.
 struct Convex {
     std::int64_t first, end;
 };
 
-// Outlines of all parts except discs, in the parts' axes, and a buffer for them in plate_home.
+// Outlines of all parts except discs, in the axes of the parts. A buffer contains them in
+// plate_home.
 struct Outlines {
     std::span<const Convex> pieces;
     Corners corners;
@@ -61,7 +62,7 @@ struct Outlines {
     }
 };
 
-// Contact of two parts (a disc before a polygon): maximum depth [m], and its manifold.
+// Contact of two parts: maximum depth [m], and its manifold. A disc is before a polygon.
 struct Touch {
     int i, j;
     double depth = 0.0;
@@ -89,8 +90,8 @@ inline Touch touch(const State& state, Bodies bodies, int i, int j, Outlines& ou
     return most;
 }
 
-// Pair with the maximum overlap relative to the slimmer part's `slim`: indices, depth [m], and
-// relative depth; -1, -1, 0, 0 if no parts overlap.
+// Pair with the maximum overlap relative to `slim` of the slimmer part: indices, depth [m], and
+// relative depth. The values are -1, -1, 0, 0 if no parts overlap.
 struct Overlap {
     int first = -1, second = -1;
     double depth = 0.0, share = 0.0;
@@ -113,20 +114,21 @@ inline Overlap deepest_overlap(const State& state, Bodies bodies, Outlines& outl
     return worst;
 }
 
-// Resolves all contacts of parts. All steps have equal length.
+// Resolves all contacts of the parts. All steps have equal length.
 struct Contacts {
     State state;
     Bodies bodies;
-    View<const bool, 1> here;  // (M,): which parts are on the plate
+    View<const bool, 1> here;  // (M,): whether each part is on the plate
     Outlines outlines;
     Rules rules;
     double step;                // duration of a step [s]
-    const double* half;         // the plate's half sides (2,) [m]
+    const double* half;         // half sides of the plate (2,) [m]
     std::vector<Pair> close{};  // work buffer
     std::vector<int> edge{};
 
-    // Remove closing speeds and overlaps of near pairs and at the plate's walls after a step, in
-    // place. The last entries of the state and of the bodies are the walls.
+    // Remove closing speeds and overlaps after a step: those of near pairs, and those at the walls
+    // of the plate. The state is changed in place. The last entries of the state and of the bodies
+    // are the walls.
     void resolve(std::span<const Pair> pairs, const PlateSample& plate) {
         const int wall = state.walls();
         const double twist[] = {plate.x, plate.y, plate.theta, plate.vx, plate.vy, plate.spin};
@@ -144,7 +146,7 @@ struct Contacts {
             }
             double deepest = 0.0;
             for (int row = 0; row < count; row++) {
-                // Alternate the order, so that pushes propagate in both directions.
+                // Alternate the order of the pairs, so that pushes propagate in both directions.
                 const auto [i, j] = close[sweep % 2 == 0 ? row : count - 1 - row];
                 const bool discs = bodies[i].radius > 0 && bodies[j].radius > 0;
                 deepest = std::max(deepest, discs ? collide_discs(state, bodies, i, j, rules, step)
@@ -158,8 +160,8 @@ struct Contacts {
     }
 
   private:
-    // Fill `close` with the pairs with a gap within MARGIN and return their number. Lower `margin`
-    // to the minimum approach [m] after which another pair could touch.
+    // Fill `close` with the pairs whose gap is at most MARGIN, and return their number. Reduce
+    // `margin` to the minimum approach [m] after which another pair could touch.
     int close_pairs(std::span<const Pair> pairs, double& margin) {
         int count = 0;
         for (const auto [i, j] : pairs) {
@@ -167,13 +169,13 @@ struct Contacts {
             const double reach = bodies[i].reach + bodies[j].reach, size = (1 + MARGIN) * reach;
             margin = std::min(margin, MARGIN * reach);
             close[count] = {i, j};
-            // No branch here, because the processor would mispredict it.
+            // Avoid a branch here, because the processor would mispredict it.
             count += dx * dx + dy * dy < size * size;
         }
         return count;
     }
 
-    // The same for `edge` and the parts within MARGIN of a wall.
+    // The same for `edge` and the parts whose distance from a wall is at most MARGIN.
     int near_walls(double c, double s, double& margin) {
         const int wall = state.walls();
         int count = 0;
@@ -189,7 +191,7 @@ struct Contacts {
         return count;
     }
 
-    // Collide two parts if they touch; at least one is not a disc. Return the depth [m] of their
+    // Collide two parts if they touch. At least one is not a disc. Return the depth [m] of their
     // overlap.
     double collide_parts(int i, int j) {
         const double dx = state(X, i) - state(X, j), dy = state(Y, i) - state(Y, j);

@@ -1,4 +1,4 @@
-"""Simulated motor controller with the protocol of docs/protocol.md. It runs the real firmware and
+"""Simulated motor controller with the protocol of docs/protocol.md. It runs the real firmware, and
 simulates the serial line and the plate.
 
 `Emulator` simulates controller, line and plate with the faults of a `FaultSchedule`. `Device` is

@@ -1,8 +1,8 @@
-"""Simulation of four CiA 402 drives or ODrives on a CAN bus, limited to the functions that the
-firmware uses, and a check of the firmware's setpoints.
+"""Simulation of four CiA 402 drives or ODrives on a CAN bus. It is limited to the functions that
+the firmware uses. The setpoints of the firmware are also checked.
 
-A frame is an identifier and its data. The tests `test/test_cia402.py` and `test/test_odrive.py`
-have separate simulated drives.
+A frame is an identifier and its data. The tests `test/test_cia402.py` and `test/test_odrive.py` use
+simulated drives of their own.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ SYNC, TPDO, RPDO, ANSWER, REQUEST, HEARTBEAT = 0x80, 0x180, 0x200, 0x580, 0x600,
 
 MODE = 0x6060
 OFF, READY, SWITCHED_ON, ENABLED = 0x250, 0x231, 0x233, 0x237
-"""CiA 402 statuswords of the power states."""
+"""CiA 402 statusword of each power state."""
 
 NEXT = {
     (OFF, 6): READY, (READY, 7): SWITCHED_ON, (SWITCHED_ON, 15): ENABLED, (SWITCHED_ON, 6): READY,
@@ -32,7 +32,7 @@ NEXT = {
 """Next power state, by current state and controlword."""
 
 REMOTE = 0x800
-"""Flag in an identifier of a remote frame, which requests data."""
+"""Flag in the identifier of a remote frame. A remote frame requests data."""
 
 GET_VERSION, ODRIVE_HEARTBEAT, ESTOP, GET_ERROR = 0x00, 0x01, 0x02, 0x03
 SET_STATE, GET_ESTIMATES, SET_POSITION, CLEAR_ERRORS = 0x07, 0x09, 0x0C, 0x18
@@ -40,15 +40,18 @@ IDLE, CLOSED_LOOP = 1, 8
 WATCHDOG_TIMER_EXPIRED, ESTOP_REQUESTED = 1 << 24, 1 << 25
 """Messages, states and errors of an ODrive."""
 
-WATCHDOG_MS, BEAT_MS = 100, 20
-"""Values of watchdog_timeout and heartbeat_msg_rate_ms of an ODrive."""
+WATCHDOG_MS = 100
+"""Value of the parameter watchdog_timeout of an ODrive [ms]."""
+
+BEAT_MS = 20
+"""Value of the parameter heartbeat_msg_rate_ms of an ODrive [ms]."""
 
 BANDWIDTH = 2 * np.pi * 150
 """Bandwidth of a drive's critically damped position loop with speed feedforward [rad/s]."""
 
 TICK_S = 1e-3
 CYCLE_S = 2e-3
-"""Time between two SYNCs [s]. A drive interpolates its setpoints over it."""
+"""Time between two SYNCs [s]. A drive interpolates between two setpoints over this time."""
 
 NO_OBJECT = 0x06020000
 
@@ -61,7 +64,7 @@ class _Node:
     zero: int  # position at home [counts]
     operational: bool = False
     status: int = OFF
-    order: int = 0  # `order` and `goal` are those of the last RPDO, applied at SYNC
+    order: int = 0  # `order` and `goal` from the last RPDO, applied at SYNC
     goal: int = 0
     target: int = 0
     objects: dict[tuple[int, int], int] = field(default_factory=dict)
@@ -87,7 +90,8 @@ class _Node:
         return [(ANSWER + self.drive.node, struct.pack("<BHBI", command, index, sub, value))]
 
     def synchronised(self, counts: int) -> list[Frame]:
-        """Return a TPDO with status and position, and apply the last RPDO. Called at SYNC."""
+        """Apply the last RPDO, and return a TPDO with status and position. This is called at each
+        SYNC."""
         if not self.operational:
             return []
         told = struct.pack("<Hi", self.status, counts)
@@ -101,7 +105,7 @@ class _Node:
 class SimulatedDrives:
     """Four CiA 402 drives with their motors. One tick is 1 ms.
 
-    Without current the flexures return the motors home.
+    Without current, the flexures return the motors to home.
 
     Parameters
     ----------
@@ -116,7 +120,7 @@ class SimulatedDrives:
         self.zeros = np.array(zeros)
         """Positions of the drives at home [counts]."""
         self._state = np.zeros((3, len(drives)))
-        # Last and present setpoints of this bus cycle [m].
+        # Previous and present setpoint of this bus cycle [m].
         self._from = self._to = np.zeros(len(drives))
         self._into = 0.0
         self._now_ms = 0
@@ -131,11 +135,11 @@ class SimulatedDrives:
 
     @property
     def enabled(self) -> np.ndarray:
-        """Which motors have current (4,)."""
+        """Whether each motor has current (4,)."""
         return np.array([node.status == ENABLED for node in self._nodes])
 
     def heard(self, frames: Sequence[Frame]) -> list[Frame]:
-        """Process the master's frames, and return the drives' replies."""
+        """Process the frames of the master, and return the replies of the drives."""
         answers: list[Frame] = []
         for identifier, data in frames:
             if identifier == SYNC:
@@ -166,7 +170,7 @@ class SimulatedDrives:
         return answers
 
     def passed(self) -> list[Frame]:
-        """Simulate one tick, and return the heartbeats."""
+        """Simulate one tick, and return the heartbeat messages."""
         self._now_ms += 1
         driven = self._driven()
         if not self.enabled.all():
@@ -191,10 +195,11 @@ class SimulatedDrives:
         return beats
 
     def _followed(self, wanted: np.ndarray, slope: np.ndarray, rate: float) -> np.ndarray:
-        """Return the state one tick later, for critically damped tracking of a linear setpoint.
+        """Return the state one tick later. The motor tracks a linear setpoint with critical
+        damping.
 
-        With e = x - setpoint, e'' + 2 rate e' + rate^2 e = 0. The setpoint moves with the speed
-        `slope` and is `wanted` at the end of the tick.
+        The position x obeys e'' + 2 rate e' + rate^2 e = 0 with e = x - setpoint. The setpoint
+        moves with the speed `slope`, and is `wanted` at the end of the tick.
         """
         behind = self._state[0] - (wanted - slope * TICK_S)
         push = self._state[1] - slope + rate * behind
@@ -246,11 +251,11 @@ class SimulatedODrives(SimulatedDrives):
 
     @property
     def enabled(self) -> np.ndarray:
-        """Which motors have current (4,)."""
+        """Whether each motor has current (4,)."""
         return np.array([node.state == CLOSED_LOOP for node in self._odrives.values()])
 
     def heard(self, frames: Sequence[Frame]) -> list[Frame]:
-        """Process the master's frames, and return the drives' replies."""
+        """Process the frames of the master, and return the replies of the drives."""
         answers: list[Frame] = []
         turns = dict(zip(self._odrives, np.array(self._counts()) / ODRIVE_COUNTS, strict=True))
         for identifier, data in frames:
@@ -261,7 +266,7 @@ class SimulatedODrives(SimulatedDrives):
         return answers
 
     def _driven(self) -> np.ndarray:
-        # x'' = w^2 (goal - x) + 2 w (speed - x'); the setpoint is constant until the next one
+        # x'' = w^2 (goal - x) + 2 w (speed - x'). The setpoint is constant until the next one
         # arrives.
         told = np.array([(node.goal, node.speed) for node in self._odrives.values()]).T
         goals, speeds = ODRIVE_COUNTS * told
@@ -280,8 +285,8 @@ class SimulatedODrives(SimulatedDrives):
 
 
 class BusJudge:
-    """Check of the setpoints that the firmware sends to the drives against the rig's limits. Speed
-    and acceleration are differences of consecutive setpoints.
+    """Check of the setpoints that the firmware sends to the drives, against the limits of the rig.
+    Speed and acceleration are differences of consecutive setpoints.
 
     Parameters
     ----------
@@ -302,12 +307,12 @@ class BusJudge:
         self._scale = np.array([drive.counts_per_m * drive.sign for drive in drives])
         self._zeros, self._targets = zeros, np.zeros(len(drives), int)
         self._most = np.array([limits.stroke_m, limits.speed, limits.accel])
-        self._led: list[np.ndarray] = []  # last three targets while the motors had current [m]
+        self._led: list[np.ndarray] = []  # last three setpoints while the motors had current [m]
         self.shares = np.zeros(3)
-        """Maximum requested fractions of the limits of stroke, speed and acceleration."""
+        """Maximum requested stroke, speed and acceleration, as fractions of the limits."""
 
     def heard(self, frames: Sequence[Frame], led: bool) -> None:
-        """Process the firmware's frames of a tick. `led` tells whether all motors have current."""
+        """Process the firmware's frames of a tick. `led` states whether all motors have current."""
         for identifier, data in frames:
             if identifier in self._places:
                 if self._odrives:

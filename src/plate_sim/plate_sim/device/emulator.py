@@ -1,5 +1,6 @@
-"""Emulator of device, serial line and plate with their faults, in steps of 1 ms. Inputs are bytes
-from the host; outputs are bytes to the host and the motion of the motors. It uses no clock."""
+"""Emulator of device, serial line and plate with their faults, in steps of 1 ms. The input are
+bytes from the host. The output are bytes to the host, and the motion of the motors. The emulator
+does not use a clock."""
 
 from __future__ import annotations
 
@@ -21,14 +22,14 @@ SEARCH_S = 0.3
 """Default duration of the search for home [s]."""
 
 BOOT_S = 0.2
-"""Time from a reset until the device answers [s]."""
+"""Time from a reset until the device responds [s]."""
 
 BROWN_OUT_S = 0.3
-"""Duration of a brown-out [s]. The motors lose their current; the logic continues to run."""
+"""Duration of a brown-out [s]. The motors lose their current, but the logic continues to run."""
 
 
 class Emulator:
-    """Motor controller (the firmware on a simulated board) with plate and serial line.
+    """Motor controller with plate and serial line. It is the firmware on a simulated board.
 
     Parameters
     ----------
@@ -37,7 +38,8 @@ class Emulator:
         Random seed of the line's faults.
     schedule : FaultSchedule
     commanded : callable, optional
-        Called with time [s] and setpoint (3, 4), or None, of every tick.
+        Function that is called for each tick with the time [s] and the setpoint (3, 4). The
+        setpoint is None without current.
     plate : SuspendedPlate, optional
         Plate on flexures. Default: a plate that follows its commands exactly.
     homing_s : float
@@ -69,16 +71,16 @@ class Emulator:
         self._search_us = round(homing_s * 1e6)
         self._jammed = False
         self.triggered = False
-        """Whether the camera trigger had a rising edge in the last tick."""
+        """Whether the camera's trigger line rose in the last tick."""
 
     @property
     def now(self) -> float:
-        """The device's clock [s]."""
+        """Time of the device's clock [s]."""
         return self.device.now_us * 1e-6
 
     @property
     def now_us(self) -> int:
-        """The device's clock [us]."""
+        """Time of the device's clock [us]."""
         return self.device.now_us
 
     @property
@@ -92,7 +94,7 @@ class Emulator:
         return State(self.device.state)
 
     def values(self) -> Mapping[str, object]:
-        """Return the values for diagnostics, by name."""
+        """Return values for the diagnostics, by name."""
         return {
             "state": self.state.name.lower(),
             "damaged frames": self.device.refused,
@@ -101,8 +103,8 @@ class Emulator:
 
     @property
     def plate(self) -> np.ndarray:
-        """Commanded position, speed and acceleration of the motors (3, 4). Without current it is
-        the return home by the flexures."""
+        """Commanded position, speed and acceleration of the motors (3, 4). Without current, it is
+        the motion home by the flexures."""
         return self._recorder.plate
 
     def configure(self, schedule: FaultSchedule) -> None:
@@ -111,7 +113,7 @@ class Emulator:
         self.to_device.faults = self.to_host.faults = schedule.line
 
     def disconnect(self) -> None:
-        """Disconnect the host for the schedule's `disconnect_s`."""
+        """Disconnect the host for the time `disconnect_s` of the schedule."""
         self._disconnected_until = self.now + self.schedule.disconnect_s
         self.connected = False
         self._cut()
@@ -127,11 +129,12 @@ class Emulator:
         self._brown_out_until = self.now + BROWN_OUT_S
 
     def jam(self, jammed: bool = True) -> None:
-        """Freeze the measured motion of the plate independent of commands, or release it."""
+        """Freeze the measured motion of the plate, so that it does not depend on commands, or
+        release it."""
         self._jammed = jammed
 
     def tick(self) -> list[Segment]:
-        """Simulate one tick, and return the completed segments of the motors' motion."""
+        """Simulate one tick, and return the segments of the motors' motion that it completed."""
         self._trigger_faults()
         device, was_high = self.device, self.device.triggered
         now_us = device.now_us + TICK_US

@@ -16,13 +16,13 @@ class LineFaults:
     Attributes
     ----------
     dropped, corrupted, repeated : float
-        Fraction of bytes that are lost, changed, or repeated.
+        Fraction of bytes that are lost, that are changed, and that are repeated.
     split : float
         Fraction of transmissions whose second part is delayed by up to 4 ms.
     delay : float
         Delay of all bytes [s].
     baud : float
-        Speed of the line [bit/s]. 0 means no transmission time.
+        Speed of the line [bit/s]. 0 means that a transmission takes no time.
     """
 
     dropped: float = 0.0

@@ -20,26 +20,26 @@ from .serial_line import Line
 
 
 class FirmwareOnDesk:
-    """Firmware with drives on a CAN bus, in steps of one tick. It replaces `Emulator` for rigs with
-    drives.
+    """The firmware with drives on a CAN bus, in steps of one tick. It replaces `Emulator` if the
+    rig has drives.
 
-    The motors follow the simulated drives, not exactly the setpoints.
+    The motors follow the simulated drives, which differ slightly from the setpoints.
 
     Parameters
     ----------
     program : path
-        firmware/host, built with can.c, the drives and the rig's limits.
+        The program firmware/host, built with can.c, the drives and the limits of the rig.
     rig : Rig
         Rig with drives.
     seed : int
         Random seed of the line's faults.
     schedule : FaultSchedule
-        Schedule of which only the line's faults are used.
+        Schedule of faults. Only the faults of the line are used.
 
     Raises
     ------
     PlateError
-        If the rig's motors have no drives, or the program does not start.
+        If the motors of the rig have no drives, or if the program does not start.
     """
 
     connected = True
@@ -67,32 +67,32 @@ class FirmwareOnDesk:
         self.now_us = 0
         self.state, self.faults, self._refused = State.OFF, Fault.NONE, 0
         self.triggered = False
-        """Whether the camera trigger had a rising edge in the last tick."""
+        """Whether the camera's trigger line rose in the last tick."""
         self._recorder = Recorder()
         self._coming: list[Frame] = []
 
     @property
     def now(self) -> float:
-        """The device's clock [s]."""
+        """Time of the device's clock [s]."""
         return self.now_us * 1e-6
 
     def configure(self, schedule: FaultSchedule) -> None:
-        """Set the line's faults from now on."""
+        """Set the faults of the line from now on."""
         self.to_device.faults = self.to_host.faults = schedule.line
 
     def reset(self) -> None:
-        """Restart the firmware. The drives keep running and detect it."""
+        """Restart the firmware. The drives keep running, and detect the restart."""
         self._say("reset")
         self.to_device.cut()
         self.to_host.cut()
 
     def close(self) -> None:
-        """End the process."""
+        """End the process of the firmware."""
         self._process.kill()
         self._process.communicate()
 
     def values(self) -> Mapping[str, object]:
-        """Return the values for diagnostics, by name."""
+        """Return values for the diagnostics, by name."""
         stroke, speed, accel = self.judge.shares
         return {
             "state": self.state.name.lower(),
@@ -103,7 +103,7 @@ class FirmwareOnDesk:
         }
 
     def tick(self) -> list[Segment]:
-        """Simulate one tick, and return the completed segments of the motors' motion."""
+        """Simulate one tick, and return the segments of the motors' motion that it completed."""
         self.now_us += TICK_US
         if came := self.to_device.arrived(self.now):
             self._say(f"rx {came.hex()}")
@@ -120,7 +120,7 @@ class FirmwareOnDesk:
         self._process.stdin.write(order + "\n")
 
     def _heard(self) -> list[Frame]:
-        """Process the firmware's output of a tick, and return its CAN frames."""
+        """Process the output of the firmware in a tick, and return its CAN frames."""
         assert self._process.stdin is not None
         assert self._process.stdout is not None
         frames: list[Frame] = []

@@ -1,8 +1,8 @@
-// Python binding of the firmware. The same C files as for a board are compiled, with a hardware
-// layer (hal_*) whose inputs and outputs are in memory.
+// Python binding of the firmware. The C files are the same as for a board. The hardware layer
+// (hal_*) has its inputs and outputs in memory.
 #include <plate/bind.hpp>
 
-// Included here first, because the firmware's files include these headers inside a namespace.
+// These headers are included first, because the firmware's files include them inside a namespace.
 #include <math.h>
 #include <stdbool.h>
 #include <stddef.h>
@@ -29,7 +29,7 @@ namespace firmware {
 namespace {
 
 class Device;
-Device* running;  // device that the hal functions access, while the GIL is held
+Device* running;  // device of the hal functions, while the GIL is held
 
 class Device {
 public:
@@ -98,7 +98,7 @@ public:
                               to_numpy<3, float>(std::move(states), {table.count, 3, MOTORS}), table.splice);
     }
 
-    // State of the simulated board
+    // State of the simulated board.
     uint64_t now_us;
     const float* measured = nullptr;
     uint8_t faults = 0;

@@ -1,4 +1,5 @@
-"""Limits of the device's motors, computed from a rig, and the C header with them for the firmware.
+"""Limits of the device's motors, computed from a rig, and the C header that contains them for the
+firmware.
 
 `DeviceLimits` contains stroke, speed, acceleration and force limits, and the matrix from the
 motors' accelerations to their forces. The emulator and a real board use the same values.
@@ -19,20 +20,20 @@ from plate_core.rig import Drive, motor_levers, plate_mass
 
 @dataclass(frozen=True)
 class DeviceLimits:
-    """Limits of each motor. The protocol and the firmware use single precision.
+    """Limits of the motors. They have single precision, as in the protocol and the firmware.
 
     Attributes
     ----------
     stroke_m, speed, accel : float
-        [m], [m/s], [m/s2].
+        Limits of stroke [m], speed [m/s] and acceleration [m/s2].
     force, continuous_force : float
-        Peak force, and continuous root-mean-square force [N].
+        Peak force, and continuous (root mean square) force [N].
     heat_s : float
         Thermal time constant of the winding [s].
     load : (4, 4)
         Matrix from the motors' accelerations to their forces [kg].
     following_m : float
-        Following error above which a fault occurs [m]. 0 disables the check.
+        Following error above which a fault is raised [m]. 0 disables the check.
     """
 
     stroke_m: float
@@ -46,14 +47,17 @@ class DeviceLimits:
 
     @classmethod
     def of_rig(cls, rig: Rig) -> DeviceLimits:
-        """Return the limits for a rig's plate, without the forces of its flexures.
+        """Return the limits for the plate of a rig. The forces of its flexures are not included.
 
-        The forces f of minimum norm with B f = M c'' are f = B^+ M c''. At home the motors'
-        accelerations q'' give c'' = (B^T)^+ q'', so the load matrix is B^+ M (B^T)^+. M uses the
-        suspension's inertia and centre of mass. Without a suspension the plate is uniform.
+        Let M be the inertia matrix, c'' the acceleration of the plate, and B the map from motor
+        forces to the plate. The forces f of minimum norm with B f = M c'' are f = B^+ M c''. At
+        home, the accelerations q'' of the motors give c'' = (B^T)^+ q''. Therefore the load matrix
+        is B^+ M (B^T)^+. M contains the inertia and the centre of mass of the suspension. If there
+        is no suspension, the plate is uniform.
         """
         inverse = np.linalg.pinv(motor_levers(rig).T)
-        # Rounded, so that rounding errors of the inverse do not affect a limit check.
+        # Values are rounded, so that rounding errors of the inverse do not affect a check of
+        # limits.
         load = np.round(inverse @ plate_mass(rig) @ inverse.T, 9)
         limits = rig.limits
         return cls(
@@ -63,9 +67,10 @@ class DeviceLimits:
 
     @cached_property
     def fit(self) -> np.ndarray:
-        """Coefficients (4,), at most 1, of the sum of travels that is 0 for a rigid plate; float32.
+        """Coefficients (4,) of the sum of travels that is 0 for a rigid plate; float32, each at
+        most 1.
 
-        It is the null vector of `load`, because four travels depend on three coordinates.
+        They are the null vector of `load`, because four travels depend on only three coordinates.
         """
         fit = np.linalg.eigh(self.load)[1][:, 0]
         return (fit / np.max(np.abs(fit))).astype(np.float32)
@@ -85,8 +90,8 @@ def rig_header(path: str) -> str:
 
 
 def c_header(limits: DeviceLimits, name: str, drives: Sequence[Drive] = ()) -> str:
-    """Return the C header for the firmware. It defines `LIMITS` in single precision and, if the
-    motors have drives, `DRIVES`.
+    """Return the C header for the firmware. It defines `LIMITS` in single precision. If the motors
+    have drives, it also defines `DRIVES`.
 
     Parameters
     ----------
@@ -94,7 +99,7 @@ def c_header(limits: DeviceLimits, name: str, drives: Sequence[Drive] = ()) -> s
     name : str
         Name of the rig file, for a comment in the header.
     drives : sequence of Drive
-        Drives of all motors, or empty.
+        Drives of all motors. Empty if the motors have no drives.
     """
     values = [(field.name, getattr(limits, field.name)) for field in fields(limits)]
     lines = [f"    .{key} = {_literal(np.asarray(value, np.float32))}," for key, value in values]
@@ -124,7 +129,8 @@ def _drive(drive: Drive, fit: float) -> str:
 
 
 def _literal(value: np.ndarray) -> str:
-    """Return C code for an array or a number, with the shortest decimals of the same float."""
+    """Return C code for an array or a number. It contains the shortest decimals that give the same
+    float."""
     if value.ndim == 0:
         return f"{value[()]!s}f"
     inner = [_literal(part) for part in value]

@@ -1,4 +1,4 @@
-"""Command that prints the C header with a rig's limits for the firmware.
+"""Command that prints the C header with the limits of a rig for the firmware.
 
 python -m plate_sim.device.limits_header RIG.yaml > limits_rig.h
 """

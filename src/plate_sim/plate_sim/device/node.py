@@ -1,5 +1,5 @@
 """ROS node that emulates the motor controller on a pseudo-terminal in real time. The driver can use
-this serial port like that of a real board."""
+this serial port in the same way as the port of a real board."""
 
 from __future__ import annotations
 
@@ -35,8 +35,9 @@ SERVE_PERIOD_S = 0.002
 """Time between two reads of the port [s]: two ticks of the device."""
 
 MAX_BEHIND_US = 100_000
-"""Maximum delay that the device catches up [us] on a busy computer. For the rest of a longer delay
-its clock stops. Otherwise the device would report a timeout of a host that was not silent."""
+"""Maximum delay [us] that the simulated device makes up for on a busy computer. If the delay is
+longer, the device's clock stops for the rest of it. Otherwise the device would report a timeout,
+although the host has sent messages."""
 
 
 def _fraction(description: str) -> Any:
@@ -69,7 +70,7 @@ class Options(NodeOptions):
 
     @property
     def schedule(self) -> FaultSchedule:
-        """Return the schedule of faults."""
+        """Return the schedule of faults that the parameters set."""
         line = LineFaults(**{f.name: getattr(self, f.name) for f in fields(LineFaults)})
         own = [f.name for f in fields(FaultSchedule) if f.name != "line"]
         return FaultSchedule(line, **{name: getattr(self, name) for name in own})
@@ -78,13 +79,14 @@ class Options(NodeOptions):
 class DeviceNode(SafeLifecycleNode[Options]):
     """Lifecycle node `device`. It emulates a motor controller on a pseudo-terminal in real time.
 
-    Publishes motor_motion, camera_trigger and diagnostics. It uses the serial protocol on the port
-    `link`.
+    The node publishes motor_motion, camera_trigger and diagnostics. It uses the serial protocol on
+    the port `link`.
 
-    motor_motion contains the executed motion of the motors, in segments stamped with their starts.
-    The simulated plate follows it. camera_trigger is stamped with the time of each trigger pulse. A
-    segment ends at the pulse and is published before it. The port exists when the node is
-    configured. While the node is not active, the device has no power. It restarts on activation.
+    motor_motion contains the executed motion of the motors in segments. Each segment is stamped
+    with its start. The simulated plate follows this motion. camera_trigger is stamped with the time
+    of each trigger pulse. A segment ends at the pulse, and is published before camera_trigger. The
+    port exists when the node is configured. While the node is not active, the device has no power.
+    It restarts on activation.
     """
 
     def __init__(self) -> None:
@@ -92,7 +94,7 @@ class DeviceNode(SafeLifecycleNode[Options]):
         self.report(self._find, self._values, "device", self._begin_report)
 
     def configure(self) -> None:
-        """Read the rig, and create the port."""
+        """Read the rig, and create the serial port."""
         options = self.options
         self._rig = load_rig(options.rig_file)
         self._emulator = self._made()
@@ -143,8 +145,8 @@ class DeviceNode(SafeLifecycleNode[Options]):
         if emulator.connected != self._terminal.plugged:
             (self._terminal.plug if emulator.connected else self._terminal.unplug)()
         ticks = due // TICK_US
-        # Stamp the bytes with the present time. The device's time lags behind, and the bytes were
-        # sent later than that.
+        # The stamp is the present time. The device's simulated time lags behind it, but the bytes
+        # were sent later than the simulated time.
         emulator.to_device.sent(came, emulator.now + ticks * TICK_US * 1e-6)
         for _ in range(ticks):
             for segment in emulator.tick():

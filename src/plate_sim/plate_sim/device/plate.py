@@ -1,5 +1,5 @@
-"""Plate of the simulated device. `Recorder` records the motors' motion in segments, one per image;
-`SuspendedPlate` simulates the plate on its flexures, one tick per step."""
+"""Plate of the simulated device. `Recorder` records the motion of the motors in segments, one per
+image. `SuspendedPlate` simulates the plate on its flexures in steps of one tick."""
 
 from __future__ import annotations
 
@@ -16,19 +16,22 @@ from .._kernels import Device
 from ..plate import PlateMotion, PlateState, realise
 
 SEGMENT_S = 0.1
-"""Length of a segment while no table plays [s]. One image is taken per segment."""
+"""Length of a segment while no table is played [s]. One image is taken per segment."""
 
 COAST_RATE = 60.0
-"""Rate of the critically damped return home of a plate without current [1/s]."""
+"""Rate of the return to home of a plate without current [1/s]. The motion is critically damped."""
 
 EVERY = 4
-"""Number of ticks between knots of a segment that is not a whole table."""
+"""Number of ticks between two knots of a segment that is not a whole table."""
 
-STATE, INPUT = 10, 9
-"""Size of the state (pose, twist, motor forces) and of a setpoint (pose, twist, acceleration)."""
+STATE = 10
+"""Size of the state: pose, twist, motor forces."""
+
+INPUT = 9
+"""Size of a setpoint: pose, twist, acceleration."""
 
 SCALE = 1e-6
-"""Scale of the unit motions [m, m/s, ...], far within the limits of any plate."""
+"""Scale of the unit motions [m, m/s, ...]. It is far within the limits of any plate."""
 
 
 @dataclass(frozen=True)
@@ -38,13 +41,13 @@ class Segment:
     Attributes
     ----------
     start : float
-        Start on the device's clock [s].
+        Start of the segment on the device's clock [s].
     times : (k + 1,)
         Times since the start [s].
     motors : (k + 1, 3, 4)
         Travel [m], speed [m/s] and acceleration [m/s2], with quintic interpolation.
     table : int
-        Number of the table that was played as a whole; 0 if no whole table was played.
+        Number of the table, if the segment is a whole table; otherwise 0.
     """
 
     start: float
@@ -54,7 +57,7 @@ class Segment:
 
     @property
     def end(self) -> float:
-        """End on the device's clock [s]."""
+        """End of the segment on the device's clock [s]."""
         return self.start + float(self.times[-1])
 
 
@@ -62,13 +65,13 @@ class Recorder:
     """Records the motion of a device's motors tick by tick.
 
     A segment ends when a table starts or repeats, when the camera is triggered, and after
-    `SEGMENT_S` while no table plays. Without current the flexures return the plate home.
+    `SEGMENT_S` if no table is played. Without current, the flexures return the plate to home.
     """
 
     def __init__(self, now: float = 0.0) -> None:
         self._start = now
         self._ticks: list[tuple[float, np.ndarray]] = [(now, np.zeros((3, MOTORS)))]
-        # The whole table as a segment, from the start of its play.
+        # The whole table is a segment. It starts with the play of the table.
         self._whole: Segment | None = None
         self._play: tuple[int, int] | None = None
 
@@ -90,8 +93,8 @@ class Recorder:
     ) -> list[Segment]:
         """Return the segments that have ended by `now` [s].
 
-        `at` is the setpoint at `now`, or None without current. `triggered` tells whether the camera
-        was triggered. If `device` is None, `Segment.table` is 0.
+        `at` is the setpoint at `now`. It is None without current. `triggered` states whether the
+        camera was triggered. If `device` is None, `Segment.table` is 0.
         """
         done = []
         play = None if device is None else device.play
@@ -126,8 +129,9 @@ class Recorder:
 class SuspendedPlate:
     """Plate model of `plate_sim.plate.drive` in steps of one tick.
 
-    Plate and drive are linear, so one tick is a multiplication by a matrix. Its columns are
-    computed by `realise`. The motors' levers are those at home.
+    Plate and drive are a linear system, so one tick is a multiplication by a matrix. `realise`
+    computes the columns of this matrix. The levers of the motors are assumed to be the same as at
+    home.
 
     Parameters
     ----------
@@ -151,8 +155,8 @@ class SuspendedPlate:
         Returns
         -------
         (2, 4)
-            Travel [m] and acceleration [m/s2] measured by the motors' sensors at the end of the
-            tick.
+            Travel [m] and acceleration [m/s2] that the sensors of the motors measure at the end of
+            the tick.
         """
         wanted = (setpoint @ self._inverse.T).ravel()
         after = self._tick @ np.concatenate([self._state, self._last, wanted])
@@ -162,8 +166,8 @@ class SuspendedPlate:
 
 
 def _after(rig: Rig, tick_s: float, before: np.ndarray) -> np.ndarray:
-    """Return state and acceleration (13,) of the plate one tick after a state, between two
-    setpoints."""
+    """Return state and acceleration (13,) of the plate after one tick from a state. The plate is
+    between two setpoints."""
     pose, twist, force = before[:3], before[3:6], before[6:STATE]
     ends = before[STATE:].reshape(2, 3, 3)
     times = np.array([0.0, tick_s])

@@ -1,7 +1,8 @@
 """Simulated serial line in one direction.
 
-Bytes that are sent arrive later, by the transmission time and the delay of `LineFaults`. Some are
-lost, changed or repeated at random. Time is an argument, so the simulation needs no clock.
+Sent bytes arrive later. Their delay is the transmission time plus the delay in `LineFaults`. Some
+bytes are lost, changed or repeated at random. Time is an argument, so the simulation does not need
+a clock.
 """
 
 from __future__ import annotations
@@ -17,7 +18,7 @@ SPLIT_S = 0.004
 
 
 class Line:
-    """Serial line in one direction. Time is an argument.
+    """Serial line in one direction. The time is an argument of its methods.
 
     Parameters
     ----------
@@ -54,7 +55,7 @@ class Line:
         return came
 
     def cut(self) -> None:
-        """Lose all bytes on the line."""
+        """Discard all bytes on the line."""
         self._way, self._free_at = [], float("-inf")
 
     def _split(self, data: bytes) -> list[tuple[float, bytes]]:

@@ -1,5 +1,5 @@
 """Friction between plate and parts: footprints, integration steps of a part, and the event-driven
-simulation of points.
+simulation of point parts.
 
 The names below are public. `simulate` is the reference for all other integrators."""
 

@@ -1,5 +1,5 @@
-"""Checks of the integrators' arguments. They return arrays of the expected shape and raise errors
-with the name, the value and the allowed range."""
+"""Checks of the integrators' arguments. They return arrays of the expected shape, or raise errors
+that contain the name, the value and the allowed range."""
 
 from __future__ import annotations
 
@@ -13,18 +13,19 @@ from plate_core.motion import REST_TOLERANCE
 from ..plate.motion import PlateMotion
 
 LARGEST = 1e60
-"""Maximum magnitude of a state or coefficient, so that products stay finite."""
+"""Maximum magnitude of a state or coefficient. It ensures that products are finite."""
 
 
 def whole(name: str, value: int) -> int:
-    """Return a count, checked to be a whole number of at least 1."""
+    """Return a count, after a check that it is a whole number of at least 1."""
     if not isinstance(value, Integral) or value < 1:
         raise PlateError(f"{name} is {value!r}, allowed: a whole number, at least 1")
     return int(value)
 
 
 def check_motion(cycle: PlateCycle | PlateMotion, cycles: int) -> None:
-    """Refuse an invalid motion of the plate, and repetitions of a motion that does not close."""
+    """Raise an error for an invalid motion of the plate, and for repetitions of a motion that does
+    not close."""
     if not isinstance(cycle, PlateCycle | PlateMotion):
         raise PlateError(f"cycle is a {type(cycle).__name__}, allowed: a PlateCycle or PlateMotion")
     if isinstance(cycle, PlateCycle):
@@ -46,7 +47,8 @@ def check_motion(cycle: PlateCycle | PlateMotion, cycles: int) -> None:
 
 
 def pairs(name: str, array: np.ndarray, count: int | None = None) -> np.ndarray:
-    """Return a float copy of `array`, checked to be of shape (count, 2) and within `LARGEST`."""
+    """Return a float copy of `array`, after a check that its shape is (count, 2) and its values are
+    within `LARGEST`."""
     array = np.array(array, dtype=float)
     if array.ndim != 2 or array.shape[1] != 2 or (count is not None and len(array) != count):
         rows = "M" if count is None else count
@@ -63,7 +65,7 @@ def pairs(name: str, array: np.ndarray, count: int | None = None) -> np.ndarray:
 
 
 def friction_accel(friction: float | np.ndarray, gravity: float, count: int) -> np.ndarray:
-    """Return the maximum acceleration mu g (count,) [m/s2] of each part by friction."""
+    """Return the maximum acceleration of each part by friction, mu g (count,) [m/s2]."""
     mu = np.array(friction, dtype=float)
     if mu.shape not in ((), (count,)):
         raise PlateError(f"friction has shape {mu.shape}, allowed: () or ({count},)")
@@ -81,7 +83,8 @@ def friction_accel(friction: float | np.ndarray, gravity: float, count: int) -> 
 
 
 def for_each(name: str, value: float | np.ndarray, count: int) -> np.ndarray:
-    """Return a value, given for all parts or for each, as an array (count,) of finite numbers."""
+    """Return a value as an array (count,) of finite numbers. The value is given for all parts or
+    for each part."""
     array = np.asarray(value, dtype=float)
     if array.shape not in ((), (count,)):
         raise PlateError(f"{name} has shape {array.shape}, allowed: () or ({count},)")

@@ -1,13 +1,13 @@
-// Friction of a disc with uniform pressure on the plate, in closed form. See disc.py.
+// Friction of a disc with uniform pressure on the plate, in closed form. See also disc.py.
 //
-// The centre slips at s, and the spin c adds the slip w = R |c| at the edge. The mean slip over the
-// disc is the mean distance from a point at s/w radii to the points of a disc, which is given by
-// complete elliptic integrals. Force and torque are its derivatives with respect to s and w
-// (Farkas, Bartels, Unger and Wolf, PRL 90, 248302, 2003).
+// The centre slips with the speed s. The spin c adds the slip w = R |c| at the edge. The mean slip
+// over the disc is the mean distance of the disc's points from a point at s/w radii. Complete
+// elliptic integrals give this distance. Force and torque are its derivatives with respect to s and
+// w (Farkas, Bartels, Unger and Wolf, PRL 90, 248302, 2003).
 //
-// For w <= s/2 a power series is used: with k = w/s the mean slip is s sum_n b_n k^2n,
-// b_n = binomial(1/2, n)^2/(n + 1). Otherwise the elliptic integrals are computed by the
-// arithmetic-geometric mean (Abramowitz and Stegun 1964, 17.6), in a form without cancellation.
+// For w <= s/2, a power series is used. With k = w/s the mean slip is s sum_n b_n k^2n, where b_n =
+// binomial(1/2, n)^2/(n + 1). Otherwise the elliptic integrals are computed by the
+// arithmetic-geometric mean (Abramowitz and Stegun 1964, 17.6), in a form that avoids cancellation.
 #pragma once
 #include <algorithm>
 #include <cmath>
@@ -28,10 +28,10 @@ namespace plate::disc {
 constexpr double SNAP = 1e-3;
 // Tolerance of the slip's component across the normal, relative to the velocity step.
 constexpr double CLOSE = 1e-9;
-// If two numbers differ by less than this fraction, their arithmetic and geometric means are equal
-// up to rounding.
+// Relative difference below which the arithmetic and the geometric mean of two numbers are equal up
+// to rounding.
 constexpr double MEANS = 2e-8;
-// Maximum k^2 for the series. Its omitted terms are below 2e-10 mu m g.
+// Maximum k^2 for the series. The omitted terms are below 2e-10 mu m g.
 constexpr double SERIES = 0.25;
 
 // Force [mu m g] and torque [mu m g R] on a disc.
@@ -39,7 +39,7 @@ struct Push {
     double force, torque;
 };
 
-// Force, and torque divided by k, for k^2 up to `SERIES`.
+// Force, and torque divided by k. The series is valid for k^2 up to `SERIES`.
 [[gnu::always_inline]] inline Push series(double k2) {
     double force = -0.00020234903786331415, torque = 0.0001563606201671064;
     force = -0.0002856692299246788 + k2 * force, torque = 0.0002142519224435091 + k2 * torque;
@@ -53,8 +53,8 @@ struct Push {
     return {1.0 + k2 * force, 0.25 + k2 * torque};
 }
 
-// Force and torque on a disc with slip s of the centre and rotational slip w of the edge [m/s].
-// Both are at least 0, and not both are 0.
+// Force and torque on a disc. Its centre slips with the speed s, and its edge with the rotational
+// speed w [m/s]. Both speeds are at least 0, and at least one of them is above 0.
 inline Push disc_force(double s, double w) {
     if (w * w <= SERIES * s * s) {
         const Push push = series((w / s) * (w / s));
@@ -78,13 +78,13 @@ inline Push disc_force(double s, double w) {
     return {force, 2 / (9 * a) * k * (1 + (2 - 4 * k2) * (k2 > 0 ? rest / k2 : 0.0625))};
 }
 
-// Return the slip after a step, as `patch::slip_after`, for a disc.
+// Return the slip of a disc after a step, as `patch::slip_after` does for other footprints.
 //
-// By symmetry there are two unknowns: the slip s of the centre and g |c|, where g is the radius of
-// gyration. Let z be the slip without friction divided by dv, and y(n) the friction with which the
-// disc resists a slip along the unit vector n. The slip after the step is dv (z - y), where y is
-// the point nearest to z in the convex set of all friction forces. There z - y is parallel to n.
-// The angle p of n is found by regula falsi.
+// By symmetry, there are two unknowns: the slip s of the centre, and g |c|. g is the radius of
+// gyration. Let z be the slip without friction divided by dv. Let y(n) be the friction with which
+// the disc resists a slip along the unit vector n. The slip after the step is dv (z - y). y is the
+// point nearest to z in the convex set of all friction forces. At this point, z - y is parallel to
+// n. Regula falsi finds the angle p of n.
 inline Slip disc_slip_after(const Slip& free, double dv, double gyration2, double radius) {
     const double arm = std::sqrt(gyration2), rim = radius / arm;
     const double zx = std::sqrt(free.x * free.x + free.y * free.y) / dv;
@@ -97,7 +97,8 @@ inline Slip disc_slip_after(const Slip& free, double dv, double gyration2, doubl
     double low = 0, high = 0.5 * std::numbers::pi, s_low = -zy, s_high = zx, p = std::atan2(zy, zx);
     double nx = 1, ny = 0, yx = 0, yy = 0;
     int side = 0;
-    // Illinois method: regula falsi that halves the value at an end that is kept twice
+    // Illinois method: regula falsi that halves the value at an end of the interval if this end is
+    // kept twice.
     for (int i = 0; i < 60; i++) {
         nx = std::cos(p), ny = std::sin(p);
         const Push push = disc_force(nx, rim * ny);

@@ -1,8 +1,8 @@
 """Friction of a disc with uniform pressure on the plate, in closed form.
 
-The centre slips at s, and the spin c adds the slip w = R abs(c) at the edge. The mean slip over the
-disc is the mean distance from a point at s/w radii to the points of a disc, which is given by
-complete elliptic integrals. Force and torque are its derivatives with respect to s and w (Farkas,
+The centre slips with the speed s. The spin c adds the slip w = R abs(c) at the edge. The mean slip
+over the disc is the mean distance of the disc's points from a point at s/w radii. Complete elliptic
+integrals give this distance. Force and torque are its derivatives with respect to s and w (Farkas,
 Bartels, Unger and Wolf, PRL 90, 248302, 2003).
 """
 
@@ -12,9 +12,9 @@ from .. import _kernels
 
 
 def disc_force(s: float, w: float) -> tuple[float, float]:
-    """Return force [mu m g] and torque [mu m g R] on a disc with slip s and rotational slip w
-    [m/s].
+    """Return force [mu m g] and torque [mu m g R] on a disc with slip s of the centre and
+    rotational slip w of the edge [m/s].
 
-    Both are at least 0, and not both are 0.
+    Both slips are at least 0, and at least one of them is above 0.
     """
     return _kernels.disc_force(s, w)

@@ -1,13 +1,14 @@
-"""Footprint of a rigid part: contact points with the plate, their fractions of the weight, and
-inertia.
+"""Footprint of a rigid part: its contact points with the plate, their fractions of the weight, and
+the inertia.
 
-Friction acts on the whole footprint, so a slip that varies over it also rotates the part (section
-3.1.2 of the paper). For a disc the integral is known in closed form (`disc`). For other shapes it
-is a sum over quadrature points: Gauss's rule for parallelograms, and triangles of degree 2 for the
-rest. Both are exact for polynomials of degree 2, so mass, centre and inertia have no quadrature
-error.
+Friction acts on the whole footprint. If the slip varies over it, friction also rotates the part
+(section 3.1.2 of the paper). For a disc the integral is known in closed form (`disc`). For other
+shapes it is a sum over quadrature points. Gauss's rule is used for parallelograms, and triangles of
+degree 2 for all other shapes. Both rules are exact for polynomials of degree 2. Therefore mass,
+centre and inertia have no quadrature error.
 
-Maximum error of the friction force and torque, in mu m g (times the radius of gyration):
+Maximum error of the friction force [mu m g] and of the friction torque [mu m g times the radius of
+gyration], for several numbers of points:
 
     points        12      24      48      96     192
     square     0.077   0.041   0.020   0.011   0.005
@@ -15,8 +16,9 @@ Maximum error of the friction force and torque, in mu m g (times the radius of g
     L-shape    0.121   0.048   0.022   0.012   0.005
     triangle   0.106   0.057   0.031   0.014   0.008
 
-The reference has 2,500 points (`friction_gap` of the tests). The maximum is over 2,000 slips, half
-of them rotations about a point of the footprint, where the direction of the slip is discontinuous.
+The reference has 2,500 points (`friction_gap` of the tests). The maximum is taken over 2,000 slips.
+Half of them are rotations about a point of the footprint, at which the direction of the slip is
+discontinuous.
 """
 
 from __future__ import annotations
@@ -36,7 +38,8 @@ from . import quadrature
 from .disc import disc_force
 
 POINTS = 48
-"""Approximate default number of quadrature points. The friction error is at most 3 % of mu m g."""
+"""Approximate default number of quadrature points. With it, the friction error is at most 3 % of mu
+m g."""
 
 MASS = 0.02
 """Default mass [kg]. The motion on the plate does not depend on the mass."""
@@ -45,11 +48,12 @@ MAX_POINTS = 100_000
 """Maximum number of quadrature points."""
 
 CELL = 0.2
-"""Blur of a point relative to its cell's size. Blur halves the friction error, see
+"""Blur of a point, relative to the size of its cell. Blur halves the error of the friction, see
 `Footprint.blur`."""
 
 ON_EDGE = 1e-9
-"""Maximum distance of a point on a piece's edge, because of rounding [size of the piece]."""
+"""Maximum distance at which a point counts as on the edge of a piece [size of the piece]. It allows
+for rounding."""
 
 CORNERS_OF_DISC = 96
 """Number of corners of the polygon with which a disc is drawn."""
@@ -57,26 +61,27 @@ CORNERS_OF_DISC = 96
 
 @dataclass(frozen=True)
 class Footprint:
-    """Contact of a rigid part with the plate. Frame: origin in the centre of mass, part's axes.
+    """Contact of a rigid part with the plate. The frame has its origin in the centre of mass, and
+    the part's axes.
 
     Attributes
     ----------
     mass : float
-        [kg].
+        Mass [kg].
     inertia : float
-        About the vertical axis through the centre of mass [kg m2].
+        Moment of inertia about the vertical axis through the centre of mass [kg m2].
     points : (n, 2)
         Contact points with the plate [m]. Empty for a disc with uniform pressure.
     weights : (n,)
-        Fraction of the part's weight on each point. The sum is 1.
+        Fraction of the part's weight on each point. The sum of the fractions is 1.
     blur : (n,)
-        Approximate size of the cell that each point represents [m]. If the slip at the point is s
-        and the rotational slip is c, the mean slip of the cell is `sqrt(s^2 + (c blur)^2)`.
+        Approximate size of the cell that each point represents [m]. Let s be the slip at the point,
+        and c the rotational slip. The mean slip of the cell is `sqrt(s^2 + (c blur)^2)`.
     outline : tuple of (k, 2)
         Corners of the convex polygons [m], counter-clockwise. For a disc, they are used only for
         drawing.
     radius : float
-        Radius of a disc [m]. 0 for other shapes.
+        Radius of a disc [m]. It is 0 for other shapes.
     """
 
     mass: float
@@ -91,8 +96,9 @@ class Footprint:
     def corners(self) -> np.ndarray:
         """Corners (n, 5) of the outline, piece by piece. Empty for a disc.
 
-        Each has its position [m], the outward normal of the side that begins there, and 1 if that
-        side is part of the outline, 0 if it adjoins another piece of the part.
+        Each corner has its position [m], the outward normal of the side that begins there, and a
+        flag. The flag is 1 if that side belongs to the outline, and 0 if it adjoins another piece
+        of the part.
         """
         return np.empty((0, 5)) if self.radius else _corners(self.outline)
 
@@ -103,8 +109,8 @@ class Footprint:
 
     @cached_property
     def slim(self) -> float:
-        """About half the minimum width [m]: twice the area of the slimmest piece over its
-        perimeter."""
+        """About half the minimum width [m]. It is twice the area of the slimmest piece divided by
+        its perimeter."""
         return self.radius or min(
             2 * quadrature.area(piece) / np.linalg.norm(piece - np.roll(piece, 1, 0), axis=1).sum()
             for piece in self.outline
@@ -112,12 +118,13 @@ class Footprint:
 
     @property
     def even(self) -> bool:
-        """Whether the footprint is a disc with uniform pressure, whose friction needs no points."""
+        """Whether the footprint is a disc with uniform pressure. The friction of such a disc needs
+        no points."""
         return self.radius > 0 and not len(self.points)
 
     @cached_property
     def inertial(self) -> tuple[float, float, float, float, float]:
-        """Square of the radius of gyration [m2], radius, reach, slim [m], 1/mass [1/kg]."""
+        """Square of the radius of gyration [m2], radius [m], reach [m], slim [m], 1/mass [1/kg]."""
         return self.gyration2, self.radius, self.reach, self.slim, 1 / self.mass
 
     @property
@@ -131,13 +138,13 @@ class Footprint:
         Parameters
         ----------
         slip : (k, 3)
-            Twist of the plate minus that of the part [m/s, m/s, rad/s]: velocity of the surface
-            at the centre of mass, and spin; in the part's axes.
+            Twist of the plate minus the twist of the part [m/s, m/s, rad/s], in the part's axes:
+            velocity of the surface at the centre of mass, and spin.
 
         Returns
         -------
         (k, 3)
-            Force [mu m g] and torque about the centre of mass [mu m g times metre].
+            Force [mu m g], and torque about the centre of mass [mu m g m].
         """
         slip = np.asarray(slip, dtype=float).reshape(-1, 1, 3)
         if self.even:
@@ -161,7 +168,7 @@ class Footprint:
 
 
 def disc(radius: float, *, mass: float = MASS) -> Footprint:
-    """Return the footprint of a disc with uniform pressure; radius [m], mass [kg]."""
+    """Return the footprint of a disc with uniform pressure. `radius` is in m, `mass` in kg."""
     radius, mass = _positive("radius", radius, "m"), _positive("mass", mass, "kg")
     corner = 2 * np.pi * np.arange(CORNERS_OF_DISC) / CORNERS_OF_DISC
     outline = radius * np.column_stack([np.cos(corner), np.sin(corner)])
@@ -170,34 +177,36 @@ def disc(radius: float, *, mass: float = MASS) -> Footprint:
 
 
 def bar(length: float, width: float, *, mass: float = MASS, points: int = POINTS) -> Footprint:
-    """Return the footprint of a rectangle [m], its length along x."""
+    """Return the footprint of a rectangle. Its sides are in m, and its length is along x."""
     half = 0.5 * np.array([_positive("length", length, "m"), _positive("width", width, "m")])
     corners = half * np.array([[-1, -1], [1, -1], [1, 1], [-1, 1]])
     return polygon(corners, mass=mass, points=points)
 
 
 def polygon(corners: np.ndarray, *, mass: float = MASS, points: int = POINTS) -> Footprint:
-    """Return the footprint of a convex polygon (k, 2) [m]; see `union`."""
+    """Return the footprint of a convex polygon (k, 2) [m]. The parameters are described in
+    `union`."""
     return union([corners], mass=mass, points=points)
 
 
 def union(polygons: Sequence[np.ndarray], *, mass: float = MASS, points: int = POINTS) -> Footprint:
-    """Return the footprint of adjacent convex polygons of uniform density, such as an L of two
-    bars.
+    """Return the footprint of adjacent convex polygons of uniform density. For example, two bars
+    form an L.
 
     Parameters
     ----------
     polygons : sequence of (k, 2)
-        Corners in order [m], in any axes. The part's origin becomes its centre of mass.
+        Corners in order [m]. The axes may have any position and orientation. The centre of mass
+        becomes the origin of the part's frame.
     mass : float
-        [kg].
+        Mass [kg].
     points : int
         Approximate number of quadrature points.
 
     Raises
     ------
     PlateError
-        If a polygon is not convex, two overlap, or a number is not positive.
+        If a polygon is not convex, if two polygons overlap, or if a number is not positive.
     """
     mass = _positive("mass", mass, "kg")
     if not len(polygons):
@@ -244,12 +253,13 @@ def _points(value: int) -> int:
 
 
 def _corners(outline: tuple[np.ndarray, ...]) -> np.ndarray:
-    """Return `Footprint.corners` of convex pieces, each (k, 2)."""
+    """Return the array `Footprint.corners` for convex pieces. Each piece is (k, 2)."""
     rows = []
     for i, piece in enumerate(outline):
         side = np.roll(piece, -1, axis=0) - piece
         out = np.column_stack([side[:, 1], -side[:, 0]]) / np.linalg.norm(side, axis=1)[:, None]
-        # A side is hidden if three of its points are in another piece or on its edge.
+        # A side is hidden if three of its points are in another piece or on the edge of another
+        # piece.
         ends = shapely.points(piece + np.array([1e-3, 0.5, 1 - 1e-3])[:, None, None] * side)
         hidden = np.zeros(len(piece), dtype=bool)
         for other in (*outline[:i], *outline[i + 1 :]):

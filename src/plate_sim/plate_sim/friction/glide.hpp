@@ -1,6 +1,6 @@
 // Steps of discs that slide steadily, which is the most frequent case. The method is the explicit
-// midpoint rule of `stepping::midpoint` with `disc::series`, for several discs at once and without
-// branches. A step that does not meet the conditions is left to `advance`.
+// midpoint rule of `stepping::midpoint` with `disc::series`. It processes several discs at once and
+// has no branches. If a step does not meet the conditions, `advance` computes it.
 #pragma once
 #include <algorithm>
 #include <cmath>
@@ -9,13 +9,13 @@
 
 namespace plate::gliding {
 
-// Number of groups that complete a stage of a step before the next stage begins. Then a group does
-// not wait for the latency of another one's square roots and sums.
+// Number of groups that complete one stage of a step before the next stage begins. With several
+// groups, a group does not wait for the latency of its own square roots and sums.
 constexpr int BLOCK = 16;
 
-// Slips at the start (a) and in the middle (b) of a step: slip of the centre and spin; its squared
-// speed; and the squared ratio of the rotational slip at the edge to this speed. Friction at the
-// last of them.
+// Quantities at the start (a) and in the middle (b) of a step: slip of the centre and spin; its
+// squared speed; and the squared ratio of the rotational slip at the edge to this speed. The
+// friction is computed in the middle.
 struct Stages {
     double ax[LANES], ay[LANES], ac[LANES], a2[LANES], ak2[LANES];
     double bx[LANES], by[LANES], bc[LANES], b2[LANES], bk2[LANES];
@@ -26,8 +26,8 @@ struct Stages {
 
 namespace plate {
 
-// Set the entries of part i in its group, except the part's state and mark. Return whether `glide`
-// can advance the part. step [s].
+// Set the entries of part i in its group, except its state and its mark. Return whether `glide` can
+// advance the part. step [s].
 inline bool describe(const State& state, int i, const Body& body, double step, bool here) {
     constexpr double none = std::numeric_limits<double>::infinity();
     const double dv = body.mu_g * step, least = stepping::DISC_STIFF / stepping::GENTLE * dv;
@@ -43,8 +43,8 @@ inline bool describe(const State& state, int i, const Body& body, double step, b
 
 // Advance the discs that slide steadily by a step. Return their number.
 //
-// plate: samples of the plate's motion at the step's start, middle and end. step [s]. Intermediate
-// values of lanes that do not glide may be NaN or infinite.
+// plate: samples of the plate's motion at the start, in the middle and at the end of the step. step
+// [s]. Intermediate values of lanes that do not glide may be NaN or infinite.
 [[gnu::always_inline]] inline int glide(const PlateSample* plate, double step,
                                         const GroundEffect& ground, std::span<Group> groups) {
     using namespace gliding;
@@ -114,8 +114,8 @@ inline bool describe(const State& state, int i, const Body& body, double step, b
                 const double uc = spin + share * s.torque[i] * g.ratio[i] * b.turn;
                 const double px = x + half * (vx + ux), py = y + half * (vy + uy);
                 const Slip z = slip(plate[2], px, py, ux, uy, uc);
-                // Check that it slides fast enough, and nearly in one direction (see `alike`).
-                // This sum equals `dot(a, a, g2)`.
+                // Check that the disc slides fast enough, and nearly in one direction (see
+                // `alike`). This sum equals `dot(a, a, g2)`.
                 const double size2 = s.a2[i] + g2 * a.turn * a.turn;
                 const double middle2 = s.b2[i] + g2 * b.turn * b.turn, end2 = dot(z, z, g2);
                 const double ab = dot(a, b, g2), az = dot(a, z, g2);

@@ -1,4 +1,4 @@
-"""Footprints of part types. Outlines of any shape are cut into convex pieces; shapes with holes get
+"""Footprints of part types. Outlines of any shape are cut into convex pieces. Shapes with holes get
 their contact points from a grid."""
 
 from __future__ import annotations
@@ -15,17 +15,19 @@ from . import quadrature
 from .footprint import CELL, MASS, POINTS, Footprint, disc, union
 
 GRID = 4
-"""Grid points per cell along each axis. They measure the fraction of a cell inside the part."""
+"""Number of grid points per cell along each axis. They determine the fraction of a cell that is
+inside the part."""
 
 STRAIGHT = 1e-9
-"""A corner with a cross product below this fraction of the part's size squared is ignored."""
+"""Relative cross product below which a corner is ignored. It is relative to the square of the
+part's size."""
 
 
 def footprint_of(part: PartType) -> Footprint:
-    """Return the footprint of a part type with uniform pressure. Types that differ only by name and
-    looks share one footprint.
+    """Return the footprint of a part type with uniform pressure. Types that differ only in name and
+    appearance share one footprint.
 
-    A hole carries no weight and has no mass. Other parts cannot enter it.
+    A hole carries no weight and has no mass. Other parts cannot enter a hole.
     """
     return _footprint(replace(part, name="", mu=None, colour_lab=None, picture=""))
 
@@ -40,7 +42,7 @@ def _footprint(part: PartType) -> Footprint:
     holes = [np.array(hole) for hole in part.holes]
     place, area = _cells(part.polygon, holes)
     weight = area / area.sum()
-    # Scale the grid to the part's moments, so that mass and inertia are exact.
+    # Scale the grid to the moments of the part, so that mass and inertia are exact.
     place = place - weight @ place
     wanted, _, second = moments(part.polygon, holes)
     own = np.linalg.cholesky((weight[:, None] * place).T @ place)
@@ -51,8 +53,8 @@ def _footprint(part: PartType) -> Footprint:
 
 
 def _cells(outline: np.ndarray, holes: list[np.ndarray]) -> tuple[np.ndarray, np.ndarray]:
-    """Return centres (n, 2) [m] and areas (n,) [m2] of the parts of square cells inside the
-    shape."""
+    """Return centres (n, 2) [m] and areas (n,) [m2] of the parts of square cells that are inside
+    the shape."""
     low, high = outline.min(axis=0), outline.max(axis=0)
     side = np.sqrt(moments(outline, holes)[0] / POINTS)
     count = np.ceil((high - low) / side).astype(int)
@@ -75,8 +77,9 @@ def _cells(outline: np.ndarray, holes: list[np.ndarray]) -> tuple[np.ndarray, np
 def convex_pieces(outline: np.ndarray) -> list[np.ndarray]:
     """Cut a simple polygon (n, 2), counter-clockwise, into few convex ones.
 
-    Ears are cut off (Meisters 1975). Then triangles are merged across a diagonal if the result is
-    convex (Hertel and Mehlhorn 1983). The number of pieces is at most four times the minimum.
+    First, ears are cut off (Meisters 1975). Then triangles are merged across a diagonal if the
+    result is convex (Hertel and Mehlhorn 1983). The number of pieces is at most four times the
+    minimum.
     """
     pieces = _triangles(outline)
     merged = True
@@ -99,7 +102,7 @@ def _triangles(outline: np.ndarray) -> list[list[int]]:
     rest, triangles = list(range(len(outline))), []
     while len(rest) > 3:
         ears = [k for k in range(len(rest)) if _is_ear(outline, rest, k)]
-        if not ears:  # all remaining corners are on a line
+        if not ears:  # all other corners are on a line
             break
         corners = [[rest[k - 1], rest[k], rest[(k + 1) % len(rest)]] for k in ears]
         best = int(np.argmax([_slimness(outline[corner]) for corner in corners]))
@@ -109,8 +112,8 @@ def _triangles(outline: np.ndarray) -> list[list[int]]:
 
 
 def _slimness(triangle: np.ndarray) -> float:
-    """Return a triangle's (3, 2) area over its squared perimeter. Larger values are better
-    shapes."""
+    """Return the area of a triangle (3, 2) divided by its squared perimeter. Larger values are
+    better shapes."""
     length = np.linalg.norm(triangle - np.roll(triangle, 1, axis=0), axis=1).sum()
     return float(_turn(*triangle) / length**2)
 
@@ -129,7 +132,8 @@ def _is_ear(outline: np.ndarray, rest: list[int], k: int) -> bool:
 
 
 def _joined(one: list[int], other: list[int]) -> list[int] | None:
-    """Return the union of two pieces as corner indices if they share a diagonal, else None."""
+    """Return the union of two pieces as corner indices if they share a diagonal. Otherwise return
+    None."""
     for i, a in enumerate(one):
         b = one[(i + 1) % len(one)]
         for j, c in enumerate(other):
@@ -147,5 +151,5 @@ def _is_convex(corner: np.ndarray) -> bool:
 
 
 def _turn(a: np.ndarray, b: np.ndarray, c: np.ndarray) -> float:
-    """Return twice the area of a triangle, positive counter-clockwise."""
+    """Return twice the area of a triangle. It is positive if the corners are counter-clockwise."""
     return float((b[0] - a[0]) * (c[1] - a[1]) - (b[1] - a[1]) * (c[0] - a[0]))

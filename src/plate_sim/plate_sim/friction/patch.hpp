@@ -1,22 +1,22 @@
-// Implicit Coulomb friction step of a rigid footprint, as a convex problem with three unknowns.
+// Implicit Coulomb friction step of a rigid footprint. It is a convex problem with three unknowns.
 //
-// A part's slip d = (u, v, c) [m/s, m/s, rad/s] is the plate's twist at the part minus the part's
-// twist. Without friction it would be `free` after a step. With friction over the footprint it
-// minimises
+// The slip d = (u, v, c) [m/s, m/s, rad/s] of a part is the twist of the plate at the part minus
+// the twist of the part. Without friction, the slip after a step would be `free`. With friction
+// over the footprint, the slip after the step minimises
 //
 //     1/2 |d - free|^2 + dv sum_i p_i |d_i|,    |d|^2 = u^2 + v^2 + gyration2 c^2,
 //
-// where d_i is the slip at point i, p_i the point's fraction of the weight, and dv = mu g dt the
-// velocity step. By the optimality condition each point's force is mu p_i m g along the slip AFTER
-// the step or, at a point without slip, any force up to this. So a part slips, rotates and sticks
-// without overshooting, for any step.
+// where d_i is the slip at point i, p_i is the point's fraction of the weight, and dv = mu g dt is
+// the velocity step. By the optimality condition, the force at each point is mu p_i m g along the
+// slip AFTER the step. At a point without slip, it is any force up to this magnitude. Therefore a
+// part slips, rotates and sticks without overshooting, for any length of the step.
 //
-// The problem is solved by a primal-dual Newton method with slips and forces as unknowns (Andersen,
-// Christiansen, Conn and Overton 2000). It converges although the norms are not smooth at 0. The
+// A primal-dual Newton method solves the problem. Its unknowns are slips and forces (Andersen,
+// Christiansen, Conn and Overton 2000). It converges, although the norms are not smooth at 0. The
 // iteration ends when the duality gap guarantees the accuracy.
 //
-// The terms of sums are computed for several points at once and then added point by point, so that
-// sums do not depend on the processor's vector width.
+// The terms of a sum are computed for several points at once, and then added point by point.
+// Therefore sums do not depend on the processor's vector width.
 #pragma once
 #include <plate/view.hpp>
 #include <plate/wide.hpp>
@@ -28,36 +28,38 @@
 
 namespace plate {
 
-// Points of footprints (7, n). Rows: positions x, y in the part's axes [m]; fractions of the
-// weight; sizes of the cells (see `Footprint.blur`) [m]; and the forces along x, y and the blur in
-// the last step [p_i mu m g]. The forces are the initial guess of the next step and are updated.
+// Points of footprints (7, n). The rows are positions x, y in the part's axes [m]; fractions of the
+// weight; sizes of the cells (see `Footprint.blur`) [m]; and the forces along x, along y and of the
+// blur in the last step [p_i mu m g]. The forces are the initial guess of the next step, which
+// updates them.
 using Mesh = View<double, 2>;
 
 }  // namespace plate
 
 namespace plate::patch {
 
-// Tolerance of the slip after a step, relative to dv. A relative error of mu of this size has the
-// same effect.
+// Tolerance of the slip after a step, relative to dv. A relative error of mu with this value has
+// the same effect.
 constexpr double SLACK = 1e-6;
 // Rounding error of the duality gap, relative to the slip times dv.
 constexpr double ROUNDING = 1e-14;
 // If the slip after a step is below this fraction of dv, the part sticks.
 constexpr double SNAP = 1e-3;
-// Maximum number of Newton iterations; 1 to 12 are usual. If a part on feet rotates about one of
-// them, one case in 5000 does not converge.
+// Maximum number of Newton iterations. Usual numbers are 1 to 12. If a part on feet rotates about
+// one of them, one case in 5000 does not converge.
 constexpr int ITERATIONS = 30;
-// Added to a squared slip [m2/s2], to avoid a division by 0.
+// Value that is added to a squared slip [m2/s2], to avoid a division by 0.
 constexpr double TINY = 1e-200;
-// Slip of a point relative to dv below which its friction is smoothed, so that Newton's method
-// converges.
+// Slip of a point relative to dv below which the friction at the point is smoothed. Newton's method
+// then converges.
 constexpr double ROUND = 1e-4;
 // Number of points whose terms are computed before they are added.
 constexpr int BLOCK = 64;
-// If a part has fewer points than this, such as a part on feet, the points are added one by one.
+// If a part has fewer points than this, for example a part on feet, the points are added one by
+// one.
 constexpr int FEW = 6;
 
-// Points of a part: the columns of `Mesh` from the first one on.
+// Points of a part: consecutive columns of `Mesh`, beginning with the first one of the part.
 struct Points {
     const double *__restrict x, *__restrict y, *__restrict weight, *__restrict blur;
     double *__restrict fx, *__restrict fy, *__restrict fb;
@@ -70,13 +72,13 @@ struct Points {
 }
 
 // Friction by a slip in the part's axes: force [mu m g] and torque/(m gyration2) [mu g / m]; and an
-// upper bound of its derivative with respect to the slip [mu g / (m/s)].
+// upper bound of the derivative of the friction with respect to the slip [mu g / (m/s)].
 struct Friction {
     Slip push;
     double stiff;
 };
 
-// Contribution of point i. The torque and the bound are not yet divided by gyration2.
+// Contribution of point i. The caller must still divide the torque and the bound by gyration2.
 [[gnu::always_inline]] inline Friction friction_at(const Slip& d, double gyration2,
                                                    const Points& at, int i) {
     const double x = at.x[i], y = at.y[i], b = at.blur[i];
@@ -122,8 +124,8 @@ PLATE_WIDE inline Friction friction(const Slip& d, double gyration2, const Mesh&
     }
 }
 
-// Weighted sums over points for a Newton step, times dv: directions g of the slips, forces w,
-// duality gap, and the symmetric part of (1 - z n')/|slip| in terms of (u, v, c).
+// Sums over the points for a Newton step, weighted and multiplied by dv: directions g of the slips,
+// forces w, duality gap, and the symmetric part of (1 - z n')/|slip| in terms of (u, v, c).
 struct Sums {
     Slip g, w;
     double gap, hxx, hyy, hxy, hxc, hyc, hcc;
@@ -140,7 +142,7 @@ struct Sums {
         double even[BLOCK], mixed[BLOCK];
 #pragma omp simd
         for (int i = 0; i < at.count; i++) {
-            // n: direction of the slip at the point, z: force
+            // n is the direction of the slip at the point, and z is the force.
             const double x = at.x[i], y = at.y[i], b = at.blur[i];
             const double u = d.x - d.turn * y, v = d.y + d.turn * x, w = d.turn * b;
             const double norm = std::sqrt(u * u + v * v + w * w + round2), inverse = 1 / norm;
@@ -199,7 +201,8 @@ struct Sums {
     }
 }
 
-// Solve [[a, b, c], [b, d, e], [c, e, f]] s = right. The matrix is symmetric and positive definite.
+// Solve the linear system [[a, b, c], [b, d, e], [c, e, f]] s = right. The matrix is symmetric and
+// positive definite.
 inline Slip solve(double a, double b, double c, double d, double e, double f, Slip right) {
     const double l1 = b / a, l2 = c / a;
     d -= l1 * b;
@@ -213,10 +216,10 @@ inline Slip solve(double a, double b, double c, double d, double e, double f, Sl
     return {(right.x - b * s2 - c * s3) / a, s2, s3};
 }
 
-// Return the slip after a step, in the part's axes. It is 0 if the part sticks.
+// Return the slip after a step, in the part's axes. The slip is 0 if the part sticks.
 //
-// free: slip after the step without friction. dv: mu g dt [m/s], above 0. The part's points in the
-// mesh are `first` to `end` - 1; their forces are updated.
+// free: slip after the step without friction. dv: mu g dt [m/s], above 0. The points of the part
+// have the indices `first` to `end` - 1 in the mesh. Their forces are updated.
 PLATE_WIDE inline Slip slip_after(const Slip& free, double dv, double gyration2, const Mesh& mesh,
                                   int first, int end) {
     const Points all = points_of(mesh, first, end);
@@ -233,7 +236,7 @@ PLATE_WIDE inline Slip slip_after(const Slip& free, double dv, double gyration2,
         return {0, 0, 0};
     Slip d = free;
     const double size2 = free.x * free.x + free.y * free.y + gyration2 * free.turn * free.turn;
-    if (size2 > 16 * dv * dv) {  // a fast part keeps sliding, so start with forces along the slip
+    if (size2 > 16 * dv * dv) {  // a fast part keeps sliding: use forces along the slip
         const double share = 1 - dv / std::sqrt(size2);
         d = {share * free.x, share * free.y, share * free.turn};
         point_along(d, dv, all);

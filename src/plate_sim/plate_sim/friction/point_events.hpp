@@ -1,5 +1,5 @@
-// Event-driven simulation of point parts on the plate's exact motion, with a given accuracy. It is
-// the reference for all other integrators. See point_events.py for the method.
+// Event-driven simulation of point parts on the exact motion of the plate, with a given accuracy.
+// It is the reference for all other integrators. point_events.py describes the method.
 #pragma once
 #include <algorithm>
 #include <cmath>
@@ -10,29 +10,35 @@
 
 namespace plate::sliding {
 
-// Allowed error of one step, relative to the tolerance. The errors of a cycle's steps add up and
-// decay.
+// Allowed error of one step, relative to the tolerance. The errors of the steps in a cycle add up
+// and decay.
 constexpr double STEP_SHARE = 0.05;
-// Maximum distance [m] that a part would still slide when it is set to stick, relative to a step's
-// allowed error.
+// Maximum distance [m] that a part may still slide when it is set to stick, relative to the allowed
+// error of a step.
 constexpr double SNAP_SHARE = 0.1;
-// Maximum velocity change by friction [m/s] while a slip vanishes that counts as zero, relative to
-// a step's allowed error per period.
+// Maximum velocity change by friction [m/s] while a slip vanishes at which the slip counts as zero.
+// It is relative to the allowed error of a step, per period.
 constexpr double ZERO_SHARE = 0.2;
-// Fraction of a period. A part sticks only if friction can still hold it after this time.
+// Time as a fraction of a period. A part is set to stick only if friction can still hold it after
+// this time.
 constexpr double AHEAD = 1e-8;
-// Minimum step, relative to the period. The rounding error of the time is 1e-16 of the period.
+// Minimum step, relative to the period. The time itself has a rounding error of 1e-16 of the
+// period.
 constexpr double FLOOR = 1e-13;
-// Maximum mean number of steps per cycle. The rest of the motion is then computed with `COARSE`
-// equal steps per cycle, without error control.
+// Maximum mean number of steps per cycle. If more are necessary, the rest of the motion is computed
+// with coarse steps, without error control.
 constexpr std::int64_t BUDGET = 50'000;
+// Number of equal steps per cycle for the rest of such a motion.
 constexpr int COARSE = 2000;
-// Tolerance of roots in time and of motion on a line, relative to a slip that counts as zero.
+// Tolerance of roots in time, and of motion on a line. It is relative to a slip that counts as
+// zero.
 constexpr double FINE = 1e-3;
-// Friction [m/s2] below this is neglected, because its direction would be a rounding error.
+// Friction [m/s2] below which it is neglected, because its direction would be a rounding error.
 constexpr double LEAST = 1e-60;
-// Minimum number of intervals per piece, and per period, in the search for a stuck part's release.
-constexpr int SCAN = 3, LOOKS = 100;
+// Minimum number of intervals per piece in the search for the time at which a stuck part is released.
+constexpr int SCAN = 3;
+// Minimum number of intervals per period in the same search.
+constexpr int LOOKS = 100;
 
 // Scales of one part's motion: mu g [m/s2]; period [s]; approximate maximum acceleration [m/s2] of
 // the surface under the part, and its maximum relative rate of change [1/s].
@@ -42,14 +48,14 @@ struct Bounds {
 
 // A sliding part at the start of a step: magnitudes of its slip [m/s] and of the surface's
 // acceleration [m/s2]; scalar product of this acceleration and friction [m2/s4]; allowed error [m];
-// whether the slip stays on a line; whether the step budget is exhausted.
+// whether the slip stays on a line; and whether the maximum number of steps is exceeded.
 struct Slide {
     double slip, surface, power, allowed;
     bool line, crude;
 };
 
-// Output samples: interval [s], number per cycle, number of completed cycles, and gravity along the
-// plate with which the frame falls [m/s2].
+// Output samples: interval [s], number per cycle, number of completed cycles, and component of
+// gravity along the plate with which the frame falls [m/s2].
 struct Grid {
     double step;
     int per_cycle, done;
@@ -59,8 +65,8 @@ struct Grid {
     double time(int j) const { return (j - done * per_cycle) * step; }
 };
 
-// Positions [m] and velocities [m/s] of one part, two numbers per sample, `row` numbers apart.
-// The first sample is given.
+// Positions [m] and velocities [m/s] of one part, two numbers per sample, `row` numbers apart. The
+// first sample is an input.
 struct Track {
     double *path, *speed;
     int count, row;
@@ -75,20 +81,21 @@ struct Track {
     }
 };
 
-// Convert a state in the falling frame to plate_home, t [s] after the start of the fall.
+// Convert a state in the falling frame to plate_home. t [s] is the time since the start of the
+// fall.
 inline Point fallen(const Point& part, double t, Vec gravity) {
     return {part.place + 0.5 * t * t * gravity, part.velocity + t * gravity};
 }
 
-// Slip [m/s] that counts as zero. It lasts about r/max(a, limit), so friction changes the velocity
-// by at most `ZERO_SHARE` of the allowed error per period. It is at most friction's velocity change
-// in a period.
+// Slip [m/s] that counts as zero. A slip r lasts for about r/max(a, limit). In this time, friction
+// changes the velocity by at most `ZERO_SHARE` of the allowed error per period. The result is at
+// most the velocity change by friction in a period.
 inline double zero_slip(double limit, double a, double allowed, double period) {
     return std::min(ZERO_SHARE * allowed / period * std::max(1.0, a / limit), limit * period);
 }
 
-// Whether a slip r [m/s] counts as zero at an acceleration a [m/s2] of the surface: the part would
-// stop within r^2/(2 (limit - a)), or the slip is below `zero_slip`.
+// Whether a slip r [m/s] counts as zero at an acceleration a [m/s2] of the surface. It does if the
+// part would stop within r^2/(2 (limit - a)), or if the slip is below `zero_slip`.
 inline bool calm(double r, double limit, double a, double allowed, double period) {
     return r * r <= 2 * SNAP_SHARE * allowed * (limit - a) ||
            r <= zero_slip(limit, a, allowed, period);
@@ -105,8 +112,8 @@ inline bool holds(Table table, double t, int k, Vec q, double limit) {
     return felt(table, t, k, q) <= limit * limit;
 }
 
-// Limit a step h [s] to `room` [s] and to the next knot. A step longer than two pieces may pass the
-// knot.
+// Limit a step h [s] to `room` [s], and to the next knot. If a step is longer than two pieces, it
+// may pass the knot.
 inline double to_knot(Table table, double t, int k, double h, double room) {
     h = std::min(h, room);
     const double least = FLOOR * table.back().end;
@@ -115,8 +122,9 @@ inline double to_knot(Table table, double t, int k, double h, double room) {
     return gap > least && gap < h && h < 2 * (table[k].end - table[k].start) ? gap : h;
 }
 
-// Whether the slip may nearly vanish within a step without being noticed at its stages. The slip's
-// magnitude is approximated by the cubic through its values and rates at both ends.
+// Whether the slip may nearly vanish within a step although the stages of the step do not show
+// this. The magnitude of the slip is approximated by a cubic through its values and rates at both
+// ends.
 inline bool dips(Table table, double t, int k, double h, const Step& made, const Slide& now,
                  const Bounds& bounds) {
     const double r = now.slip, limit = bounds.limit;
@@ -125,17 +133,18 @@ inline bool dips(Table table, double t, int k, double h, const Step& made, const
     const Vec w = slip(table, t + h, k, made.end), a = surface_rate(table, t + h, k, made.end);
     const double r_end = std::sqrt(dot(w, w)), up = h * (dot(made.force, a) / limit - limit);
     if (up <= 0) return false;
-    // Cubic r + down s + b s^2 + c s^3, s from 0 to 1
+    // The cubic is r + down s + b s^2 + c s^3, s from 0 to 1.
     const double b = 3 * (r_end - r) - 2 * down - up, c = 2 * (r - r_end) + down + up;
     const double root = std::sqrt(std::max(0.0, b * b - 3 * c * down));
     const double s = b + root > 0 ? -down / (b + root) : 0.5;
     const double least = r + s * (down + s * (b + s * c)), turn = bounds.rate * h;
-    // The error of the cubic is at most h^4/384 times the slip's fourth derivative, which is about
-    // accel rate^3 (Hermite interpolation). 0.01 is four times that.
+    // The error of the cubic is at most h^4/384 times the fourth derivative of the slip (Hermite
+    // interpolation). This derivative is about accel rate^3. The factor 0.01 is four times 1/384.
     return least < 0.01 * bounds.accel * h * (turn * (turn * turn));
 }
 
-// A completed step: length [s], state and friction at its end, and the next length to try [s].
+// A completed step: length [s], state and friction at its end, and length of the next step to try
+// [s].
 struct Slid {
     double h;
     Point end;
@@ -143,7 +152,7 @@ struct Slid {
     double hint;
 };
 
-// Compute one step of a sliding part, of at most h [s]. It ends where the slip vanishes.
+// Compute one step of a sliding part. Its length is at most h [s]. It ends where the slip vanishes.
 inline Slid slide(Table table, double t, int k, double h, double hint, const Point& part, Vec force,
                   const Slide& now, const Bounds& bounds) {
     const double limit = bounds.limit, period = bounds.period, first = h;
@@ -172,8 +181,8 @@ inline Slid slide(Table table, double t, int k, double h, double hint, const Poi
             h = hint = 0.5 * h;
             continue;
         }
-        // The error is of the order h^5. The factor for the next step is at most 6: the error near
-        // 0 of a straight motion contains no information about longer steps.
+        // The error is of the order h^5. The factor for the next step is at most 6. If a motion is
+        // straight, the error is near 0 and gives no information about longer steps.
         const double grown =
             error * 4000 < now.allowed ? 6 : 0.9 * std::pow(now.allowed / error, 0.2);
         const bool as_wanted = h == first && first == hint;
@@ -184,8 +193,8 @@ inline Slid slide(Table table, double t, int k, double h, double hint, const Poi
 
 // Return a time [s] in (low, high] at which friction cannot hold the part, or -1.
 //
-// The checked times are the middle, the end, and the peak of the parabola through the squared
-// accelerations at the start, the middle and the end.
+// The checked times are the middle, the end, and the peak of a parabola. The parabola passes
+// through the squared accelerations at the start, in the middle and at the end.
 inline double first_free(Table table, double low, double high, int k, Vec q, double limit) {
     const double middle = 0.5 * (low + high), most = limit * limit;
     const double a = felt(table, low, k, q), b = felt(table, middle, k, q);
@@ -199,7 +208,7 @@ inline double first_free(Table table, double low, double high, int k, Vec q, dou
     return c > most ? high : -1;
 }
 
-// Time [s], at most the period, until which friction holds a part at q [m, plate frame].
+// Time [s] until which friction holds a part at q [m, plate frame]. It is at most the period.
 inline double release(Table table, double t, int k, Vec q, double limit) {
     const double period = table.back().end, radius = std::sqrt(dot(q, q));
     for (int piece = k; piece < static_cast<int>(table.size()); piece++) {
@@ -228,7 +237,8 @@ inline double release(Table table, double t, int k, Vec q, double limit) {
     return period;
 }
 
-// Write the samples of a part stuck at q, from sample j until a time [s]. Return the next sample.
+// Write the samples of a part that sticks at q, from sample j until a time [s]. Return the next
+// sample.
 inline int emit_held(Table table, double until, int k, Vec q, const Grid& grid, int j,
                      const Track& track) {
     for (; j < track.count - 1; j++) {
@@ -239,8 +249,8 @@ inline int emit_held(Table table, double until, int k, Vec q, const Grid& grid, 
     return j;
 }
 
-// Write the samples of a sliding step from the quintic through p, v and v' at both ends. Return the
-// next sample.
+// Write the samples of a sliding step. They are taken from the quintic through p, v and v' at both
+// ends. Return the next sample.
 inline int emit(double t, double h, const Point& start, Vec before, const Point& end, Vec after,
                 const Grid& grid, int j, const Track& track) {
     if (j >= track.count - 1 || grid.time(j) > t + h) return j;
@@ -270,7 +280,8 @@ inline std::int64_t run_part(Table table, const Scales& scales, double limit, do
     const bool wraps = table[0].wraps != 0;
     const int count = (track.count - 1) / cycles;
     Point part = track.at(0);
-    // Approximate maximum acceleration [m/s2] of the surface, and its relative rate of change [1/s]
+    // Approximate maximum acceleration [m/s2] of the surface, and its relative rate of change
+    // [1/s].
     const double arm = std::sqrt(dot(part.place, part.place));
     const double accel = scales.accel + arm * scales.push;
     const double jerk = scales.jerk + arm * scales.push_rate, rate = accel > 0 ? jerk / accel : 0;
@@ -354,8 +365,8 @@ inline std::int64_t run_part(Table table, const Scales& scales, double limit, do
 // Compute the tracks of M parts, path and speed (rows, M, 2), from their first rows. Return the
 // number of steps.
 //
-// limit (M,): mu g of each part [m/s2]. static_ratio: static over dynamic friction. checked (M,):
-// set to whether a part's motion was computed within the step budget.
+// limit (M,): mu g of each part [m/s2]. static_ratio: ratio of static to dynamic friction. checked
+// (M,): output, whether a part's motion was computed within the maximum number of steps.
 inline std::int64_t run_points(Table table, const Scales& scales, const double* limit,
                                double static_ratio, double tolerance, int cycles, double* path,
                                double* speed, int rows, int count, bool* checked) {

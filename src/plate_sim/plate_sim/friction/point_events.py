@@ -1,14 +1,15 @@
-"""Event-driven simulation of point parts on the plate's exact motion, with a given accuracy. It is
-the reference for all other integrators.
+"""Event-driven simulation of point parts on the exact motion of the plate, with a given accuracy.
+It is the reference for all other integrators.
 
-A sliding part is integrated by Runge-Kutta 5(4) with error control. A sticking part keeps its place
-on the plate exactly, until the acceleration of the surface there exceeds the limit of static
-friction. If the slip vanishes, the time of this event is computed. Then the part sticks if friction
-can hold it, and otherwise it slides along the acceleration of the surface; for motion on a line
-this is a reversal. Near a minimum of the slip the steps become smaller, but not below the
-resolution of the tolerance.
+A sliding part is integrated by Runge-Kutta 5(4) with error control. A sticking part keeps its exact
+place on the plate until the acceleration of the surface there exceeds the limit of static friction.
+If the slip of a part vanishes, the time of this event is computed. The part then sticks if friction
+can hold it. Otherwise it slides in the direction of the surface's acceleration. For motion on a
+line, this is a reversal. Near a minimum of the slip the steps become smaller, but not smaller than
+the tolerance requires.
 
-On a tilted plate the frame falls with gravity along the plate (`plate.pieces`).
+If the plate is tilted, the frame falls with the component of gravity along the plate
+(`plate.pieces`).
 """
 
 from __future__ import annotations
@@ -29,8 +30,8 @@ TOLERANCE = 1e-7
 """Default error of the displacement in one cycle [m]: a ten-thousandth of a pixel."""
 
 SAMPLES = 64
-"""Default number of output samples per cycle: eight per period of a usual motion's highest
-harmonic."""
+"""Default number of output samples per cycle. It gives eight samples per period of the highest
+harmonic of a usual motion."""
 
 
 @dataclass(frozen=True)
@@ -40,14 +41,15 @@ class Trajectory:
     Attributes
     ----------
     time : (k,)
-        Times [s], from 0.
+        Times from the start [s].
     position : (k, M, 2)
-        Positions [m].
+        Positions of the parts [m].
     velocity : (k, M, 2)
-        Velocities [m/s].
+        Velocities of the parts [m/s].
     unchecked : tuple of int
-        Parts whose motion exceeded the step budget for the requested tolerance. It was finished
-        with coarse steps and an unknown error. Empty for all but extreme motions.
+        Parts whose motion required more than the maximum number of steps for the requested
+        tolerance. The rest of their motion was computed with coarse steps and has an unknown error.
+        Empty except for extreme motions.
     """
 
     time: np.ndarray
@@ -68,39 +70,40 @@ def simulate(
     *,
     ground: Ground = LEVEL,
 ) -> Trajectory:
-    """Integrate the stick-slip motion of point parts without contacts, on an unbounded plate.
+    """Integrate the stick-slip motion of point parts on an unbounded plate, without contacts.
 
     The error per cycle is about `tolerance`.
 
     Parameters
     ----------
     cycle : PlateCycle or PlateMotion
-        Motion of the plate. A PlateCycle that closes can be repeated; other motions run once.
+        Motion of the plate. A PlateCycle that closes can be repeated. Other motions are executed
+        once.
     position, velocity : (M, 2)
         Parts at the start of the first cycle [m], [m/s], plate_home.
     friction : float or (M,)
-        Friction coefficient mu, of all parts or of each.
+        Friction coefficient mu, of all parts or of each part.
     gravity : float
-        [m/s2].
+        Gravity [m/s2].
     cycles : int
         Number of cycles.
     samples : int, optional
-        Output samples per cycle, by default `SAMPLES`.
+        Number of output samples per cycle. Default: `SAMPLES`.
     tolerance : float
         Requested error of the displacement in one cycle [m].
     ground : Ground
-        Static friction and tilt. Its friction must not depend on the slip.
+        Static friction and tilt. The friction must not depend on the slip.
 
     Returns
     -------
     Trajectory
-        Start and all samples: k = cycles * samples + 1.
+        Motion at the start and at all samples. The number of samples is k = cycles * samples + 1.
 
     Raises
     ------
     PlateError
-        If shapes disagree, a value is not finite, a count or coefficient is out of range, or a
-        motion that does not close is repeated.
+        If shapes disagree, if a value is not finite, if a count or coefficient is out of range, or
+        if a motion that does not close is repeated.
     """
     cycles = whole("cycles", cycles)
     check_motion(cycle, cycles)
@@ -138,23 +141,24 @@ def run_points(
     speed: np.ndarray,
     checked: np.ndarray,
 ) -> int:
-    """Fill path and speed (cycles * samples + 1, M, 2) from their first rows. Return the steps.
+    """Fill path and speed (cycles * samples + 1, M, 2) from their first rows. Return the number of
+    steps.
 
     Parameters
     ----------
     table, scales : (K, 24), (8,)
-        The plate's motion, from `pieces.tabulate`.
+        Motion of the plate, from `pieces.tabulate`.
     limit : (M,)
         mu g of each part [m/s2].
     static : float
-        Static over dynamic friction.
+        Ratio of static to dynamic friction.
     tolerance : float
         Requested error of the displacement in one cycle [m].
     cycles : int
     path, speed : (cycles * samples + 1, M, 2)
         Positions [m] and velocities [m/s], plate_home.
     checked : (M,)
-        Set to whether a part's motion was computed within the step budget.
+        Output: whether each part's motion was computed within the maximum number of steps.
     """
     return _kernels.run_points(
         table, scales, limit, static, tolerance, cycles, path, speed, checked

@@ -1,7 +1,8 @@
 """Quadrature rules for convex polygons, exact for polynomials of degree 2 or more.
 
-`polygon_rule` returns points and areas for a polygon: Gauss's product rule for a parallelogram, and
-three points per triangle for other polygons. The other functions compute areas and intersections.
+`polygon_rule` returns points and areas for a polygon. It uses Gauss's product rule for a
+parallelogram, and three points per triangle for other polygons. The other functions compute areas
+and intersections.
 """
 
 from __future__ import annotations
@@ -11,10 +12,11 @@ import numpy as np
 from plate_core import PlateError
 
 ALIKE = 1e-9
-"""Maximum relative difference of equal lengths."""
+"""Maximum relative difference of two lengths that count as equal."""
 
 NEAR, FAR = 1 / 6, 2 / 3
-"""Barycentric coordinates of the rule of degree 2 on a triangle: three points of equal weight."""
+"""Barycentric coordinates of the rule of degree 2 on a triangle, which has three points of equal
+weight."""
 
 
 def polygon_rule(corners: np.ndarray, count: int) -> tuple[np.ndarray, np.ndarray]:
@@ -29,7 +31,7 @@ def polygon_rule(corners: np.ndarray, count: int) -> tuple[np.ndarray, np.ndarra
         return _parallelogram(corners, count)
     triangles = [corners[[0, k, k + 1]] for k in range(1, len(corners) - 1)]
     while 3 * len(triangles) < count - 1:
-        # Bisect the largest triangle at its longest side, which keeps triangles well shaped.
+        # Bisect the largest triangle at its longest side, because this avoids narrow triangles.
         triangles.sort(key=area)
         largest = triangles.pop()
         side = np.linalg.norm(np.roll(largest, -1, axis=0) - largest, axis=1)
@@ -55,7 +57,8 @@ def _parallelogram(corners: np.ndarray, count: int) -> tuple[np.ndarray, np.ndar
 
 
 def area(corners: np.ndarray) -> float:
-    """Return the area [m2] of a polygon (k, 2), positive if its corners are counter-clockwise."""
+    """Return the area [m2] of a polygon (k, 2). It is positive if the corners are
+    counter-clockwise."""
     if len(corners) < 3:
         return 0.0
     x, y = (corners - corners[0]).T
@@ -63,12 +66,13 @@ def area(corners: np.ndarray) -> float:
 
 
 def convex(corners: np.ndarray) -> np.ndarray:
-    """Return a copy of corners (k, 2) [m], checked to be convex, counter-clockwise.
+    """Return a copy of corners (k, 2) [m], after a check that they are convex and
+    counter-clockwise.
 
     Raises
     ------
     PlateError
-        If it is not a convex polygon.
+        If the corners do not form a convex polygon.
     """
     corners = places("corners", corners, 3)
     if area(corners) < 0:
@@ -89,7 +93,8 @@ def convex(corners: np.ndarray) -> np.ndarray:
 
 
 def places(name: str, array: np.ndarray, least: int) -> np.ndarray:
-    """Return a float copy of points (n, 2) [m], n at least `least`, checked to be finite."""
+    """Return a float copy of points (n, 2) [m], after a check that they are finite and that n is at
+    least `least`."""
     array = np.array(array, dtype=float)
     if array.ndim != 2 or array.shape[1] != 2 or len(array) < least:
         raise PlateError(f"{name} has shape {array.shape}, allowed: (n, 2) with n at least {least}")

@@ -1,14 +1,15 @@
 // Step of a disc without spin whose slip reverses, on a plate that does not rotate.
 //
-// The slip is one vector w(t), and friction accelerates the disc by mu g along w/|w|. With t from 0
-// to 1 over the step
+// The slip is one vector w(t). Friction accelerates the disc by mu g along w/|w|. If t goes from 0
+// to 1 over the step,
 //
 //     w(t) = s + a t + b t^2 - dv int_0^t w/|w|,    dv = mu g dt.
 //
 // If the plate accelerates much more than friction does, w is nearly straight. The step is split at
-// the minimum of |w|. In both parts w is approximated by a straight segment, and the mean of w/|w|
-// along a segment is known in closed form, also near 0. So a slip that reverses on a line is exact,
-// a slip that rotates quickly is of second order, and the step need not be shortened.
+// the minimum of |w|. In both parts, w is approximated by a straight segment. The mean of w/|w|
+// along a segment has a closed form, which is also valid near 0. Therefore a slip that reverses on
+// a line is exact, and a slip that rotates quickly is of second order. The step need not be
+// shortened.
 #pragma once
 #include <algorithm>
 #include <cmath>
@@ -18,18 +19,20 @@
 
 namespace plate::reversing {
 
-// Minimum rate of change of the slip at both ends of the step, relative to that by static friction.
+// Minimum rate of change of the slip at both ends of the step, relative to the rate that static
+// friction can cause.
 constexpr double FAST = 2.0;
-// Minimum cosine of the angle between the rates at both ends.
+// Minimum cosine of the angle between the rates at both ends of the step.
 constexpr double BENT = 0.9;
 // Maximum number of iterations for a mean direction, and change that ends them. Each iteration
 // multiplies the error by the ratio of friction to the change of the slip.
 constexpr int ROUNDS = 8;
 constexpr double CLOSE = 1e-4;
-// A segment passes through 0 if its line is closer to 0 than this fraction of its length.
+// If the line of a segment is closer to 0 than this fraction of the segment's length, the segment
+// passes through 0.
 constexpr double THIN = 1e-5;
 
-// Mean of x/|x| over the segment from `from` to `to`. It is n if both points are equal.
+// Mean of x/|x| over the segment from `from` to `to`. The mean is n if both points are equal.
 inline Vec heading(Vec from, Vec to, Vec n) {
     Vec d = to - from;
     const double length2 = dot(d, d);
@@ -50,7 +53,8 @@ inline Vec heading(Vec from, Vec to, Vec n) {
     return {mean * d.x + side * d.y, mean * d.y - side * d.x};
 }
 
-// Whether the method applies; mean velocity of the disc in the step, and velocity at its end [m/s].
+// Whether the method applies, mean velocity of the disc in the step, and velocity at the end of the
+// step [m/s].
 struct Reversal {
     bool fits;
     Vec mean, end;
@@ -58,10 +62,11 @@ struct Reversal {
 
 // Compute a step of a disc with the velocity v [m/s].
 //
-// plate: samples of the plate's motion at the step's start, middle and end. fall, static_dv, dv
-// [m/s]: velocity changes in the step by gravity along the plate, static and dynamic friction.
+// plate: samples of the plate's motion at the start, in the middle and at the end of the step.
+// fall, static_dv, dv [m/s]: velocity changes in the step by gravity along the plate, by static
+// friction and by dynamic friction.
 inline Reversal reversal(const PlateSample* plate, Vec fall, double static_dv, double dv, Vec v) {
-    // Slip without friction: s + a t + b t^2, t from 0 to 1; its rate at the end is z
+    // The slip without friction is s + a t + b t^2, t from 0 to 1. Its rate at the end is z.
     const Vec s = Vec{plate[0].vx, plate[0].vy} - v;
     const Vec m = Vec{plate[1].vx, plate[1].vy} - v - 0.5 * fall;
     const Vec e = Vec{plate[2].vx, plate[2].vy} - v - fall;
@@ -84,7 +89,7 @@ inline Reversal reversal(const PlateSample* plate, Vec fall, double static_dv, d
             if (std::abs(t - before) <= CLOSE) break;
         }
     }
-    // Velocity u at the minimum of the slip, then the rest of the step
+    // Compute the velocity u at the minimum of the slip, then the rest of the step.
     const Vec u = v + t * (fall + dv * n);
     const double left = 1 - t, kick = left * dv;
     const Vec g = left * (a + (1 + t) * b);

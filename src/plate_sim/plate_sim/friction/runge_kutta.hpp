@@ -1,8 +1,8 @@
 // Steps of a sliding point part: Runge-Kutta 5(4), the event at which the slip vanishes, and the
 // restart from zero slip.
 //
-// A sliding part obeys p' = v, v' = mu g w/|w| with the slip w = v_s(p, t) - v, where v_s is the
-// velocity of the surface (pieces.hpp). The right side is smooth while w is not 0.
+// A sliding part obeys p' = v, v' = mu g w/|w| with the slip w = v_s(p, t) - v. v_s is the velocity
+// of the surface (pieces.hpp). The right side is smooth while w is not 0.
 #pragma once
 #include <algorithm>
 #include <cmath>
@@ -31,13 +31,13 @@ constexpr double E[STAGES] = {
     B[4] + 92097. / 339200, B[5] - 187. / 2100,
     -1. / 40};
 
-// Maximum number of restarts with shortened steps, after which the part remains stuck. 0.3**40 of a
+// Maximum number of restarts with shortened steps. After that, the part remains stuck. 0.3**40 of a
 // step is below rounding.
 constexpr int TRIES = 40;
-// Tolerance of a root in time, relative to its initial bracket.
+// Tolerance of a root in time, relative to the initial bracket of the root.
 constexpr double ROOT = 1e-15;
 
-// Sum of weights times vectors, added in order.
+// Sum of products of weights and vectors, added in order.
 template <int COUNT>
 [[gnu::always_inline]] inline Vec weighted(const double* weights, const Vec* vectors) {
     Vec sum = weights[0] * vectors[0];
@@ -47,9 +47,9 @@ template <int COUNT>
     return sum;
 }
 
-// Result of a trial step. If the slip reversed, `turned` is the fraction of the step of the stage
-// that detected it. Otherwise it is 0, and the rest is state and friction [m/s2] at the end, and
-// estimated errors of position [m] and velocity [m/s].
+// Result of a trial step. If the slip reversed, `turned` is the fraction of the step at the stage
+// that detected the reversal. Otherwise `turned` is 0. The other fields are the state and friction
+// [m/s2] at the end, and the estimated errors of position [m] and velocity [m/s].
 struct Step {
     double turned;
     Point end;
@@ -57,8 +57,8 @@ struct Step {
     double place_error, velocity_error;
 };
 
-// A stage of a step: velocity, friction, and whether the slip still has a positive component along
-// n.
+// A stage of a step: velocity, friction, and whether the component of the slip along n is still
+// positive.
 struct Stage {
     Vec velocity, force;
     bool on;
@@ -112,23 +112,25 @@ inline Vec straight(Table table, double t, int k, double tau, const Point& part,
     return {w.x * n.x + w.y * n.y, w.y * n.x - w.x * n.y};
 }
 
-// Try a step with a slip that stays on a line. Friction is constant, so the step is exact.
+// Try a step of a slip that stays on a line. Friction is constant in such a step, so the step is
+// exact.
 inline Step line_step(Table table, double t, int k, double h, const Point& part, Vec force) {
     const Vec w = straight(table, t, k, h, part, force, force);
     return {w.x > 0 ? 0. : 1., even(part, force, h), force, 0, 0};
 }
 
-// Event at which the slip vanishes: time [s] since the start of the step, 0 if it does not vanish;
-// remaining slip [m/s] across its initial direction, 0 on a line; and an upper bound of the
-// velocity's error [m/s] because the direction of friction was kept constant.
+// Event at which the slip vanishes. Its fields are the time [s] since the start of the step (0 if
+// the slip does not vanish), the remaining slip [m/s] across its initial direction (0 on a line),
+// and an upper bound of the velocity's error [m/s]. This error results from the constant direction
+// of friction.
 struct Landing {
     double tau, rest, error;
 };
 
-// Find the time within h [s] at which the slip vanishes along its present direction, if friction is
-// constant.
+// Find the time within h [s] at which the slip vanishes along its present direction. Friction is
+// assumed to be constant.
 //
-// r: present slip [m/s]. none: slip along the direction [m/s] that counts as 0.
+// r: present slip [m/s]. none: component of the slip along the direction [m/s] that counts as 0.
 inline Landing landing(Table table, double t, int k, double h, const Point& part, Vec force,
                        double r, double limit, double none) {
     const Vec n{force.x / limit, force.y / limit};
@@ -136,7 +138,8 @@ inline Landing landing(Table table, double t, int k, double h, const Point& part
     if (last.x > 0) return {0, 0, 0};
     double low = 0, high = h, s_low = r, s_high = last.x, rest = last.y, tau = h;
     int side = 0;
-    // Illinois method: regula falsi that halves the value at an end that is kept twice
+    // Illinois method: regula falsi that halves the value at an end of the interval if this end is
+    // kept twice.
     for (int i = 0; i < 60; i++) {
         if (high - low <= ROOT * h || s_high == 0) break;
         tau = (low * s_high - high * s_low) / (s_high - s_low);
@@ -159,39 +162,40 @@ inline Landing landing(Table table, double t, int k, double h, const Point& part
     }
     const Vec half = straight(table, t, k, 0.5 * tau, part, force, n);
     rest = std::abs(rest);
-    // If the slip decreases linearly, its angle grows with 1/(tau - t). The integral is a
-    // logarithm.
+    // If the slip decreases linearly, its angle changes in proportion to 1/(tau - t). The integral
+    // of this is a logarithm.
     double share = rest > 0 ? rest / r * (1 + std::log(std::max(1.0, r / rest))) : 0;
     share += half.x > 0 ? std::abs(half.y) / half.x : 1;
     return {tau, rest, limit * tau * share};
 }
 
-// Unit vector of the acceleration of the plate's point q [m, plate frame]; 0 if it does not
-// accelerate.
+// Unit vector of the acceleration of the plate's point q [m, plate frame]. It is 0 if the point
+// does not accelerate.
 inline Vec heading(Table table, double t, int k, Vec q) {
     const Vec accel = riding(table, t, k, q).accel;
     const double a = std::sqrt(dot(accel, accel));
     return a > 0 ? Vec{accel.x / a, accel.y / a} : Vec{0, 0};
 }
 
-// First step of a part that comes loose: length [s], 0 if it does not slide; state at its end;
-// friction at both ends [m/s2].
+// First step of a part that begins to slide: length [s] (0 if it does not slide), state at its end,
+// and friction at both ends [m/s2].
 struct Restart {
     double tau;
     Point end;
     Vec before, after;
 };
 
-// Compute a step of at most h [s] from a slip of nearly 0, if friction cannot hold the part.
+// Compute a step of at most h [s] from a slip of nearly 0. The step is computed only if friction
+// cannot hold the part.
 //
-// The slip takes the direction of the surface's acceleration a at once and then follows it. So
-// friction is mu g a/|a|. allowed: maximum error of the velocity [m/s].
+// The slip takes the direction of the surface's acceleration a at once, and then follows this
+// direction. Therefore friction is mu g a/|a|. allowed: maximum error of the velocity [m/s].
 inline Restart restart(Table table, double t, int k, double h, const Point& part, double limit,
                        double allowed) {
     const Vec q = in_plate(table, t, k, part.place), n0 = heading(table, t, k, q);
     for (int i = 0; i < TRIES; i++) {
         const Vec n1 = heading(table, t + 0.5 * h, k, q), n2 = heading(table, t + h, k, q);
-        // Simpson's rule for v, and the corresponding rule for p
+        // Use Simpson's rule for v, and the corresponding rule for p.
         const Vec u = part.velocity + limit * h / 6 * (n0 + 4 * n1 + n2);
         const Vec p = part.place + h * (part.velocity + limit * h / 6 * (n0 + 2 * n1));
         int piece = k;

@@ -1,13 +1,13 @@
 // Time step of a finite part that slides and rotates, moves with the plate, or begins to stick.
 //
 // A part that slides steadily is advanced by the midpoint rule, which is of second order. The rule
-// is explicit, or implicit if friction changes much with the slip. If the slip rotates quickly, the
-// step is bisected, at most `HALVINGS` times. If the slip reverses, the step is split just before
-// the reversal. The shortest substeps use the implicit Euler method (patch.hpp). A part that sticks
-// at both ends of a step moves exactly with the plate, so it cannot creep.
+// is explicit. If the friction changes much with the slip, it is implicit. If the slip rotates
+// quickly, the step is bisected, at most `HALVINGS` times. If the slip reverses, the step is split
+// just before the reversal. The shortest substeps use the implicit Euler method (patch.hpp). A part
+// that sticks at both ends of a step moves exactly with the plate. Therefore it cannot creep.
 //
-// In most steps most parts are discs that slide steadily. They are advanced together by `glide`
-// (glide.hpp), and the other parts one by one by `advance`.
+// In most steps, most parts are discs that slide steadily. `glide` (glide.hpp) advances them
+// together. `advance` advances the other parts one by one.
 #pragma once
 #include <plate/view.hpp>
 
@@ -28,10 +28,10 @@ namespace plate {
 // Rows of a state: position [m], angle [rad] and their rates, in plate_home.
 constexpr int X = 0, Y = 1, ANGLE = 2, VX = 3, VY = 4, SPIN = 5;
 
-// Number of parts per SIMD vector.
+// Number of parts in an SIMD vector.
 constexpr int LANES = 4;
 
-// Constants of a part: a record of BODY in step.py, stored in the same bytes as ten numbers.
+// Constants of a part: a record of BODY in step.py. It has the same bytes as ten numbers.
 struct Body {
     double mu_g, gyration2, radius, reach, slim, mass_inverse;
     std::int64_t first_point, end_point, first_piece, end_piece;
@@ -45,14 +45,14 @@ static_assert(sizeof(Body) == 10 * sizeof(double));
 struct Group {
     double state[6][LANES];
     // mu g times the step [m/s]; minimum squared slip [m2/s2] for `glide`, infinite for parts that
-    // are not discs; squares of radius and radius of gyration [m2], and their ratio
+    // are not discs; squared radius and squared radius of gyration [m2], and their ratio.
     double dv[LANES], least[LANES], radius2[LANES], gyration2[LANES], ratio[LANES];
     double moved[LANES];    // 1 if `glide` has advanced the part in this step, else 0
     double away[LANES];     // 0 if the part is on the plate, else infinite
     double mark[2][LANES];  // positions at an earlier time [m]
 };
 
-// State of the parts. The last one is the walls.
+// State of the parts. The last column represents the walls.
 struct State {
     std::span<Group> groups;
 
@@ -66,20 +66,21 @@ struct State {
 
 namespace plate::stepping {
 
-// Maximum number of bisections of a step. Times of reversals are exact to 1/512 of the step.
+// Maximum number of bisections of a step. With it, times of reversals are exact to 1/512 of the
+// step.
 constexpr int HALVINGS = 9;
-// Minimum cosine of the angle between the slip at the start and the slips in the middle and at the
-// end. If it is smaller, the step is bisected.
+// Minimum cosine of the angle between the slip at the start of a step and the slips in the middle
+// and at the end. If it is smaller, the step is bisected.
 constexpr double STEADY = 0.9;
-// A slip below this fraction of mu g dt counts as 0, because it is a rounding error.
+// Slip below which it counts as 0, as a fraction of mu g dt. A smaller slip is a rounding error.
 constexpr double STUCK = 1e-3;
 // If friction changes by less than this fraction of the slip in a step, the explicit rule is used.
 constexpr double GENTLE = 0.5;
-// Approximate upper bound of the derivative of a disc's friction with respect to the slip, times
-// the slip [mu g].
+// Approximate upper bound of the derivative of a disc's friction with respect to the slip,
+// multiplied by the slip [mu g].
 constexpr double DISC_STIFF = 3.0;
 
-// State of one part: position [m], angle [rad], and their rates, plate_home.
+// State of one part: position [m], angle [rad], and their rates, in plate_home.
 struct Motion {
     double x, y, angle, vx, vy, spin;
 };
@@ -98,7 +99,8 @@ inline Slip operator*(double scale, const Slip& a) {
     return a.x * b.x + a.y * b.y + gyration2 * a.turn * b.turn;
 }
 
-// Transform a slip to the axes of a part (cosine c and sine s of its angle), and back.
+// Transform a slip to the axes of a part, and back. c and s are the cosine and sine of the part's
+// angle.
 inline Slip to_part(const Slip& a, double c, double s) {
     return {c * a.x + s * a.y, c * a.y - s * a.x, a.turn};
 }
@@ -113,7 +115,7 @@ inline bool alike(const Slip& a, const Slip& b, double gyration2) {
            product * product > STEADY * STEADY * dot(a, a, gyration2) * dot(b, b, gyration2);
 }
 
-// Twist of the plate at (x, y) minus that of a part: equation (2).
+// Twist of the plate at (x, y) minus the twist of a part: equation (2).
 [[gnu::always_inline]] inline Slip slip(const PlateSample& plate, double x, double y, double vx,
                                        double vy, double spin) {
     return {plate.vx - plate.spin * (y - plate.y) - vx, plate.vy + plate.spin * (x - plate.x) - vy,
@@ -126,7 +128,7 @@ inline Motion moved(const Motion& m, double h, double vx, double vy, double spin
             m.angle + 0.5 * h * (m.spin + spin), vx, vy, spin};
 }
 
-// Return the friction of `patch::friction` in plate_home, for any part at `angle` [rad].
+// Return the friction in plate_home for any part at `angle` [rad], see `patch::friction`.
 inline patch::Friction friction(const Slip& slip, double angle, const Body& body,
                                 const Mesh& mesh) {
     if (body.even()) {
@@ -146,7 +148,8 @@ inline patch::Friction friction(const Slip& slip, double angle, const Body& body
     return {from_part(found.push, c, s), found.stiff};
 }
 
-// Return the slip of `patch::slip_after` in plate_home, for any part at `angle` [rad].
+// Return the slip after a step in plate_home for any part at `angle` [rad], see
+// `patch::slip_after`.
 inline Slip slip_after(const Slip& free, double angle, double dv, const Body& body,
                        const Mesh& mesh) {
     if (body.even()) return disc::disc_slip_after(free, dv, body.gyration2, body.radius);
@@ -156,7 +159,7 @@ inline Slip slip_after(const Slip& free, double angle, double dv, const Body& bo
     return from_part(left, c, s);
 }
 
-// Whether friction that changes the velocity by dv [m/s] can stop a slip.
+// Whether friction that changes the velocity by at most dv [m/s] can stop a slip.
 inline bool holds(const Slip& slip, double angle, double dv, const Body& body, const Mesh& mesh) {
     constexpr double MOST = (1 + disc::SNAP) * (1 + disc::SNAP);
     if (slip.x * slip.x + slip.y * slip.y > MOST * dv * dv) return false;
@@ -164,7 +167,7 @@ inline bool holds(const Slip& slip, double angle, double dv, const Body& body, c
     return left.x == 0 && left.y == 0 && left.turn == 0;
 }
 
-// Slip in the middle of a step, and change of the twist by friction during the step.
+// Slip in the middle of a step, and change of the part's twist by friction during the step.
 struct Middle {
     Slip half, push;
 };
@@ -184,14 +187,14 @@ inline Middle midpoint(const Slip& slip, const Slip& free, double angle, double 
 }
 
 // Result of a trial step: whether it is accurate enough, and the state at its end. If the slip
-// reverses, `ahead` is the estimated fraction of the step before the reversal, otherwise 0.
+// reverses, `ahead` is the estimated fraction of the step before the reversal. Otherwise it is 0.
 struct Attempt {
     bool fine;
     Motion after;
     double ahead = 0;
 };
 
-// Move a stuck part with the plate. The result is `fine` if static friction can hold it.
+// Move a stuck part with the plate. `fine` is true if static friction can hold the part.
 //
 // fall, static_dv [m/s]: velocity changes in the step by gravity along the plate and by static
 // friction.
@@ -205,9 +208,9 @@ inline Attempt ride(const PlateSample* plate, Vec fall, double static_dv, const 
                        end.vx - end.spin * qy, end.vy + end.spin * qx, end.spin};
     const Slip gain{after.vx - m.vx, after.vy - m.vy, after.spin - m.spin}, pull{fall.x, fall.y, 0};
     if (!holds(gain - pull, m.angle, static_dv, body, mesh)) return {false, after};
-    // Also check the rate at the end, where the part may come loose. The parabola a s + b s^2
-    // through 0, half at s = 1/2 and gain at s = 1 has a = 4 half - gain and b = 2 gain - 4 half.
-    // Its rate at s = 1 is a + 2 b = 3 gain - 4 half.
+    // Also check the rate at the end, because the part may begin to slide there. Consider the
+    // parabola a s + b s^2 that is 0 at s = 0, half at s = 1/2 and gain at s = 1. It has a = 4 half
+    // - gain and b = 2 gain - 4 half. Its rate at s = 1 is a + 2 b = 3 gain - 4 half.
     turn = middle.theta - start.theta;
     const Slip half =
         slip(middle, middle.x + rx - turn * ry, middle.y + ry + turn * rx, m.vx, m.vy, m.spin);
@@ -216,8 +219,8 @@ inline Attempt ride(const PlateSample* plate, Vec fall, double static_dv, const 
 
 // Try one step of h [s].
 //
-// last: if true, the step is always accepted, by the implicit Euler method if necessary. none: slip
-// [m/s] that counts as 0.
+// last: if true, the step is always accepted. The implicit Euler method is then used if necessary.
+// none: slip [m/s] that counts as 0.
 inline Attempt attempt(const PlateSample* plate, double h, bool last, double none,
                        const GroundEffect& ground, const Motion& m, const Body& body,
                        const Mesh& mesh) {
@@ -244,7 +247,7 @@ inline Attempt attempt(const PlateSample* plate, double h, bool last, double non
     Motion after = moved(m, h, m.vx + fall.x + push.x, m.vy + fall.y + push.y, m.spin + push.turn);
     const Slip end = slip(plate[2], after.x, after.y, after.vx, after.vy, after.spin);
     bool loose = true;
-    if (stuck) {  // the slip grows from 0 as a parabola: its initial rate, a in `ride`
+    if (stuck) {  // the slip grows as a parabola, with the initial rate a of `ride`
         start = 4 * half - end;
         loose = static_dv <= dv || !holds(4 * middle - end - push, m.angle, static_dv, body, mesh);
     }
@@ -264,13 +267,13 @@ inline Attempt attempt(const PlateSample* plate, double h, bool last, double non
     return {last, after, ahead};
 }
 
-// Return a size smaller than `size`: the part before the reversal, or half of it. Sizes are in
-// units of the finest substep.
+// Return a size smaller than `size`: the part before the reversal or, without a reversal, half of
+// it. Sizes are in units of the finest substep.
 inline int shorter(int size, double ahead) {
     return ahead > 0 ? std::max(1, std::min(size - 1, static_cast<int>(size * ahead))) : size >> 1;
 }
 
-// Return the state after a step that is split into substeps until each is accurate enough.
+// Split a step into substeps until each one is accurate enough. Return the state at its end.
 //
 // first: the plate at the start of the step. ahead: result of `attempt` for the whole step.
 inline Motion advance_in_parts(const Course& course, double start, double step, double none,
@@ -292,8 +295,8 @@ inline Motion advance_in_parts(const Course& course, double start, double step, 
         motion = made.after;
         done += size;
         if (done == FINEST) return motion;
-        // After a substep that ends before a reversal, a finest substep passes the reversal, and
-        // one more substep does the rest.
+        // After a substep that ends before a reversal, one finest substep passes the reversal, and
+        // one more substep computes the rest.
         size = !to_end ? 2 * size : size > 1 ? 1 : FINEST - done;
         to_end = to_end && size == 1;
         size = std::min(size, FINEST - done);
@@ -302,7 +305,7 @@ inline Motion advance_in_parts(const Course& course, double start, double step, 
 }
 
 // Compute a step of h [s] of a disc without spin by `reversal`. The result is not `fine` if the
-// plate rotates or the method does not apply.
+// plate rotates, or if the method does not apply.
 inline Attempt reverse(const PlateSample* plate, double h, const GroundEffect& ground,
                        const Motion& m, const Body& body) {
     if (plate[0].spin != 0 || plate[1].spin != 0 || plate[2].spin != 0) return {false, m};
@@ -320,8 +323,8 @@ namespace plate {
 
 // Advance part i by a step, in place.
 //
-// start, step [s]: time in the course at which the step begins, and its length. plate: samples of
-// the plate's motion at its start, middle and end.
+// start, step [s]: time in the course at which the step begins, and length of the step. plate:
+// samples of the plate's motion at its start, in its middle and at its end.
 inline void advance(const Course& course, double start, double step, const PlateSample* plate,
                     const GroundEffect& ground, const State& state, int i, const Body& body,
                     const Mesh& mesh) {

@@ -1,5 +1,5 @@
-"""Check of motor tables by the simulated device. A table with a wrong start state, beyond a limit
-of the rig, or of a wrong length is refused."""
+"""Check of motor tables by the simulated device. A table is refused if its start state is wrong, if
+it exceeds a limit of the rig, or if its length is not allowed."""
 
 from __future__ import annotations
 
@@ -7,8 +7,8 @@ from plate_core import CycleError, PlateCycle, Rig
 from plate_core.motion import CycleUsage, usage
 
 SLACK = 1.02
-"""Fraction of a limit above which a table is refused. The computed peaks of a table are upper
-bounds, up to 1 % too high."""
+"""Fraction of a limit above which a table is refused. It is above 1, because the computed peaks of
+a table are upper bounds that are up to 1 % too high."""
 
 PERIOD = (0.01, 10.0)
 """Allowed length of a table [s]. One image is taken per table."""
@@ -20,8 +20,8 @@ def check_table(rig: Rig, cycle: PlateCycle, running: PlateCycle) -> CycleUsage:
     Raises
     ------
     CycleError
-        If the table starts neither at rest at home nor in the end state of the running table,
-        exceeds a limit, or is too short or too long.
+        If the table starts neither at rest at home nor in the end state of the running table, if it
+        exceeds a limit, or if it is too short or too long.
     """
     if not PERIOD[0] <= cycle.period <= PERIOD[1]:
         raise CycleError(f"period is {cycle.period:g} s, allowed: {PERIOD[0]:g} to {PERIOD[1]:g} s")

@@ -1,5 +1,5 @@
-// Evaluation of the plate's pose and twist at any time of a motion, for x, y and theta at once.
-// Used by the steps of finite parts.
+// Evaluation of the plate's pose and twist at any time of a motion, for x, y and theta at once. The
+// steps of finite parts use it.
 #pragma once
 #include <algorithm>
 #include <vector>
@@ -14,8 +14,9 @@ struct PlateSample {
     double x, y, theta, vx, vy, spin;
 };
 
-// Motion between two knots: times of its start and end [s], and coefficients of the powers of the
-// time since its start, for x, y [m], theta [rad] and a zero for padding; the same for their rates.
+// Motion between two knots: times of its start and end [s]; coefficients of the powers of the time
+// since its start, for x, y [m], theta [rad] and a zero for padding; and the same coefficients for
+// the rates.
 struct Leg {
     double start, end, pose[6][4], twist[5][4];
 
@@ -34,7 +35,7 @@ struct Leg {
 struct Course {
     std::vector<Leg> legs;
 
-    // From K + 1 knot times [s] and coefficients (K, 6, 3).
+    // Constructs the motion from K + 1 knot times [s] and coefficients (K, 6, 3).
     Course(const double* times, const double* factors, int count) : legs(count) {
         for (Leg& leg : legs) {
             leg.start = times[0], leg.end = times[1], times++;

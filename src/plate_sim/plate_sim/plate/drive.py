@@ -1,14 +1,14 @@
-"""The plate on its flexures and the drive of its motors, as one linear system.
+"""The plate on its flexures and the drive of its motors, modelled as one linear system.
 
     M q'' + C q' + K q = B f,      f_i' = w (g_i u_i - f_i),
     u = B^+ (s_M M c'' + s_C C c' + s_K K c) + k B^T (c - q) + d B^T (c' - q')
 
-q is the plate's pose, c the commanded pose, f the motors' forces, B the map from these forces to
-the plate at home, B^+ its least-squares inverse, and w the motors' bandwidth. The other quantities
-are those of `Suspension`. The state is the deviation e = q - c and, if the motors have a bandwidth,
-the deviation of their forces f - g B^+ (...). It follows z' = A z + b(t), where b is the error of
-the feedforward. If the drive knows the plate exactly and the motors are equal and without lag, e is
-exactly 0.
+q is the pose of the plate, c the commanded pose, and f the forces of the motors. B is the map from
+these forces to the plate at home, B^+ is its least-squares inverse, and w is the bandwidth of the
+motors. The other quantities are defined in `Suspension`. The state is the deviation e = q - c. If
+the motors have a bandwidth, the state also contains the deviation of their forces f - g B^+ (...).
+The state z follows z' = A z + b(t), where b is the error of the feedforward. If the drive knows the
+plate exactly, and if the motors are equal and have no lag, e is exactly 0.
 """
 
 from __future__ import annotations
@@ -25,11 +25,11 @@ from plate_core.rig import Suspension, motor_levers
 from .motion import PlateMotion
 
 DEGREE = 5
-"""Degree of the polynomials of the commanded motion in a piece, and of its forces."""
+"""Degree of the polynomials of the commanded motion in a piece, and of the forces in a piece."""
 
 HELD = 1e-6
-"""Minimum ratio of the slowest to the fastest rate of the system. If it is smaller, nothing holds
-the plate in place."""
+"""Minimum ratio of the slowest to the fastest rate of the system. A smaller ratio means that
+nothing holds the plate in place."""
 
 
 @dataclass(frozen=True)
@@ -39,12 +39,12 @@ class PlateState:
     Attributes
     ----------
     pose, twist : (3,)
-        [m, m, rad] and [m/s, m/s, rad/s], plate_home.
+        Pose [m, m, rad] and twist [m/s, m/s, rad/s] of the plate, plate_home.
     force : (4,)
         Forces of the motors [N].
     overtravel_m : float
-        Maximum excess of a motor over its stroke in the last cycle [m]. 0 if no motor exceeded it.
-        The simulated motion is not affected, but a real rig would hit its stops.
+        Maximum distance by which a motor exceeded its stroke in the last cycle [m]. 0 if no motor
+        exceeded it. The simulation has no stops, but a real rig would hit them.
 
     Raises
     ------
@@ -67,19 +67,20 @@ class PlateState:
 
     @classmethod
     def at_rest(cls) -> PlateState:
-        """Return the plate at home, at rest."""
+        """Return the state of a plate at home and at rest."""
         return cls(np.zeros(3), np.zeros(3), np.zeros(4))
 
 
 @dataclass(frozen=True)
 class Plant:
-    """Plate and drive: z' = system z + b. z (n,) is the deviation; n is 6, or 10 if the motors lag.
+    """Plate and drive: z' = system z + b. z (n,) is the deviation. n is 6, or 10 if the motors have
+    a lag.
 
     Attributes
     ----------
     suspension : Suspension
     push : (3, 4)
-        B: force and torque about home per newton of each motor [N, N, N m].
+        B: force and torque about home per newton of force of each motor [N, N, N m].
     """
 
     suspension: Suspension
@@ -92,7 +93,7 @@ class Plant:
         Raises
         ------
         PlateError
-            If nothing holds the plate in place, or the servo makes it unstable.
+            If nothing holds the plate in place, or if the servo makes it unstable.
         """
         plant = cls(suspension, motor_levers(rig).T)
         rates = np.linalg.eigvals(plant.system)
@@ -117,22 +118,22 @@ class Plant:
 
     @cached_property
     def gain(self) -> np.ndarray:
-        """g (4,)."""
+        """Gains g of the motors (4,)."""
         return np.array(self.suspension.motor_gain)
 
     @cached_property
     def matrices(self) -> np.ndarray:
-        """K, C and M (3, 3, 3), in the order of the derivative that they multiply."""
+        """K, C and M (3, 3, 3), in the order of the derivatives by which they are multiplied."""
         return np.array([getattr(self.suspension, k) for k in ("stiffness", "damping", "mass")])
 
     @cached_property
     def known(self) -> np.ndarray:
-        """Part of K, C and M that the feedforward compensates (3, 3, 3)."""
+        """Parts of K, C and M that the feedforward compensates (3, 3, 3)."""
         return self.matrices * np.array(self.suspension.feedforward[::-1])[:, None, None]
 
     @cached_property
     def share(self) -> np.ndarray:
-        """B^+ (4, 3)."""
+        """Least-squares inverse B^+ (4, 3)."""
         return np.asarray(np.linalg.pinv(self.push))
 
     @cached_property
@@ -142,13 +143,14 @@ class Plant:
 
     @cached_property
     def servo(self) -> np.ndarray:
-        """Servo forces (4, 6) per deviation of pose and twist, including the motors' gain."""
+        """Servo forces (4, 6) per deviation of pose and twist. They include the gains of the
+        motors."""
         stiff, damped = (s * self.push.T for s in self.suspension.servo)
         return np.asarray(-self.gain[:, None] * np.concatenate([stiff, damped], axis=1))
 
     @cached_property
     def system(self) -> np.ndarray:
-        """A (n, n) [1/s]."""
+        """System matrix A (n, n) [1/s]."""
         stiffness, damping, _ = self.matrices
         accel = -self.mobility @ np.concatenate([stiffness, damping], axis=1)
         into = self.mobility @ self.push
@@ -161,13 +163,13 @@ class Plant:
         )
 
     def deviation(self, state: PlateState, command: Command) -> np.ndarray:
-        """Return z (n,) of a state at the start of a command."""
+        """Return the deviation z (n,) of a state at the start of a command."""
         pose, twist, force = command.at(0, 0.0)
         parts = [state.pose - pose, state.twist - twist, state.force - self.gain * force]
         return np.concatenate(parts[: 3 if self.lags else 2])
 
     def end(self, deviation: np.ndarray, command: Command) -> PlateState:
-        """Return the state with deviation z (n,) at the end of a command."""
+        """Return the state for a deviation z (n,) at the end of a command."""
         pose, twist, force = command.at(len(command.steps) - 1, command.steps[-1])
         follow = deviation[6:] if self.lags else self.servo @ deviation
         return PlateState(pose + deviation[:3], twist + deviation[3:6], self.gain * force + follow)
@@ -175,19 +177,19 @@ class Plant:
 
 @dataclass(frozen=True)
 class Command:
-    """A commanded cycle and the errors of its feedforward, as derivatives at the starts of the
-    pieces.
+    """A commanded cycle and the errors of its feedforward. Both are given by their derivatives at
+    the starts of the pieces.
 
     Attributes
     ----------
     times : (k + 1,)
         Ends of the pieces [s].
     pose : (k, 6, 3)
-        c and its derivatives.
+        Commanded pose c and its derivatives.
     force : (k, 6, 4)
         Feedforward forces of the motors [N].
     forcing : (k, 6, n)
-        Feedforward error b.
+        Error b of the feedforward.
     """
 
     times: np.ndarray
@@ -215,8 +217,8 @@ class Command:
         return np.diff(self.times)
 
     def at(self, piece: int, offset: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Return pose (3,), twist (3,) and motor forces (4,) at `offset` [s] after a piece's
-        start."""
+        """Return pose (3,), twist (3,) and motor forces (4,) at `offset` [s] after the start of a
+        piece."""
         row, offsets = slice(piece, piece + 1), np.array([offset])
         pose, force = later(self.pose[row], offsets)[0], later(self.force[row], offsets)[0]
         return pose[0], pose[1], force[0]
@@ -229,8 +231,10 @@ def _derivative(derivatives: np.ndarray, order: int) -> np.ndarray:
 
 
 def later(derivatives: np.ndarray, offset: np.ndarray) -> np.ndarray:
-    """Return derivatives (m, DEGREE + 1, d) of polynomials, `offset` (m,) [s] later."""
+    """Return the derivatives (m, DEGREE + 1, d) of polynomials at a time that is `offset` (m,) [s]
+    later."""
     order = np.arange(DEGREE + 1)
-    power = order - order[:, None]  # [i, j]: power of t with which derivative j enters derivative i
+    # Entry [i, j] is the power of t with which derivative j contributes to derivative i.
+    power = order - order[:, None]
     scale = np.array([1 / factorial(p) for p in order])[np.maximum(power, 0)] * (power >= 0)
     return np.asarray((scale * offset[:, None, None] ** np.maximum(power, 0)) @ derivatives)

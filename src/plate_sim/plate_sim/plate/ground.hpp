@@ -1,4 +1,4 @@
-// Surface effects beyond one friction coefficient; see ground.py.
+// Surface effects beyond one friction coefficient, as described in ground.py.
 #pragma once
 
 #include <algorithm>
@@ -9,12 +9,14 @@ namespace plate {
 struct GroundEffect {
     double gravity_x, gravity_y, static_ratio, slope, heave;
 
-    // Dynamic friction at a slip [m/s] relative to that at zero slip; see `Ground.friction_slope`.
+    // Dynamic friction at a slip [m/s], relative to the friction at zero slip. See
+    // `Ground.friction_slope`.
     double share(double slip) const {
         return slope < 0 ? 1 / (1 - slope * slip) : 1 + slope * slip;
     }
 
-    // Weight at a plate acceleration along x [m/s2] relative to that at rest; see `Ground.heave`.
+    // Weight at a plate acceleration along x [m/s2], relative to the weight at rest. See
+    // `Ground.heave`.
     double weight(double accel) const { return std::max(0.0, 1 + heave * accel); }
 
     // Whether friction is independent of the slip and of the plate's motion.

@@ -1,6 +1,6 @@
 """Surface effects beyond one friction coefficient: static friction, friction that depends on the
-slip speed, tilt and heave. `Ground` describes them, and `Ground.effect` returns the numbers that
-the kernels use."""
+slip speed, tilt and heave. `Ground` describes them. `Ground.effect` returns the numbers that the
+kernels use."""
 
 from __future__ import annotations
 
@@ -17,7 +17,8 @@ SLOPE = (-5.0, 5.0)
 """Allowed change of friction with the slip [1/(m/s)]."""
 
 HEAVE = (-0.1, 0.1)
-"""Allowed ratio of vertical to horizontal motion of the plate. More would throw parts up."""
+"""Allowed ratio of vertical to horizontal motion of the plate. A larger ratio would throw parts
+up."""
 
 TILT = 0.5
 """Maximum tilt [rad], about 29 degrees."""
@@ -25,8 +26,9 @@ TILT = 0.5
 
 class GroundEffect(NamedTuple):
     """Effects of the ground on parts, for compiled code: gravity along the plate [m/s2,
-    plate_home], static over dynamic friction, relative change of friction with the slip [1/(m/s)],
-    and relative change of the weight with the plate's acceleration along x [1/(m/s2)]."""
+    plate_home], ratio of static to dynamic friction, relative change of friction with the slip
+    [1/(m/s)], and relative change of the weight with the plate's acceleration along x
+    [1/(m/s2)]."""
 
     gravity_x: float
     gravity_y: float
@@ -42,18 +44,18 @@ class Ground:
     Attributes
     ----------
     static_ratio : float
-        Static over dynamic friction. A sticking part slips if holding it would require more than
-        `static_ratio` mu g.
+        Ratio of static to dynamic friction. A sticking part begins to slip if more than
+        `static_ratio` mu g is required to hold it.
     tilt : (2,)
         Tilt of the plate [rad]. Positive values pull parts along +x and +y.
     friction_slope : float
-        Change of dynamic friction with the slip s [1/(m/s)]: factor 1 + slope s if positive,
-        1/(1 - slope s) if negative. For a part that also rotates, s is the root mean square over
-        the part.
+        Change of dynamic friction with the slip s [1/(m/s)]. Friction is multiplied by 1 + slope s
+        if the slope is positive, and by 1/(1 - slope s) if it is negative. If a part also rotates,
+        s is the root mean square of the slip over the part.
     heave : float
-        Ratio of the plate's upward motion to its motion along x. At an acceleration a along x the
-        weight of parts, and so friction, changes by the factor 1 + heave a/g. Parts never leave the
-        plate.
+        Ratio of the plate's upward motion to its motion along x. At an acceleration a along x, the
+        weight of parts and therefore friction change by the factor 1 + heave a/g. Parts never leave
+        the plate.
     """
 
     static_ratio: float = 1.0
@@ -77,7 +79,7 @@ class Ground:
             raise PlateError(f"tilt is {self.tilt!r} rad, allowed: two angles, up to {TILT:g}")
 
     def effect(self, gravity: float) -> GroundEffect:
-        """Return the effects of this ground on parts, for a gravity [m/s2]."""
+        """Return the effects of this ground on parts. `gravity` is in m/s2."""
         x, y = (gravity * sin(angle) for angle in self.tilt)
         return GroundEffect(
             float(x), float(y), float(self.static_ratio), float(self.friction_slope),
@@ -86,4 +88,4 @@ class Ground:
 
 
 LEVEL = Ground()
-"""Level plate with equal static and dynamic friction."""
+"""Level plate whose static and dynamic friction are equal."""

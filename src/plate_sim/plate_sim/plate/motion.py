@@ -1,4 +1,4 @@
-"""Actual motion of the plate during one cycle, as quintic pieces. The motion need not be
+"""Actual motion of the plate during one cycle, described by quintic pieces. The motion need not be
 periodic."""
 
 from __future__ import annotations
@@ -16,17 +16,17 @@ ROUNDING_S = 1e-12
 
 @dataclass(frozen=True)
 class PlateMotion:
-    """Actual motion of the plate over one cycle in plate_home, as quintic pieces.
+    """Actual motion of the plate over one cycle in plate_home, described by quintic pieces.
 
-    Integrators accept it in place of a `PlateCycle` for one cycle: both have `period`,
-    `times`, `coefficients`, `pose`, `twist` and `accel`.
+    Integrators accept it instead of a `PlateCycle` for one cycle. Both have `period`, `times`,
+    `coefficients`, `pose`, `twist` and `accel`.
 
     Attributes
     ----------
     times : (k + 1,)
         Times [s] of the pieces' ends, from 0 to the period.
     coefficients : (k, 6, 3)
-        Coefficients of the powers of the time since a piece's start [m, m, rad].
+        Coefficients of the powers of the time since the start of a piece [m, m, rad].
     """
 
     times: np.ndarray
@@ -40,7 +40,7 @@ class PlateMotion:
 
     @classmethod
     def of_cycle(cls, cycle: PlateCycle) -> PlateMotion:
-        """Return the motion that equals the commanded cycle."""
+        """Return the motion that is equal to the commanded cycle."""
         return cls(cycle.times, cycle.coefficients)
 
     @classmethod
@@ -50,15 +50,15 @@ class PlateMotion:
         Parameters
         ----------
         times : (k + 1,)
-            [s], from 0.
+            Times [s], increasing from 0.
         motors : (k + 1, 3, 4)
             Travel [m], speed [m/s] and acceleration [m/s2], with quintic interpolation.
 
         Raises
         ------
         CycleError
-            If the motors' motions are inconsistent, a value is not finite, or times do not increase
-            from 0.
+            If the motions of the motors are inconsistent, if a value is not finite, or if the times
+            do not increase from 0.
         """
         times = np.asarray(times, dtype=float)
         if not (np.all(np.isfinite(motors)) and np.all(np.isfinite(times))):
@@ -71,7 +71,7 @@ class PlateMotion:
     def piece(cls, motion: PlateCycle | PlateMotion, begin: float, end: float) -> PlateMotion:
         """Return the part of a motion from `begin` to `end` [s], both within it."""
         times = motion.times
-        # If a knot equals an end up to rounding, drop the knot.
+        # If a knot is equal to an end up to rounding, remove the knot.
         first = int(np.searchsorted(times, begin + ROUNDING_S, "right")) - 1
         last = int(np.searchsorted(times, end - ROUNDING_S, "left"))
         knots = np.concatenate([[begin], times[first + 1 : last], [end]])

@@ -1,5 +1,5 @@
-// The plate's exact motion: a table of a cycle's quintic pieces, and the evaluation of pose, twist
-// and acceleration for the event-driven simulation of points. See pieces.py.
+// The exact motion of the plate: a table of a cycle's quintic pieces, and the evaluation of pose,
+// twist and acceleration for the event-driven simulation of points. See pieces.py.
 #pragma once
 #include <algorithm>
 #include <cmath>
@@ -10,9 +10,9 @@
 namespace plate {
 
 // A piece between two knots: times of its start and end [s]; coefficients of the six powers of the
-// time since its start, for x, y [m] and theta [rad]; bounds of the acceleration of a riding part
-// (see `ride_bound`); whether theta changes anywhere; and whether the cycle is closed. A row of a
-// table (K, 24).
+// time since its start, for x, y [m] and theta [rad]; bounds of the acceleration of a part that
+// sticks (see `ride_bound`); whether theta changes at any time; and whether the cycle is closed. It
+// is one row of a table (K, 24).
 struct Piece {
     double start, end, x[6], y[6], theta[6], line, push, turns, wraps;
 };
@@ -20,7 +20,8 @@ static_assert(sizeof(Piece) == 24 * sizeof(double));
 using Table = std::span<const Piece>;
 
 // Bounds of the rates of O' [m/s2], theta' [rad/s2], O'' [m/s3] and theta'' [rad/s3]; direction of
-// the line along which the plate accelerates, 0 if there is none; gravity along the plate [m/s2].
+// the line along which the plate accelerates, 0 if there is no such line; gravity along the plate
+// [m/s2].
 struct Scales {
     double accel, push, jerk, push_rate;
     Vec line, gravity;
@@ -32,7 +33,8 @@ struct Point {
     Vec place, velocity;
 };
 
-// A motion is on a line if its acceleration across the line is at most this fraction (rounding).
+// A motion counts as motion on a line if its acceleration across the line is at most this fraction.
+// The fraction allows for rounding.
 constexpr double STRAIGHT = 1e-11;
 
 // Value, first and second derivative of the polynomial c at the time u [s] after its knot.
@@ -53,16 +55,16 @@ inline int piece_at(Table table, double share) {
     return k >= last ? last : k > 0 ? static_cast<int>(k) : 0;
 }
 
-// Index of the piece that contains time t [s], searched from piece k on. Times outside the motion
-// belong to the first or last piece.
+// Index of the piece that contains time t [s]. The search starts at piece k. Times outside the
+// motion belong to the first or last piece.
 inline int seek(Table table, double t, int k) {
     while (k > 0 && t < table[k].start) k--;
     while (k + 1 < static_cast<int>(table.size()) && t >= table[k].end) k++;
     return k;
 }
 
-// Wrap t [s] into a closed cycle, and set k to its piece. If t is not in piece k, the search starts
-// at the piece estimated from t.
+// Reduce t [s] to the range of a closed cycle, and set k to its piece. If t is not in piece k, the
+// search starts at the piece estimated from t.
 inline double locate(Table table, double t, int& k) {
     const double period = table.back().end;
     if (t >= period) {
@@ -76,7 +78,8 @@ inline double locate(Table table, double t, int& k) {
     return t;
 }
 
-// Slip w = v_s - v [m/s] of a part at time t; k is set to its piece. v_s = O' + theta' x (P - O).
+// Slip w = v_s - v [m/s] of a part at time t, with v_s = O' + theta' x (P - O). k is set to the
+// piece of t.
 inline Vec slip(Table table, double t, int& k, const Point& part) {
     t = locate(table, t, k);
     const Piece& piece = table[k];
@@ -90,7 +93,8 @@ inline Vec slip(Table table, double t, int& k, const Point& part) {
     return w;
 }
 
-// Rate [m/s2] of the surface's velocity under a part: O'' + theta'' x (P - O) + theta' x (v - O').
+// Rate of change [m/s2] of the surface's velocity under a part: O'' + theta'' x (P - O) + theta' x
+// (v - O').
 inline Vec surface_rate(Table table, double t, int k, const Point& part) {
     t = locate(table, t, k);
     const Piece& piece = table[k];
@@ -112,7 +116,7 @@ struct Ride {
     Vec accel;
 };
 
-// State at time t of a part that sticks at q [m, plate frame]; k is set to its piece.
+// State at time t of a part that sticks at q [m, plate frame]. k is set to the piece of t.
 inline Ride riding(Table table, double t, int& k, Vec q) {
     t = locate(table, t, k);
     const Piece& piece = table[k];
@@ -130,7 +134,7 @@ inline Ride riding(Table table, double t, int& k, Vec q) {
              bend(piece.y, u) + push * r.x - spin * spin * r.y}};
 }
 
-// Position [m] in the plate frame of a part at p at time t.
+// Position [m] in the plate frame of a part that is at p at time t.
 inline Vec in_plate(Table table, double t, int k, Vec p) {
     t = locate(table, t, k);
     const Piece& piece = table[k];
@@ -146,7 +150,7 @@ inline double ride_bound(const Piece& piece, double radius) {
     return piece.line + radius * piece.push;
 }
 
-// Bezier point i of the second derivative of `place`, u from 0 to h.
+// Bezier point i of the second derivative of `place`, for u from 0 to h.
 inline double bezier(const double* c, double h, int i) {
     double point = 2 * c[2] + 2 * h * i * c[3];
     if (i >= 2) point += (i == 2 ? 4.0 : 12.0) * h * h * c[4];
@@ -154,11 +158,11 @@ inline double bezier(const double* c, double h, int i) {
     return point;
 }
 
-// Compute the bounds for riding parts in a piece, and update the scales, from Bezier points.
+// Compute the bounds for sticking parts in a piece from Bezier points, and update the scales.
 //
-// A cubic stays in the convex hull of its Bezier points. So the maximum norm of the points bounds
-// O'' and theta'', and the maximum difference of the points bounds the rates of O'' and theta''.
-// theta' is bounded from its end values.
+// A cubic stays in the convex hull of its Bezier points. Therefore the maximum norm of the points
+// is a bound of O'' and theta'', and the maximum difference of the points is a bound of the rates
+// of O'' and theta''. theta' is bounded from its values at the ends.
 inline void bound(Piece& piece, Scales& scales) {
     const double h = piece.end - piece.start;
     double line = 0, push = 0, last = 0;
@@ -193,7 +197,8 @@ inline bool on_line(Table table, Vec n, double accel) {
     return true;
 }
 
-// Fill a table from a cycle's knots (K + 1,) [s] and coefficients (K, 6, 3); return its scales.
+// Fill a table from the knots (K + 1,) [s] and the coefficients (K, 6, 3) of a cycle. Return the
+// scales of the table.
 inline Scales tabulate(const double* times, const double* coefficients, Vec gravity, bool closed,
                        std::span<Piece> table) {
     Scales scales{};

@@ -1,19 +1,20 @@
-"""Table of a cycle's quintic pieces, for compiled code that evaluates the plate's exact motion.
+"""Table of a cycle's quintic pieces. Compiled code evaluates the exact motion of the plate with it.
 
 `pieces.hpp` evaluates pose, twist and acceleration for the event-driven simulation of points. Steps
 of finite parts need only pose and twist, for all axes at once (`course.hpp`).
 
 The surface under a part at P has the velocity v_s = O' + theta' x (P - O), equation (2) of the
-paper; its rate along the part's path is O'' + theta'' x (P - O) + theta' x (v - O').
+paper. Along the path of the part, v_s changes at the rate O'' + theta'' x (P - O) + theta' x (v -
+O').
 
-On a tilted plate `friction.point_events` works in a frame that falls freely along the tilt from the
-start of each cycle. In this frame there is no gravity along the plate, and the plate's acceleration
-is O'' minus gravity along the plate. Slips are equal in both frames.
+If the plate is tilted, `friction.point_events` works in a frame that falls freely along the tilt
+from the start of each cycle. In this frame, gravity has no component along the plate, and the
+plate's acceleration is O'' minus gravity along the plate. Slips are the same in both frames.
 
 A table (K, 24) has one row per piece between two knots: times of its start and end [s];
 coefficients of the six powers of the time since its start, for x, y [m] and theta [rad]; bounds of
-the acceleration of a riding part (see `ride_bound`); whether theta changes anywhere; and whether
-the cycle is closed.
+the acceleration of a part that sticks (see `ride_bound`); whether theta changes at any time; and
+whether the cycle is closed.
 """
 
 from __future__ import annotations
@@ -32,11 +33,11 @@ WIDTH = 24
 def tabulate(
     cycle: PlateCycle | PlateMotion, gravity: tuple[float, float] | np.ndarray = (0.0, 0.0)
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Return a cycle's table (K, 24), and its scales (8,).
+    """Return the table (K, 24) of a cycle, and the scales (8,) of the table.
 
-    Scales are bounds of the rates of O' [m/s2], theta' [rad/s2], O'' [m/s3] and theta'' [rad/s3];
-    the direction (2,) of the line along which the plate accelerates, 0 if there is none; and
-    gravity along the plate (2,) [m/s2].
+    The scales are bounds of the rates of O' [m/s2], theta' [rad/s2], O'' [m/s3] and theta''
+    [rad/s3]; the direction (2,) of the line along which the plate accelerates, 0 if there is no
+    such line; and gravity along the plate (2,) [m/s2].
     """
     table, scales = np.empty((len(cycle.coefficients), WIDTH)), np.empty(8)
     closed = isinstance(cycle, PlateCycle) and cycle.closes

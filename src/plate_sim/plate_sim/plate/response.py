@@ -1,10 +1,12 @@
-"""Actual motion of the plate on flexures and motors, for a commanded cycle (model: see `drive`).
+"""Actual motion of the plate on flexures and motors for a commanded cycle. The model is described
+in `drive`.
 
-At the ends of the command's pieces the deviation from the command is computed exactly. With
-z' = A z + b(t), b(t) = sum_k b_k t^k/k!, the state and all b_k together are an autonomous linear
-system, which its matrix exponential advances by one step (Higham, Functions of Matrices, section
-10.7.4). Between the ends the deviation is approximated by a quintic through both ends' pose, twist
-and acceleration. If the quintic misses the exact state in the middle, the piece is bisected.
+At the ends of the command's pieces, the deviation from the command is computed exactly. With z' = A
+z + b(t), b(t) = sum_k b_k t^k/k!, the state and all b_k together form an autonomous linear system.
+The exponential of its matrix advances it by one step (Higham, Functions of Matrices, section
+10.7.4). Between the ends, the deviation is approximated by a quintic through pose, twist and
+acceleration at both ends. If the quintic differs too much from the exact state in the middle, the
+piece is bisected.
 """
 
 from __future__ import annotations
@@ -26,18 +28,20 @@ POSE_ERROR = 1e-9
 """Maximum error of the pose between knots [m, rad]."""
 
 TWIST_ERROR = 1e-6
-"""Maximum error of the twist between knots [m/s, rad/s]. This error moves a part by 1 um per
-second."""
+"""Maximum error of the twist between knots [m/s, rad/s]. An error of this size moves a part by 1 um
+per second."""
 
 ACCEL_ERROR = 1e-2
 """Maximum error of the acceleration between knots [m/s2, rad/s2]. It affects only the time at which
 a part begins to slip."""
 
 HALVINGS = 16
-"""Maximum number of bisections of a piece. They resolve a lag of 1 us in pieces of 10 ms."""
+"""Maximum number of bisections of a piece. With it, a lag of 1 us is resolved in pieces of 10
+ms."""
 
 STEP_DIGITS = 15
-"""Decimals to which pieces' lengths [s] are rounded. Pieces of equal length share a response."""
+"""Number of decimals to which the lengths of pieces [s] are rounded. The response is computed only
+once for pieces of equal length."""
 
 
 def realise(
@@ -45,15 +49,15 @@ def realise(
 ) -> tuple[PlateMotion, PlateState]:
     """Return the plate's motion during a commanded cycle, and its state at the end.
 
-    The motion is that of the linear model in `drive`. It is exact at the knots and at the end.
-    Between knots the errors are about `POSE_ERROR`, `TWIST_ERROR` and `ACCEL_ERROR`. The model
-    neglects the friction of parts on the plate, and the change of the motors' levers with its
-    rotation. Without a suspension the motion is the commanded one.
+    The motion follows the linear model in `drive`. It is exact at the knots and at the end. Between
+    the knots, the errors are about `POSE_ERROR`, `TWIST_ERROR` and `ACCEL_ERROR`. The model
+    neglects the friction of parts on the plate, and the change of the motors' levers with the
+    rotation of the plate. Without a suspension, the motion is equal to the commanded motion.
 
     Raises
     ------
     PlateError
-        If nothing holds the plate in place, or the servo makes it unstable.
+        If nothing holds the plate in place, or if the servo makes it unstable.
     """
     if rig.suspension is None:
         motion = PlateMotion(cycle.times, cycle.coefficients)
@@ -80,7 +84,8 @@ def motor_record(
 
 
 def overtravel(rig: Rig, motion: PlateMotion) -> float:
-    """Return the maximum excess of a motor over its stroke [m], checked at 4 times per piece."""
+    """Return the maximum distance by which a motor exceeds its stroke [m]. It is checked at 4 times
+    per piece."""
     t = motion.times[:-1, None] + np.diff(motion.times)[:, None] * np.arange(4) / 4
     travel, _, _ = motor_record(rig, motion, np.append(t, motion.period))
     return max(0.0, float(np.max(np.abs(travel))) - rig.limits.stroke_m)
@@ -93,7 +98,8 @@ def _plant(rig: Rig, suspension: Suspension) -> Plant:
 
 @dataclass(frozen=True)
 class _Spans:
-    """Spans of time within pieces of the command, and the exact deviation at their ends.
+    """Spans of time within the pieces of the command, and the exact deviation at the ends of the
+    spans.
 
     Attributes
     ----------
@@ -101,7 +107,7 @@ class _Spans:
     offset : (m,)
         Start of the span relative to its piece [s].
     before, after : (m, n)
-        z at the start and at the end of the span.
+        Deviation z at the start and at the end of the span.
     """
 
     piece: np.ndarray
@@ -116,7 +122,8 @@ class _Spans:
 def _respond(
     plant: Plant, command: Command, deviation: np.ndarray
 ) -> tuple[PlateMotion, np.ndarray]:
-    """Return the motion for an initial deviation (n,), and the deviation (n,) at its end."""
+    """Return the motion for an initial deviation (n,), and the deviation (n,) at the end of the
+    motion."""
     steps, kind = np.unique(np.round(command.steps, STEP_DIGITS), return_inverse=True)
     whole = step_responses(plant.system, steps)[kind]
     ends = [deviation]
@@ -141,21 +148,22 @@ def _respond(
 
 
 def step_responses(system: np.ndarray, steps: np.ndarray) -> np.ndarray:
-    """Return the responses of the system to a state and a polynomial input over steps.
+    """Return the responses of the system to a state and a polynomial input, for steps of given
+    lengths.
 
     Parameters
     ----------
     system : (n, n)
-        A [1/s].
+        System matrix A [1/s].
     steps : (u,)
-        [s].
+        Lengths of the steps [s].
 
     Returns
     -------
     (u, n, (DEGREE + 2) n)
-        Matrices that map the stacked state and input derivatives to the state one step later.
+        Matrices that map the stacked state and input derivatives to the state after one step.
     """
-    from scipy.linalg import expm  # Few plates have a suspension, and importing SciPy takes 0.2 s.
+    from scipy.linalg import expm  # SciPy takes 0.2 s to import, and few plates have a suspension
 
     size = len(system)
     whole = np.kron(np.eye(DEGREE + 2, k=1), np.eye(size))
@@ -164,15 +172,15 @@ def step_responses(system: np.ndarray, steps: np.ndarray) -> np.ndarray:
 
 
 def advance(response: np.ndarray, state: np.ndarray, derivatives: np.ndarray) -> np.ndarray:
-    """Return states (m, n) one step later.
+    """Return the states (m, n) after one step.
 
     Parameters
     ----------
     response : (m, n, (DEGREE + 2) n)
-        Result of `step_responses` for each state's step.
+        Result of `step_responses` for the step of each state.
     state : (m, n)
     derivatives : (m, DEGREE + 1, n)
-        Derivatives of the input at the step's start.
+        Derivatives of the input at the start of the step.
     """
     inputs = np.concatenate([state[:, None], derivatives], axis=1)
     return np.asarray((response @ inputs.reshape(len(state), -1, 1))[..., 0])
@@ -181,10 +189,11 @@ def advance(response: np.ndarray, state: np.ndarray, derivatives: np.ndarray) ->
 def _misses(
     plant: Plant, command: Command, spans: _Spans, middle: np.ndarray, step: np.ndarray
 ) -> np.ndarray:
-    """Return whether (m,) each quintic misses the exact state (m, n) in the middle.
+    """Return for each quintic (m,) whether it differs too much from the exact state (m, n) in the
+    middle.
 
-    The error of a quintic is proportional to (t (h - t))^3. The maximum error of the twist is then
-    not in the middle, and it is 3.4 times the maximum pose error divided by h.
+    The error of a quintic is proportional to (t (h - t))^3. Therefore the maximum error of the
+    twist is not in the middle. It is 3.4 times the maximum pose error divided by h.
     """
     h = step[:, None]
     p, q = spans.before[:, :3], spans.after[:, :3]
@@ -209,7 +218,8 @@ def _accel(
 
 
 def _halves(spans: _Spans, middle: np.ndarray, half: np.ndarray) -> _Spans:
-    """Cut spans in the middle, where z is `middle` (m, n), `half` (m,) [s] after their start."""
+    """Cut spans in the middle. There z is `middle` (m, n), and the time is `half` (m,) [s] after
+    the start of the span."""
     return _Spans(
         np.concatenate([spans.piece, spans.piece]),
         np.concatenate([spans.offset, spans.offset + half]),
@@ -219,7 +229,7 @@ def _halves(spans: _Spans, middle: np.ndarray, half: np.ndarray) -> _Spans:
 
 
 def _motion(plant: Plant, command: Command, kept: list[_Spans]) -> PlateMotion:
-    """Join spans, in any order, to a motion: command plus deviation."""
+    """Join spans, in any order, to one motion. The motion is the command plus the deviation."""
     names = ("piece", "offset", "before", "after")
     spans = _Spans(*(np.concatenate([getattr(part, name) for part in kept]) for name in names))
     spans = spans.take(np.lexsort((spans.offset, spans.piece)))

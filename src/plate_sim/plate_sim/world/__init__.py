@@ -1,5 +1,5 @@
-"""Simulated world: the state of the parts, its steps, disturbances, and a run with a camera.
-Public: the names below."""
+"""Simulated world: the state of the parts, its steps, disturbances, and a run with a camera. The
+names below are public."""
 
 from .bodies import STEP, BodyTrajectory, simulate_bodies
 from .disturbances import NONE, RANGES, Disturbances

@@ -1,5 +1,5 @@
-// Simulation of all parts during cycles of the plate: in each step friction, then contacts. See
-// bodies.py.
+// Simulation of all parts during cycles of the plate. Each step computes friction, then contacts.
+// See also bodies.py.
 #pragma once
 #include <algorithm>
 #include <cmath>
@@ -29,7 +29,7 @@ struct Shapes {
 };
 
 // Inputs and outputs of one plate, see bodies.py: states (M, 6), mu g (M,), `here` (M,) and records
-// (k, M, 6), all in the caller's order of parts.
+// (k, M, 6), all in the order of the caller's parts.
 struct Job {
     const double *times, *factors;  // arguments of `Course`
     int legs, steps, cycles, every;
@@ -40,11 +40,11 @@ struct Job {
     View<double, 3> record;
 };
 
-// Upper bound of 1 after the rounding errors of a few sums and products.
+// Upper bound of 1 that covers the rounding errors of a few sums and products.
 constexpr double ROUNDED = 1 + 1e-12;
 
-// Minimum and maximum over the parts on the plate: of x and y [m], and of their displacements from
-// their marks along x and y [m].
+// Minimum and maximum over the parts on the plate, of x and y [m] and of the displacements from the
+// marks along x and y [m].
 struct Extent {
     double low[4], high[4];
 
@@ -71,12 +71,12 @@ struct Extent {
 
     // Upper bound of the approach [m] of any two parts since they were at their marks.
     double approach() const {
-        if (high[2] < low[2]) return 0.0;  // there are no parts
+        if (high[2] < low[2]) return 0.0;  // no parts
         const double wide = high[2] - low[2], tall = high[3] - low[3];
         return std::sqrt(wide * wide + tall * tall);
     }
 
-    // Whether all parts are inside the plate's edges by more than rounding.
+    // Whether all parts are inside the edges of the plate by more than rounding errors.
     bool within(const PlateSample& plate, const double* half) const {
         const double x = std::max(std::abs(low[0] - plate.x), std::abs(high[0] - plate.x));
         const double y = std::max(std::abs(low[1] - plate.y), std::abs(high[1] - plate.y));
@@ -85,9 +85,9 @@ struct Extent {
     }
 };
 
-// Make up to `most` steps while all `count` parts glide, no two approach by `gap` [m] or more, and
-// no part is near an edge. Return the number of complete steps. In the next step, which is
-// incomplete, the gliding parts have already moved.
+// Make up to `most` steps. Stop if one of the `count` parts does not glide, if two parts approach
+// each other by `gap` [m] or more, or if a part is near an edge. Return the number of complete
+// steps. The next step is incomplete: the gliding parts have already moved in it.
 PLATE_WIDE inline int cruise(std::span<Group> groups, const PlateSample* plate, double step,
                              const GroundEffect& ground, const double* half, double gap, int count,
                              int most) {
@@ -99,7 +99,7 @@ PLATE_WIDE inline int cruise(std::span<Group> groups, const PlateSample* plate, 
     return most;
 }
 
-// Remove parts whose centre is beyond the plate's edge. Return whether any was removed.
+// Remove parts whose centre is beyond the edge of the plate. Return whether any part was removed.
 inline bool drop(const State& state, View<bool, 1> here, const PlateSample& plate,
                  const double* half) {
     const double c = std::cos(plate.theta), s = std::sin(plate.theta);
@@ -119,8 +119,8 @@ inline bool drop(const State& state, View<bool, 1> here, const PlateSample& plat
     return any;
 }
 
-// Advance parts during cycles of the plate, in place, see bodies.py. Return the deepest overlap at
-// the start. If its fraction exceeds `allowed`, no part has moved.
+// Advance parts during cycles of the plate, in place, as described in bodies.py. Return the deepest
+// overlap at the start. If its fraction exceeds `allowed`, no part has moved.
 inline contacts::Overlap run(const Job& job, const Shapes& shapes, const contacts::Rules& rules,
                              double allowed, const double* half) {
     const int count = job.states.size(0);
@@ -149,7 +149,7 @@ inline contacts::Overlap run(const Job& job, const Shapes& shapes, const contact
         together |= describe(state, i, bodies[i], step, i < count && here(i));
     }
     together &= job.ground.even();
-    // Parts without the walls.
+    // Number of parts, without the walls.
     const std::span<Group> parts(groups.data(), (count + LANES - 1) / LANES);
     const int points = shapes.mesh.size(1);
     std::vector<double> forces(7 * points);
@@ -179,7 +179,7 @@ inline contacts::Overlap run(const Job& job, const Shapes& shapes, const contact
             end = std::min(end, at + job.every - since);
         }
         if (together) {
-            // If the plate has walls, every step checks contacts.
+            // If the plate has walls, contacts are checked in every step.
             const double gap = rules.walls ? 0 : near.gap;
             const int cruised =
                 cruise(parts, &plate[2 * at], step, job.ground, half, gap, left, end - at);

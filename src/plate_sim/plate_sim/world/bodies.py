@@ -1,10 +1,11 @@
-"""Simulation of all parts during cycles of the plate: in each step friction, then contacts.
+"""Simulation of all parts during cycles of the plate. Each step computes friction, then contacts.
 
-One model covers all scenes. Friction acts on the whole footprint of a part, so parts slide, rotate
-and stick. The plate's exact motion (equation (2) of the paper, with its pose) moves the surface
-under them. Steps have equal length. Within a step each part's friction is integrated in as many
-substeps as it needs (`friction.step`), and at the end touching parts collide (`contacts`). Pairs
-are checked only if they may have come near, and parts that slide steadily are advanced together.
+One model covers all scenes. Friction acts on the whole footprint of a part. Therefore parts slide,
+rotate and stick. The exact motion of the plate (equation (2) of the paper, with its pose) moves the
+surface under the parts. All steps have the same length. Within a step, the friction of each part is
+integrated in as many substeps as necessary (`friction.step`). At the end of the step, touching
+parts collide (`contacts`). Two parts are checked only if they may have come close to each other.
+Parts that slide steadily are advanced together.
 """
 
 from __future__ import annotations
@@ -27,14 +28,15 @@ from ..plate.ground import LEVEL, Ground, GroundEffect
 from ..plate.motion import PlateMotion
 
 STEP = 2e-4
-"""Default maximum integration step [s]. Parts move at most about 0.2 mm between contact checks."""
+"""Default maximum integration step [s]. Between two checks of contacts, parts move by at most about
+0.2 mm."""
 
 SAMPLES = 64
-"""Default number of output samples per cycle: eight per period of a usual motion's highest
-harmonic."""
+"""Default number of output samples per cycle. It gives eight samples per period of the highest
+harmonic of a usual motion."""
 
 START_OVERLAP = 0.1
-"""Maximum overlap at the start, as a fraction of half the slimmer part's width."""
+"""Maximum overlap of two parts at the start, as a fraction of half the slimmer part's width."""
 
 COLUMNS: tuple[slice | int, ...] = slice(2), 2, slice(3, 5), 5
 """Columns of position, angle, velocity and spin in a state."""
@@ -52,11 +54,11 @@ class BodyTrajectory:
     time : (k,)
         Times [s], from 0.
     position, velocity : (k, M, 2)
-        Positions and velocities of the centres of mass [m], [m/s].
+        Positions [m] and velocities [m/s] of the centres of mass.
     angle, spin : (k, M)
-        [rad] (not wrapped), [rad/s]; counter-clockwise.
+        Angles [rad] (not wrapped) and spins [rad/s], counter-clockwise.
     on_plate : (M,)
-        Which parts are still on the plate at the end.
+        Whether each part is still on the plate at the end.
     """
 
     time: np.ndarray
@@ -70,13 +72,13 @@ class BodyTrajectory:
     def of_states(
         cls, time: np.ndarray, states: np.ndarray, on_plate: np.ndarray
     ) -> BodyTrajectory:
-        """Split states (k, M, 6): x, y, angle and their rates."""
+        """Split states (k, M, 6) into position, angle and their rates."""
         position, angle, velocity, spin = (states[..., own] for own in COLUMNS)
         return cls(time, position, angle, velocity, spin, on_plate)
 
     @classmethod
     def recorded(cls, record: np.ndarray, interval: float, on_plate: np.ndarray) -> BodyTrajectory:
-        """Split a record (k, M, 6) of states at an interval [s]."""
+        """Split a record (k, M, 6) of states at equal intervals [s]."""
         return cls.of_states(np.arange(len(record)) * interval, record, on_plate)
 
 
@@ -86,15 +88,15 @@ class Shapes(NamedTuple):
     Attributes
     ----------
     bodies : (M, 10)
-        Record `BODY` of each part.
+        Record `BODY` for each part.
     mesh : (4, n)
         Points of all footprints except discs: x, y [m, part's axes], fraction of the weight, size
         of the cell (see `Footprint.blur`) [m].
     pieces : (p, 2)
-        First corner, and last + 1, of each convex piece of all outlines except discs.
+        First corner, and last corner + 1, of each convex piece of all outlines except discs.
     corners : (c, 5)
-        Position and outward normal of the side that begins there, in the part's axes. The last
-        column is 1 if that side is part of the outline, or 0 if it adjoins another piece of the
+        Position, and outward normal of the side that begins there, in the part's axes. The last
+        column is 1 if that side belongs to the outline, and 0 if it adjoins another piece of the
         part.
     """
 
@@ -150,35 +152,35 @@ def simulate_bodies(
     Parameters
     ----------
     cycle : PlateCycle or PlateMotion
-        Motion of the plate; a PlateCycle is repeated.
+        Motion of the plate. Only a PlateCycle can be repeated.
     footprint : Footprint, or M of them
-        Footprint of all parts or of each.
+        Footprint of all parts, or of each part.
     position, velocity : (M, 2)
         Centres of mass at the start of the first cycle [m], [m/s], plate_home.
     angle, spin : float or (M,)
-        [rad], [rad/s].
+        Angles [rad] and spins [rad/s] at the start.
     friction : float or (M,)
-        Friction coefficient mu, of all parts or of each.
+        Friction coefficient mu, of all parts or of each part.
     gravity : float
-        [m/s2].
+        Gravity [m/s2].
     cycles : int
         Number of cycles.
     samples : int, optional
-        Output samples per cycle. 0 returns only the end. Default: `SAMPLES`.
+        Number of output samples per cycle. 0 returns only the end. Default: `SAMPLES`.
     step : float
         Maximum integration step [s].
     contacts : Contacts, optional
-        Contact model of the parts. Default: parts never collide.
+        Contact parameters of the parts. Default: parts do not collide.
     ground : Ground
-        Tilt, static friction, and friction that changes with the slip.
+        Tilt, static friction, and dependence of friction on the slip.
     half : (2,), optional
-        Half sides of the plate [m]. A part whose centre passes its edge is removed, unless contacts
-        have walls. Default: unbounded.
+        Half sides of the plate [m]. A part is removed if its centre passes the edge, unless
+        contacts have walls. Default: unbounded.
 
     Returns
     -------
     BodyTrajectory
-        Start and all samples, k = cycles * samples + 1; or only the end, k = 1.
+        Motion at the start and at all samples, k = cycles * samples + 1; or only at the end, k = 1.
 
     Raises
     ------
@@ -228,9 +230,10 @@ def run_plates(
     names: Sequence[Any],
     threads: int = 1,
 ) -> np.ndarray:
-    """Advance parts on N plates, the same M parts on each, during cycles of the plates, in place.
+    """Advance parts on N plates during cycles of the plates, in place. Each plate has the same M
+    parts.
 
-    The kernel first sorts the parts by position, so that results do not depend on the order of
+    The kernel first sorts the parts by position, so that results do not depend on the order of the
     names.
 
     Parameters
@@ -239,14 +242,14 @@ def run_plates(
         Motion, number of equal steps per cycle, and ground of each plate.
     shapes : Shapes
     states : (N, M, 6)
-        x, y, angle and their rates. Modified.
+        x, y, angle and their rates. They are modified.
     here : (N, M) bool
-        Whether each part is on the plate. Modified. A removed part stays at its place, at rest, and
-        does not touch others.
+        Whether each part is on the plate. It is modified. A removed part stays at its place, at
+        rest, and does not touch other parts.
     limit : (N, M)
         mu g of each part [m/s2].
     contacts, half
-        As in `simulate_bodies`.
+        The same as in `simulate_bodies`.
     every : int
         Number of steps between recorded states. 0 records none.
     names : M
@@ -257,12 +260,12 @@ def run_plates(
     Returns
     -------
     (N, k, M, 6)
-        States at the start and after every `every` steps. k = 0 if `every` is 0.
+        States at the start and after every `every` steps. If `every` is 0, k is 0.
 
     Raises
     ------
     PlateError
-        If a motion is invalid or parts overlap at the start.
+        If a motion is invalid, or if parts overlap at the start.
     """
     for motion in motions:
         check_motion(motion, cycles)
@@ -287,8 +290,8 @@ def run_plates(
 
 
 def columns(starts: Sequence[tuple[Any, Any, Any, Any]]) -> np.ndarray:
-    """Check and combine position, angle, velocity and spin of the parts on N plates, given as in
-    `simulate_bodies`. Return states (N, M, 6)."""
+    """Check and combine position, angle, velocity and spin of the parts on N plates. They are given
+    as in `simulate_bodies`. Return states (N, M, 6)."""
     count = len(starts[0][0])
     if {tuple(map(np.shape, s)) for s in starts} == {((count, 2), (count,), (count, 2), (count,))}:
         states = np.empty((len(starts), count, 6))
@@ -302,7 +305,7 @@ def columns(starts: Sequence[tuple[Any, Any, Any, Any]]) -> np.ndarray:
 def _columns(
     position: np.ndarray, angle: float | np.ndarray, velocity: np.ndarray, spin: float | np.ndarray
 ) -> np.ndarray:
-    """Return states (M, 6), checked."""
+    """Return states (M, 6) after a check."""
     position = pairs("position", position)
     count = len(position)
     velocity = pairs("velocity", velocity, count)

@@ -1,4 +1,4 @@
-"""Counts of parts that have left the plate, by side and class."""
+"""Counts of parts that have left the plate, by side and by class."""
 
 from __future__ import annotations
 
@@ -12,8 +12,8 @@ from plate_core.tasks import Side
 from .state import WorldState
 
 OVER_EDGE_M = 0.03
-"""Maximum distance of a part's last position inside a side, if the part counts as having left over
-this side [m]. The distance covers the motion of the plate."""
+"""Maximum distance inside a side at which a part counts as having left over this side [m]. It is
+measured from the part's last position. It covers the motion of the plate."""
 
 
 def went_over(side: Side, position: np.ndarray, rig: Rig) -> np.ndarray:
@@ -23,7 +23,8 @@ def went_over(side: Side, position: np.ndarray, rig: Rig) -> np.ndarray:
 
 
 class Departures:
-    """Counts of parts that left the plate. Parts removed by hand or robot are not counted.
+    """Counts of parts that left the plate. Parts that were removed by hand or by the robot are not
+    counted.
 
     Parameters
     ----------
@@ -44,8 +45,8 @@ class Departures:
         self.dropped, self.chuted = 0, Counter[str]()
 
     def count(self, state: WorldState, left: np.ndarray) -> tuple[int, Counter[str]]:
-        """Return the number of the parts `left` (M,) bool that did not leave over the chute, and
-        the numbers by class of those that did."""
+        """Return the number of parts of `left` (M,) bool that did not leave over the chute. Also
+        return the numbers of those that did, by class."""
         if self._chute is None:
             return int(np.count_nonzero(left)), Counter()
         over = went_over(self._chute, state.position, self._rig)

@@ -1,4 +1,5 @@
-"""Disturbances: effects of a real rig that the model neglects. All are off by default."""
+"""Disturbances: effects of a real rig that the model neglects. By default, all disturbances are
+off."""
 
 from __future__ import annotations
 
@@ -58,11 +59,11 @@ RANGES: dict[str, tuple[float, float]] = {
 """Allowed range of each disturbance."""
 
 FLICKER_HZ = 97.0
-"""Default frequency of flicker [Hz]. It is close to the frequency of mains light, but not a
-multiple of the image rate."""
+"""Default frequency of flicker [Hz]. It is close to the frequency of lamps on mains power, but it
+is not a multiple of the image rate."""
 
 SLOWEST_RATE = 1.0
-"""Minimum image rate of a free-running camera [1/s]. If it is slower, the next image counts as
+"""Minimum image rate of a free-running camera [1/s]. At a lower rate, the next image would count as
 missing."""
 
 
@@ -73,61 +74,64 @@ class Disturbances:
     Attributes
     ----------
     friction_spread : float
-        Friction differs between parts by up to this fraction, uniformly distributed.
+        Maximum relative deviation of friction between parts, uniformly distributed.
     friction_patches : float
-        Friction varies over the plate by up to this fraction, uniformly distributed
+        Maximum relative deviation of friction over the plate, uniformly distributed
         (`friction_field`).
     static_ratio : float
-        Static over dynamic friction.
+        Ratio of static to dynamic friction.
     friction_slope : float
-        Change of friction with the slip [1/(m/s)] (`Ground`).
+        Change of friction with the slip [1/(m/s)], see `Ground`.
     heave : float
-        Ratio of the plate's vertical motion to its motion along x (`Ground`).
+        Ratio of the vertical to the horizontal motion of the plate along x, see `Ground`.
     tilt_x, tilt_y : float
         Tilt of the plate [rad]. Positive values pull parts along +x and +y.
     latency : float
-        Age of an image at its delivery [s]. Its stamp is the time of delivery, as from a camera
-        driver that does not know the time of exposure.
+        Age of an image at its delivery [s]. The stamp of the image is the time of its delivery. A
+        real camera driver that does not know the time of exposure does the same.
     image_rate : float
-        Image rate of a free-running camera [1/s]. 0 means that each cycle's start triggers an
+        Image rate of a free-running camera [1/s]. 0 means that the start of each cycle triggers an
         image. The latency of a free-running camera counts from the middle of the exposure. The
         latency of a triggered camera counts from the beginning of the exposure.
     stamp_jitter : float
-        Standard deviation of the stamps of a free-running camera [s]. Stamps stay in order.
+        Standard deviation of the stamps of a free-running camera [s]. The stamps keep their order.
     blur : bool
-        Whether motion blurs images over the rig's exposure.
+        Whether motion blurs images over the exposure time of the rig.
     missed_images : float
         Fraction of images that are not delivered.
     missed_parts : float
-        Fraction of parts that an image does not show.
+        Fraction of parts that are missing in an image.
     false_parts : float
-        Number of false parts per true part in an image (reflections and specks).
+        Number of false parts per true part in an image. False parts are reflections and specks.
     highlights : float
-        Fraction of each part's area that shows a highlight.
+        Fraction of the area of each part that shows a highlight.
     shadows : float
-        Fraction by which the plate is darker in the parts' shadows.
+        Fraction by which the plate is darker in the shadows of parts.
     pick_failure : float
         Fraction of the robot's grips in which the part slips.
     part_height_m : float
-        Height of all parts in images [m]. 0 uses the height of the rig file. Height affects only
-        images: parts neither roll nor topple.
+        Height of all parts in images [m]. 0 means that the height in the rig file is used. The
+        height affects only images, because parts neither roll nor topple.
     side_shade : float
-        Brightness of parts' side faces relative to their tops.
+        Brightness of the parts' side faces, relative to their top faces.
     size_spread : float
-        Maximum relative deviation of parts' sizes from their type in images, uniformly distributed.
-        Contacts use the sizes of the types.
+        Maximum relative deviation of the sizes of parts from their types in images, uniformly
+        distributed. In contacts, parts have the sizes of their types.
     gloss : float
-        Radius of the lamp's image on each part relative to the part's radius (`Lighting`).
+        Radius of the lamp's image on each part, relative to the part's radius (see `Lighting`).
     shadow_length_m, shadow_deg, penumbra_m : float
-        Length [m], direction from x [degrees], and width of the soft edge [m] of `shadows`.
+        Length [m], direction from x [degrees], and width of the soft edge [m] of the shadows that
+        `shadows` sets.
     light_step, light_step_s : float
-        Relative change of the light, and its time since the beginning [s]. The change is permanent.
+        Relative change of the light, and time of this change since the beginning [s]. The change is
+        permanent.
     flicker, flicker_hz : float
-        Relative amplitude and frequency [Hz] of a sinusoidal change of the light between images.
+        Relative amplitude and frequency [Hz] of a sinusoidal change of the light from image to
+        image.
     defocus_px : float
         Standard deviation of the Gaussian blur of images [px].
     plate_grey, room_grey, black_grey, grey_grey : float
-        Grey values of the plate, the room, black parts and grey parts at full light.
+        Grey values of the plate, the surroundings, black parts and grey parts at full light.
 
     Raises
     ------
@@ -183,13 +187,13 @@ class Disturbances:
 
     @cached_property
     def ground(self) -> Ground:
-        """Return the plate's surface."""
+        """Return the surface of the plate."""
         tilt = self.tilt_x, self.tilt_y
         return Ground(self.static_ratio, tilt, self.friction_slope, self.heave)
 
     @cached_property
     def greys(self) -> dict[str, float]:
-        """Return the grey values of parts by class."""
+        """Return the grey values of parts, by class."""
         return {"black": self.black_grey, "grey": self.grey_grey}
 
     def lighting(self, time_s: float) -> Lighting:
@@ -204,7 +208,8 @@ class Disturbances:
 
     @property
     def summary(self) -> str:
-        """Non-default values as text, such as `latency 0.05, tilt_x 0.01`, or `none`."""
+        """Non-default values as text, such as `latency 0.05, tilt_x 0.01`. The text is `none` if
+        all values are default."""
         unlike = [
             f"{f.name} {getattr(self, f.name)}"
             for f in fields(self)

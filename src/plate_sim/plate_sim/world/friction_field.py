@@ -1,11 +1,12 @@
 """Variation of friction between parts and over the plate.
 
-Friction varies between parts, and over the plate as a smooth field fixed to the plate. The field is
-evaluated once per cycle at each part's position, although the plate moves by up to 1 cm under the
-part. Compared with 200 evaluations per cycle, the worst part of a cycle ends 0.02 mm (4 parts) to
-0.08 mm (10 parts) off (medians of 34 cycles of sort_4 and sort_10, +-10 %). The maximum is 0.2 mm,
-or 0.3 mm in random cycles that use the whole stroke. An error of mu of 1 to 3 % has the same
-effect. The field itself moves the worst part by 0.1 to 0.2 mm.
+Friction varies from part to part. It also varies over the plate, as a smooth field that is fixed to
+the plate. The field is evaluated only once per cycle at the position of each part, although the
+plate moves by up to 1 cm under the part. This was compared with 200 evaluations per cycle. The part
+with the largest difference in a cycle ends 0.02 mm (4 parts) to 0.08 mm (10 parts) away (medians of
+34 cycles of sort_4 and sort_10, +-10 %). The maximum is 0.2 mm, or 0.3 mm in random cycles that use
+the whole stroke. An error of mu of 1 to 3 % has the same effect. The field itself displaces the
+most affected part by 0.1 to 0.2 mm.
 """
 
 from __future__ import annotations
@@ -20,15 +21,16 @@ from plate_core.rig import to_plate
 from .disturbances import Disturbances
 
 WAVELENGTH = 0.1
-"""Wavelength of the variation over the plate [m]. A few waves fit along the plate."""
+"""Wavelength of the variation of friction over the plate [m]. A few waves fit along the plate."""
 
 WAVES = 32
-"""Number of waves in the field, enough for an isotropic and homogeneous field."""
+"""Number of waves in the field. It is large enough for a field that is isotropic and
+homogeneous."""
 
 
 @dataclass(frozen=True)
 class FrictionField:
-    """Friction field of a run, drawn once.
+    """Friction field of a run. It is drawn once.
 
     Attributes
     ----------
@@ -55,7 +57,7 @@ class FrictionField:
         cls, disturbances: Disturbances, count: int, rng: np.random.Generator
     ) -> FrictionField:
         """Draw the field of the plate and the friction of `count` parts. The random numbers do not
-        depend on the magnitudes."""
+        depend on the magnitudes of the variations."""
         unit = rng.uniform(-1, 1, count)
         direction, phase = rng.uniform(0, 2 * pi, (2, WAVES))
         wave = 2 * pi / WAVELENGTH * np.column_stack([np.cos(direction), np.sin(direction)])
@@ -63,7 +65,7 @@ class FrictionField:
 
     @property
     def part(self) -> np.ndarray:
-        """Friction of each part relative to the nominal one (M,)."""
+        """Friction of each part (M,), relative to the nominal friction."""
         return 1 + self.spread * self.unit
 
     def friction(
@@ -74,7 +76,7 @@ class FrictionField:
         Parameters
         ----------
         mu : float or (M,)
-            Nominal coefficient, of all parts or of each.
+            Nominal coefficient, of all parts or of each part.
         position : (M, 2)
             Parts [m], plate_home.
         pose : (3,)
@@ -82,9 +84,10 @@ class FrictionField:
         """
         if self.share == 0:
             return np.asarray(mu * self.part)
-        from scipy.special import erf  # Uneven friction is rare, and the import takes 0.2 s.
+        from scipy.special import erf  # import takes 0.2 s, and uneven friction is rare
 
         place = to_plate(pose, position)
-        # The sum of many waves is normal with variance 1. erf makes it uniform from -1 to 1.
+        # The sum of many waves is normally distributed with variance 1. erf converts it to a
+        # uniform distribution from -1 to 1.
         height = np.sqrt(2 / len(self.phase)) * np.cos(place @ self.wave.T + self.phase).sum(1)
         return np.asarray(mu * self.part * (1 + self.share * erf(height / np.sqrt(2))))

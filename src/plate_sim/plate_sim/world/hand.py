@@ -1,7 +1,7 @@
-"""Simulated hand that places parts on the plate.
+"""Simulated hand that places and removes parts.
 
-It checks id, class, position and angle, and returns the new state of all parts. The check for
-overlaps is in `Simulation.place`.
+It checks the id, class, position and angle of a part, and returns the new state of all parts.
+`Simulation.place` checks for overlaps.
 """
 
 from __future__ import annotations
@@ -39,23 +39,23 @@ class Hand:
         angle: float,
         number: Callable[[str], int],
     ) -> tuple[WorldState, str, float | None]:
-        """Place a part at rest. The parameters are those of `Simulation.place`.
+        """Place a part at rest. The parameters are the same as in `Simulation.place`.
 
-        `number` returns the number of the next part of a class.
+        `number` is a function that returns the number of the next part of a class.
 
         Returns
         -------
         state : WorldState
-            New state. Other parts may overlap the placed one.
+            New state. The placed part may overlap other parts.
         part_id : str
         unit : float or None
-            Relative friction of a new part (`FrictionField.unit`).
+            Relative friction of a new part (see `FrictionField.unit`). None for an existing part.
 
         Raises
         ------
         PlateError
-            If there is no such part or type, no more parts are allowed, or the part would be off
-            the plate.
+            If there is no such part or type, if no more parts are allowed, or if the part would be
+            off the plate.
         """
         label = self._checked(state, part_id, label, position, angle)
         unit = None
@@ -76,7 +76,7 @@ class Hand:
     def _checked(
         self, state: WorldState, part_id: str, label: str, position: np.ndarray, angle: float
     ) -> str:
-        """Return the class of a part, after checks of its id, class, place and angle."""
+        """Return the class of a part, after a check of its id, class, place and angle."""
         if part_id:
             check_id(state, part_id)
         kinds = tuple(self._rig.types) or CLASSES

@@ -1,7 +1,7 @@
-"""Recent motion of parts and plate, for images of a camera with latency.
+"""Recent motion of parts and plate. It is needed for images of a camera with latency.
 
-`History` keeps the motions of the last cycles. `History.ago` interpolates positions, angles and the
-plate's pose at an earlier time.
+`History` stores the motions of the last cycles. `History.ago` interpolates the positions and angles
+of the parts and the pose of the plate at an earlier time.
 """
 
 from __future__ import annotations
@@ -23,9 +23,9 @@ class Passage:
     motion : PlateMotion
         Motion of the plate.
     run : BodyTrajectory
-        Motion of the parts from the cycle's start to its end.
+        Motion of the parts from the start to the end of the cycle.
     on_plate : (M,)
-        Which parts were on the plate at its end.
+        Whether each part was on the plate at the end of the cycle.
     """
 
     motion: PlateMotion
@@ -40,11 +40,11 @@ class View:
     Attributes
     ----------
     position : (M, 2)
-        [m].
+        Positions of the parts [m].
     angle : (M,)
-        [rad].
+        Angles of the parts [rad].
     on_plate : (M,)
-        Which parts were on the plate.
+        Whether each part was on the plate.
     pose : (3,)
         Pose of the plate [m, m, rad].
     """
@@ -62,7 +62,8 @@ class History:
     passages: tuple[Passage, ...] = ()
 
     def after(self, passage: Passage, keep: float) -> History:
-        """Return the history one cycle later. Cycles more than `keep` [s] ago are dropped."""
+        """Return the history one cycle later. Cycles that ended more than `keep` [s] ago are
+        removed."""
         kept: tuple[Passage, ...] = (passage,)
         age = passage.motion.period
         for older in reversed(self.passages):
@@ -89,7 +90,8 @@ class History:
         )  # fmt: skip
 
     def joined(self, position: np.ndarray) -> History:
-        """Return the history with one more part at (2,) [m], which was not on the plate before."""
+        """Return the history with one more part at (2,) [m]. The part was not on the plate
+        before."""
 
         def beside(values: np.ndarray, value: np.ndarray | float) -> np.ndarray:
             new = np.broadcast_to(value, (len(values), 1, *values.shape[2:]))
@@ -118,8 +120,8 @@ class History:
     def ago(self, age: float) -> View:
         """Return the state `age` [s] before the end of the last cycle.
 
-        Before the first kept cycle everything is at rest. For age below 0 the last velocities are
-        extrapolated. At least one cycle is required.
+        Before the first kept cycle everything is at rest. If `age` is below 0, the last velocities
+        are extrapolated. The history must contain at least one cycle.
         """
         first = self.passages[0]
         for passage in reversed(self.passages):
@@ -132,7 +134,8 @@ class History:
         position, velocity = _between(run.time, run.position, run.velocity, inside)
         angle, spin = _between(run.time, run.angle, run.spin, inside)
         pose, twist = passage.motion.pose(inside)[0], passage.motion.twist(inside)[0]
-        # A part that left the plate keeps its last position. It left at the first such sample.
+        # A part that left the plate keeps the position at which it left. It left at the first
+        # sample with this position.
         left = ~passage.on_plate & np.all(position == run.position[-1], axis=1)
         return View(
             position + beyond * velocity, angle + beyond * spin, ~left, pose + beyond * twist
@@ -144,8 +147,9 @@ def _between(
 ) -> tuple[np.ndarray, np.ndarray]:
     """Return positions and rates (M, ...) at t [s].
 
-    Between two samples the rate is linear, v = v_0 + u (v_1 - v_0) with u from 0 to 1. The position
-    is x = x_0 + u (x_1 - x_0) - h u (1 - u) (v_1 - v_0)/2, with the interval h.
+    Between two samples the rate is linear: v = v_0 + u (v_1 - v_0) with u from 0 to 1. With the
+    interval h between the samples, the position is x = x_0 + u (x_1 - x_0) - h u (1 - u) (v_1 -
+    v_0)/2.
     """
     k = int(np.clip(np.searchsorted(time, t, "right") - 1, 0, len(time) - 2))
     h = time[k + 1] - time[k]

@@ -1,7 +1,7 @@
-"""Simulated hopper that drops parts on the plate.
+"""Simulated hopper that drops parts onto the plate.
 
-All parts end in the plane: a part that falls on another slides off it. Heaps are dense and their
-parts touch, but no part is on top of another.
+All parts end in one plane: a part that falls on another part slides off it. Heaps are dense and
+their parts touch, but no part is on top of another.
 """
 
 from __future__ import annotations
@@ -19,13 +19,16 @@ from plate_core.tasks import MAX_OPEN_S, Hopper
 from .state import WorldState
 
 WHOLE = 1e-6
-"""Tolerance for a whole part [parts], because times are sums of rounded times."""
+"""Tolerance for a whole part [parts]. It is needed because times are sums of rounded times."""
 
 TRIES = 20
 """Maximum number of places that are tried for a dropped part."""
 
-SLIDE_STEP_M, TOUCH_M = 1e-3, 1e-6
-"""Step by which a part slides off another, and maximum final gap between them [m]."""
+SLIDE_STEP_M = 1e-3
+"""Step in which a part slides off another part [m]."""
+
+TOUCH_M = 1e-6
+"""Maximum gap between the two parts at the end [m]."""
 
 
 @dataclass(frozen=True)
@@ -37,15 +40,15 @@ class Flow:
     left_s : float
         Remaining time for which the hopper is open [s].
     waited_s : float
-        Time for which the hopper was open since the last part fell [s].
+        Time for which the hopper has been open since the last part fell [s].
     """
 
     left_s: float = 0.0
     waited_s: float = 0.0
 
     def after(self, time_s: float, rate: float) -> tuple[Flow, np.ndarray]:
-        """Return the state `time_s` [s] later, and the drop times (n,) [s] in this interval. While
-        the hopper is open, parts fall at `rate` [1/s]."""
+        """Return the state `time_s` [s] later, and the times in this interval at which parts drop
+        (n,) [s]. While the hopper is open, parts drop at `rate` [1/s]."""
         open_s = min(self.left_s, time_s)
         waited = self.waited_s + open_s
         count = int(waited * rate + WHOLE)
@@ -60,13 +63,13 @@ class Dropped:
     Attributes
     ----------
     label : str
-        Its class.
+        Class of the part.
     position : (2,)
-        Its final position [m, plate_home].
+        Final position of the part [m, plate_home].
     angle : float
-        [rad].
+        Angle of the part [rad].
     unit : float
-        Its relative friction, from -1 to 1 (`FrictionField.unit`).
+        Relative friction of the part, from -1 to 1 (see `FrictionField.unit`).
     """
 
     label: str
@@ -86,11 +89,11 @@ def check_duration(duration_s: float) -> None:
 def drop_part(
     hopper: Hopper, state: WorldState, rig: Rig, rng: np.random.Generator
 ) -> Dropped | None:
-    """Drop a part. Return None if there is no free place for it.
+    """Drop a part. Return None if there is no free place for the part.
 
-    The place is drawn uniformly from the disc of radius `spread_m` around the hopper's place. If
-    the part hits another part there, it slides away from the other part's centre until it touches
-    no part.
+    The place is drawn uniformly from the disc of radius `spread_m` around the place of the hopper.
+    If the part hits another part there, it slides away from the centre of that part until it
+    touches no part.
     """
     label = str(rng.choice(list(hopper.mix), p=list(hopper.mix.values())))
     kind, angle, unit = rig.part_type(label), rng.uniform(-np.pi, np.pi), rng.uniform(-1, 1)
@@ -107,8 +110,8 @@ def drop_part(
 def _slid_off(
     others: Lying, kind: PartType, place: np.ndarray, angle: float, room: np.ndarray
 ) -> np.ndarray | None:
-    """Return the final position of a part that falls on (2,) [m]. None if this position is off the
-    plate."""
+    """Return the final position of a part that falls on the place (2,) [m]. None if this position
+    is off the plate."""
     hit = others.met(kind, place, angle)
     if not hit:
         return place if np.all(np.abs(place) <= room) else None
@@ -138,10 +141,10 @@ class Lying:
     Attributes
     ----------
     position : (M, 2)
-        [m, plate_home].
+        Positions of the parts [m, plate_home].
     reach, radius : (M,)
-        Maximum distances of their outlines from their centres, and radii of discs [m]. The radius
-        of other parts is 0.
+        Maximum distance of each outline from its centre, and radius of each disc [m]. The radius of
+        other parts is 0.
     shape : (M,)
         Outlines, and centres of discs (`PartType.placed`) [m, plate_home].
     """
@@ -153,7 +156,7 @@ class Lying:
 
     @classmethod
     def of(cls, state: WorldState, rig: Rig, but: str = "") -> Lying:
-        """Return the parts on the plate, except the part `but`."""
+        """Return the parts on the plate without the part `but`."""
         rows = [i for i, name in enumerate(state.ids) if state.on_plate[i] and name != but]
         types = [rig.part_type(part_class(state.ids[i])) for i in rows]
         shapes = map(PartType.placed, types, state.position[rows], state.angle[rows])
@@ -161,19 +164,20 @@ class Lying:
         return cls(state.position[rows], reach, radius, np.array(list(shapes), dtype=object))
 
     def met(self, kind: PartType, place: np.ndarray, angle: float) -> list[int]:
-        """Return the indices of parts that a part at this place would overlap, nearest first."""
+        """Return the indices of the parts that a part at this place would overlap. The nearest part
+        is first."""
         apart = np.hypot(*(self.position - place).T)
         near = np.argsort(apart)
         near = near[apart[near] < self.reach[near] + kind.reach_m]
         other, shape = self.shape[near], kind.placed(place, angle)
         met = shapely.distance(other, shape) < self.radius[near] + kind.radius_m
-        # The pattern is true if the interiors intersect.
+        # This DE-9IM pattern is true if the interiors intersect.
         met |= shapely.relate_pattern(other, shape, "T********")
         return [int(i) for i in near[met]]
 
 
 class Dispenser:
-    """Hopper that opens for a time and drops parts in this time.
+    """Hopper that opens for a time and drops parts while it is open.
 
     Parameters
     ----------
@@ -194,12 +198,12 @@ class Dispenser:
 
     def open(self, duration_s: float, state: WorldState) -> int:
         """Open the hopper for `duration_s` from now [s]. This replaces an earlier opening. Return
-        the number of parts that fall if there is room.
+        the number of parts that will fall if there is enough free space.
 
         Raises
         ------
         PlateError
-            If there is no hopper, the time is not allowed, or the plate is full.
+            If there is no hopper, if the time is not allowed, or if the plate is full.
         """
         if self._hopper is None:
             raise PlateError("this scenario has no hopper, required: kind feed with a hopper")
@@ -211,13 +215,14 @@ class Dispenser:
         return len(self._flow.after(duration_s, self._hopper.rate)[1])
 
     def after(self, time_s: float) -> np.ndarray:
-        """Advance the time by `time_s` [s], and return the drop times (n,) in this interval [s]."""
+        """Advance the time by `time_s` [s]. Return the times in this interval at which parts drop
+        (n,) [s]."""
         assert self._hopper is not None
         self._flow, drops = self._flow.after(time_s, self._hopper.rate)
         return drops
 
     def drop(self, state: WorldState) -> Dropped | None:
-        """Drop a part. Return None if there is no room for it."""
+        """Drop a part. Return None if there is no free space for it."""
         assert self._hopper is not None
         if np.count_nonzero(state.on_plate) >= MAX_PARTS:
             return None

@@ -1,4 +1,4 @@
-"""Simulated robot that grips parts. Its arm hides the plate below it in images."""
+"""Simulated robot that grips parts. In images, its arm hides the plate below it."""
 
 from __future__ import annotations
 
@@ -18,10 +18,13 @@ GRIP_REACH_M = 5e-3
 """Maximum distance of a part's centre from the gripper for a grip [m]."""
 
 FINGER_M = 3e-3
-"""Thickness of a gripper's finger [m]. It must fit between the part and its neighbours."""
+"""Thickness of a gripper's finger [m]. The finger must fit between the part and its neighbours."""
 
-NUDGE_M, NUDGE_RAD = 2e-3, 0.1
-"""Maximum displacement [m] and rotation [rad] of a part by a failed grip."""
+NUDGE_M = 2e-3
+"""Maximum displacement of a part by a failed grip [m]."""
+
+NUDGE_RAD = 0.1
+"""Maximum rotation of a part by a failed grip [rad]."""
 
 
 class Move(IntEnum):
@@ -39,15 +42,15 @@ class Grip:
     Attributes
     ----------
     success : bool
-        Whether a grip has a part. True for other moves.
+        Whether a grip has picked a part. True for other moves.
     id : str
         Id of the gripped part or of the part that slipped. Empty if no part was found.
     error_m : float
-        True distance of this part's centre from the gripper [m]. If no part was found, the distance
-        of the nearest part. Infinity if there is no part.
+        True distance of the centre of this part from the gripper [m]. If no part was found, it is
+        the distance of the nearest part. It is infinite if there is no part.
     error_rad : float
-        True angle from the gripper to the part, reduced by the part's symmetry, in -pi to pi [rad].
-        0 if no part was found.
+        True angle from the gripper to the part [rad], reduced by the symmetry of the part to the
+        range -pi to pi. 0 if no part was found.
     message : str
         Description of the result or of the failure.
     """
@@ -72,9 +75,10 @@ def check_gripper(x: float, y: float, angle: float, rig: Rig) -> None:
 
 
 def grip(state: WorldState, rig: Rig, gripper: Sequence[float], slips: bool, marked: bool) -> Grip:
-    """Close a gripper at (x, y, angle) [m, m, rad, plate_home] on the nearest part, which may slip.
+    """Close a gripper at (x, y, angle) [m, m, rad, plate_home] on the nearest part. The part may
+    slip.
 
-    Round parts that are `marked` have an angle, too.
+    If `marked`, round parts also have an angle.
     """
     x, y, turn = gripper
     apart = np.where(state.on_plate, np.hypot(*(state.position - (x, y)).T), np.inf)
@@ -106,7 +110,7 @@ def nudged(
     state: WorldState, rig: Rig, part_id: str, rng: np.random.Generator
 ) -> tuple[np.ndarray, float]:
     """Return the position (2,) [m, plate_home] and angle [rad] of a part after a failed grip. They
-    are unchanged if the drawn displacement leads to an overlap or off the plate."""
+    are unchanged if the random displacement would lead to an overlap or off the plate."""
     row = state.ids.index(part_id)
     place, angle = state.position[row], float(state.angle[row])
     radius, way = NUDGE_M * np.sqrt(rng.random()), rng.uniform(-np.pi, np.pi)
@@ -133,10 +137,10 @@ class Robot:
     Attributes
     ----------
     taken : frozenset of str
-        Ids of the parts that the robot has taken, until these parts are forgotten.
+        Ids of the parts that the robot has taken. They are kept until these parts are forgotten.
     stations : list of (float, (2,) or None)
-        Start times [s] and positions [m, plate_home]; None means away. Images may still show the
-        oldest.
+        Start times [s] and positions [m, plate_home]. A position is None while the robot is away.
+        Images may still show the oldest position.
     """
 
     def __init__(self, rig: Rig, marked: bool, rng: np.random.Generator) -> None:
@@ -153,24 +157,25 @@ class Robot:
         now: float,
         shown: float,
     ) -> tuple[WorldState, Grip]:
-        """Move the robot, and grip if `to` is `Move.GRIP`.
+        """Move the robot. If `to` is `Move.GRIP`, also grip a part.
 
         Parameters
         ----------
         state : WorldState
         to : int
-            A `Move`.
+            The requested `Move`.
         gripper : tuple of float
-            Its x, y [m, plate_home] and angle [rad].
+            Pose x, y [m, plate_home] and angle [rad] of the gripper.
         failure : float
             Probability that a part slips.
         now, shown : float
-            `now` is the time of the move [s]. Images may still show the time `shown` [s].
+            `now` is the time of the move [s]. Images may still show the state at the time `shown`
+            [s].
 
         Raises
         ------
         PlateError
-            If the move is not known, or the gripper would not be over the plate.
+            If the move is unknown, or if the gripper would not be over the plate.
         """
         x, y, _ = gripper
         if to not in set(Move):
@@ -205,7 +210,8 @@ class Robot:
         self.stations = [*self.stations[oldest:], (now, place)]
 
     def at(self, time: float) -> np.ndarray | None:
-        """Return the gripper's position (2,) [m, plate_home] at a time [s], or None if away."""
+        """Return the position of the gripper (2,) [m, plate_home] at a time [s]. Return None if the
+        robot is away."""
         return [place for since, place in self.stations if since <= max(time, 0.0)][-1]
 
     def has(self, ids: tuple[str, ...]) -> np.ndarray:

@@ -1,6 +1,6 @@
-"""Camera of the simulated world: times and content of images. Inputs are the state and history of
-parts, plate and robot, and the disturbances. Outputs are images, or the exact places of the parts
-that an image shows."""
+"""Camera of the simulated world: times and content of images. The inputs are the state and history
+of parts, plate and robot, and the disturbances. The outputs are images, or the exact places of the
+parts that an image shows."""
 
 from __future__ import annotations
 
@@ -21,24 +21,26 @@ from .history import History
 from .robot import Robot
 from .state import WorldState
 
-EXPOSURES, MAX_STEP_S = 5, 3e-3
-"""Minimum number of sample times of parts and plate during an image, and maximum time between two
-samples [s]. The period of the plate's motion is at least 20 ms."""
+EXPOSURES = 5
+"""Minimum number of sample times of parts and plate during an image."""
+
+MAX_STEP_S = 3e-3
+"""Maximum time between two samples [s]. The period of the plate's motion is at least 20 ms."""
 
 DRAWN = ("plate_grey", "room_grey", "defocus_px")
-"""Disturbances that require a new `Camera`, because it caches images that depend on them."""
+"""Disturbances that require a new `Camera`. The camera caches images that depend on them."""
 
 FINEST_STAMP_S = 1e-4
 """Minimum difference between two stamps [s]."""
 
 BANDS = 8
-"""Number of bands of rows for which the plate's pose is sampled with a rolling shutter."""
+"""Number of bands of image rows for which the pose of the plate is sampled, if the camera has a
+rolling shutter."""
 
 
 @dataclass(frozen=True)
 class Shot:
-    """An image of a free-running camera: the middle of its exposure, its stamp, and its delivery
-    time [s]."""
+    """An image of a free-running camera: middle of its exposure, stamp, and delivery time [s]."""
 
     middle: float
     stamp: float
@@ -48,7 +50,8 @@ class Shot:
 @dataclass(frozen=True)
 class Sight:
     """Exact content of an image: positions (M, 2) [m, plate_home] and angles (M,) [rad] of the
-    parts, whether each is `seen` (M,), and the positions (F, 2) of false parts [m]."""
+    parts, whether the image shows each part (`seen`, (M,)), and positions (F, 2) of false parts
+    [m]."""
 
     position: np.ndarray
     angle: np.ndarray
@@ -57,25 +60,26 @@ class Sight:
 
 
 class CameraView:
-    """Camera of a simulation, with the appearance and the history of the parts.
+    """Camera of a simulation. It also stores the appearance and the history of the parts.
 
     Parameters
     ----------
     rig : Rig
     seed : int
-        Seed for the sizes of parts.
+        Seed of the sizes of the parts.
     marked : bool
         Whether round parts show their angle.
     disturbances : Disturbances
     noise : float
-        Standard deviation of a pixel [grey values].
+        Standard deviation of the noise of a pixel [grey values].
     pixels, images, parts, stamps : Generator
-        Generators for pixel noise, missed images, missed and false parts, and stamps.
+        Random generators for pixel noise, for missed images, for missed and false parts, and for
+        stamps.
 
     Attributes
     ----------
     history : History
-        Past motion of parts and plate, over the time that an image may show.
+        Past motion of parts and plate. It covers the time that an image may show.
     """
 
     def __init__(
@@ -111,7 +115,7 @@ class CameraView:
         self._typed = any(part_class(name) in self._rig.types for name in ids)
 
     def change(self, disturbances: Disturbances, noise: float) -> None:
-        """Apply other disturbances. Call `know` afterwards."""
+        """Apply new disturbances. The caller must call `know` afterwards."""
         before, self._disturbances, self._noise = self._disturbances, disturbances, noise
         if any(getattr(before, name) != getattr(disturbances, name) for name in DRAWN):
             self.__dict__.pop("_camera", None)  # the images of the cached camera are outdated
@@ -119,8 +123,8 @@ class CameraView:
 
     @cached_property
     def _camera(self) -> Camera:
-        """Camera. It is created at the first image, because its creation takes as long as a hundred
-        cycles."""
+        """Camera. It is created for the first image, because its creation takes as long as a
+        hundred cycles."""
         world = self._disturbances
         return Camera(
             self._rig, self._noise, plate=world.plate_grey, room=world.room_grey,
@@ -137,14 +141,15 @@ class CameraView:
         return self._disturbances.latency + (shown if needed else 0.0)
 
     def shots(self, begin: float) -> Iterator[Shot]:
-        """Yield the images of a free-running camera from `begin` [s] on, without end."""
+        """Yield the images of a free-running camera from `begin` [s] on. The sequence has no
+        end."""
         camera, world, rng = self._rig.camera, self._disturbances, self._stamp_rng
         interval, last = 1 / max(world.image_rate, 1e-9), -np.inf
         shown = camera.exposure_s + camera.readout_s
         middle = begin + interval * rng.random()
         while True:
             jitter = world.stamp_jitter * rng.standard_normal()
-            # Stamps increase, as those of a real camera driver do.
+            # Stamps increase, as with a real camera driver.
             last = max(middle + world.latency + jitter, last + FINEST_STAMP_S)
             yield Shot(middle, last, middle + max(world.latency, shown / 2))
             middle += interval
@@ -152,8 +157,8 @@ class CameraView:
     def capture(
         self, state: WorldState, plate: PlateState, robot: Robot, now: float, age: float | None
     ) -> np.ndarray | None:
-        """Return the image (height, width), uint8, that is delivered at `now` [s], or None if it is
-        missed. See `Simulation.capture`."""
+        """Return the image (height, width), uint8, that is delivered at `now` [s]. Return None if
+        it is missing. See `Simulation.capture`."""
         shown = self._chance()
         if shown is None:
             return None
@@ -181,8 +186,8 @@ class CameraView:
         )
 
     def sight(self, state: WorldState, plate: PlateState, age: float | None) -> Sight | None:
-        """Return the exact content of the image that `capture` would return, or None if it is
-        missed."""
+        """Return the exact content of the image that `capture` would return. Return None if the
+        image is missing."""
         shown = self._chance()
         if shown is None:
             return None
@@ -198,8 +203,9 @@ class CameraView:
         )  # fmt: skip
 
     def _chance(self) -> tuple[np.ndarray, np.ndarray, np.ndarray] | None:
-        """Draw whether parts are hidden in an image (M,), the positions (F, 2) of false parts [m],
-        and the index (F,) of the part that each looks like. Return None if the image is missed."""
+        """Draw random numbers for an image: whether each part is hidden (M,), the positions (F, 2)
+        of false parts [m], and for each false part the index (F,) of the part with the same
+        appearance. Return None if the image is missing."""
         count, world = len(self._types), self._disturbances
         if not (world.missed_images or world.missed_parts or world.false_parts):
             return np.zeros(count, bool), np.zeros((0, 2)), np.zeros(0, np.int64)
@@ -213,9 +219,9 @@ class CameraView:
     def _view(
         self, state: WorldState, plate: PlateState, age: float | None
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray | None]:
-        """Return positions over the exposure (s, M, 2), angles (M,), whether parts are on the
-        plate, and the plate's poses (s, 3), or (b, s, 3) by bands of rows, or None if it is at
-        home."""
+        """Return the positions over the exposure (s, M, 2), the angles (M,), whether each part is
+        on the plate, and the poses of the plate. The poses are (s, 3), or (b, s, 3) for bands of
+        rows, or None if the plate is at home."""
         camera = self._rig.camera
         exposure = camera.exposure_s if self._disturbances.blur else 0.0
         if self.past and self.history.passages:
@@ -232,17 +238,17 @@ class CameraView:
     def _past_view(
         self, state: WorldState, first: float, exposure: float, shown: float
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-        """Return the same as `_view` for an image whose first row started its exposure `first` [s]
-        ago.
+        """Return the same as `_view` for an image that is exposed row by row. The exposure of its
+        first row started `first` [s] ago.
 
-        Its last row ends `shown` [s] after this start.
+        The exposure of its last row ends `shown` [s] after this start.
         """
         count = max(EXPOSURES, 1 + int(np.ceil(shown / MAX_STEP_S)))
         time = shown * np.linspace(0, 1, count)
         views = [self.history.ago(first - t) for t in time]
         path, pose = (np.stack([getattr(v, n) for v in views]) for n in ("position", "pose"))
         middle, readout = views[count // 2], self._rig.camera.readout_s
-        # Changes of parts since the last cycle are not in the history.
+        # The history does not contain changes of parts since the last cycle.
         there = middle.on_plate if first >= time[count // 2] else state.on_plate
         if readout == 0:
             return path, middle.angle, there, pose
@@ -262,7 +268,7 @@ class CameraView:
 
 
 def check_height(rig: Rig, disturbances: Disturbances) -> None:
-    """Refuse parts with a height if the camera's position is unknown."""
+    """Raise an error if parts have a height and the position of the camera is unknown."""
     named = {f"types: {name}: height_m": part.height_m for name, part in rig.types.items()}
     heights = {
         "part_height_m": disturbances.part_height_m,
@@ -283,6 +289,7 @@ def check_height(rig: Rig, disturbances: Disturbances) -> None:
 
 
 def _own_number(seed: int, part_id: str) -> float:
-    """Return a number of a part, uniform in -1 to 1, that depends only on the seed and its id."""
+    """Return a number for a part, uniform in -1 to 1. It depends only on the seed and on the part's
+    id."""
     rng = np.random.default_rng([seed, zlib.crc32(part_id.encode())])
     return float(rng.uniform(-1, 1))

@@ -1,5 +1,6 @@
-"""One run of the simulated world, for the node and the bench. Inputs are plate cycles and commands
-to hand, hopper and robot. Outputs are images and the state of the parts."""
+"""One run of the simulated world, for the node and the bench. The inputs are plate cycles, and
+commands to the hand, the hopper and the robot. The outputs are images and the state of the
+parts."""
 
 from __future__ import annotations
 
@@ -32,7 +33,7 @@ WORLD_RANGES = {"noise": (0.0, 50.0), "mu_scale": (0.1, 10.0)}
 """Allowed ranges of a simulation's parameters."""
 
 TRIAL_S = 1e-3
-"""Length of the simulated rest that checks whether a placed part overlaps others [s]."""
+"""Length of a simulated rest [s]. It checks whether a placed part overlaps other parts."""
 
 MIN_S = 1e-6
 """Minimum length of a piece of a cycle that is simulated separately [s]."""
@@ -44,17 +45,19 @@ class Simulation:
     Parameters
     ----------
     rig : Rig
-        Rig model that all stages use. With a suspension the plate deviates from its commands.
+        Rig model that all stages use. If the rig has a suspension, the plate deviates from its
+        commands.
     scenario : Scenario
         Scenario with the parts.
     seed : int
-        Random seed. The random numbers of each kind of disturbance do not depend on the others.
+        Random seed. Each kind of disturbance has random numbers of its own, which do not depend on
+        the other kinds.
     disturbances : Disturbances
         Deviations of the world from the rig model.
     noise : float
-        Standard deviation of a pixel [grey values].
+        Standard deviation of the noise of a pixel [grey values].
     mu_scale : float
-        Ratio of the true friction to the rig's.
+        Ratio of the true friction to the friction in the rig.
     contacts : Contacts
 
     Raises
@@ -65,15 +68,17 @@ class Simulation:
     Attributes
     ----------
     state : WorldState
-        State of the parts. In a feed task, parts that left the plate are forgotten when the next
-        cycle begins. In all tasks, parts that the robot has taken are also forgotten then.
+        State of the parts. In a feed task, parts that left the plate are removed from the state
+        when the next cycle begins. In all tasks, parts that the robot has taken are also removed
+        then.
     plate : PlateState
     disturbances : Disturbances
     dropped, chuted : int
-        Number of parts that left the plate since the beginning, except those removed by hand or
-        robot: `chuted` over the side of the task's chute, `dropped` elsewhere.
+        Number of parts that left the plate since the beginning. `chuted` counts those that left
+        over the side of the task's chute, and `dropped` all others. Parts that were removed by hand
+        or by the robot are not counted.
     chuted_classes : Counter of str
-        `chuted` by class.
+        Number `chuted`, by class.
     """
 
     def __init__(
@@ -94,7 +99,7 @@ class Simulation:
                 f"image_rate is {disturbances.image_rate:g} with a trigger_phase, allowed: 0, "
                 "because the motor controller triggers the camera"
             )
-        # Keep this order: it determines the results of each seed.
+        # Keep this order, because it determines the results of each seed.
         layout, pixels, field, images, parts, stamps, hand, hopper, robot = np.random.default_rng(
             seed
         ).spawn(9)
@@ -130,20 +135,20 @@ class Simulation:
 
     @property
     def _limit(self) -> np.ndarray:
-        """Current maximum acceleration (M,) of each part by friction [m/s2]."""
+        """Current maximum acceleration of each part by friction (M,) [m/s2]."""
         return self.mu * self._rig.friction.gravity
 
     def change(self, disturbances: Disturbances, noise: float, mu_scale: float) -> None:
-        """Apply other disturbances. `latency` and `image_rate`, the timing of images, do not
-        change.
+        """Apply new disturbances. `latency` and `image_rate`, which determine the times of images,
+        do not change.
 
-        Afterwards the seed alone no longer reproduces the run.
+        Afterwards, the seed alone no longer reproduces the run.
 
         Raises
         ------
         PlateError
-            If noise or mu_scale is out of range, or parts get a height and the rig does not give
-            the camera's place.
+            If noise or mu_scale is out of range, or if parts get a height and the rig does not
+            contain the position of the camera.
         """
         _check(noise=noise, mu_scale=mu_scale)
         check_height(self._rig, disturbances)
@@ -155,19 +160,19 @@ class Simulation:
         )
 
     def place(self, part_id: str, label: str, position: np.ndarray, angle: float = 0.0) -> str:
-        """Place a part at rest, by hand.
+        """Place a part at rest, as if by hand.
 
         Parameters
         ----------
         part_id : str
-            Id of a part on the plate, or of one that left and is not forgotten. Empty for a new
-            part.
+            Id of a part on the plate, or of a part that left and is still in the state. Empty for a
+            new part.
         label : str
-            Type of a new part.
+            Type of the new part.
         position : (2,)
             Centre of the part [m, plate_home].
         angle : float
-            [rad].
+            Angle of the part [rad].
 
         Returns
         -------
@@ -177,8 +182,8 @@ class Simulation:
         Raises
         ------
         PlateError
-            If there is no such part or type, no more parts are allowed, or the part would be off
-            the plate or overlap another part. Then nothing changes.
+            If there is no such part or type, if no more parts are allowed, or if the part would be
+            off the plate or overlap another part. In these cases nothing is changed.
         """
         state, unit = self.state, self._field.unit
         state, part_id, own = self._hand.put(
@@ -193,11 +198,12 @@ class Simulation:
         return part_id
 
     def show(self, state: WorldState) -> None:
-        """Continue with the parts of another run. Their individual friction is lost."""
+        """Continue with the parts of another run. The individual friction of the present parts is
+        lost."""
         self._take_over(state, np.zeros(len(state.ids)), History())
 
     def remove(self, part_id: str) -> None:
-        """Remove a part from the plate, by hand.
+        """Remove a part from the plate, as if by hand.
 
         Raises
         ------
@@ -226,18 +232,18 @@ class Simulation:
     def open_hopper(self, duration_s: float) -> int:
         """Open the hopper for a time from now [s]. This replaces an earlier opening.
 
-        One part drops after each 1/rate [s] of open time. If `MAX_PARTS` are on the plate, or if
-        the heap reaches the plate's edge, there is no room, and the part stays in the hopper.
+        One part drops after each 1/rate [s] of open time. There is no space if `MAX_PARTS` are on
+        the plate, or if the heap reaches the edge of the plate. The part then stays in the hopper.
 
         Returns
         -------
         int
-            Number of parts that drop in that time if there is room.
+            Number of parts that drop in that time if there is enough space.
 
         Raises
         ------
         PlateError
-            If the task has no hopper, the time is not allowed, or the plate is full.
+            If the task has no hopper, if the time is not allowed, or if the plate is full.
         """
         return self._hopper.open(duration_s, self.state)
 
@@ -247,16 +253,17 @@ class Simulation:
         Parameters
         ----------
         to : int
-            A `Move`. AWAY: away from the plate. OVER: over the pose, so that its arm hides the
-            plate below. GRIP: the same with a grip, which removes the nearest part from the plate.
-            With the probability `pick_failure` the part slips, and may be displaced slightly.
+            The requested `Move`. AWAY moves the robot away from the plate. OVER moves it over the
+            pose, where its arm hides the plate below. GRIP does the same and also grips: it removes
+            the nearest part from the plate. With the probability `pick_failure` the part slips and
+            may be displaced slightly.
         x, y, angle : float
-            Pose of the gripper [m, m, rad, plate_home]. Not used for the move away.
+            Pose of the gripper [m, m, rad, plate_home]. It is not used if the robot moves away.
 
         Raises
         ------
         PlateError
-            If the move is not known, or the gripper would not be over the plate.
+            If the move is unknown, or if the gripper would not be over the plate.
         """
         now, failure = self._time, self.disturbances.pick_failure
         self.state, result = self._robot.move(
@@ -266,26 +273,26 @@ class Simulation:
 
     @property
     def dropped(self) -> int:
-        """See `Simulation`."""
+        """`dropped`, see `Simulation`."""
         return self._departures.dropped + self._departures.count(self.state, self._left)[0]
 
     @property
     def chuted(self) -> int:
-        """See `Simulation`."""
+        """`chuted`, see `Simulation`."""
         return self.chuted_classes.total()
 
     @property
     def chuted_classes(self) -> Counter[str]:
-        """See `Simulation`."""
+        """`chuted` by class, see `Simulation`."""
         return self._departures.chuted + self._departures.count(self.state, self._left)[1]
 
     @property
     def _left(self) -> np.ndarray:
-        """Whether each part (M,) left the plate, except those taken by the robot."""
+        """Whether each part (M,) left the plate. Parts that the robot took are not counted."""
         return ~self.state.on_plate & ~self._robot.has(self.state.ids)
 
     def _forget(self) -> None:
-        """Remove parts that left the plate and that no later image can show."""
+        """Remove parts that left the plate, if no later image can show them."""
         state, history = self.state, self._view.history
         if np.all(state.on_plate) or not (self._feeds or self._robot.taken):
             return
@@ -299,7 +306,7 @@ class Simulation:
         self._robot.taken &= set(self.state.ids)
 
     def _drop(self) -> None:
-        """Drop a part from the hopper if there is room for it."""
+        """Drop a part from the hopper if there is free space for it."""
         part = self._hopper.drop(self.state)
         if part is None:
             return
@@ -309,19 +316,22 @@ class Simulation:
         self._take_over(state, unit, self._view.history.joined(part.position))
 
     def shots(self, begin: float) -> Iterator[Shot]:
-        """Yield the images of a free-running camera from `begin` [s] on, without end."""
+        """Yield the images of a free-running camera from `begin` [s] on. The sequence has no
+        end."""
         return self._view.shots(begin)
 
     def capture(self, age: float | None = None) -> np.ndarray | None:
-        """Return the image (height, width), uint8, that is delivered now, or None if it is missed.
+        """Return the image (height, width), uint8, that is delivered now. Return None if it is
+        missing.
 
-        `age` is the time since the middle of its exposure [s]. If it is None, the exposure began
-        `latency` ago.
+        `age` is the time since the middle of the exposure of the image [s]. If it is None, the
+        exposure began `latency` ago.
         """
         return self._view.capture(self.state, self.plate, self._robot, self._time, age)
 
     def sight(self, age: float | None = None) -> Sight | None:
-        """Return the exact content of the image that `capture` would return. Call one of them."""
+        """Return the exact content of the image that `capture` would return. Call only one of the
+        two for an image."""
         return self._view.sight(self.state, self.plate, age)
 
     def capture_bare(self) -> np.ndarray:
@@ -330,9 +340,9 @@ class Simulation:
         return self._view.capture_bare(self._time)
 
     def run(self, cycle: PlateCycle | PlateMotion) -> None:
-        """Run a commanded cycle, or a motion that a motor controller has played.
+        """Simulate a commanded cycle, or a motion that a motor controller has executed.
 
-        The parts move to the end of the cycle. Parts may drop from an open hopper.
+        The parts move until the end of the cycle. Parts may drop from an open hopper.
         """
         self._forget()
         if not self._hopper.is_open:
@@ -351,7 +361,7 @@ class Simulation:
             self._run(PlateMotion.piece(cycle, begin, end))
 
     def _run(self, cycle: PlateCycle | PlateMotion) -> None:
-        """Simulate the parts to the end of a cycle or of a piece of a cycle."""
+        """Simulate the parts until the end of a cycle or of a piece of a cycle."""
         self._time += cycle.period
         motion: PlateCycle | PlateMotion = cycle
         limit = self._limit
@@ -369,7 +379,7 @@ class Simulation:
         simulations: Sequence[Simulation], cycles: Sequence[PlateCycle], threads: int
     ) -> None:
         """Do the same as `run` for several plates with one rig, in parallel threads. The results
-        are bitwise equal."""
+        are equal to the last bit."""
         plain: dict[tuple[str, ...], list[tuple[Simulation, PlateCycle]]] = {}
         for own, cycle in zip(simulations, cycles, strict=True):
             if own._view.past or own._feeds or own._robot.taken or own._rig.suspension is not None:

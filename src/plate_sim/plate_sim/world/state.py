@@ -1,5 +1,5 @@
 """State of all parts of a run at the start of a plate cycle: names, positions, velocities, angles
-and spins. A state is never modified; each change returns a new one."""
+and spins. A state is never modified. Each change returns a new state."""
 
 from __future__ import annotations
 
@@ -22,13 +22,14 @@ class WorldState:
     ids : tuple of str
         True names of the M parts, such as `black_3`.
     position : (M, 2)
-        Centres [m], plate_home. For a part that left the plate, the position where it left.
+        Positions of the centres [m], plate_home. For a part that left the plate, it is the position
+        at which it left.
     velocity : (M, 2)
-        [m/s], plate_home.
+        Velocities of the centres [m/s], plate_home.
     on_plate : (M,)
-        Whether the part is still on the plate.
+        Whether each part is still on the plate.
     angle, spin : (M,)
-        [rad] (not wrapped), [rad/s]; counter-clockwise. Default: 0.
+        Angles [rad] (not wrapped) and spins [rad/s], counter-clockwise. Default: 0.
     """
 
     ids: tuple[str, ...]
@@ -50,8 +51,8 @@ class WorldState:
         Raises
         ------
         PlateError
-            If there are not as many places as names, a name is given twice, or a place is not
-            finite.
+            If the numbers of places and names differ, if a name is given twice, or if a place is
+            not finite.
         """
         if len(set(ids)) != len(ids):
             raise PlateError(f"part ids are {', '.join(ids)}, allowed: each once")
@@ -60,10 +61,10 @@ class WorldState:
 
     @classmethod
     def of_scenario(cls, scenario: Scenario, rig: Rig, rng: np.random.Generator) -> WorldState:
-        """Return a scenario's parts at rest, named black_1, black_2, ...
+        """Return the parts of a scenario at rest. Their names are black_1, black_2, ...
 
-        Their places are those of the scenario or random. Their angles are random, unless all parts
-        are round and without marks.
+        Their places are those of the scenario, or random if the scenario has none. Their angles are
+        random, unless all parts are round and have no marks.
         """
         labels, position = start_positions(scenario, rig, rng)
         ids = tuple(f"{label}_{labels[:i].count(label) + 1}" for i, label in enumerate(labels))
@@ -82,7 +83,8 @@ class WorldState:
         )  # fmt: skip
 
     def joined(self, part_id: str, position: np.ndarray, angle: float) -> WorldState:
-        """Return these parts and another, at rest at a place (2,) [m, plate_home]."""
+        """Return these parts and one more part, which is at rest at a place (2,) [m,
+        plate_home]."""
         return WorldState(
             (*self.ids, part_id), np.vstack([self.position, position]),
             np.vstack([self.velocity, np.zeros(2)]), np.append(self.on_plate, True),

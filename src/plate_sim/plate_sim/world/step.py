@@ -1,7 +1,8 @@
-"""Steps of the parts' state from one plate cycle to the next, as pure functions.
+"""Steps of the state of the parts from one plate cycle to the next. They are pure functions.
 
-Inputs are the state, the plate's motion, the rig and the contact model. `run_cycle` returns the
-next state, `record_cycle` also the motion, and `run_together` the states on many plates.
+The inputs are the state, the motion of the plate, the rig and the contact parameters. `run_cycle`
+returns the next state, `record_cycle` also returns the motion, and `run_together` returns the
+states on several plates.
 """
 
 from __future__ import annotations
@@ -36,23 +37,24 @@ def run_cycle(
     Parameters
     ----------
     cycle : PlateCycle or PlateMotion
-        Motion of the plate; only a PlateCycle can be repeated.
+        Motion of the plate. Only a PlateCycle can be repeated.
     mu : float or (M,), optional
-        True friction coefficient of all parts or of each. Default: those of their types.
+        True friction coefficient, of all parts or of each part. Default: the coefficients of their
+        types.
     step : float
         Maximum integration step [s].
     contacts : Contacts
-        Contact model of the parts, and whether walls keep them on the plate.
+        Contact parameters of the parts. They state whether walls keep the parts on the plate.
     cycles : int
         Number of cycles.
     ground : Ground
-        Static friction, friction that changes with the slip, and tilt.
+        Static friction, dependence of friction on the slip, and tilt.
 
     Raises
     ------
     PlateError
-        If a state is not finite, parts overlap at the start, or a coefficient or count is out of
-        range.
+        If a state is not finite, if parts overlap at the start, or if a coefficient or count is out
+        of range.
     """
     return _run(state, cycle, rig, mu, step, contacts, cycles, ground, 0)[0]
 
@@ -68,7 +70,7 @@ def record_cycle(
     cycles: int = 1,
     ground: Ground = LEVEL,
 ) -> tuple[WorldState, BodyTrajectory]:
-    """Return the result of `run_cycle`, and the motion at every step."""
+    """Return the result of `run_cycle`, and the motion at each step."""
     after, (path,) = _run(state, cycle, rig, mu, step, contacts, cycles, ground, 1)
     return after, path
 
