@@ -4,7 +4,8 @@ To evaluate it in the bench, over many seeds and without ROS:
 
     python bench/closed_loop.py --scenario sort_4 --planner examples/own_planner.py
 
-To run it as a node instead of `planner`, with `simulator`, `detector`, `solver` and `driver`:
+To run it as a node instead of `planner`, start `simulator`, `detector`, `solver` and `driver`,
+then:
 
     python examples/own_planner.py
 """

@@ -3,8 +3,8 @@
 python tools/demos.py [SCENARIO ...]
 
 Each run is `make demo SCENARIO=... ARGS=--lockstep`: the real graph, in which simulated time waits
-for the answers, so that a film does not depend on the computer's load. A feeder's robot keeps its
-own time, so these runs are not in lockstep. A failed run is reported.
+for the answers, so that a film does not depend on the computer's load. Runs with a feeder are not
+in lockstep, because the robot uses real time. A failed run is reported.
 """
 
 from __future__ import annotations

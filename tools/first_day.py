@@ -2,7 +2,7 @@
 
 python tools/first_day.py [--out docs/first_day]
 
-Needs Chromium, and: make test-tools
+Chromium and `make test-tools` are required.
 """
 
 from __future__ import annotations

@@ -1,4 +1,5 @@
-"""Tools that some tests need beyond set-up: installs the wheels and lists what is still missing.
+"""Tools that some tests need and set-up does not install: installs their wheels, and lists the
+missing tools.
 
 --install also installs the programs, the browser's driver and ROS's launch. A test names its tools
 with `@pytest.mark.needs("chromium", "plotly")`. conftest.py omits the test if a tool is missing.

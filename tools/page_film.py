@@ -2,7 +2,7 @@
 
 python tools/page_film.py [--out docs/results]
 
-Needs Chromium, and: make test-tools
+Chromium and `make test-tools` are required.
 """
 
 from __future__ import annotations

@@ -2,12 +2,11 @@
 
 python tools/robustness.py --case NAME [OPTIONS] [--json FILE]
 
-faults      kill, freeze and cut off each node during a task
-freezes     freeze and kill nodes at random, and evaluate the age of every motor table
-fuzz        malformed messages into every topic of each node
-goals       right and wrong goals, cancels, preemptions and stops at random
-page_flood  commands from several sockets into the live page
-soak        task after task in real time: growth of memory, drift of latency
+faults kill, freeze and cut off each node during a task freezes     freeze and kill nodes at random,
+and evaluate the age of every motor table fuzz        malformed messages into every topic of each
+node goals       right and wrong goals, cancels, preemptions and stops at random page_flood
+commands from several sockets into the live page soak        task after task in real time: growth of
+memory, drift of latency
 
 The file of a case (tools/cases) describes its criteria. The exit code is 1 if a case fails.
 """

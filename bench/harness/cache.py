@@ -23,7 +23,8 @@ FOLDERS = (ROOT / "bench", ROOT / "tools")
 
 
 class Cache:
-    """Results by key. Each is written at once, so that an interrupted measurement can continue.
+    """Results by key. Each result is written at once, so that an interrupted measurement can
+    continue.
 
     Parameters
     ----------

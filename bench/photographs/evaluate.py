@@ -73,8 +73,8 @@ def row_of(score: Score) -> dict[str, float | int | None]:
 
 
 def counts(found: np.ndarray, photograph: Photograph) -> np.ndarray:
-    """Return whether each detection (n,) counts. Those outside the plate, and those of ignored
-    objects, do not."""
+    """Return whether each detection (n,) counts. Detections outside the plate, and detections of
+    ignored objects, do not count."""
     kept = np.ones(len(found), bool)
     if photograph.plate is not None:
         corners = photograph.plate.astype(np.float32)

@@ -1,7 +1,7 @@
 """Compared detectors: the project's, and baselines with the settings of their guides.
 
-None gets the number or the size of the parts, or settings for a single picture. If a guide gives no
-value for a setting of a baseline, it is the best of a few values on the tuning half.
+No detector gets the number or the size of the parts, or settings for a single picture. If a guide
+gives no value for a setting of a baseline, it is the best of a few values on the tuning half.
 """
 
 from __future__ import annotations

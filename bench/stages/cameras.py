@@ -1,4 +1,4 @@
-"""Scenes as real cameras see them: height, shine, shadow, contrast, tilt, lens, changing light.
+"""Scenes with the effects of real cameras: height, gloss, shadow, contrast, tilt, lens, light.
 
 Each scene has 100 discs, or 56 parts of several types. The simulator's camera draws it, so the true
 positions are known.

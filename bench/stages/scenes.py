@@ -28,7 +28,7 @@ MU, GRAVITY = 0.25, 9.81
 MU_G = MU * GRAVITY
 
 RADIUS = 0.008
-"""Radius of the parts [m], which touch nothing."""
+"""Radius of the parts [m]. They never touch each other."""
 
 SPEED = 0.1
 """Standard deviation of the initial velocities, in scenes in which they differ [m/s]."""

@@ -56,7 +56,8 @@ def rms(values: Any) -> float:
 
 
 def peer_scene(scene: Scene, dt: float, span: float, offset: float = 0.5) -> PymunkScene:
-    """Return pymunk's scene. The plate's velocity may be evaluated at the best time in a step."""
+    """Return pymunk's scene. `offset` is the time in a step at which the plate's velocity is
+    evaluated."""
     return PymunkScene(scene.cycle, dt, span, scene.position, MU_G, scene.velocity, offset=offset)
 
 
@@ -123,7 +124,7 @@ def speed_rows(quick: bool) -> list[dict[str, Any]]:
 
 
 def lead(count: int, quick: bool) -> float:
-    """Return a sentence on the ratio of the simulator's speed to pymunk's, at the same error."""
+    """Return the ratio of the simulator's speed to pymunk's, at the same error."""
     scene, dt = all_ways(20, count), 1e-3 * PEER_STEP_MS
     truth = scene.travel(1e-11)
     error = min(rms(peer_travel(scene, dt, offset) - truth) for offset in (0.5, 1.0))

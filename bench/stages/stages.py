@@ -27,8 +27,8 @@ IMAGES = 40
 """Number of images of a run."""
 
 FIRST = 4
-"""Number of first images that are not counted. There the parts are not known yet, or caches are
-filled."""
+"""Number of first images that are not counted, because the parts are not known yet or caches are
+being filled."""
 
 STAGES = ("camera", "vision", "planner", "solver", "driver", "simulator")
 

@@ -42,9 +42,10 @@ START_S = 60.0
 
 
 def serve(link: str, ready: Event, done: Event, stops: Any) -> None:
-    """Be the device; puts when it saw a new Stop on the wire, and its look before [s].
+    """Run the device. For each new Stop on the wire, put the time of the poll that read it, and the
+    time of the poll before [s].
 
-    Where it gets no time of a processor itself, the frame was there earlier than that.
+    If this process gets no CPU time, the frame has arrived earlier than the first of these times.
     """
     reader, last, last_poll = Reader(), -1, time.monotonic()
     for data in device(link, ready, done):

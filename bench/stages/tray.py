@@ -38,8 +38,8 @@ THICK = 0.05
 """Thickness of pymunk's walls [m], so that no disc passes through."""
 
 REPEATS = 20
-"""Number of the simulator's runs in one timing. It then takes about as long as the baseline's, with
-equally warm caches."""
+"""Number of the simulator's runs in one timing. Together they take about as long as a run of a
+baseline, so that the caches are equally warm."""
 
 GRIDS = {10: (5, 2), 100: (20, 5), 300: (30, 10)}
 """Columns and rows of the grid, by number of discs."""

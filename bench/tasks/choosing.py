@@ -34,9 +34,9 @@ from plate_solver.sinusoids import (
 )
 
 BEST, LATER, STARTS, STEPS, TWICE, EVERY = 5, 6, 4, 12, 2, 5
-"""Number of best motions compared in a search; cycles until they are evaluated; descents in each of
-these cycles, and iterations of a descent; repetitions for each motion; one search of EVERY is
-used."""
+"""Number of best motions that are compared in a search; number of cycles until they are evaluated;
+number of descents in each of these cycles; number of iterations of a descent; number of repetitions
+for each motion. Only every EVERY-th search is used."""
 
 RIDGE = 100.0
 """Ridge parameter of the regression, for features in units of their standard deviation."""
@@ -187,12 +187,12 @@ def moved(goal: Goal, family: LimitedSinusoids, parameters: np.ndarray) -> Goal:
 
 
 def features(goal: Goal) -> np.ndarray:
-    """Return phi (10,) of the state in which a goal begins.
+    """Return the features phi (10,) of the state in which a goal begins.
 
-    Of the distances to go: their sum, their sum after a coast, their maximum, their sum of squares.
-    Then the solver's cost, the parts' speed towards their targets, the number of parts in others'
-    paths, the missing distance between close parts, the part of the displacements that no rigid
-    motion of the plate achieves, and the plate's squared speed.
+    The first four are the sum of the distances to go, their sum after a coast, their maximum, and
+    their sum of squares. The others are the solver's cost, the parts' speed towards their targets,
+    the number of parts in others' paths, the missing distance between close parts, the part of the
+    displacements that no rigid motion of the plate achieves, and the plate's squared speed.
     """
     place, coasted = goal.position, goal.position + goal.coast * goal.velocity
     way, later = (goal.left(at.T.ravel()) for at in (place, coasted))

@@ -1,4 +1,4 @@
-"""Whole tasks in the closed loop, many seeds: the table of README."""
+"""Complete tasks in the closed loop with many seeds, for the first table of README."""
 
 from __future__ import annotations
 

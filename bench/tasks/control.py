@@ -1,4 +1,4 @@
-"""The closed loop with more and less effort of the solver.
+"""The closed loop with more and less computing time of the solver.
 
 The complete loop is simulated, with image noise and friction that is uneven by 10 %.
 """
@@ -25,11 +25,11 @@ EFFORTS: dict[str, tuple[dict[str, int], ...]] = {
     ),
     "rotations": ({"iterations": 1, "restarts": 0}, {}, {"iterations": 40, "restarts": 4}),
 }  # fmt: skip
-"""Options of the solver, by method. An empty one has the controller's defaults."""
+"""Options of the solver, by method. An empty mapping has the controller's defaults."""
 
 
 def measure(quick: bool) -> Result:
-    """Run every scenario with every effort."""
+    """Run every scenario with all options of the solver."""
     rig = load_rig()
     scenarios, seeds = (SCENARIOS[:1], SEEDS[:1]) if quick else (SCENARIOS, SEEDS)
     cases: dict[tuple[str, str, str], list[Loop]] = {}

@@ -1,16 +1,17 @@
-"""Trials beyond the greedy step: a motion played again, a learned cost-to-go, a learned start.
+"""Trials of longer horizons: a motion played repeatedly, a learned cost-to-go, a learned start.
 
 The solver minimises the remaining error after its motion was played n times,
 
     J(xn) = |w way(xn)|^2 + edges + neighbours,   xk = F(xk-1, pk-1; a),   pk = E a,
 
-over the coefficients a. F is the cycle map of the parts' state, and pk is the plate's state at the
-start of play k + 1. The trials are
+over the coefficients a. Here w way are the weighted distances to go, F is the cycle map of the
+parts' state, and pk is the plate's state at the start of play k + 1. The trials are
 
 - `once`, `2 times` (the default), `3 times`: n = 1, 2, 3 with 40, 20 and 14 starts, because more
-  plays take longer to evaluate. The other trials use n = 1, and are compared with it:
-- `cost-to-go`: uses the motion with the minimum v phi(x1) of the five best ones. v is a regression
-  of the distances to go after `LATER` more cycles, learned from other sort tasks (phi: `features`).
+  plays take longer to evaluate. The other trials use n = 1, and are compared with `once`:
+- `cost-to-go`: of the five best motions, the solver uses the one with the minimum v phi(x1). v is a
+  regression of the distances to go after `LATER` more cycles, learned from other sort tasks (phi:
+  `features`).
 - `network`: one start from the network of examples/agents, which is trained for four parts, and
   three starts near its result.
 """

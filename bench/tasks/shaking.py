@@ -20,7 +20,8 @@ There are two kinds of shakes:
   force of each centre of rotation has no divergence, nor has any sum of them.
 - Thrown: idealised vertical shakes, better than any existing feeder's. Within 0.6 s with settling,
   all parts get new random positions and angles, uniformly distributed, with disjoint circumscribed
-  discs. So the missing spreading of the first kind does not favour the project's feeder here.
+  discs. In this comparison the project's feeder has no advantage from the missing spreading of the
+  vibrated baseline.
 
 Vibrating was tuned with 20 discs, a clearance of 6 mm, a robot cycle of 2 s and seeds 0 to 9, 60 s
 each, over 3 times of stirring, 3 fractions of the conveyed distance and 2 waveforms. `STIR_S`,

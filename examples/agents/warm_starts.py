@@ -11,10 +11,11 @@ similar goals. Medians of plate time [s] and time per decision [ms]; all episode
     12                4.28, 14     4.07, 14     3.67, 15
     4                 5.03,  9     4.62, 10     3.90, 11
 
-Plate times on `Sort10-v1` (120 episodes to learn from, 30 others) were 7.0, 6.35 and 6.6 s with 40
-further starts, 8.4, 7.15 and 7.2 s with 12, and 10.85, 9.0 and 8.2 s with 4. So solved goals halve
-the computing time of a known task. The network must predict one motion where many are equally good,
-and helps less with four parts. The solver uses neither.
+On `Sort10-v1` (120 episodes for learning, 30 for the evaluation) plate times were 7.0, 6.35 and 6.6
+s with 40 further starts, 8.4, 7.15 and 7.2 s with 12, and 10.85, 9.0 and 8.2 s with 4. So the
+solved goals of a task halve the computing time of this task. With four parts, the network helps
+less, because it must predict one motion although many motions are equally good. The solver uses
+neither.
 """
 
 from __future__ import annotations
@@ -44,7 +45,7 @@ Propose = Callable[[Goal], list[np.ndarray]]
 """Function from a goal to the parameters of proposed start motions."""
 
 TAUGHT = 100_000
-"""First seed for learning. The seeds for evaluation are far from it."""
+"""First seed for learning. The seeds for evaluation are far from this one."""
 
 NEIGHBOURS = 3
 """Number of nearest solved goals whose motions are proposed."""

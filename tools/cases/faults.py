@@ -46,13 +46,14 @@ STILL_S = 0.6
 """Time without motion after which the plate counts as at rest [s], three cycles."""
 
 STILL_SPEED = 2e-3
-"""Speed below which a motor counts as at rest [m/s]. Without current only friction slows it."""
+"""Speed below which a motor counts as at rest [m/s]. A motor without current is slowed down only by
+friction."""
 
 MAX_S = 2.0
 """Maximum time from a fault to the end of the task [s]."""
 
 FRESH_S = 1.5
-"""Maximum age of the diagnostics of a node that runs again [s]. They are published once per
+"""Maximum age of the diagnostics of a node that runs again [s]. Nodes publish diagnostics once per
 second."""
 
 TRIES = 3

@@ -28,7 +28,8 @@ from plate_interfaces.msg import TaskStatus
 from plate_planner.supervision import Reason
 
 SCENARIOS = ("sort_4", "sort_6", "follow_2", "assemble_8", "spin_1")
-"""Scenarios of the goals. The parts of the first one are on the plate, so the others lack parts."""
+"""Scenarios of the goals. The parts of the first scenario are on the plate, so the other scenarios
+lack parts."""
 
 PAUSE_S, ANSWER_S, REST_S = 0.15, 10.0, 3.0
 """Mean time between two goals; maximum wait for results at the end; time until the plate must rest

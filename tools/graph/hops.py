@@ -24,7 +24,7 @@ STAMP = struct.Struct("<4xiI")
 
 class Listener:
     """ROS node that receives messages with their publication times, in a separate thread. Use it as
-    a context manager inside the one of an `Observer`."""
+    a context manager inside the context of an `Observer`."""
 
     def __init__(self, name: str, namespace: str = "") -> None:
         self.node = rclpy.create_node(name, namespace=namespace)

@@ -1,7 +1,7 @@
 """ROS node of the test tools. It watches the nodes of a graph, starts tasks, and records messages.
 
 `Observer` waits for nodes, images and states with a time limit, and raises `GraphError` with the
-nodes' own messages if they do not come. `Record` keeps the messages of one run.
+nodes' own messages if they do not arrive. `Record` keeps the messages of one run.
 """
 
 from __future__ import annotations

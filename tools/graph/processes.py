@@ -1,4 +1,4 @@
-"""Processes of the nodes: starts, watches and stops them. No process remains after a run.
+"""Processes of the nodes: start, supervision and stop. No process remains after a run.
 
 Each node has its own process, log and parameter file. Stopping sends SIGINT, then SIGTERM, then
 SIGKILL. `signals_raise` and `signals_wait` control how signals interrupt this program meanwhile.

@@ -30,8 +30,8 @@ CALL_S = 2.0
 """Maximum wait for the simulator's reply [s]."""
 
 NEAR_MM, NEAR_DEG = 0.5, 2.0
-"""Maximum error of a published part pose: position [mm] and angle [deg]. A gripper may miss a part
-with a larger error."""
+"""Maximum error of a published part pose: position [mm] and angle [deg]. If the error is larger, a
+gripper may miss the part."""
 
 VALUE = re.compile(r"(\w+)=(\S+)")
 

@@ -74,7 +74,7 @@ class Session:
             self.observer.enable()
 
     def page(self) -> str:
-        """Return the address of the live page. Empty if there is none."""
+        """Return the address of the live page, or an empty text if there is no page."""
         record = self.observer.record
         if self.options.view:
             self.observer.until(lambda: bool(record.last("page", "url")), PAGE_S)

@@ -1,4 +1,4 @@
-"""Animations for pages as lossy WebP."""
+"""Animations for pages, in the lossy WebP format."""
 
 from __future__ import annotations
 
