@@ -160,7 +160,16 @@ def start(hardware: bool, file: str, context: Any) -> list[Any]:
     known = arguments_of(hardware)
     given = {n: text for n, text in context.launch_configurations.items() if text and n in known}
     values = {name: read(given[name]) for name, read in OPTIONS.items() if name in given}
-    if "scenario" in given and not {"rig_file", "params_file"} & given.keys():
+    own = []
+    if "params_file" in given:
+        own.append(given["params_file"])
+        try:
+            check_file(Path(own[0]), YAML_BYTES)
+        except PlateError as error:
+            raise GraphError(f"params_file {error}") from None
+    rigs = [given["rig_file"]] if "rig_file" in given else []
+    rigs = rigs or rigs_in([*context.launch_configurations.get("global_params", []), *own])
+    if "scenario" in given and not rigs:
         values["rig_file"] = load_scenario(given["scenario"]).rig
     pushed = context.launch_configurations.get("ros_namespace", "")
     space = namespace_of(pushed, given.get("namespace", ""))
@@ -169,19 +178,12 @@ def start(hardware: bool, file: str, context: Any) -> list[Any]:
     options = RunOptions(
         **{"transport": "serial" if hardware else "sim", "hardware": hardware} | values
     )
-    own = []
-    if "params_file" in given:
-        own.append(given["params_file"])
-        try:
-            check_file(Path(own[0]), YAML_BYTES)
-        except PlateError as error:
-            raise GraphError(f"params_file {error}") from None
     topics = {"image_raw": given.get("image_topic"), "camera_info": given.get("info_topic")}
     waiting = [{"autostart": False}] if given.get("autostart") == "false" else []
     defaults = default_files(hardware, space, [node.name for node in options.nodes(load_graph())])
     actions: list[Any] = [OpaqueFunction(function=partial(_put_first, defaults))]
-    if hardware and "params_file" not in given:  # a parameter file may name another rig
-        facts = unmeasured(load_rig(given.get("rig_file", "")))
+    for rig in (rigs or [""]) if hardware else ():
+        facts = unmeasured(load_rig(rig))
         actions += [LogInfo(msg=f"not measured on this rig: {text}") for text in facts]
     views = {node.name for node in load_graph() if node.view}
     for name, program in programs(options, given, space).items():
@@ -200,6 +202,35 @@ def start(hardware: bool, file: str, context: Any) -> list[Any]:
         record = ["ros2", "bag", "record", "--storage", "mcap", "--all"]
         actions.append(ExecuteProcess(cmd=record, output="screen"))
     return [GroupAction(actions)]
+
+
+def rigs_in(parameters: Sequence[Any]) -> list[str]:
+    """Return the values of `rig_file` in ROS parameters, each once.
+
+    Parameters
+    ----------
+    parameters : sequence
+        Parameters as launch_ros keeps them: paths of parameter files, and pairs of name and value.
+        A file that cannot be read has no values here. The nodes report the error.
+    """
+    rigs: list[str] = []
+    for each in parameters:
+        if isinstance(each, tuple):
+            rigs += [str(each[1])] if each[0] == "rig_file" else []
+            continue
+        try:
+            rigs += _rigs_below(yaml.safe_load(Path(str(each)).read_text(encoding="utf-8")))
+        except (OSError, UnicodeError, yaml.YAMLError):
+            continue
+    return list(dict.fromkeys(rigs))
+
+
+def _rigs_below(data: Any) -> list[str]:
+    """Return the values of `rig_file` at any depth of a parameter file's content."""
+    if not isinstance(data, dict):
+        return []
+    rigs = [str(data["rig_file"])] if data.get("rig_file") else []
+    return rigs + [rig for value in data.values() for rig in _rigs_below(value)]
 
 
 def default_files(hardware: bool, space: str, names: Sequence[str]) -> list[str]:

@@ -9,6 +9,7 @@ import pytest
 import yaml
 
 from plate_bringup import GraphError, RunOptions, load_graph
+from plate_core import config_path
 
 LAUNCH = Path(__file__).resolve().parents[1] / "launch"
 NAMES = ["simulator", "detector", "planner", "solver", "driver"]
@@ -174,10 +175,41 @@ def test_rig_of_the_scenario_is_taken_where_none_is_given(stand_in, tmp_path):
         return {node.parameters[-1].get("rig_file") for node in nodes.values()}
 
     mine = tmp_path / "mine.yaml"
-    mine.touch()
+    mine.write_text("/**/solver: {ros__parameters: {method: rotations}}", encoding="utf-8")
     assert rigs("closed_loop") == {"desk"}
     assert rigs("closed_loop", rig_file="my_rig.yaml") == {"my_rig.yaml"}
-    assert rigs("closed_loop", params_file=str(mine)) == {None}  # it may name one
+    assert rigs("closed_loop", params_file=str(mine)) == {"desk"}
+    for text in ("/**: {ros__parameters: {rig_file: washers}}",
+                 "left: {'*': {ros__parameters: {rig_file: washers}}}"):  # fmt: skip
+        mine.write_text(text, encoding="utf-8")
+        assert rigs("closed_loop", params_file=str(mine)) == {None}
+        assert rigs("closed_loop", outer=[str(mine)]) == {None}  # of SetParametersFromFile
+        both = rigs("closed_loop", params_file=str(mine), rig_file="my_rig.yaml")
+        assert both == {"my_rig.yaml"}
+    assert rigs("closed_loop", outer=[("rig_file", "washers")]) == {None}  # of SetParameter
+    assert rigs("closed_loop", outer=[("seed", 3)]) == {"desk"}
+    for text in (b"[", b"\xff", b"", b"- rig_file"):  # the nodes refuse it
+        mine.write_bytes(text)
+        assert rigs("closed_loop", params_file=str(mine)) == {"desk"}
+
+
+def test_unmeasured_facts_are_those_of_the_rig_that_the_nodes_use(stand_in, tmp_path):
+    def facts(**given):
+        *arguments, start = described("hardware")
+        values = {a.args[0]: a.default_value for a in arguments} | given
+        (group,) = start.function(types.SimpleNamespace(launch_configurations=values))
+        return [action.msg for action in group.args[0] if action.kind == "LogInfo"]
+
+    own, rig = tmp_path / "own.yaml", tmp_path / "rig.yaml"
+    text = config_path("rig.yaml").read_text(encoding="utf-8")
+    assert "{mu: 0.25," in text
+    rig.write_text(text.replace("{mu: 0.25,", "{mu: 0.3125,"), encoding="utf-8")
+    own.write_text(f"/**: {{ros__parameters: {{rig_file: {rig}}}}}", encoding="utf-8")
+    assert any("mu is 0.25" in fact for fact in facts())
+    assert not any("mu is" in fact for fact in facts(rig_file=str(rig)))
+    assert facts(params_file=str(own)) == facts(rig_file=str(rig))
+    own.write_text("/**: {ros__parameters: {seed: 1}}", encoding="utf-8")
+    assert facts(params_file=str(own)) == facts()
 
 
 @pytest.mark.parametrize("by_path", [False, True])
