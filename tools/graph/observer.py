@@ -32,6 +32,8 @@ from plate_core.status import Level
 from plate_core.tasks import Scenario
 from plate_interfaces.msg import DriverStatus, Parts, TaskStatus
 
+from .processes import signals_wait
+
 MAX_IMAGES = 240
 """Maximum number of images kept for drawing, 300 kB each."""
 
@@ -292,7 +294,11 @@ class Observer:
 
     def until(self, true: Callable[[], bool], timeout_s: float) -> bool:
         """Receive messages until the condition is true. Return False if it is not true within the
-        time [s]."""
+        time [s].
+
+        A signal takes effect between two messages. If its handler raised an exception while rclpy
+        converts a message, rclpy would raise a RuntimeError instead.
+        """
         end = time.monotonic() + timeout_s
         while not true():
             now = time.monotonic()
@@ -302,7 +308,8 @@ class Observer:
                 self._pulsed_at = now
                 for pulse in self.pulses:
                     pulse()
-            self._executor.spin_once(timeout_sec=POLL_S)
+            with signals_wait():
+                self._executor.spin_once(timeout_sec=POLL_S)
         return True
 
     def seen(self, names: Iterable[str]) -> list[str]:

@@ -10,6 +10,7 @@ import contextlib
 import os
 import signal
 import subprocess
+import threading
 import time
 from collections import deque
 from collections.abc import Iterable, Iterator, Mapping
@@ -75,7 +76,10 @@ def signals_raise() -> Iterator[None]:
 @contextlib.contextmanager
 def signals_wait() -> Iterator[None]:
     """Context that must not be interrupted. The first signal of `ENDING` takes effect at its
-    end."""
+    end. In a thread other than the main one, which runs no signal handlers, it does nothing."""
+    if threading.current_thread() is not threading.main_thread():
+        yield
+        return
     pending: list[int] = []
     before = {number: signal.getsignal(number) for number in ENDING}
     for number in ENDING:

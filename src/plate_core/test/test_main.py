@@ -15,7 +15,7 @@ PATIENCE_S = 60
 """A bound on what takes a few seconds, more when the machine is busy [s]."""
 
 NODE = """
-import sys, time
+import os, signal, sys, time
 from rclpy.node import Node
 from plate_core import PlateError
 from plate_core.ros import run_node
@@ -23,6 +23,12 @@ from plate_core.ros import run_node
 class Talker(Node):
     def __init__(self):
         super().__init__("talker")
+        if "convert" in sys.argv:
+            try:
+                os.kill(os.getpid(), signal.SIGINT)
+                time.sleep(1)
+            except KeyboardInterrupt:  # as rclpy does it while it converts a message
+                raise RuntimeError("Unable to convert call argument '0' to Python object") from None
         if "refuse" in sys.argv:
             raise PlateError("size is 3, allowed: 1 to 2")
         self.create_timer(0.01, self.tick)
@@ -85,6 +91,12 @@ def test_signals_end_it_in_peace(hears):
     assert process.returncode == 0, errors
     assert output.endswith("last words, ROS works: True\n")
     assert errors == ""
+
+
+def test_a_signal_that_rclpy_turns_into_another_error_ends_it_in_peace():
+    done = start("convert")
+    output, errors = done.communicate(timeout=PATIENCE_S)
+    assert (done.returncode, output, errors) == (0, "", "")
 
 
 def inherited():

@@ -92,14 +92,15 @@ def _run(
 ) -> int:
     """Run the nodes until they must stop. Return the exit code. The caller destroys the nodes,
     which are appended to `nodes`."""
-    stopped, spinning = False, False
+    stopped, spinning, interrupted = False, False, False
     code = 0
 
     def on_signal(number: int, frame: FrameType | None) -> None:
-        nonlocal stopped
+        nonlocal stopped, interrupted
         again, stopped = stopped, True  # a second signal must not break the teardown
         waiting = spinning and not any(getattr(node, "configuring", False) for node in nodes)
         if not (again or waiting):
+            interrupted = True
             raise KeyboardInterrupt
 
     # Override inherited handlers, because a program that a script starts with & ignores SIGINT.
@@ -138,6 +139,11 @@ def _run(
             error = PlateError(f"{next(failed, being_made)}: {error}")
         print(f"error: {error}", file=sys.stderr, flush=True)
         code = 2
+    except Exception:
+        # If a KeyboardInterrupt is raised while rclpy converts a message, rclpy raises a
+        # RuntimeError instead.
+        if not interrupted:
+            raise
     finally:
         for number in ENDING:
             signal.signal(number, signal.SIG_IGN)
