@@ -170,15 +170,17 @@ class PlannerNode(SafeLifecycleNode[PlannerParameters]):
         self._forces = self.managed_publisher(PartForces, "part_forces", DATA)
         self._markers = self.managed_publisher(MarkerArray, "markers", DATA)
         self._reports = TaskReports(self)
+        # If several messages wait, the executor processes subscriptions in the order of creation. A
+        # request must consider all cycles that were sent and began before its image.
+        self.managed_subscription(JointTrajectory, "plate_cycle", self._on_cycle, DATA)
+        self.managed_subscription(JointTrajectory, "cycle_started", self._on_started, DATA)
         # If the camera is triggered, only the newest image is planned. Otherwise the estimator uses
         # all images.
         newest = NEWEST if options.camera_triggered else DATA
         self.managed_subscription(Parts, "parts", self._on_parts, newest)
-        self.managed_subscription(JointTrajectory, "plate_cycle", self._on_cycle, DATA)
         # The node subscribes to its own topic, because `rivals` detects a second planner by its
         # messages.
         self.managed_subscription(PartForces, "part_forces", lambda msg: None, DATA)
-        self.managed_subscription(JointTrajectory, "cycle_started", self._on_started, DATA)
         self._alarm: Timer | None = None
         if not options.camera_triggered:
             self._alarm = self.managed_timer(IDLE_S, self._on_due, self.get_clock())
