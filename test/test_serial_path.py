@@ -425,7 +425,7 @@ def test_a_device_whose_clock_is_fast_is_stopped(firmware):
         measured += pass_time(firmware, transport, 0.005)
     assert firmware.now - since < 0.5
     assert transport.troubles()[0].startswith("the device's clock ran ")
-    assert measured[-1].doubt
+    assert measured[-1].clock_problem
     pass_time(firmware, transport, 1.5)
     assert not firmware.current
     assert transport.report().reason is DriverReason.DEVICE_CLOCK
@@ -445,7 +445,7 @@ def test_a_slow_clock_is_told_and_stops_nothing(firmware):
     firmware.fast = -0.2
     play(firmware, transport, 2.0)
     assert transport.troubles()[0].startswith("the device's clock ran ")
-    assert pass_time(firmware, transport, 0.1)[-1].doubt == ""
+    assert pass_time(firmware, transport, 0.1)[-1].clock_problem == ""
     assert firmware.current
 
 
@@ -457,7 +457,7 @@ def test_a_clock_that_is_set_once_is_told_and_stops_nothing(firmware):
     [told] = transport.troubles()
     assert told.startswith("the device's clock ran ")
     assert firmware.current
-    assert pass_time(firmware, transport, 0.1)[-1].doubt == ""
+    assert pass_time(firmware, transport, 0.1)[-1].clock_problem == ""
 
 
 def test_a_brake_is_no_problem_of_the_clock(firmware):

@@ -84,7 +84,7 @@ def test_cycles_are_streamed_and_the_newest_follows(trouble):
     assert np.nanmax(bench.travel[-400:]) == pytest.approx(0.002, rel=0.01)
     assert bench.state is State.PLAYING
     assert bench.transport.troubles() == []
-    assert 0.1 < bench.transport.least_lead_s < LEAD_S
+    assert 0.1 < bench.transport.min_lead_s < LEAD_S
     assert (bench.transport.retries > 5) == bool(trouble.dropped)
     bench.transport.stop()
     bench.run(1.5)
@@ -105,7 +105,7 @@ def test_a_host_that_is_held_up_costs_a_brake_and_is_told():
     bench.run(2.0)
     assert bench.state is State.PLAYING
     assert np.nanmax(bench.travel[-400:]) == pytest.approx(0.008, rel=0.01)
-    assert bench.transport.least_lead_s < 0.1
+    assert bench.transport.min_lead_s < 0.1
     assert bench.judge.verdict().kept
 
 

@@ -83,8 +83,8 @@ class CycleStarts:
         problem : str
             Reason why the telemetry is inconsistent. Empty if it is consistent.
         """
-        if new.doubt:
-            return replace(self, last=None, slip=0.0), None, new.doubt
+        if new.clock_problem:
+            return replace(self, last=None, slip=0.0), None, new.clock_problem
         seen = replace(self, last=new, slip=0.0)
         if not new.table:
             if new.time < self.until:

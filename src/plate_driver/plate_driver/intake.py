@@ -1,4 +1,5 @@
-"""Intake of plate cycles: which received cycles are sent to the motors, and which are refused."""
+"""Intake of plate cycles: decides which received cycles are sent to the motors and which are
+refused."""
 
 from __future__ import annotations
 
@@ -36,14 +37,14 @@ class CycleIntake:
         Converts a serialized plate_cycle to the cycle and its stamp [ns]. Raises a PlateError if it
         is invalid.
     second_publisher : callable
-        Returns a message if several nodes publish plate_cycle, otherwise "".
+        Returns an error message if several nodes publish plate_cycle, otherwise an empty text.
     poll_tasks : callable
         Passes each waiting task_status to `record_task`.
 
     Attributes
     ----------
     task_runs : bool
-        Whether a task runs, as last reported.
+        Whether a task runs, according to the planner's last report.
     refusal : str
         Reason why the last cycle was refused. Empty if it was accepted.
     """
@@ -66,7 +67,8 @@ class CycleIntake:
         self.task_runs, self.refusal = False, ""
 
     def begin(self) -> None:
-        """Forget earlier cycles and the last refusal. Keep the record whether a task runs."""
+        """Discard the records of earlier cycles and of the last refusal. `task_runs` stays
+        unchanged."""
         self._freshness, self.refusal = Freshness(), ""
 
     def record_task(self, running: bool, stamp_ns: int | None) -> None:
@@ -105,7 +107,7 @@ class CycleIntake:
         size : int
             Size of the whole message [bytes].
         source : bytes
-            Key of its publisher.
+            Key that identifies the publisher.
         transport : TransportThread
 
         Returns
@@ -116,7 +118,7 @@ class CycleIntake:
         Raises
         ------
         PlateError
-            If it is refused. A `NotReadyError` if the motors are not ready.
+            If the cycle is refused. A `NotReadyError` if the motors are not ready.
         """
         number, status = self._latch.number, self.observe()
         self._freshness = self._freshness.with_cycle(source, self._clocks.steady_s())
@@ -137,11 +139,11 @@ class CycleIntake:
         self, cycle: PlateCycle, stamp_ns: int, transport: TransportThread, number: int
     ) -> Fit:
         now = self._clocks.playback_s()
-        if self._clocks.simulated():  # the message with the time may arrive after the cycle
+        if self._clocks.simulated():  # the simulated time may arrive after the cycle
             now = max(now, 1e-9 * stamp_ns)
         guard, fit = self._playback.guard_for(transport).accepted(cycle, stamp_ns, now)
         if cycle.moves:
-            self._poll_tasks()  # poll last, because the task of this cycle may have ended meanwhile
+            self._poll_tasks()  # as late as possible, because the task may have ended meanwhile
             guard = guard.lasting(self._clocks.steady_s() + self._remaining_s(cycle, stamp_ns))
         self._playback.send(transport, guard, number)
         if guard.correction is not None:
@@ -149,11 +151,12 @@ class CycleIntake:
         return fit
 
     def _remaining_s(self, cycle: PlateCycle, stamp_ns: int) -> float:
-        """Return the remaining time in which a moving cycle may be sent [s], or refuse it."""
+        """Return the remaining time in which a moving cycle may be sent [s]. Raise an error if the
+        time has expired."""
         if problem := self._second_publisher():
             raise CycleError(problem)
         clock_ns, simulated = self._clocks.stamp_ns(), self._clocks.simulated()
-        if simulated:  # the message with the time may arrive after the cycle
+        if simulated:  # the simulated time may arrive after the cycle
             clock_ns = max(clock_ns, stamp_ns)
         remaining = self._freshness.remaining_s(stamp_ns, clock_ns, cycle.period)
         return math.inf if simulated else remaining

@@ -2,9 +2,9 @@
 sends the tables to a transport. If cycles are missing, invalid or too old, the plate comes to
 rest.
 
-The node connects topics, services, timers and parameters with the objects that do the work:
-`CycleIntake` accepts or refuses cycles, `Playback` sends their tables, `TransportOwner` opens the
-transport and stops the motors."""
+The node connects topics, services, timers and parameters with the objects that do the work.
+`CycleIntake` accepts or refuses cycles, `Playback` sends their tables, and `TransportOwner` opens
+the transport and stops the motors."""
 
 from __future__ import annotations
 
@@ -47,7 +47,7 @@ from .friction.node import FrictionServer
 from .intake import CycleIntake, NotReadyError
 from .playback import Playback
 from .ros import RawInput, RawInputs, bytes_to_cycle, motor_state_to_msg, table_to_msg
-from .safety.node import FAREWELL_S, SafetyNode
+from .safety.node import ACKNOWLEDGED_S, SafetyNode
 from .setpoints import Guard, MotorTable
 from .status import driver_status
 from .transport_owner import TransportOwner
@@ -72,8 +72,8 @@ CORRECTED = (
 )
 """Message on activation with a calibration."""
 
-WORTH_A_WARNING = 0.99
-"""If the scaling factor of a cycle is smaller than this, a warning is logged."""
+MIN_FACTOR = 0.99
+"""Minimum scaling factor of a cycle without a warning."""
 
 
 @dataclass(frozen=True)
@@ -81,7 +81,7 @@ class Options(NodeOptions):
     """Parameters of the driver."""
 
     transport: str = parameter("sim", "Transport to the motors: sim, serial or an installed one.")
-    port: str = parameter("", "Serial port of the motor controller, or bus of the transport.")
+    port: str = parameter("", "Serial port of the motor controller, or CAN bus of the transport.")
     baud: int = parameter(921_600, "Speed of the serial line [bit/s].", 9600, 4_000_000)
     longest_upload_s: float = parameter(
         0.5, "Maximum time to send a cycle of 64 pieces over the line [s].", 0.01, 60.0
@@ -94,29 +94,31 @@ class Options(NodeOptions):
         20,
     )
     repeats: int = parameter(
-        1, "Number of times that a cycle which begins in motion is played.", 1, 100, live=True
+        1, "Number of plays of a cycle that begins in motion.", 1, 100, live=True
     )
-    state_rate: float = parameter(10.0, "Rate of motor_states [1/s]; 0: none.", 0.0, 200.0)
+    state_rate: float = parameter(
+        10.0, "Publishing rate of motor_states [1/s]; 0 disables it.", 0.0, 200.0
+    )
     calibration_file: str = parameter(
-        "", "File of the plate's response: `calibrate` writes it, configure reads it; empty: none."
+        "", "File of the plate's response. The service calibrate writes it; empty: no correction."
     )
 
 
 class DriverNode(SafeLifecycleNode[Options]):
     """Lifecycle node `driver`: keeps plate cycles within the limits and sends them to the motors.
 
-    Subscribes to plate_cycle and task_status. Cycles that a task requested are refused after its
-    end. Publishes motor_setpoints, motor_states and, for motors that play whole cycles,
-    cycle_started while active, driver_status and diagnostics always. Services enable (gives the
-    motors current), emergency_stop, cut_power, home, calibrate; measure_friction and
-    write_friction, which subscribe to parts and publish friction.
+    Subscribes to plate_cycle and task_status. After the end of a task, the cycles that it requested
+    are refused. Publishes driver_status and diagnostics always. While active, it publishes
+    motor_setpoints and motor_states, and cycle_started if the motors play whole cycles. Services:
+    enable (switches on the motors' current), emergency_stop, cut_power, home, calibrate,
+    measure_friction and write_friction. The last two subscribe to parts and publish friction.
 
     emergency_stop, cut_power, enable, home and driver_status must work under any message load and
-    in every lifecycle state. They have their own participant, node (`driver_safety`) and threads.
+    in every lifecycle state. They have a separate participant, node (`driver_safety`) and threads.
     Only `enable` switches on the motors' current.
 
-    Measured motor_states have position [m] and, in `effort`, acceleration [m/s2], because
-    JointState has no field for it."""
+    Measured motor_states have position [m] and acceleration [m/s2]. The acceleration is in
+    `effort`, because JointState has no field for it."""
 
     def __init__(self) -> None:
         super().__init__("driver", Options)
@@ -155,12 +157,12 @@ class DriverNode(SafeLifecycleNode[Options]):
         )
         self.raw_inputs: tuple[RawInput, ...] = ()
         self._measured: Measured | None = None  # last measurement, not published yet
-        # This clock also advances while simulated time stands still.
+        # This clock also advances while simulated time is paused.
         self._steady = Clock(clock_type=ClockType.STEADY_TIME)
         self._diagnostics = Diagnostics(
             self, self._find, self._values, lambda: "plate", self._report.reported
         )
-        with urgent():  # the threads of the node's DDS participant must be urgent too
+        with urgent():  # the threads of the node's DDS participant inherit the priority
             self._safety = SafetyNode(self)
 
     @property
@@ -234,8 +236,8 @@ class DriverNode(SafeLifecycleNode[Options]):
         self.playback.rest(self.clocks.playback_s())
         if problem := self.transports.rest():
             self.get_logger().error(problem)
-        if not self._setpoints.wait_for_all_acked(Duration(seconds=FAREWELL_S)):
-            self.get_logger().debug("not everyone has confirmed the last motor table")
+        if not self._setpoints.wait_for_all_acked(Duration(seconds=ACKNOWLEDGED_S)):
+            self.get_logger().debug("not all subscribers have confirmed the last motor table")
         self._safety.publish_status()
 
     def release(self) -> None:
@@ -261,7 +263,7 @@ class DriverNode(SafeLifecycleNode[Options]):
     # Transport
 
     def _make_transport(self, rig: Rig) -> Transport:
-        """Return the transport of the parameters, not open yet."""
+        """Return the transport that the parameters define. It is not open yet."""
         check_transport(self.options.transport, self.options.port)
         context = TransportContext(
             rig, self._play, time.monotonic, asdict(self.options), time.time_ns() % 2**32
@@ -277,7 +279,7 @@ class DriverNode(SafeLifecycleNode[Options]):
         self._setpoints.publish(table_to_msg(self.playback.rig, table))
 
     def _play(self, table: MotorTable) -> None:
-        """Publish a table for the simulator, unless it is too old by now."""
+        """Publish a table for the simulator. A table that is too old by now is refused."""
         msg = table_to_msg(self.playback.rig, table)
         table.check_age(time.monotonic())
         self._setpoints.publish(msg)
@@ -288,7 +290,7 @@ class DriverNode(SafeLifecycleNode[Options]):
     # Inputs
 
     def take_task(self, data: bytes, size: int, _: bytes) -> None:
-        """Process a task_status of `size` bytes; `data` is its beginning."""
+        """Process a task_status of `size` bytes. `data` contains its first bytes."""
         try:
             msg = deserialized(data, TaskStatus)
         except PlateError as error:
@@ -301,20 +303,20 @@ class DriverNode(SafeLifecycleNode[Options]):
     def take_cycle(self, data: bytes, size: int, source: bytes = b"") -> None:
         """Check a cycle of `size` bytes and send it to the motors.
 
-        `data` is its beginning, and `source` identifies its publisher.
+        `data` contains its first bytes, and `source` identifies its publisher.
         """
         transport = self.transports.current
         if not self.active or transport is None:
             return
         try:
             fit = self.intake.accept(data, size, source, transport)
-        # rclpy limits the rate of each of these lines separately.
+        # The two equal lines are necessary, because rclpy limits the rate of each line separately.
         except NotReadyError as error:
             self.get_logger().warning(f"cycle refused: {error}", throttle_duration_sec=WARN_S)
         except PlateError as error:
             self.get_logger().warning(f"cycle refused: {error}", throttle_duration_sec=WARN_S)
         else:
-            if fit.factor < WORTH_A_WARNING:
+            if fit.factor < MIN_FACTOR:
                 self.get_logger().warning(fit.summary, throttle_duration_sec=WARN_S)
 
     def _watch(self) -> None:
@@ -331,7 +333,7 @@ class DriverNode(SafeLifecycleNode[Options]):
             self._calibration.record(measured)
         self._record_problems(transport)
         self._inputs.poll_tasks()
-        if self.playback.guard.table is None:  # the driver has sent no table that could play
+        if self.playback.guard.table is None:  # no sent table can play
             self._problems.clear_unplayed()
         if self.active:
             self._continue(transport)
@@ -353,7 +355,7 @@ class DriverNode(SafeLifecycleNode[Options]):
         elif text := self.playback.check_end(now):
             if self.intake.task_runs:
                 self.get_logger().warning(text, throttle_duration_sec=WARN_S)
-            else:  # without a task, no cycles are expected
+            else:  # no cycles are expected without a task
                 self.get_logger().debug(text, throttle_duration_sec=WARN_S)
 
     def _record_problems(self, transport: TransportThread) -> None:
@@ -377,7 +379,7 @@ class DriverNode(SafeLifecycleNode[Options]):
         return response
 
     def _log_calibration(self, text: str, failed: bool) -> None:
-        if failed:  # rclpy accepts only one severity from each line of code
+        if failed:  # rclpy allows only one severity for each line of code
             self.get_logger().error(text)
         else:
             self.get_logger().info(text)
@@ -394,7 +396,7 @@ class DriverNode(SafeLifecycleNode[Options]):
             self._starts.publish(cycle_to_msg(cycle, to_time(self._stamp_ns(now - began))))
 
     def _publish_state(self) -> None:
-        """Publish the measured state of the motors or, without motors, the commanded one."""
+        """Publish the measured state of the motors. Without motors, publish the commanded state."""
         transport, rig = self.transports.current, self.playback.rig
         if not self.active or transport is None:
             return
@@ -411,8 +413,8 @@ class DriverNode(SafeLifecycleNode[Options]):
             self._states.publish(msg)
 
     def _stamp_ns(self, age_s: float) -> int:
-        """Return the stamp of an event that is `age_s` [s] old. A simulated clock may stand at
-        0."""
+        """Return the stamp of an event that is `age_s` [s] old. The stamp is not negative, even if
+        a simulated clock is still at 0."""
         return max(0, self.get_clock().now().nanoseconds - max(0, round(1e9 * age_s)))
 
     def _find(self, now: float) -> Finding:

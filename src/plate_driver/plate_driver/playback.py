@@ -1,4 +1,5 @@
-"""Playback of motor tables: sending, the end of playback, and the commanded state, without ROS."""
+"""Playback of motor tables: it sends tables, detects the end of playback, and computes the
+commanded state. This module does not use ROS."""
 
 from __future__ import annotations
 
@@ -15,7 +16,7 @@ from .transports import Latch, TransportThread
 __all__ = ["Playback"]
 
 MOTIONS_KEPT = 8
-"""Number of sent cycles that are kept, because they may play or wait."""
+"""Number of sent cycles that are stored, because they may still play or wait."""
 
 
 class Playback:
@@ -31,14 +32,14 @@ class Playback:
     Attributes
     ----------
     guard : Guard
-        Guard with the last table sent. `accepted`, `experimenting` and `commanded` of the guard
-        prepare the next one.
+        Guard with the last table that was sent. Its methods `accepted`, `experimenting` and
+        `commanded` prepare the next table.
     """
 
     def __init__(self, guard: Guard, latch: Latch, publish: Callable[[MotorTable], None]) -> None:
         self.guard, self._latch, self._publish = guard, latch, publish
         self._number = latch.number  # number of stops before the last table was sent
-        # Motions of the corrected tables, by stamp of their cycles [ns].
+        # Plate motions of the corrected tables. The keys are the stamps of their cycles [ns].
         self._motions: dict[int, PlateCycle] = {}
 
     @property
@@ -47,7 +48,7 @@ class Playback:
         return self.guard.rig
 
     def begin(self) -> None:
-        """Forget the motions of earlier tables."""
+        """Discard the motions of earlier tables."""
         self._motions = {}
 
     def set_repeats(self, repeats: int) -> None:
@@ -65,7 +66,7 @@ class Playback:
         return replace(guard, hold_s=transport.hold_s)
 
     def send(self, transport: TransportThread, guard: Guard, number: int) -> None:
-        """Send the table of `guard`, and keep `guard`.
+        """Send the table of `guard`, and store `guard`.
 
         Parameters
         ----------
@@ -77,7 +78,7 @@ class Playback:
         Raises
         ------
         CycleError
-            If there was a stop after that, or if the transport refuses the table.
+            If the motors were stopped after that, or if the transport refuses the table.
         """
         assert guard.table is not None
         transport.send(guard.table, guard.plays, number)
@@ -88,8 +89,8 @@ class Playback:
     def send_push(
         self, transport: TransportThread, cycle: PlateCycle, stamp_ns: int, now: float
     ) -> float:
-        """Play a motion from rest to rest once, corrected by the learned response. Return the
-        factor that scales it down to the rig's limits.
+        """Play a motion from rest to rest once. It is corrected by the calibrated response. Return
+        the factor that scales it down to the rig's limits.
 
         Raises
         ------
@@ -123,13 +124,14 @@ class Playback:
         self.guard = self.guard.refused()
 
     def check_end(self, now: float) -> str:
-        """Record if the plate rests because no more cycles arrive. Return the message, or ""."""
+        """Record whether the plate rests because no more cycles arrive. Return a message if it
+        does, otherwise an empty text."""
         hold_s = self.guard.lasts_s
         self.guard, over = self.guard.watched(now)
         return f"no plate_cycle for {hold_s:.3g} s: the plate rests" if over else ""
 
     def quiet_s(self, now: float, ready_since: float) -> float | None:
-        """Return the time without cycles [s] if the plate rests because of that. Otherwise None."""
+        """Return the time without cycles [s] if the plate rests for this reason, otherwise None."""
         if self.guard.table is not None:
             return None
         quiet = now - max(self.guard.sent_at, ready_since)

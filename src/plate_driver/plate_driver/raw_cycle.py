@@ -1,5 +1,5 @@
 """Size check of a serialized plate cycle. The number of points is read from the first bytes of the
-CDR message, so a cycle that is too long is never deserialized."""
+message (Common Data Representation, CDR), so a cycle that is too long is never deserialized."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ POINT_BYTES = 256
 """Maximum size of a point with three joints [bytes]: 3 x (4 + 4 + 24) + 8 + 8, and a margin."""
 
 HEAD_BYTES = 4096
-"""Maximum size of the part before the points [bytes]: the names of a frame and of three joints."""
+"""Maximum size of the data before the points [bytes]: the names of a frame and of three joints."""
 
 MAX_NAMES = 16
 
@@ -29,7 +29,7 @@ def check_length(data: bytes, size: int, most_points: int) -> None:
     Raises
     ------
     CycleError
-        If the message is too long. The text gives the actual and the allowed number.
+        If the message is too long. The text states the actual and the allowed number.
     """
     points = _points(data)
     if points is not None and points > most_points:
@@ -42,7 +42,7 @@ def check_length(data: bytes, size: int, most_points: int) -> None:
 
 
 def _points(data: bytes) -> int | None:
-    """Return the number of points, or None if it cannot be read from `data`."""
+    """Return the number of points. None if the number cannot be read from `data`."""
     if len(data) < 4 or data[0] != 0 or data[1] not in (0, 1):
         return None
     order = "<" if data[1] == 1 else ">"

@@ -15,12 +15,12 @@ from .transports import Condition, Latch, Report
 __all__ = ["AT_REST", "LOOK", "OFF", "UNANSWERED", "driver_status", "health"]
 
 PERSONS = (DriverReason.EMERGENCY_STOP, DriverReason.POWER_CUT)
-"""Reasons of stops that a person requested because of a danger."""
+"""Reasons of stops that a person requested because of danger."""
 
 LOOK = "look at the rig, then call enable"
 OFF = "disabled: the motors are off; call enable"
 UNCERTAIN = "error: the last stop was not acknowledged: cut the power by hand"
-"""Text until a message of the device arrives again."""
+"""Text after a stop that was not acknowledged, until a message of the device arrives again."""
 
 UNANSWERED = "the device does not answer: cut the power by hand"
 """Reply to a stop that the device has not acknowledged."""
@@ -41,7 +41,7 @@ def driver_status(
     active : bool
         Whether the lifecycle node is active.
     latch : Latch
-        Latch that blocks cycles after a stop, with its reason.
+        Latch that blocks cycles after a stop, and stores the reason of the stop.
     report : Report or None
         Report of the transport. None if no transport is open (node not configured).
     calibrating : bool
@@ -57,8 +57,8 @@ def driver_status(
     if latch.unanswered and condition is Condition.GONE:
         return status(DriverState.ERROR, UNCERTAIN, DriverReason.STOP_UNANSWERED)
     current = Report(condition) if report is None else report
-    # If the motors are ready and the latch is closed, the transport has not noticed the stop yet,
-    # or the enable is not finished.
+    # If the motors are ready and the latch is closed, the transport has not processed the stop yet,
+    # or the enable is still in progress.
     stopping = condition is Condition.READY and bool(requested) and not latch.enabling
     if condition is Condition.BRAKING or (active and stopping):
         why = requested or current.reason
@@ -107,13 +107,13 @@ def health(
     retries : int
         Number of messages that were repeated in the last second.
     quiet_s : float or None
-        Time since the last cycle [s] if the plate rests because no cycle arrives. Otherwise None.
+        Time since the last cycle [s] if the plate rests because no cycle arrives, otherwise None.
     task : bool
         Whether a task runs. If no task runs, a plate at rest is normal.
     lasting : sequence of str
         Faults that last until somebody corrects them.
     unplayed : str
-        Reason why the motors have not played a sent cycle for a long time. Otherwise empty.
+        Reason why the motors have not played a sent cycle for a long time. Empty if they play.
     """
     if status.state in (DriverState.ERROR, DriverState.STOPPED):
         return Finding(Level.ERROR, status.text)

@@ -1,5 +1,5 @@
 """Owner of the driver's transport. A stop reaches the motors in every lifecycle state: if no
-transport is open, one is opened for the stop."""
+transport is open, a temporary one is opened for the stop."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ class TransportOwner:
     read_rig : callable
         Returns the rig for a temporary transport.
     make : callable
-        Returns a transport for a rig, not open yet.
+        Returns a transport for a rig. It is not open yet.
     on_defect : callable
         See `TransportThread`.
 
@@ -79,10 +79,10 @@ class TransportOwner:
             self._close_temporary()
 
     def stop(self, cut: bool) -> bool:
-        """Stop the motors, or cut their power if `cut`.
+        """Stop the motors. If `cut` is true, cut their power.
 
-        Return within `ANSWER_S` whether the motors are known to stop. If this is not known, the
-        stop is still tried after the return.
+        Return within `ANSWER_S` whether the device has confirmed the stop. If it has not, further
+        attempts follow after the return.
         """
         end = time.monotonic() + ANSWER_S
         try:
@@ -103,7 +103,7 @@ class TransportOwner:
     def rest(self) -> str:
         """Stop the motors of the current transport, and wait until they are off.
 
-        Return the problem, or "" if they are off or no device was ever connected.
+        Return an error message. It is empty if the motors are off or no device was ever connected.
         """
         transport = self.current
         assert transport is not None
@@ -129,7 +129,8 @@ class TransportOwner:
         return thread
 
     def _stop_without_current(self, cut: bool) -> tuple[TransportThread, Order]:
-        """Stop by a temporary transport, or by the current one if it was opened meanwhile."""
+        """Stop the motors with a temporary transport, or with the current transport if it was
+        opened in the meantime."""
         if not self._changing.acquire(timeout=BUSY_S):
             raise PlateError("the driver is opening or closing its transport")
         try:

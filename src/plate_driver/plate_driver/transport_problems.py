@@ -1,12 +1,13 @@
-"""Problems that the transport reports: which of them to log, and whether they stop playback."""
+"""Record of the problems that the transport reports. It determines which problems are logged, and
+whether sent cycles are no longer played."""
 
 from __future__ import annotations
 
 __all__ = ["TransportProblems"]
 
 UNPLAYED_S = 0.5
-"""If the motors play no table for longer than this after a failed table, a problem is reported
-[s]."""
+"""Maximum time without a played table after a failed table [s]. After a longer time, a problem is
+reported."""
 
 
 class TransportProblems:
@@ -15,7 +16,7 @@ class TransportProblems:
     Parameters
     ----------
     repeat_s : float
-        Time after which a problem that occurs again is logged again [s].
+        Minimum time between two log lines about the same problem [s].
     """
 
     def __init__(self, repeat_s: float) -> None:
@@ -25,9 +26,9 @@ class TransportProblems:
         self._unplayed: tuple[float, str] | None = None
 
     def new(self, problems: list[str], motors_rest: bool, now: float) -> list[str]:
-        """Record problems at `now` [s], and return those to log.
+        """Record problems at `now` [s], and return the problems that must be logged.
 
-        `motors_rest` states whether the motors were last measured to play no table.
+        `motors_rest` states whether the motors played no table at the last measurement.
         """
         self._logged = {p: at for p, at in self._logged.items() if at > now - self._repeat_s}
         if problems and motors_rest and self._unplayed is None:
@@ -41,7 +42,8 @@ class TransportProblems:
         self._unplayed = None
 
     def unplayed(self, now: float) -> str:
-        """Return a message if sent cycles have not been played for long, otherwise ""."""
+        """Return a message if sent cycles have not been played for a long time, otherwise an empty
+        text."""
         if self._unplayed is None:
             return ""
         since, reason = self._unplayed

@@ -56,7 +56,7 @@ def conversation(way, device, seconds, rng):
 
 def heard(clock, now, message):
     if isinstance(message, Pulse):
-        return clock.heard(message, now)
+        return clock.received(message, now)
     return clock.stamped(message, now)
 
 
@@ -85,7 +85,7 @@ def test_no_true_clock_is_doubted(way):
             clock = heard(clock, now, message)
             assert not clock.problem, (clock, now)
         if clock.known:
-            assert clock.doubt(now) == ""
+            assert clock.rejection(now) == ""
             true = now - device(now)
             assert clock.earliest - TICK_S <= true <= clock.latest + TICK_S
 
@@ -133,14 +133,14 @@ def test_each_lie_is_found_within_two_seconds(way, far_s, name):
                 found = now
                 assert clock.problem.startswith("the device's clock ")
                 assert clock.suspect(now)
-                assert clock.doubt(now) == ("" if name in SLOW else clock.problem)
+                assert clock.rejection(now) == ("" if name in SLOW else clock.problem)
             if broken is None and clock.broken(now, way.jitter):
                 broken = now
         assert found is not None
         assert found - 1 <= (far_s if name in FAR else 2.0)
         if name in FOR_A_MOMENT:
             assert broken is None
-            assert clock.doubt(now) == ""
+            assert clock.rejection(now) == ""
             assert abs(now - LIES[name](now) - clock.offset_s) < 0.06  # known again
         elif name in SLOW:
             assert broken is None
@@ -154,28 +154,28 @@ def test_the_clock_is_right_to_half_the_round_trip():
     clock, offset = DeviceClock(), -77.0  # host less device
     for sent, there, back in [(1.0, 0.010, 0.002), (1.1, 0.001, 0.003), (1.2, 0.050, 0.0)]:
         device_us = round((sent + there - offset) * 1e6)
-        clock = clock.heard(Pulse(round(sent * 1e9), device_us), sent + there + back)
+        clock = clock.received(Pulse(round(sent * 1e9), device_us), sent + there + back)
     assert clock.host_time(0) == pytest.approx(offset, abs=0.001)
     assert clock.latest - clock.earliest < 0.003
     # A pulse from the future is nobody's.
-    assert clock.heard(Pulse(9_000_000_000, 0), 8.5) == clock
+    assert clock.received(Pulse(9_000_000_000, 0), 8.5) == clock
 
 
 def test_a_clock_that_no_pulse_tells_is_not_believed():
     clock = DeviceClock().stamped(5_000_000, 1.0)
     assert not clock.known
-    clock = clock.heard(Pulse(1_000_000_000, 5_001_000), 1.002)
-    assert clock.doubt(1.01) == ""
+    clock = clock.received(Pulse(1_000_000_000, 5_001_000), 1.002)
+    assert clock.rejection(1.01) == ""
     later = 1.01 + PULSE_AGE_S
     clock = clock.stamped(round((4.0 + later) * 1e6), later)
-    assert clock.doubt(later).endswith("for 5 s")
+    assert clock.rejection(later).endswith("for 5 s")
 
 
 def test_no_start_of_a_cycle_is_taken_from_a_clock_that_is_doubted():
     rest = (0.0,) * 4
     new = Measured(1.0, 5.0, 1, rest, rest, TABLE, 0.9, "the device's clock went back by 1.000 s")
-    starts = CycleStarts(0.0).updated(replace(new, doubt=""), 0.2, 1.0)[0]
+    starts = CycleStarts(0.0).updated(replace(new, clock_problem=""), 0.2, 1.0)[0]
     starts, began, problem = starts.updated(replace(new, time=1.2, began=1.1), 0.2, 1.2)
-    assert (began, problem) == (None, new.doubt)
-    after = replace(new, time=1.4, device_s=5.4, began=1.3, doubt="")
+    assert (began, problem) == (None, new.clock_problem)
+    after = replace(new, time=1.4, device_s=5.4, began=1.3, clock_problem="")
     assert starts.updated(after, 0.2, 1.4)[1:] == (1.3, "")

@@ -12,7 +12,7 @@ from plate_driver.friction import (
     Rest,
     Stage,
     make_push,
-    most_accel,
+    max_accel,
     rig_mu,
     slip,
 )
@@ -199,7 +199,7 @@ def test_parts_that_touch_after_a_push_end_it():
 
 def test_the_greatest_acceleration_is_within_the_limits():
     for rig in (RIG, load_rig("desk"), load_rig("voice_coils")):
-        most = most_accel(rig, 0.3)
+        most = max_accel(rig, 0.3)
         assert 0.5 < usage(rig, make_push(rig, 0, 1, most, 0.3).cycle).overall < 1
 
 

@@ -60,7 +60,7 @@ def test_gentle_cycle_is_not_touched():
     found = fit(RIG, cycle)
     assert found.cycle is cycle
     assert found.factor == 1
-    assert found.asked is found.usage
+    assert found.requested is found.usage
 
 
 def test_exactly_at_the_limit_is_allowed():
@@ -80,7 +80,7 @@ def test_every_limit_counts(limit):
     peak = getattr(usage(RIG, cycle), limit)
     rig = replace(RIG, limits=replace(RIG.limits, **(free | {limit: peak / 4})))
     found = fit(rig, cycle)
-    assert found.asked.overall == pytest.approx(4)
+    assert found.requested.overall == pytest.approx(4)
     assert found.factor == pytest.approx(0.25, rel=0.01)
     assert getattr(found.usage, limit) <= peak / 4
 

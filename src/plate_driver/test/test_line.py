@@ -48,10 +48,10 @@ def conversation(loss: float, trip_s: float, seconds: float, seed: int = 0) -> L
     for step in range(round(seconds / 0.005)):
         now = 0.005 * step
         for pulse in [p for at, p in coming if at <= now]:
-            line = line.heard(pulse, now)
+            line = line.received(pulse, now)
         coming = [item for item in coming if item[0] > now]
         if step % 5 == 0:
-            line = line.sent(17, now).beaten(round(now * 1e9), now)
+            line = line.sent(17, now).heartbeat_sent(round(now * 1e9), now)
             if rng.random() < (1 - loss) ** ROUND:
                 coming.append((now + trip_s, Pulse(round(now * 1e9), 0)))
     return line

@@ -35,7 +35,7 @@ from plate_driver.transports.link import (
     GREETING_TRIES,
     LATER_GREETING_S,
     QUEUE_S,
-    SCATTER,
+    SESSION_STEP,
     SILENCE_S,
     Link,
 )  # fmt: skip
@@ -67,8 +67,8 @@ def capabilities(**changes) -> Packet:
 def met(state: State = State.READY, baud: float = float("inf")) -> Link:
     """A link of a line without delay, that has had its first pulse."""
     link, _ = Link.begun(5, 0.0, baud).due(0.0)
-    link = link.heard(capabilities(), 0.0).heard(told(state), 0.0)
-    return link.heard(Packet(0, Pulse(0, 0)), 0.0)
+    link = link.received(capabilities(), 0.0).received(told(state), 0.0)
+    return link.received(Packet(0, Pulse(0, 0)), 0.0)
 
 
 def said(packets: list[Packet]) -> list[Message]:
@@ -78,7 +78,7 @@ def said(packets: list[Packet]) -> list[Message]:
 def done(link: Link, packets: list[Packet], now: float, status=Status.DONE) -> Link:
     for p in packets:
         if not isinstance(p.message, Heartbeat):
-            link = link.heard(Packet(0, Acknowledgement(p.sequence, status)), now)
+            link = link.received(Packet(0, Acknowledgement(p.sequence, status)), now)
     return link
 
 
@@ -117,15 +117,15 @@ def test_order_of_an_upload():
     assert [m.table for m in said(link.uploading(4, KNOTS, 5).due(0.035)[1])] == [4]
     link = link.uploading(4, KNOTS, 5, follows=3)
     assert said(link.due(0.035)[1]) == []
-    link = link.heard(told(State.PLAYING, waiting=3), 0.04)
+    link = link.received(told(State.PLAYING, waiting=3), 0.04)
     assert said(link.due(0.04)[1]) == []
-    link, packets = link.heard(told(State.PLAYING), 0.05).due(0.05)
+    link, packets = link.received(told(State.PLAYING), 0.05).due(0.05)
     assert [m.table for m in said(packets)] == [4]
 
 
 def test_no_more_is_on_its_way_than_the_device_can_hold():
     """With a round trip of 0.2 s it takes 0.1 s until the first of them is there."""
-    slow = met().heard(Packet(0, Pulse(0, 0)), 0.2)
+    slow = met().received(Packet(0, Pulse(0, 0)), 0.2)
     slow = replace(slow, line=replace(slow.line, trip_s=0.2, deviation_s=0.0, beats=()))
     link, first = slow.uploading(3, KNOTS, 5).due(0.2)
     link, some = done(link, first, 0.4).due(0.4)
@@ -152,7 +152,7 @@ def test_what_is_sent_keeps_pace_with_the_line():
         link = done(link, packets, now)
         for p in packets:
             if isinstance(p.message, Heartbeat):
-                link = link.heard(Packet(0, Pulse(p.message.host_ns, 0)), now)
+                link = link.received(Packet(0, Pulse(p.message.host_ns, 0)), now)
         now += 0.005
     assert link.retries == 0
     assert now - 0.01 == pytest.approx(10 * sent / baud, rel=0.15)
@@ -200,7 +200,7 @@ def test_commands_have_consecutive_numbers_of_65536(start):
 
 def test_sessions_begin_with_numbers_far_apart():
     numbers = [Link.begun(session, 0.0).queue[0].sequence for session in range(1, 9)]
-    assert numbers[0] == SCATTER
+    assert numbers[0] == SESSION_STEP
     gaps = [abs(a - b) for a, b in itertools.combinations(numbers, 2)]
     assert min(*gaps, *(2**16 - gap for gap in gaps)) > 1000
 
@@ -248,13 +248,13 @@ def test_refused_tables_are_dropped_and_told(status, refusal):
 def test_a_device_that_is_not_ready_gets_no_table_and_no_enable(state):
     link = met(state).uploading(3, KNOTS, 5)
     for now in (0.01, 1.0, 2.0):
-        link = link.heard(told(state, Fault.HOST_SILENT | Fault.NO_HOME), now)
+        link = link.received(told(state, Fault.HOST_SILENT | Fault.NO_HOME), now)
         link, packets = link.due(now)
         assert said(packets) == []
     assert not link.busy
     # Nor does a table go on to a device that has stopped while it was on its way.
     link, first = met().uploading(3, KNOTS, 5).due(0.01)
-    link = done(link, first, 0.02).heard(told(state), 0.02)
+    link = done(link, first, 0.02).received(told(state), 0.02)
     assert said(link.due(0.02)[1]) == []
 
 
@@ -263,7 +263,7 @@ def test_an_enable_is_asked_for_once_and_forgotten_by_a_stop():
     assert said(packets) == [Enable(77)]
     answered = done(link, packets, 0.02, Status.WRONG_STOP)
     assert answered.answer.status is Status.WRONG_STOP
-    answered = answered.heard(told(State.OFF, stop=78), 0.03)
+    answered = answered.received(told(State.OFF, stop=78), 0.03)
     assert said(answered.due(1.0)[1]) == []
     # Not answered it is repeated with its number, until there is a stop.
     assert said(link.due(0.1)[1]) == [Enable(77)]
@@ -285,7 +285,7 @@ def test_the_trigger_follows_the_greeting_and_no_stop_forgets_it():
     trigger = Trigger(100, 2)
     link, first = Link.begun(5, 0.0, trigger=trigger).due(0.0)
     assert said(first) == [Hello(VERSION, 5)]
-    link = link.heard(capabilities(), 0.0).heard(told(State.PLAYING), 0.0)
+    link = link.received(capabilities(), 0.0).received(told(State.PLAYING), 0.0)
     link, packets = link.uploading(1, KNOTS[:4], 1).stopping().due(0.01)
     assert said(packets) == [Stop(0), trigger]
     link, later = done(link, packets, 0.02).due(0.5)
@@ -329,7 +329,7 @@ def test_home_is_a_command():
     ],
 )
 def test_what_ends_a_link(packet, failed):
-    assert met().heard(packet, 0.01).failed == failed
+    assert met().received(packet, 0.01).failed == failed
 
 
 def test_silence_ends_a_link_later_where_the_way_is_long():

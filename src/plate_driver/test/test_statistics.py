@@ -20,7 +20,7 @@ def test_counts():
     for found in (gentle, large, larger, large):
         statistics = statistics.accepted(found)
     assert (statistics.cycles, statistics.scaled) == (4, 3)
-    assert statistics.worst == pytest.approx(larger.asked.overall)
+    assert statistics.worst == pytest.approx(larger.requested.overall)
     assert statistics.factor == pytest.approx(larger.factor)
     assert statistics.problems == ("a cycle was scaled down",)
     guard = Guard(RIG, statistics=statistics).refused().refused()

@@ -93,7 +93,7 @@ def _hopper(fields: Fields, labels: tuple[str, ...], picks: tuple[Pick, ...]) ->
             raise fields.fail("mix", f"the classes of parts: {known}; not {unknown[0]!r}{hint}")
         total = sum(mix.values())
         if abs(total - 1) > WHOLE:
-            raise fields.fail("mix", f"fractions of {known} with the sum 1")
+            raise fields.fail("mix", f"fractions of {known} whose sum is 1")
         mix = {label: part / total for label, part in mix.items()}
         if none := [pick.label for pick in picks if not mix.get(pick.label)]:
             raise fields.fail("mix", f"more than 0 for each class of picks, also {', '.join(none)}")

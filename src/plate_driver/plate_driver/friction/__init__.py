@@ -5,7 +5,7 @@ motion of a push, and `slip` computes the slip of a part during the push.
 """
 
 from .measurement import FrictionMeasurement, FrictionResult, PartFriction, Rest, Stage, rig_mu
-from .push import Push, make_push, most_accel, slip
+from .push import Push, make_push, max_accel, slip
 
 __all__ = [
     "FrictionMeasurement",
@@ -15,7 +15,7 @@ __all__ = [
     "Rest",
     "Stage",
     "make_push",
-    "most_accel",
+    "max_accel",
     "rig_mu",
     "slip",
 ]

@@ -1,13 +1,16 @@
 """Procedure that measures friction, one push at a time.
 
-1. *Search.* Pushes with rising acceleration, to and fro along x, until every part slides.
-2. *Distance.* Stronger pushes, forth and back along x, then along y. The slip falls with mu, so
-   each push gives mu of each part at its place. Least squares over all of them give a part's mu.
-3. *Onset.* Pushes in fine steps across the first slip. They show the acceleration at which each
-   part begins to slide, and so static over dynamic friction.
+1. *Search.* The acceleration of the pushes increases until every part slides. The pushes alternate
+   between +x and -x.
+2. *Distance.* Stronger pushes forward and back along x, then along y. The slip decreases with
+   mu, so each push gives mu of each part at its place. A least-squares fit over all these pushes
+   gives the part's mu.
+3. *Onset.* The acceleration increases in small steps across the value of the first slip. The step
+   at which a part begins to slide gives its ratio of static to dynamic friction.
 
-Detected parts are the input, the next push and finally the friction are the output. Pushes
-alternate in direction, so that parts come back. No ROS, no clock.
+The inputs are detected parts. The outputs are the next push and finally the friction. The
+directions of the pushes alternate, so that parts come back. This module uses neither ROS nor a
+clock.
 """
 
 from __future__ import annotations
@@ -21,27 +24,27 @@ import numpy as np
 
 from plate_core import Parts, PlateError, Rig, part_class
 
-from .push import Push, make_push, most_accel, slip
+from .push import Push, make_push, max_accel, slip
 
 FIRST_G = 0.08
 """Acceleration of the first push [g]."""
 
 SLOW_G = 0.01
-"""Acceleration of slow motions until the first slip is known [g]. The friction of parts that also
-slide in slow motions would be overestimated."""
+"""Acceleration of slow motions until the first slip is known [g]. It is small, because the friction
+of parts that also slide in slow motions would be overestimated."""
 
 SEARCH_FACTOR = 1.25
-"""Ratio of accelerations from one push to the next in the search."""
+"""Ratio of the accelerations of two successive pushes in the search stage."""
 
 ONSET_FACTOR = 1.05
-"""Ratio of accelerations from one push to the next in the onset."""
+"""Ratio of the accelerations of two successive pushes in the onset stage."""
 
-SLOW_SHARE = 0.5
-"""Acceleration of slow motions, relative to the maximum at which no part slid."""
+SLOW_FRACTION = 0.5
+"""Acceleration of slow motions, relative to the maximum acceleration at which no part slid."""
 
 ABOVE = 1.7
-"""Acceleration of distance pushes, relative to the mean mu g. Parts with 40 % less friction are
-still within the range of the closed form, and a static ratio of up to 1.5 is overcome."""
+"""Acceleration of distance pushes, relative to the mean mu g. At this acceleration, the closed form
+still holds for parts with 40 % less friction, and parts with a static ratio of up to 1.5 slide."""
 
 MIN_ABOVE = 1.2
 """Minimum acceleration of distance pushes, relative to mu g of each part."""
@@ -59,49 +62,51 @@ BEGAN_M = 6e-5
 """Minimum slip that shows the onset [m]."""
 
 NOISE_FACTOR = 5.0
-"""Minimum slip that counts, in standard errors of the camera."""
+"""Minimum slip that is not attributed to noise, in standard errors of the camera."""
 
 FLOOR_M = 1e-5
-"""Minimum standard error of a displacement [m]: errors of the camera that do not average out."""
+"""Minimum standard error of a displacement [m]. It accounts for errors of the camera that do not
+average out."""
 
 MIN_SIGNAL = 20.0
-"""Minimum ratio of slip to its standard error in distance pushes: mu is then good to 5 %."""
+"""Minimum ratio of the slip to its standard error in distance pushes. With this ratio, the error of
+mu is 5 %."""
 
 TRAVEL_M = 0.03
-"""Displacement of parts by distance pushes, if there is clearance [m]. Friction varies over a few
-centimetres."""
+"""Displacement of parts by distance pushes, if there is enough clearance [m]. It averages the
+friction, which varies over a few centimetres."""
 
 MAX_STEPS = 6
 """Maximum number of distance pushes in one direction."""
 
-STEP_ROOM_M = 0.006
-"""Clearance that each part needs towards every edge, beyond its safe distance [m]."""
+STEP_CLEARANCE_M = 0.006
+"""Clearance that each part needs to every edge, in addition to its safe distance [m]."""
 
 MIN_GAP_M = 0.004
-"""Minimum gap between two parts at the beginning [m]."""
+"""Minimum gap between two parts at the start of the measurement [m]."""
 
 TOUCH_M = 0.0005
-"""Minimum gap between two parts later [m]."""
+"""Minimum gap between two parts during the measurement [m]."""
 
 STILL_M = 5e-4
-"""Standard deviation of a part's place over some images above which the part moves [m]."""
+"""Maximum standard deviation of the position of a part at rest over several images [m]."""
 
 STUCK_FACTOR = 3.0
-"""A part that does not slide at this multiple of the others' acceleration is excluded."""
+"""A part that does not slide at this multiple of the typical mu g is excluded."""
 
 HERE_M = 0.005
-"""Radius around a part's place within which its friction is taken for local friction [m]."""
+"""Radius around a part's place within which measured values count as local friction [m]."""
 
 RANGE = 2.4
-"""Ratio of maximum to minimum mu that a push distinguishes."""
+"""Ratio of the maximum mu to the minimum mu that one push can measure."""
 
 CURVE = 80
-"""Number of values of mu in this range."""
+"""Number of values of mu in this range for which the slip is tabulated."""
 
 AGREE = 0.05
 SURE = 3.0
-"""Minimum difference between types, or directions, that is reported: as a fraction, and in standard
-errors."""
+"""Minimum difference of mu between types or directions that is reported: as a fraction of mu
+(`AGREE`), and in standard errors (`SURE`)."""
 
 
 class Stage(Enum):
@@ -122,7 +127,7 @@ class Rest:
     place : dict of str to (2,)
         Mean centres in the images [m, plate_home].
     error : float
-        Standard error of a coordinate [m]: root mean square over the parts.
+        Standard error of a coordinate [m], as the root mean square over the parts.
     """
 
     place: Mapping[str, np.ndarray]
@@ -130,8 +135,8 @@ class Rest:
 
     @classmethod
     def of(cls, images: Sequence[Parts]) -> Rest | None:
-        """Average the parts of two or more images; None while a part still moves. Parts that are
-        not in every image are omitted."""
+        """Average the positions of the parts over two or more images. Returns None while a part
+        still moves. Parts that are not in every image are omitted."""
         ids = [name for name in images[0].ids if all(name in seen.ids for seen in images)]
         if not ids:
             return cls({}, 0.0)
@@ -147,20 +152,20 @@ class Rest:
 
 @dataclass(frozen=True)
 class Trial:
-    """A push and the slip of each part in it.
+    """A push and the slip of each part during this push.
 
     Attributes
     ----------
     push : Push
     stage : Stage
     lag : dict of str to float
-        Slip of each part, against the push [m].
+        Slip of each part in the direction opposite to the push [m].
     place : dict of str to (2,)
-        Mean of its places before and after [m].
+        Mean of each part's positions before and after the push [m].
     error : float
         Standard error of a lag [m].
     curve : (2, n)
-        Values of mu in ascending order, and the lag at each of them [m].
+        Values of mu in ascending order, and the lag for each value [m].
     """
 
     push: Push
@@ -190,11 +195,11 @@ class PartFriction:
     ----------
     id : str
     place : (2,)
-        [m, plate_home].
+        Position of the part [m, plate_home].
     mu, error : float
-        Coefficient of dynamic friction, mean along its path, and its standard error.
+        Mean coefficient of dynamic friction along the part's path, and its standard error.
     static_ratio : float
-        Static over dynamic friction; NaN if its onset was not seen.
+        Ratio of static to dynamic friction. NaN if the onset was not observed.
     """
 
     id: str
@@ -212,13 +217,14 @@ class FrictionResult:
     ----------
     parts : tuple of PartFriction
     mu, error : float
-        Mean over the parts, and its standard error.
+        Mean mu over the parts, and its standard error.
     between_parts, over_plate : float
-        Standard deviations as fractions of the mean: of mu between the parts, and of mu along one
-        part's path on the plate. The contribution of the camera's noise is subtracted.
+        Standard deviations of mu as fractions of its mean. The first is between the parts, the
+        second along one part's path on the plate. The contribution of the camera's noise is
+        subtracted.
     static_ratio, static_error : float
-        Static over dynamic friction, mean over the parts, and its standard error; NaN if no onset
-        was seen.
+        Mean ratio of static to dynamic friction over the parts, and its standard error. NaN if no
+        onset was observed.
     notes : tuple of str
         Further remarks for the user.
     """
@@ -256,7 +262,7 @@ class FrictionMeasurement:
         Maximum acceleration of a push on this rig [m/s2].
     stage : Stage
     todo : tuple of Push
-        Remaining pushes of the stage, the next one first.
+        Remaining pushes of the stage, in the order in which they will be executed.
     rest : Rest
         Current places of the parts.
     trials : tuple of Trial
@@ -286,20 +292,20 @@ class FrictionMeasurement:
         rig : Rig
         rest : Rest
         corrected : bool
-            Whether the plate's response was learned.
+            Whether the plate was calibrated, so that its commands are corrected.
 
         Raises
         ------
         PlateError
-            If no part is seen, a part is too near an edge, two parts are too near each other, or
-            the rig's limits do not allow the first push.
+            If no part is detected, a part is too near an edge, two parts are too near each other,
+            or the rig's limits do not allow the first push.
         """
         if not rest.place:
             raise PlateError("friction: the camera sees no part, allowed: one or more, at rest")
         names = list(rest.place)
         for name in names:
             far = float(np.min(rig.plate.half - np.abs(rest.place[name])))
-            least = rig.edge_margin(part_class(name)).wall_m + STEP_ROOM_M
+            least = rig.edge_margin(part_class(name)).wall_m + STEP_CLEARANCE_M
             if far < least:
                 raise PlateError(
                     f"friction: {name} is {1e3 * far:.0f} mm from an edge, allowed: "
@@ -314,7 +320,7 @@ class FrictionMeasurement:
                 "first, or mu may be wrong",
             )
         first = make_push(rig, 0, 1, FIRST_G * rig.friction.gravity, slow)
-        most = most_accel(rig, slow)
+        most = max_accel(rig, slow)
         if first.accel > most:
             raise PlateError(
                 f"friction: the rig's limits allow pushes of {most:.2g} m/s2, allowed: "
@@ -324,7 +330,7 @@ class FrictionMeasurement:
 
     @property
     def push(self) -> Push | None:
-        """The next push; None at the end."""
+        """The next push. None at the end of the measurement."""
         return self.todo[0] if self.todo else None
 
     @property
@@ -340,7 +346,7 @@ class FrictionMeasurement:
 
     @property
     def fraction(self) -> float:
-        """Approximate fraction that is done, 0 to 1."""
+        """Approximate progress of the measurement, 0 to 1."""
         stages = {Stage.SEARCH: 0.0, Stage.DISTANCE: 0.25, Stage.ONSET: 0.6, Stage.DONE: 1.0}
         done = sum(trial.stage is self.stage for trial in self.trials)
         weights = {Stage.SEARCH: 0.25, Stage.DISTANCE: 0.35, Stage.ONSET: 0.4, Stage.DONE: 0.0}
@@ -355,12 +361,13 @@ class FrictionMeasurement:
         rest : Rest
             Current places of the parts.
         played : Push, optional
-            Push that was commanded, if the rig's limits scaled it down.
+            Push that was commanded, if it was scaled down to the rig's limits. Default: `push`.
 
         Raises
         ------
         PlateError
-            If parts are lost, move the wrong way, come too near each other, or do not slide.
+            If too many parts are lost, or if parts move in the wrong direction, come too near to
+            each other or do not slide.
         """
         assert self.push is not None
         push = played or self.push
@@ -403,11 +410,12 @@ class FrictionMeasurement:
     # Stages
 
     def _searched(self) -> FrictionMeasurement:
-        """Return the measurement after a search push: with the next one, or in the next stage."""
+        """Return the measurement after a search push. It has another search push or is in the next
+        stage."""
         trial, gravity = self.trials[-1], self.rig.friction.gravity
         guess = dict(self.guess)
         for name, value in trial.lag.items():
-            # Far above this acceleration, slip hardly depends on mu.
+            # At accelerations far above mu g, the slip hardly depends on mu.
             known = guess.get(name, np.inf) * gravity
             slid = value > max(SLID_M, NOISE_FACTOR * trial.error)
             if slid and trial.push.accel < ABOVE * known:
@@ -415,7 +423,7 @@ class FrictionMeasurement:
                 guess[name] = trial.local(name)[0]
         new = replace(self, guess=guess)
         if not guess:
-            new = replace(new, slow=max(self.slow, SLOW_SHARE * trial.push.accel))
+            new = replace(new, slow=max(self.slow, SLOW_FRACTION * trial.push.accel))
         left = sorted(set(self.rest.place) - set(guess))
         accel = trial.push.accel * SEARCH_FACTOR
         if 0 < len(left) <= len(guess):
@@ -463,9 +471,9 @@ class FrictionMeasurement:
             there = make_push(self.rig, axis, 1, accel, self.slow)
             step = float(np.max(slip(there, mu, 0.0, gravity)))
             # Parts slip in the direction opposite to the push.
-            room = {sign: self._room(axis, -sign) for sign in (1, -1)}
-            sign = max(room, key=lambda one: room[one])
-            count = int(np.clip(min(room[sign], TRAVEL_M) / max(step, 1e-6), 1, MAX_STEPS))
+            free = {sign: self._clearance(axis, -sign) for sign in (1, -1)}
+            sign = max(free, key=lambda one: free[one])
+            count = int(np.clip(min(free[sign], TRAVEL_M) / max(step, 1e-6), 1, MAX_STEPS))
             back = make_push(self.rig, axis, -sign, accel, self.slow)
             todo += count * [replace(there, sign=sign, cycle=there.cycle.scaled(sign))]
             todo += count * [back]
@@ -480,8 +488,8 @@ class FrictionMeasurement:
             self, stage=Stage.DISTANCE, todo=tuple(todo), rest=rest, notes=self.notes + notes
         )
 
-    def _room(self, axis: int, sign: int) -> float:
-        """Return the longest push along an axis for which all parts have clearance [m]."""
+    def _clearance(self, axis: int, sign: int) -> float:
+        """Return the minimum distance of the parts from the wall along an axis [m]."""
         return min(
             float(
                 self.rig.plate.half[axis]
@@ -509,15 +517,15 @@ class FrictionMeasurement:
         return [t for t in self.trials if t.stage is stage and name in t.lag]
 
     def _local(self, name: str) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Return mu of a part in each distance push (n,), standard errors (n,), and the distances
-        (n,) of these places from its current place [m]."""
+        """Return mu of a part in each distance push (n,), its standard errors (n,), and the
+        distances (n,) between the part's place in each push and its current place [m]."""
         trials, here = self._of(name, Stage.DISTANCE), self.rest.place[name]
         values, errors = np.array([trial.local(name) for trial in trials]).T
         return values, errors, np.array([np.hypot(*(t.place[name] - here)) for t in trials])
 
     def _dynamic(self, name: str) -> tuple[float, float]:
         """Return mu of a part by least squares over its distance pushes, and its standard error."""
-        # Without this import, the driver starts in half the time.
+        # Imported here, because this import would double the start time of the driver.
         from scipy.optimize import least_squares
 
         trials = self._of(name, Stage.DISTANCE)
@@ -527,8 +535,8 @@ class FrictionMeasurement:
 
         local, errors, _ = self._local(name)
         fit = least_squares(misses, [float(np.median(local))], diff_step=1e-3)
-        # A place between two pushes enters both lags, so their errors are correlated: they cancel
-        # in pushes of one direction, and add up where the direction changes.
+        # The position between two pushes affects both lags, so their errors are correlated. They
+        # cancel for two pushes in one direction, and add up if the direction changes.
         correlation = np.eye(len(trials))
         for k, (one, other) in enumerate(pairwise(trials)):
             if one.push.axis == other.push.axis:
@@ -540,7 +548,8 @@ class FrictionMeasurement:
         return float(fit.x[0]), float(np.sqrt(noise + uneven))
 
     def _held_and_slid(self, name: str) -> tuple[Trial | None, Trial | None]:
-        """Return the last onset push in which a part held, and the first one in which it slid."""
+        """Return the last onset push in which a part did not slide, and the first in which it
+        slid."""
         held = None
         for trial in self._of(name, Stage.ONSET):
             if trial.lag[name] > _visible(trial):
@@ -549,10 +558,10 @@ class FrictionMeasurement:
         return held, None
 
     def _static_ratio(self, name: str) -> float:
-        """Return static over dynamic friction of a part; NaN if its onset was not seen.
+        """Return the ratio of static to dynamic friction of a part. NaN if no onset was observed.
 
-        If the part held in a push, its mu_s g exceeds the push's acceleration. This is certain only
-        if the part would have slid visibly without static friction.
+        If the part did not slide in a push, its mu_s g exceeds the push's acceleration. This is
+        certain only if the part would have slid visibly without static friction.
         """
         held, slid = self._held_and_slid(name)
         if slid is None:
@@ -569,7 +578,7 @@ class FrictionMeasurement:
 
     @property
     def result(self) -> FrictionResult:
-        """Result, at the end of the measurement."""
+        """Result of the measurement. It is available at its end."""
         parts, along, weights = [], [], []
         for name in self.rest.place:
             mu, error = self._dynamic(name)
@@ -660,7 +669,8 @@ def _visible(trial: Trial) -> float:
 
 
 def _check_slip(trial: Trial, name: str, gravity: float) -> None:
-    """Refuse a slip beyond the maximum of the push's curve, because it does not determine mu."""
+    """Refuse a slip that exceeds the maximum of the push's curve, because it does not determine
+    mu."""
     longest = float(np.max(trial.curve[1]))
     if trial.lag[name] > longest + NOISE_FACTOR * trial.error:
         accel = trial.push.accel
@@ -684,8 +694,8 @@ def _check_slips(trial: Trial, gravity: float) -> None:
 
 
 def _curve(push: Push, gravity: float) -> np.ndarray:
-    """Return values of mu in ascending order, and the slips [m] of a push at these values, (2,
-    n)."""
+    """Return an array (2, n) with values of mu in ascending order, and the slip in a push for each
+    value [m]."""
     grid = push.accel / gravity * np.geomspace(1 / RANGE, 1, CURVE)
     return np.stack([grid, slip(push, grid, 0.0, gravity)])
 

@@ -31,19 +31,20 @@ if TYPE_CHECKING:
     from ..node import DriverNode
 
 SETTLE_S = 0.4
-"""Minimum delay from the end of a push to the stamp of an image that counts [s]. Stamps may be late
+"""Minimum time from the end of a push to the stamp of an image that is used [s]. Stamps may be late
 by this time."""
 
 LATE_S = 5.0
-"""Maximum delay of a push [s], if starts of cycles are reported."""
+"""Maximum delay of a push, if cycle starts are reported [s]."""
 
 SAME_S = 1e-6
-"""Maximum difference between the periods of the sent cycle and of the cycle that has begun [s]."""
+"""Maximum difference between the periods of the sent cycle and the reported one for which they
+count as the same cycle [s]."""
 
 IMAGES = 4
 """Number of images per measurement of parts at rest."""
 
-BLIND_S = 5.0
+MAX_WAIT_S = 5.0
 """Maximum wait for images that show the parts at rest [s]."""
 
 
@@ -68,7 +69,7 @@ class FrictionServer:
         self._measurement: FrictionMeasurement | None = None
         self._played: Push | None = None
         self._plays: PlateCycle | None = None
-        # Images with later stamps show parts at rest; None: not known yet.
+        # Images with later stamps show parts at rest. None if this time is not known yet.
         self._after_ns: int | None = None
         self._images: list[Parts] = []
         self._since = 0.0  # start of the wait for parts at rest [s]
@@ -143,9 +144,9 @@ class FrictionServer:
     # Work
 
     def _on_parts(self, msg: PartsMsg) -> None:
-        """Keep the parts of an image whose stamp lies after the end of the push.
+        """Keep the parts of an image that was taken after the end of the push.
 
-        The stamp decides, not the arrival: on a busy computer an image may arrive much later.
+        The stamp is compared, because an image may arrive much later on a busy computer.
         """
         after_ns = self._after_ns
         if self._running and after_ns is not None and nanoseconds(msg.header.stamp) >= after_ns:
@@ -162,17 +163,17 @@ class FrictionServer:
             return
         try:
             cycle = msg_to_cycle(msg)
-        except PlateError:  # the planner warns of this error
+        except PlateError:  # the planner logs a warning about this error
             return
         if cycle.moves and abs(cycle.period - push.period) < SAME_S:
             length_s = SETTLE_S + sum(part.period for part in push.parts)
             self._after_ns = nanoseconds(msg.header.stamp) + round(1e9 * length_s)
 
     def watch(self, now: float) -> None:
-        """Continue at `now` [s], in the time in which cycles are played."""
+        """Continue at `now` [s, playback]."""
         driver = self._driver
         try:
-            # The number also differs if the motors were enabled again since.
+            # This number of stops also differs if the motors were enabled again after a stop.
             if driver.latch.number != self._stops:
                 raise PlateError("the motors were stopped")
             if self._plays is not None:
@@ -192,10 +193,10 @@ class FrictionServer:
                     self._step(rest, now)
                     return
                 self._images = self._images[-IMAGES + 1 :]
-            if now - self._since > BLIND_S:
+            if now - self._since > MAX_WAIT_S:
                 seen = f"{len(self._images)} images" if self._images else "no message of parts"
                 raise PlateError(
-                    f"friction: {seen} within {BLIND_S:g} s, allowed: {IMAGES} images that show "
+                    f"friction: {seen} within {MAX_WAIT_S:g} s, allowed: {IMAGES} images that show "
                     "all parts at rest; does the detector run, and is the camera's clock "
                     "synchronised with this computer's?"
                 )

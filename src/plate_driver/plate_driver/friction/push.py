@@ -1,16 +1,17 @@
-"""One push of the plate along x or y that shows a part's friction, and the part's slip in it.
+"""One push of the plate along x or y for measuring friction, and the slip of a part in this push.
 
-From rest the plate accelerates with a over the distance A, brakes with k a, and returns home
-so slowly that no part slides. A part on it sticks while a <= mu_s g. Otherwise it slips by
-Coulomb's law (docs/model.md, Friction (1)), with r = mu g/a. While the plate accelerates, the slip
-is (1 - r) A. Then the velocities differ by w = (a - mu g) t, with A = a t^2/2. This difference
-shrinks at mu g + k a, and the part slips by w^2/(2 (mu g + k a)) = A (1 - r)^2/(r + k) more. If k a
-<= mu g the part then holds, and the slip of the whole push is
+From rest, the plate accelerates with a over the distance A and brakes with k a. It then returns
+home so slowly that no part slides. A part on the plate sticks while a <= mu_s g. Otherwise it slips
+by Coulomb's law (docs/model.md, Friction (1)), with r = mu g/a. While the plate accelerates, the
+slip is (1 - r) A. At the end of the acceleration, the velocities of plate and part differ by
+w = (a - mu g) t, with A = a t^2/2. This difference decreases at the rate mu g + k a, during which
+the part slips by another w^2/(2 (mu g + k a)) = A (1 - r)^2/(r + k). If k a <= mu g, the part then
+sticks, and the slip of the whole push is
 
     s = A (1 - r) (1 + k)/(r + k)
 
-So the smallest a with a slip gives static friction, and s gives dynamic friction. `slip` integrates
-the same law over the commanded motion, with its ramps, for all a.
+The smallest a with a slip therefore gives static friction, and s gives dynamic friction. `slip`
+integrates the same law over the commanded motion with its ramps. It is valid for all a.
 """
 
 from __future__ import annotations
@@ -23,12 +24,12 @@ from plate_core import PlateCycle, Rig
 from plate_core.motion import usage
 
 BRAKE = 0.4
-"""Ratio of braking to acceleration, k. With this ratio, the closed form holds up to 2.5 times the
-acceleration of the first slip."""
+"""Ratio k of the braking to the acceleration. With this ratio, the closed form holds up to 2.5
+times the acceleration of the first slip."""
 
 RAMP = 0.12
-"""Duration of the first ramp relative to the duration of the acceleration. It is long enough for
-the motors."""
+"""Duration of the first ramp of the acceleration, relative to the whole duration of the
+acceleration. The motors can follow this ramp."""
 
 STROKE_USED = 0.8
 """Maximum fraction of the motors' stroke that a push uses."""
@@ -40,13 +41,14 @@ MAX_LENGTH_M = 0.016
 """Maximum length of a push [m]. It moves parts by some millimetres."""
 
 QUINTIC_PEAK = 10 / np.sqrt(3)
-"""Peak acceleration of the quintic from rest to rest, times T^2 over its length."""
+"""Peak acceleration of a quintic from rest to rest with unit length and unit duration. It is
+proportional to the length and inversely proportional to the squared duration."""
 
 FAST_STEPS = 800
-"""Steps of the integration in the push."""
+"""Number of integration steps in the push."""
 
 SLOW_STEPS = 60
-"""Steps of the integration in each slow motion."""
+"""Number of integration steps in each slow motion."""
 
 
 @dataclass(frozen=True)
@@ -58,7 +60,7 @@ class Push:
     axis : int
         0: along x, 1: along y.
     sign : int
-        1 or -1: its direction.
+        Direction of the push along the axis, 1 or -1.
     accel : float
         Maximum acceleration [m/s2].
     cycle : PlateCycle
@@ -77,7 +79,7 @@ def push_length(rig: Rig) -> float:
 
 
 def make_push(rig: Rig, axis: int, sign: int, accel: float, slow: float) -> Push:
-    """Return a push over `push_length(rig)`.
+    """Return a push of the length `push_length(rig)`.
 
     Parameters
     ----------
@@ -85,7 +87,7 @@ def make_push(rig: Rig, axis: int, sign: int, accel: float, slow: float) -> Push
     accel : float
         Maximum acceleration [m/s2].
     slow : float
-        Maximum acceleration on the paths to its start and back home [m/s2].
+        Maximum acceleration on the way to the start of the push and back home [m/s2].
     """
     length = push_length(rig)
     unit_t, unit_a = _profile()
@@ -105,10 +107,10 @@ def make_push(rig: Rig, axis: int, sign: int, accel: float, slow: float) -> Push
     return Push(axis, sign, accel, PlateCycle.from_knots(times, *states))
 
 
-def most_accel(rig: Rig, slow: float) -> float:
+def max_accel(rig: Rig, slow: float) -> float:
     """Return the maximum acceleration of a push within the rig's limits [m/s2]."""
     accel = LIMITS_USED * rig.limits.accel
-    for _ in range(8):  # usage is nearly linear in it or in its square root
+    for _ in range(8):  # usage is nearly linear in the acceleration or in its square root
         worst = max(
             usage(rig, make_push(rig, axis, 1, accel, slow).cycle).overall for axis in (0, 1)
         )
@@ -127,10 +129,10 @@ def slip(push: Push, mu: np.ndarray, hold: np.ndarray | float, gravity: float) -
     mu : (m,)
         Coefficient of dynamic friction.
     hold : (m,) or float
-        Maximum acceleration at which a part at rest on the plate holds, mu_s g [m/s2]. Values below
-        mu g count as mu g.
+        Maximum acceleration at which a part at rest on the plate does not slide, mu_s g [m/s2].
+        Values below mu g count as mu g.
     gravity : float
-        [m/s2].
+        Gravitational acceleration [m/s2].
     """
     cycle, tail = push.cycle, push.cycle.tail
     assert tail is not None
@@ -151,8 +153,8 @@ def slip(push: Push, mu: np.ndarray, hold: np.ndarray | float, gravity: float) -
     step = np.diff(t)[:, None]
     most, held = grip * step, np.abs(np.diff(plate))[:, None] <= hold * step
     v, stuck, speed = np.zeros_like(grip), np.ones(grip.shape, bool), [np.zeros_like(grip)]
-    # The loop contains only the operations that depend on the previous step. With few parts, each
-    # operation takes microseconds.
+    # The loop contains only the operations that depend on the previous step, because each
+    # operation takes microseconds even with few parts.
     for after, change, holds in zip(plate[1:], most, held, strict=True):
         rides = stuck & holds
         v = np.where(rides, after, v + np.minimum(np.maximum(after - v, -change), change))
@@ -162,11 +164,11 @@ def slip(push: Push, mu: np.ndarray, hold: np.ndarray | float, gravity: float) -
 
 
 def _profile() -> tuple[np.ndarray, np.ndarray]:
-    """Return times and accelerations of a push from rest to rest, with accelerations from 1 to
-    -`BRAKE` that are linear between these times."""
+    """Return times and accelerations of a push from rest to rest. The accelerations are between 1
+    and -`BRAKE`, and linear between these times."""
     gain, cross, lose = RAMP, RAMP * (1 + BRAKE), RAMP * BRAKE
     held = 1.0 - RAMP
-    # Area of the acceleration: up to zero of the crossing, and from there on.
+    # Velocity gained until the acceleration crosses zero. The braking removes the same velocity.
     positive = gain / 2 + held + cross / (1 + BRAKE) / 2
     braking = (positive - BRAKE * (cross * BRAKE / (1 + BRAKE) + lose) / 2) / BRAKE
     times = np.cumsum([0.0, gain, held, cross, braking, lose])
@@ -174,7 +176,8 @@ def _profile() -> tuple[np.ndarray, np.ndarray]:
 
 
 def _integrated(t: np.ndarray, a: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return velocity and position at times t (k,); the acceleration a (k,) is linear between."""
+    """Return velocity and position at times t (k,), for an acceleration a (k,) that is linear
+    between them."""
     dt = np.diff(t)
     v = np.concatenate([[0.0], np.cumsum(dt * (a[:-1] + a[1:]) / 2)])
     x = np.concatenate([[0.0], np.cumsum(dt * v[:-1] + dt**2 * (2 * a[:-1] + a[1:]) / 6)])

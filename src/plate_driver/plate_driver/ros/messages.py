@@ -19,7 +19,7 @@ def bytes_to_cycle(data: bytes) -> tuple[PlateCycle, int]:
     Raises
     ------
     PlateError
-        If it is invalid.
+        If the message or the cycle is invalid.
     """
     msg = deserialized(data, JointTrajectory)
     return msg_to_cycle(msg), nanoseconds(msg.header.stamp)
@@ -39,7 +39,7 @@ def motor_state_to_msg(
     velocity: Sequence[float] = (),
     acceleration: Sequence[float] = (),
 ) -> JointState:
-    """Convert the state of the motors, each (4,) or empty, to a message of motor_states.
+    """Convert the state of the motors to a message of motor_states. Each argument is (4,) or empty.
 
     The travel is in [m] and the speed in [m/s]. The acceleration [m/s2] is in `effort`, because
     JointState has no field for it.

@@ -1,5 +1,5 @@
-"""Subscriptions to plate_cycle and task_status whose messages the driver deserializes itself, so
-that a long message delays no stop."""
+"""Subscriptions to plate_cycle and task_status. The driver deserializes their messages itself, so
+that a long message does not delay a stop."""
 
 from __future__ import annotations
 
@@ -22,26 +22,26 @@ CLOSE_S = 0.05
 """Maximum time until the thread that waits for cycles ends after `close` [s]."""
 
 BUSY_S = 0.002
-"""Time between two checks whether the executor has processed a cycle, if too many cycles wait
-[s]."""
+"""Time between two checks whether the executor has processed a cycle [s]. It is used if too many
+cycles wait."""
 
 MAX_WAITING = 5
-"""Maximum number of messages that wait for the executor, so that a flood leaves time for other
-work."""
+"""Maximum number of messages that wait for the executor. The limit leaves time for other work if
+messages arrive too fast."""
 
 STATUS_BYTES = 100_000
-"""Maximum size of a task_status [bytes]. A longer one is not from the planner."""
+"""Maximum size of a task_status [bytes]. The planner never sends a longer message."""
 
 STALLED_S = 0.05
-"""If the process does not run for longer than this, it counts as stalled [s]."""
+"""Time without a poll after which the process counts as stalled [s]."""
 
 SETTLE_S = 0.01
-"""Time in which a stalled process receives waiting messages [s]. Otherwise the end of a task could
-be processed after a later cycle."""
+"""Time for which the process waits after a stall, so that it receives all waiting messages [s].
+Without this wait, the end of a task could be processed after a later cycle."""
 
 Process = Callable[[bytes, int, bytes], None]
-"""Callback for the first bytes of a serialized message, its length [bytes] and a key of its
-publisher."""
+"""Callback for a message. Its arguments are the first bytes of the serialized message, its length
+[bytes], and a key that identifies the publisher."""
 
 
 class RawInput(NamedTuple):
@@ -52,7 +52,8 @@ class RawInput(NamedTuple):
 
 
 class RawInputs:
-    """Subscriptions to plate_cycle, which a thread takes, and to task_status, see `poll_tasks`.
+    """Subscriptions to plate_cycle and task_status. A thread receives the cycles, and `poll_tasks`
+    receives the task_status messages.
 
     Parameters
     ----------
@@ -109,6 +110,6 @@ class RawInputs:
             executor.create_task(self._process_cycle)
 
     def _process_cycle(self) -> None:
-        """Process the oldest received cycle, unless the inputs were closed since."""
+        """Process the oldest received cycle, unless the inputs were closed in the meantime."""
         if self._waiting:
             self.cycles.process(*self._waiting.popleft())

@@ -1,5 +1,5 @@
-"""Services for stops, enable and home, and the topic driver_status. The node has its own DDS
-participant and threads, so that cycle traffic cannot delay a stop."""
+"""Services for stops, enable and home, and the topic driver_status. The node has a separate DDS
+participant and separate threads, so that cycle traffic cannot delay a stop."""
 
 from __future__ import annotations
 
@@ -35,25 +35,26 @@ STATE_PERIOD_S = 0.05
 LIFE_PERIOD_S = 0.5
 """Time after which an unchanged driver_status is published again [s]."""
 
-FAREWELL_S = 0.5
+ACKNOWLEDGED_S = 0.5
 """Maximum wait for the acknowledgement of the last messages [s]."""
 
 END_S = 10.0
-"""Maximum wait for the spinning thread and the service threads to end [s]. A thread that outlives
-the interpreter crashes the process. On a busy machine a thread may not run for half a second."""
+"""Maximum wait for the end of the spinning thread and the service threads [s]. The wait is long,
+because a thread on a busy machine may not run for half a second, and a thread that still runs when
+the interpreter ends crashes the process."""
 
 STILL_S = 1.0
-"""If the driver stalled for longer than this, it refuses an enable or home that may have waited
-[s]."""
+"""Maximum stall of the driver [s]. After a longer stall, it refuses an enable or home that may have
+waited."""
 
 THREADS = 128
-"""Maximum number of calls that wait for a reply at the same time. A further call is delayed.
-Threads are created on demand."""
+"""Maximum number of threads, and therefore of calls that are processed at the same time. Further
+calls wait. Threads are created on demand."""
 
 
 ENABLING = "enabling: driver_status reports when the motors are ready"
 SILENT = "the device has not answered yet"
-"""Replies to an enable and to a home that are not finished at the time of the reply."""
+"""Replies to an enable and a home that are still in progress at the time of the reply."""
 
 LATE = "the driver was stalled: call again"
 """Reply to an enable or home that may have waited during a stall."""
@@ -63,9 +64,9 @@ class SafetyNode:
     """Services for stops, enable and home, and the topic driver_status, separate from cycle
     traffic.
 
-    The node's DDS participant receives nothing else, the calls run in its own threads, and it uses
-    the steady clock. Each call returns within 0.5 s with the state known then. driver_status
-    reports later changes.
+    The node's DDS participant receives nothing else, the calls run in separate threads, and the
+    node uses the steady clock. Each call returns within 0.5 s with the state at that time.
+    driver_status reports later changes.
 
     Parameters
     ----------
@@ -113,7 +114,7 @@ class SafetyNode:
         with contextlib.suppress(ExternalShutdownException):
             while self._context.ok() and not self._ended:
                 try:
-                    # This call returns at the latest when the timer fires.
+                    # This call returns when the timer fires, or earlier.
                     self._executor.spin_once()
                 except ExternalShutdownException:
                     raise
@@ -150,7 +151,7 @@ class SafetyNode:
         if self._ended:
             return
         self.publish_status()
-        self._statuses.wait_for_all_acked(Duration(seconds=FAREWELL_S))
+        self._statuses.wait_for_all_acked(Duration(seconds=ACKNOWLEDGED_S))
         self._ended = True
         self._thread.join(END_S)
         end_executor(self._executor, END_S)
@@ -204,7 +205,7 @@ class SafetyNode:
             response.message = f"the driver is {self._driver.status.text}, allowed: active"
             return response
         status = self._driver.status
-        # The motors are already enabled; do not disturb a task that may run.
+        # The motors are already enabled, so do not disturb a task that may run.
         if status.state is DriverState.READY:
             response.success, response.message = True, status.text
             return response

@@ -1,7 +1,7 @@
 """Conversion of plate cycles to motor setpoints. Cycles are faded in and out if needed, and kept
 within the rig's limits, including the motors' temperature.
 
-`prepare` converts one cycle to a `MotorTable`. `Guard` does so in a running driver and keeps
+`prepare` converts one cycle to a `MotorTable`. `Guard` calls it in the running driver and collects
 statistics.
 """
 

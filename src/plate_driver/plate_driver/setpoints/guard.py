@@ -1,8 +1,8 @@
-"""State of the driver between incoming cycles and the motors, without ROS. It converts accepted
-cycles to tables, refuses the others, detects that no more cycles arrive, and keeps statistics.
+"""Conversion of accepted cycles to motor tables in the running driver, without ROS. The guard also
+refuses cycles, detects that no more cycles arrive, and collects statistics.
 
 Guards are immutable: each event returns a new guard, and time is an argument. If a simulated clock
-is set back, the simulator was restarted and earlier tables no longer count.
+is set back, the simulator was restarted, and earlier tables are ignored.
 """
 
 from __future__ import annotations
@@ -19,14 +19,14 @@ from .motor_table import RESTART_NS, Correction, MotorTable, check_order, plays,
 from .thermal import ThermalState
 
 SENT_KEPT = 4
-"""Number of sent cycles that may play. If a table arrives late, the device plays the tail of an
-earlier table instead, and the next cycle continues the earlier table. The solver keeps the same
-number.
+"""Number of the last sent cycles that the device may be playing. If a table arrives late, the
+device plays the tail of an earlier table instead, and the next cycle continues the earlier table.
+The solver stores the same number of cycles.
 """
 
 EXPERIMENT_CYCLES = 9
-"""Number of plays of a calibration cycle. It is one more than settling and measurement need, and
-all plays together last less than 10 s."""
+"""Number of plays of a calibration cycle. It is one more than settling and measurement need. All
+plays together last less than 10 s."""
 
 
 @dataclass(frozen=True)
@@ -36,19 +36,19 @@ class Statistics:
     Attributes
     ----------
     cycles, refused, scaled, rests : int
-        Number of plate cycles accepted, refused, and accepted but scaled down. `rests` counts how
-        often the plate came to rest because no more cycles arrived.
+        Number of plate cycles that were accepted, refused, and accepted but scaled down. `rests` is
+        the number of times that the plate came to rest because no more cycles arrived.
     worst : float
-        Maximum fraction of a limit that a cycle requested.
+        Maximum usage that a cycle requested, as a fraction of the limit.
     factor : float
         Minimum scaling factor of a cycle.
     late : float
-        Maximum time by which the interval since the previous table was sent exceeded the period of
-        that table's cycle [s].
+        Maximum delay of a table [s]: time since the previous table was sent, minus the period of
+        the previous table's cycle.
     since : int
         Value of `cycles` at the last report.
     problems : tuple of str
-        Problems, each once.
+        Problems since the last report. Each problem is listed once.
     """
 
     cycles: int = 0
@@ -66,7 +66,7 @@ class Statistics:
         new = replace(
             self,
             cycles=self.cycles + 1,
-            worst=max(self.worst, fit.asked.overall),
+            worst=max(self.worst, fit.requested.overall),
             factor=min(self.factor, fit.factor),
             late=max(self.late, late),
         )
@@ -102,17 +102,17 @@ class Statistics:
 class Guard:
     """Check and conversion of cycles before they are sent to the motors.
 
-    A table with a tail is played once, independent of `hold_cycles`. If no other table follows, it
-    ends at rest.
+    A table with a tail is played once, whatever the value of `hold_cycles`. If no other table
+    follows, it ends at rest.
 
     Attributes
     ----------
     rig : Rig
     hold_cycles, repeats : int
-        `hold_cycles` is the number of plays of a cycle from rest to rest without a new one. See
-        `with_fades` for `repeats`.
+        `hold_cycles` is the number of plays of a cycle from rest to rest if no new cycle arrives.
+        See `with_fades` for `repeats`.
     correction : callable or None
-        Correction by a calibration, or None.
+        Correction by a calibration. None if the rig is not calibrated.
     hold_s : float
         Maximum time for which the motors repeat a table [s].
     last_ns : int or None
@@ -120,11 +120,11 @@ class Guard:
     table : MotorTable or None
         Last table sent. None if the plate rests.
     sent : tuple of PlateCycle
-        The last cycles sent, oldest first: those that may play. Empty if the plate rests. The
-        device itself checks that a table continues the one that plays.
+        The last sent cycles that the device may be playing, oldest first. Empty if the plate rests.
+        The device itself checks whether a new table continues the table that plays.
     sent_at, lasts_s : float
-        Time when the last table was sent, and time from then until the plate rests without a new
-        one [s].
+        Time at which the last table was sent, and the time from then until the plate rests if no
+        new table arrives [s].
     thermal : ThermalState
     statistics : Statistics
     """
@@ -177,8 +177,8 @@ class Guard:
         if self.over(now):  # `watched` has not been called since
             return self.resting(now).commanded(cycle, stamp_ns, now)
         thermal = self.thermal.at_time(self.rig, now)
-        # Upper bound: two plays more than `hold_cycles`, with fades. The current table is played to
-        # its end.
+        # Upper bound of the duration. It contains two more plays and the fades, because the current
+        # table is played to its end.
         longest = (self.hold_cycles + 2) * (self.repeats + 2) * sum(p.period for p in cycle.parts)
         allowed = thermal.allowed_load(self.rig, longest)
         table, fit = prepare(
@@ -233,7 +233,7 @@ class Guard:
         """Return whether no more cycles arrive.
 
         True if `times` times `lasts_s` has passed since the last table was sent, or if the clock
-        was set back. A simulated clock at 0 has not been received yet and is ignored.
+        was set back. A simulated time of 0 is ignored, because the clock has not been received yet.
         """
         if self.table is None:
             return False

@@ -1,6 +1,6 @@
-"""Check of motions against the rig's limits on stroke, speed, acceleration, force and heat. `fit`
-scales a cycle as a whole until it is within the limits. `check_setpoints` checks the final motor
-setpoints and refuses those beyond the limits."""
+"""Check of motions against the rig's limits of stroke, speed, acceleration, force and heat. `fit`
+scales a whole cycle down until it is within the limits. `check_setpoints` checks the final motor
+setpoints and refuses setpoints beyond the limits."""
 
 from __future__ import annotations
 
@@ -18,22 +18,24 @@ from plate_core.motion import (
 )
 
 TARGET = 0.999
-"""Target usage of the worst limit by a scaled cycle [-]. The margin covers search and rounding."""
+"""Target usage of the worst limit by a scaled cycle [-]. The margin below 1 covers errors of the
+search and of rounding."""
 
 CLOSE_ENOUGH = 0.99
-"""The search ends when the scaled cycle uses at least this fraction of the worst limit."""
+"""Usage of the worst limit by the scaled cycle at which the search ends [-]."""
 
 ROUNDS = 60
-"""Maximum number of trial factors. Most cycles need one or two; poses of 1e100 m need about ten."""
+"""Maximum number of trial factors. Most cycles need one or two. Poses of 1e100 m need about ten."""
 
 ROUNDING = 3e-6
-"""Relative excess of a limit that is accepted. Computed peaks are up to 1e-6 too high, and solvers
-round as well."""
+"""Accepted relative violation of a limit. It is needed because computed peaks are up to 1e-6 too
+high, and because of rounding in the solvers."""
 
 HOME_TOLERANCE = 2e-5
-"""Maximum deviation of a motor from home at the ends of a table [m], per metre of distance from the
-plate's centre to the farthest motor (at least 1 m). The speed tolerance [m/s] is 100 times this
-value. It corresponds to the tolerance of `PlateCycle.starts_at_rest`, at the motors."""
+"""Maximum deviation of a motor from home at the start and end of a table [m], per metre of distance
+between the plate's centre and the farthest motor (at least 1 m). The speed tolerance [m/s] is 100
+times this value. The tolerances correspond to those of `PlateCycle.starts_at_rest`, converted to
+the motors."""
 
 
 @dataclass(frozen=True)
@@ -46,30 +48,30 @@ class Fit:
         The requested motion with all amplitudes multiplied by `factor`. The period is unchanged.
     factor : float
         1 if the requested cycle was within the limits.
-    asked, usage : CycleUsage
-        Peaks of the requested cycle, and of the returned one.
+    requested, usage : CycleUsage
+        Usage of the limits by the requested cycle and by the returned one.
     """
 
     cycle: PlateCycle
     factor: float
-    asked: CycleUsage
+    requested: CycleUsage
     usage: CycleUsage
 
     @property
     def summary(self) -> str:
         """Text with the scaling factor and the requested peaks."""
         return (
-            f"cycle scaled by {self.factor:.3g}: it needs {self.asked.overall:.3g} times the limits"
-            f" ({self.asked.stroke_m * 1e3:.3g} mm, {self.asked.speed:.3g} m/s, "
-            f"{self.asked.accel:.3g} m/s2, {self.asked.force:.3g} N)"
+            f"cycle scaled by {self.factor:.3g}: it needs {self.requested.overall:.3g} times the "
+            f"limits ({self.requested.stroke_m * 1e3:.3g} mm, {self.requested.speed:.3g} m/s, "
+            f"{self.requested.accel:.3g} m/s2, {self.requested.force:.3g} N)"
         )
 
 
 def fit(rig: Rig, cycle: PlateCycle, thermal_load: np.ndarray | float = 1.0) -> Fit:
     """Scale a cycle down, as a whole, until no limit of the rig is exceeded.
 
-    Friction forces depend on the direction of the surface's motion, and scaling keeps it. Clipping
-    the peaks would change the forces.
+    Friction forces depend on the direction of the surface's motion. Scaling keeps this direction,
+    but clipping the peaks would change it.
 
     Parameters
     ----------
@@ -79,22 +81,23 @@ def fit(rig: Rig, cycle: PlateCycle, thermal_load: np.ndarray | float = 1.0) -> 
     Raises
     ------
     CycleError
-        If the cycle's peaks are too large to compute, or no factor makes it fit.
+        If the cycle's peaks are too large to compute, or the cycle exceeds the limits with every
+        factor.
     """
     with np.errstate(over="ignore", invalid="ignore"):
-        asked = usage(rig, cycle, thermal_load)
-        if not np.isfinite(asked.overall):
+        requested = usage(rig, cycle, thermal_load)
+        if not np.isfinite(requested.overall):
             raise CycleError(
                 "plate_cycle: its speed or acceleration is too large to compute, "
                 f"allowed: {limits_text(rig)}"
             )
-        if asked.overall <= 1 + ROUNDING:
-            return Fit(cycle, 1.0, asked, asked)
-        return _scaled(rig, cycle, asked, thermal_load)
+        if requested.overall <= 1 + ROUNDING:
+            return Fit(cycle, 1.0, requested, requested)
+        return _scaled(rig, cycle, requested, thermal_load)
 
 
 def _scaled(
-    rig: Rig, cycle: PlateCycle, asked: CycleUsage, thermal_load: np.ndarray | float
+    rig: Rig, cycle: PlateCycle, requested: CycleUsage, thermal_load: np.ndarray | float
 ) -> Fit:
     """Search the largest factor that keeps the cycle within the limits.
 
@@ -102,14 +105,14 @@ def _scaled(
     search finds the root of log(worst/TARGET) as a function of log(factor), between a factor that
     is too large and one that fits. It uses secant steps, and bisection in every third trial.
     """
-    large, large_worst = 1.0, asked.overall
+    large, large_worst = 1.0, requested.overall
     small: Fit | None = None
-    factor = TARGET / asked.overall
+    factor = TARGET / requested.overall
     for trial in range(ROUNDS):
         scaled = cycle.scaled(factor)
         used = usage(rig, scaled, thermal_load)
         if used.overall <= TARGET * (1 + ROUNDING):
-            small = Fit(scaled, factor, asked, used)
+            small = Fit(scaled, factor, requested, used)
             if used.overall >= CLOSE_ENOUGH or small.factor >= CLOSE_ENOUGH * large:
                 return small
         else:
@@ -117,8 +120,8 @@ def _scaled(
         factor = _next_factor(large, large_worst, small, secant=trial % 3 != 2)
     if small is None:
         raise CycleError(
-            f"plate_cycle: needs {asked.overall:.3g} times the rig's limits and cannot be scaled, "
-            f"allowed: {limits_text(rig)}"
+            f"plate_cycle: needs {requested.overall:.3g} times the rig's limits and cannot be "
+            f"scaled, allowed: {limits_text(rig)}"
         )
     return small
 
@@ -130,13 +133,15 @@ def _next_factor(large: float, large_worst: float, small: Fit | None, secant: bo
     if not secant:
         return float(np.exp((low + high) / 2))
     below, above = np.log(small.usage.overall / TARGET), np.log(large_worst / TARGET)
-    # Slightly below the root, so that the next trial most likely fits and ends the search.
+    # Choose a factor slightly below the root, so that the next trial most likely is within the
+    # limits and ends the search.
     fraction = -below / (above - below)
     return float(np.exp(low + fraction * (high - low)) * 0.998)
 
 
 def excess(rig: Rig, used: CycleUsage, thermal_load: np.ndarray | float = 1.0) -> str:
-    """Return a text about the limit that a motion exceeds most: name, value and allowed value.
+    """Return a text with the name, value and allowed value of the limit that a motion exceeds by
+    the largest factor.
 
     Parameters
     ----------
@@ -172,7 +177,8 @@ def check_setpoints(
     Parameters
     ----------
     times : (k + 1,)
-        [s], increasing from 0. A time may occur twice if its setpoints are equal.
+        Times of the setpoints [s], increasing from 0. A time may occur twice if its setpoints are
+        equal.
     q, qd, qdd : (k + 1, 4)
         Travel [m], speed [m/s] and acceleration [m/s2] of the motors, with quintic interpolation.
     start : (4,) and (4,), optional
@@ -182,7 +188,7 @@ def check_setpoints(
     Raises
     ------
     CycleError
-        If a check fails. The text gives the motor, the value and the allowed value.
+        If a check fails. The text states the motor, the value and the allowed value.
     """
     if not all(np.all(np.isfinite(values)) for values in (times, q, qd, qdd)):
         raise CycleError("motor setpoints: a value is not finite")

@@ -1,6 +1,7 @@
 """Conversion of a plate cycle to the motor table that is sent. The motion is faded in and out if it
-does not start at rest, scaled to the rig's limits, and corrected by a calibration if there is one.
-Plate states at the knots become motor travel, speed and acceleration by `plate_core.motion`."""
+does not start at rest, scaled to the rig's limits, and corrected if the rig is calibrated.
+`plate_core.motion` converts the plate's states at the knots to travel, speed and acceleration of
+the motors."""
 
 from __future__ import annotations
 
@@ -23,13 +24,13 @@ MAX_KNOTS = 2000
 """Maximum number of knots of one cycle. Processing more would take longer than the cycle."""
 
 RESTART_NS = 1_000_000_000
-"""If a stamp is older than the last one by more than this, the simulator or camera was restarted
-[ns]."""
+"""Time by which a stamp must be older than the last one to show a restart of the simulator or the
+camera [ns]."""
 
 MIN_KNOTS = 48
-"""Minimum number of knots per fade. With 48 and 8 harmonics the splines miss the exact fade by 1e-5
-of the pose and 2e-4 of the acceleration; pose, twist and acceleration stay continuous in any
-case."""
+"""Minimum number of knots per fade. With 48 knots and 8 harmonics, the splines deviate from the
+exact fade by 1e-5 of the pose and 2e-4 of the acceleration. Pose, twist and acceleration are
+continuous with any number of knots."""
 
 Correction = Callable[[PlateCycle], PlateCycle]
 """Linear map from the requested motion of the plate to the commanded motion."""
@@ -38,23 +39,23 @@ Correction = Callable[[PlateCycle], PlateCycle]
 @dataclass(frozen=True)
 class MotorTable:
     """Motor setpoints of a cycle. They end at rest at home. They begin at rest at home or in the
-    state in which another table ends its cycle.
+    final state of another table's cycle.
 
-    A table with a tail is played once. At the end of its cycle the next table takes over if it
-    begins in exactly that state. Otherwise the tail brings the plate to rest. A table without a
-    tail begins and ends at rest, and may be repeated.
+    A table with a tail is played once. At the end of its cycle, the next table starts if it begins
+    in exactly the state at that time. Otherwise the tail brings the plate to rest. A table without
+    a tail begins and ends at rest, and may be repeated.
 
     Attributes
     ----------
     stamp_ns : int
-        Stamp of the image from which it is derived.
+        Stamp of the image from which the cycle is derived.
     cycle : PlateCycle
         The plate's motion.
     q, qd, qdd : (k + 1, 4)
         Travel [m], speed [m/s] and acceleration [m/s2] of the motors at `times`, with quintic
         interpolation.
     until : float
-        Time after which it is too old to be sent [s, steady clock].
+        Time after which the table is too old to be sent [s, steady clock].
     """
 
     stamp_ns: int
@@ -82,13 +83,13 @@ class MotorTable:
 
     @property
     def length(self) -> float:
-        """Duration [s] until the motors rest, if the table is played once and no other one takes
-        over."""
+        """Duration [s] until the motors rest, if the table is played once and no other table
+        follows."""
         return sum(part.period for part in self.cycle.parts)
 
     @property
     def tail(self) -> MotorTable | None:
-        """Table that is played after the cycle if no other table takes over. None without a
+        """Table that is played after the cycle if no other table follows. None if the cycle has no
         tail."""
         if self.cycle.tail is None:
             return None
@@ -101,14 +102,15 @@ class MotorTable:
         Raises
         ------
         CycleError
+            If it is too old.
         """
         if now > self.until:
             raise CycleError(f"its motor table was {now - self.until:.2f} s too late for sending")
 
 
 def plays(cycles: int, hold_s: float, period: float) -> int:
-    """Return the number of plays of a table: `cycles`, limited to a total of `hold_s` [s], at least
-    1."""
+    """Return the number of plays of a table: at most `cycles`, with a total duration of at most
+    `hold_s` [s], and at least 1."""
     return max(1, int(min(cycles, hold_s / period + 1e-9)))
 
 
@@ -123,9 +125,9 @@ def prepare(
 ) -> tuple[MotorTable, Fit]:
     """Convert a plate cycle to a motor table within the rig's limits.
 
-    If a cycle from rest exceeds the limits, it is scaled down as a whole, with its tail. A cycle
-    that begins in motion cannot be scaled, because it must begin in the end state of the cycle
-    before.
+    If a cycle from rest exceeds the limits, the whole cycle is scaled down with its tail. A cycle
+    that begins in motion cannot be scaled, because it must begin in the final state of the previous
+    cycle.
 
     Parameters
     ----------
@@ -134,12 +136,12 @@ def prepare(
     thermal_load : (4,) or float
         Allowed thermal load of the motors, see `usage`.
     correction : callable, optional
-        Correction by a calibration. Both the requested motion and the command keep the limits. The
-        correction depends on the next cycle, which is unknown at the end of a cycle in motion.
-        Therefore such a cycle is played with its tail as one motion from rest to rest.
+        Correction by a calibration. Both the requested motion and the command are kept within the
+        limits. If a cycle ends in motion, its correction would depend on the next cycle, which is
+        unknown. Such a cycle is therefore played with its tail as one motion from rest to rest.
     before : sequence of PlateCycle, optional
-        The cycles that may play, oldest first. A cycle in motion may begin at the end of any of
-        them. Default: the plate rests.
+        The cycles that may be playing, oldest first. A cycle that begins in motion may continue any
+        of them. Default: the plate rests.
 
     Raises
     ------
@@ -171,7 +173,7 @@ def prepare(
     fitted = fit(rig, whole, thermal_load)
     if fitted.factor < 1 and not whole.starts_at_rest:
         raise CycleError(
-            f"plate_cycle: {excess(rig, fitted.asked, thermal_load)}; it begins in motion and "
+            f"plate_cycle: {excess(rig, fitted.requested, thermal_load)}; it begins in motion and "
             "cannot be scaled down: the plate comes to rest, and cycles from rest can be scaled"
         )
     command = fitted.cycle
@@ -194,7 +196,7 @@ def _continued(
     Raises
     ------
     CycleError
-        If the cycle continues none of them, or must not begin in motion.
+        If the cycle does not continue any of them, or must not begin in motion.
     """
     if cycle.tail is None:
         raise CycleError(
@@ -237,27 +239,28 @@ def unspliced(cycle: PlateCycle) -> PlateCycle:
 def _corrected(
     rig: Rig, fitted: Fit, correction: Correction, thermal_load: np.ndarray | float
 ) -> tuple[PlateCycle, Fit]:
-    """Return the command and the motion, both scaled until the command is within the limits too."""
-    # Forces depend on the actual motion, not on the command: do not check them here.
+    """Return the command and the motion. Both are scaled down until the command is also within the
+    limits."""
+    # Do not check forces here, because they depend on the actual motion and not on the command.
     moving = replace(rig.limits, force=np.inf, continuous_force=np.inf)
     shorter = fit(replace(rig, limits=moving, suspension=None), correction(fitted.cycle))
     if shorter.factor == 1:
         return shorter.cycle, fitted
-    wanted = fitted.cycle.scaled(shorter.factor)
-    used = usage(rig, wanted, thermal_load)
-    return shorter.cycle, Fit(wanted, fitted.factor * shorter.factor, fitted.asked, used)
+    scaled = fitted.cycle.scaled(shorter.factor)
+    used = usage(rig, scaled, thermal_load)
+    return shorter.cycle, Fit(scaled, fitted.factor * shorter.factor, fitted.requested, used)
 
 
 def check_order(last_ns: int | None, stamp_ns: int) -> None:
     """Refuse a cycle whose image is older than that of the last accepted cycle.
 
-    The same stamp is accepted again, because the sender may have missed the result. A step back of
-    more than a second means a restart, not a late message.
+    The same stamp is accepted again, because the sender may not have received the result. A step
+    back of more than a second is caused by a restart and not by a late message.
 
     Raises
     ------
     CycleError
-        If the stamp is older. The text gives both stamps.
+        If the stamp is older. The text states both stamps.
     """
     if last_ns is not None and last_ns - RESTART_NS <= stamp_ns < last_ns:
         raise CycleError(
@@ -272,10 +275,10 @@ def with_fades(cycle: PlateCycle, repeats: int = 1) -> PlateCycle:
     Parameters
     ----------
     cycle : PlateCycle
-        Returned unchanged if it starts at rest. Otherwise it is faded in over one period, played
-        `repeats` times, and faded out over one period, all in one table.
+        A cycle that starts at rest is returned unchanged. Another cycle is faded in over one
+        period, played `repeats` times, and faded out over one period, all in one table.
     repeats : int
-        At least 1.
+        Number of plays between the fades, at least 1.
     """
     if cycle.starts_at_rest:
         return cycle
@@ -309,7 +312,7 @@ def reversed_in_time(cycle: PlateCycle) -> PlateCycle:
 
 
 def _faded_in(cycle: PlateCycle) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-    """Knots of s(t/T) times the pose: times (n + 1,), pose, twist, accel (n + 1, 3).
+    """Return the knots of s(t/T) times the pose: times (n + 1,), and pose, twist, accel (n + 1, 3).
 
     s(u) = 10 u^3 - 15 u^4 + 6 u^5 rises from 0 to 1. Its first two derivatives are 0 at both ends.
     """

@@ -19,24 +19,24 @@ MAX_S = 0.04
 """Maximum time between setpoints of a stream [s]. Devices accept up to 50 ms."""
 
 TICKS = 2**32
-"""Times on the wire count modulo this many ticks."""
+"""Modulus of the times on the wire [TICK_S]."""
 
 REST_TICKS = 1_000_000
-"""Time from a cycle's end, at home with zero speed, to zero acceleration [TICK_S]: 10 ms. The
-quintic in between does not exceed the acceleration at the cycle's end."""
+"""Time from a cycle's end, at home with zero speed, to zero acceleration [TICK_S], equal to 10 ms.
+The quintic between these two states does not exceed the acceleration at the cycle's end."""
 
 MIN_TICKS = 20_000_000
-"""Minimum duration of a stream [TICK_S]: 0.2 s. Devices refuse shorter ones, because they could not
-brake within it. A shorter stream is extended by rest."""
+"""Minimum duration of a stream [TICK_S], equal to 0.2 s. Devices refuse a shorter stream, because
+they could not brake during it. A shorter stream is therefore extended by rest."""
 
 
 @dataclass(frozen=True)
 class SetpointStream:
     """Stream of setpoints of successive cycles.
 
-    At the end of a cycle, the stream continues with the newest cycle if that cycle begins in the
-    end state of the current one. Otherwise the stream continues with the tail. The decision is made
-    when the first setpoint after the end is sent.
+    At the end of a cycle, the stream continues with the newest cycle if this cycle begins in the
+    final state of the current one. Otherwise the stream continues with the tail. The decision is
+    made when the first setpoint after the end is sent.
 
     Attributes
     ----------
@@ -96,7 +96,7 @@ class SetpointStream:
         Raises
         ------
         CycleError
-            If the table begins in motion and not in the end state of the current cycle.
+            If the table begins in motion, but not in the final state of the current cycle.
         """
         if not (table.cycle.starts_at_rest or table.cycle.follows(self.playing.cycle)):
             raise CycleError(
@@ -143,13 +143,14 @@ class SetpointStream:
 
 
 def knots(table: MotorTable) -> tuple[Knot, ...]:
-    """Return the knots of a motor table, and of its tail, in the precision of the protocol."""
+    """Return the knots of a motor table and of its tail, rounded to the precision of the
+    protocol."""
     return _rounded(table.cycle.knots[0], table.q, table.qd, table.qdd)
 
 
 def _rests(end: int) -> list[int]:
-    """Return the times of the setpoints at rest after the end of the motion [TICK_S], relative to
-    it. `end` is relative to the start of the stream [TICK_S]."""
+    """Return the times of the setpoints at rest [TICK_S], relative to the end of the motion. `end`
+    is relative to the start of the stream [TICK_S]."""
     last = max(REST_TICKS, MIN_TICKS - end)
     steps = math.ceil((last - REST_TICKS) * TICK_S / MAX_S)
     return [round(t) for t in np.linspace(REST_TICKS, last, steps + 1)]
@@ -171,7 +172,7 @@ def refined(table: MotorTable) -> tuple[Knot, ...]:
 
 
 def _rounded(times: np.ndarray, q: np.ndarray, qd: np.ndarray, qdd: np.ndarray) -> tuple[Knot, ...]:
-    """Return knots in the precision of the protocol."""
+    """Return knots, rounded to the precision of the protocol."""
     states = (np.asarray(x, np.float32).tolist() for x in (q, qd, qdd))
     ticks = np.round(times / TICK_S).astype(int).tolist()
     rows = zip(ticks, *states, strict=True)

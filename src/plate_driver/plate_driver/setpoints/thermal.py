@@ -1,6 +1,6 @@
-"""Thermal model of the motors: an I2t model of first order that uses the force instead of the
-current. Input is the mean square force of each table. Outputs are the temperature rise and the load
-that is still allowed."""
+"""Thermal model of the motors: a first-order I2t model (squared current over time) that uses the
+force instead of the current. The input is the mean square force of each table. The outputs are the
+temperature rise and the load that is still allowed."""
 
 from __future__ import annotations
 
@@ -16,9 +16,10 @@ AMBIENT_C = 25.0
 
 @dataclass(frozen=True)
 class ThermalState:
-    """Temperature rise of the windings relative to that at the continuous force.
+    """Temperature rise w of the windings, relative to the rise at the continuous force.
 
-    tau w' = (f/f_c)^2 - w, allowed: w < 1.
+    The model is tau w' = (f/f_c)^2 - w, with the thermal time constant tau, the force f and the
+    continuous force f_c. Allowed: w < 1.
 
     Attributes
     ----------

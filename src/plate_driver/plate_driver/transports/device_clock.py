@@ -1,10 +1,11 @@
-"""Estimated offset between the host clock and the device clock, and check of the device clock.
-Inputs are pulses and telemetry with their times; outputs are the offset and possible faults.
+"""Estimated offset between the host clock and the device clock, and check of the device clock. The
+inputs are pulses and telemetry with their times. The outputs are the offset and clock faults.
 
-The device reads its clock for a pulse after the heartbeat was sent and before the pulse arrived,
-and for telemetry before the telemetry arrived. These times bound host time minus device time. With
-time the bounds grow apart at the rate `DRIFT`. If the bounds cross, the device clock is wrong.
-Delays on the line cannot cause this. Times are arguments; the module reads no clock.
+For a pulse, the device reads its clock after the heartbeat was sent and before the pulse arrived.
+For telemetry, it reads its clock before the telemetry arrived. These times bound host time minus
+device time. The distance between the bounds grows at the rate `DRIFT`. If the bounds cross, the
+device clock is wrong, because delays on the line cannot cause this. All times are arguments, so the
+module reads no clock.
 """
 
 from __future__ import annotations
@@ -23,18 +24,18 @@ to 1e-4, the operating system may slew the host's clock by 5e-4, and motion limi
 TICK_S = 1e-3
 """Period of the device's tick [s]. A device may report the time of its last tick."""
 
-DOUBT_S = 2.0
-"""Time for which a clock is not trusted after an error [s]."""
+REJECTED_S = 2.0
+"""Time for which a clock is rejected after an error [s]."""
 
 STRIKES = 5
-"""If the clock runs too fast or backwards this often within `DOUBT_S` plus twenty round trips, it
-counts as broken. A clock that was set is wrong once. A slow or stopped clock does not count,
-because it cannot cause motion beyond a limit. A simulated device that gets no processor time is
-slow too."""
+"""Number of errors within `REJECTED_S` plus 20 round trips after which the clock counts as broken.
+An error is a clock that runs too fast or backwards. A clock that was set causes only one error. A
+slow or stopped clock is not an error, because it cannot cause motion beyond a limit. A simulated
+device without processor time also has a slow clock."""
 
 PULSE_AGE_S = 5.0
-"""Maximum age of the last pulse [s]. An older clock estimate is rejected. By then two correct
-clocks may differ by 20 ms."""
+"""Maximum age of the last pulse [s]. An older clock estimate is rejected, because two correct
+clocks may then differ by 20 ms."""
 
 
 @dataclass(frozen=True)
@@ -50,7 +51,7 @@ class DeviceClock:
         Arrival times of the last message and of the last pulse [s].
     since : tuple of float
         Host time and device time at which the current bounds start [s].
-    told_us : int
+    device_us : int
         Latest device time received, in any message [us].
     wrong_at : float
         Host time of the last clock error [s].
@@ -65,7 +66,7 @@ class DeviceClock:
     at: float = float("-inf")
     pulse_at: float = float("-inf")
     since: tuple[float, float] = (0.0, 0.0)
-    told_us: int = 0
+    device_us: int = 0
     wrong_at: float = float("-inf")
     problem: str = ""
     strikes: tuple[float, ...] = ()
@@ -85,7 +86,7 @@ class DeviceClock:
         """Convert a device time [us] to host time [s]."""
         return device_us * 1e-6 + self.offset_s
 
-    def heard(self, pulse: Pulse, now: float) -> DeviceClock:
+    def received(self, pulse: Pulse, now: float) -> DeviceClock:
         """Return the clock after a pulse that arrived at `now` [s]."""
         sent, device = pulse.host_ns * 1e-9, pulse.device_us * 1e-6
         if sent > now:
@@ -100,12 +101,12 @@ class DeviceClock:
         return self._bounded(float("-inf"), now - device_us * 1e-6, device_us, now)
 
     def _bounded(self, earliest: float, latest: float, device_us: int, now: float) -> DeviceClock:
-        """Return the clock after a message that limits the offset to `earliest`, `latest` [s]."""
-        own, back = device_us * 1e-6, self.told_us - device_us
+        """Return the clock after a message that limits the offset to [`earliest`, `latest`] [s]."""
+        own, back = device_us * 1e-6, self.device_us - device_us
         begun = replace(
-            self, earliest=earliest, latest=latest, at=now, since=(now, own), told_us=device_us
+            self, earliest=earliest, latest=latest, at=now, since=(now, own), device_us=device_us
         )
-        if back > 0:  # messages arrive in order, so a jump back is an error
+        if back > 0:  # messages arrive in order, so a step backwards is an error
             return begun._found(f"went back by {1e-6 * back:.3f} s", now, strikes=True)
         if not self.known:
             return begun
@@ -124,16 +125,16 @@ class DeviceClock:
         return replace(self, wrong_at=now, problem=f"the device's clock {problem}", strikes=new)
 
     def suspect(self, now: float) -> bool:
-        """Return whether an error occurred within the last `DOUBT_S`."""
-        return now - self.wrong_at < DOUBT_S
+        """Return whether an error occurred within the last `REJECTED_S`."""
+        return now - self.wrong_at < REJECTED_S
 
-    def doubt(self, now: float) -> str:
-        """Return why device times are rejected at `now` [s], or "" if they are accepted.
+    def rejection(self, now: float) -> str:
+        """Return the reason why device times are rejected at `now` [s]. Empty if they are accepted.
 
         The times of a slow clock are accepted, because each pulse that shows its delay also gives
         the correct offset.
         """
-        if self.strikes and now - self.strikes[-1] < DOUBT_S:
+        if self.strikes and now - self.strikes[-1] < REJECTED_S:
             return self.problem
         if now - self.pulse_at > PULSE_AGE_S:
             return f"the device has not reported its clock for {now - self.pulse_at:.0f} s"
@@ -141,5 +142,5 @@ class DeviceClock:
 
     def broken(self, now: float, round_s: float) -> bool:
         """Return whether the clock is broken, for a line with the round trip `round_s` [s]."""
-        longest = DOUBT_S + 20 * round_s
+        longest = REJECTED_S + 20 * round_s
         return len(self.strikes) == STRIKES and now - self.strikes[0] < longest

@@ -1,6 +1,6 @@
-"""Model of a serial line: baud rate, round-trip time and fraction of lost bytes. Heartbeats and
-their pulses are the input; the round trip is smoothed as in RFC 6298. Outputs are timeouts, the
-heartbeat interval, and the number of copies and the length of messages."""
+"""Model of a serial line: baud rate, round-trip time and fraction of lost bytes. The inputs are
+heartbeats and their pulses. The round-trip time is smoothed as in RFC 6298. The outputs are
+timeouts, the heartbeat interval, and the number of copies and the length of messages."""
 
 from __future__ import annotations
 
@@ -28,8 +28,8 @@ FRAME_BYTES = 6
 """Overhead of a frame [bytes]: CRC, one byte of COBS, and the end byte."""
 
 ANSWER_S = 0.03
-"""Maximum response time of the device, in addition to the round trip [s]. In this time, the device
-checks a whole table."""
+"""Maximum response time of the device, in addition to the round trip [s]. The device needs it to
+check a whole table."""
 
 UNKNOWN_S = 0.25
 """Assumed round trip until the first one is measured [s]."""
@@ -40,35 +40,37 @@ larger."""
 
 HEARTBEAT_S, QUICK_HEARTBEAT_S = 0.025, 0.01
 """Heartbeat interval on a good line and on a lossy line [s]. The device's watchdog (0.25 s)
-requires that one of 10 (good line) or 25 (lossy line) heartbeats arrives. If 5 % of the bytes are
-lost, 40 % of the heartbeats arrive complete. In this case, 10 in a row are lost every 13 s, and 25
-in a row once in hours."""
+requires that one of 10 heartbeats arrives on a good line, or one of 25 on a lossy line. If 5 % of
+the bytes are lost, 40 % of the heartbeats arrive complete. In this case, 10 successive heartbeats
+are lost every 13 s, but 25 successive ones only once in hours."""
 
-HEARTBEAT_SHARE = 0.2
+HEARTBEAT_FRACTION = 0.2
 """Maximum fraction of the line's capacity for quick heartbeats."""
 
 LOSSY = 0.9
-"""If a smaller fraction of heartbeats is answered, the line counts as lossy."""
+"""Minimum fraction of answered heartbeats on a line that does not count as lossy."""
 
 MEMORY = 1 / 32
 """Weight of the newest heartbeat in the exponential average of the answered fraction."""
 
 ROUNDING_S = 1e-6
-"""Tolerance for a negative round trip [s]. Within it, the round trip counts as 0."""
+"""Maximum magnitude of a negative round trip that counts as 0 [s]."""
 
 MAX_FRAME_S = 0.02
 """Maximum transmission time of a message of knots [s]. A stop and heartbeats wait until the message
 is sent."""
 
 UNANSWERED = 0.05
-"""Maximum probability that all copies of a command are lost. A lost command costs a round trip."""
+"""Maximum probability that all copies of a command are lost. A lost command causes a delay of one
+round trip."""
 
 TELEMETRY_S = 0.01
 """Interval between two telemetry messages [s]."""
 
-CHANCE = 1e-9
-"""If the line loses all telemetry of an interval with less than this probability, the absence is an
-error. The loss rate is known only roughly."""
+MISS_PROBABILITY = 1e-9
+"""Minimum probability with which losses on the line explain missing telemetry. At a lower
+probability, the missing telemetry is an error. The value is small, because the loss rate is known
+only approximately."""
 
 MAX_PATIENCE_S = 3.0
 """Maximum time without telemetry, independent of the loss rate [s]."""
@@ -96,7 +98,8 @@ ANSWER_BYTES = frame_bytes(Acknowledgement(0, Status.DONE))
 TELEMETRY_BYTES = HEADER.size + LAYOUTS[Telemetry].size + FRAME_BYTES
 
 FULL_BYTES = frame_bytes(_full(KNOTS_PER_MESSAGE))
-"""Length of the longest message of knots [bytes]. A device's window counts such messages."""
+"""Length of the longest message of knots [bytes]. The unit of a device's window is one such
+message."""
 
 
 def upload_s(pieces: int, baud: float) -> float:
@@ -117,16 +120,17 @@ class LineModel:
     Attributes
     ----------
     baud : float
-        [bit/s]. Infinity means no transmission time.
+        Speed of the line [bit/s]. Infinity means no transmission time.
     trip_s, deviation_s : float or None
-        Smoothed round trip and its mean deviation (RFC 6298) [s]. `trip_s` is None until measured.
+        Smoothed round trip and its mean deviation (RFC 6298) [s]. `trip_s` is None until a round
+        trip is measured.
     answered : float
         Recent fraction of answered heartbeats (exponential average).
     beats : tuple of (int, float)
-        Unanswered heartbeats: their host time [ns], and the time after which each counts as lost
-        [s].
+        Unanswered heartbeats. Each has its host time [ns], and the time after which it counts as
+        lost [s].
     free_at : float
-        Time when all sent bytes have left the host [s].
+        Time at which all sent bytes will have left the host [s].
     """
 
     baud: float = 921_600.0
@@ -164,7 +168,7 @@ class LineModel:
         """Heartbeat interval [s]."""
         if not self.lossy:
             return HEARTBEAT_S
-        least = frame_bytes(Heartbeat(0)) * self.byte_s / HEARTBEAT_SHARE
+        least = frame_bytes(Heartbeat(0)) * self.byte_s / HEARTBEAT_FRACTION
         return min(HEARTBEAT_S, max(QUICK_HEARTBEAT_S, least))
 
     def arriving(self, size: int) -> float:
@@ -172,14 +176,14 @@ class LineModel:
         return float(max(self.answered, 1e-6) ** (size / ROUND_BYTES))
 
     def copies(self, size: int) -> int:
-        """Return the number of copies of a frame, so that about one arrives on average."""
+        """Return the number of copies of a frame for which about one copy arrives on average."""
         if not self.lossy:
             return 1
         return min(MAX_COPIES, max(1, ceil(1 / self.arriving(size) - 0.25)))
 
     def command_copies(self, size: int) -> int:
-        """Return the number of copies of a command, so that it is answered with a probability of at
-        least 1 - `UNANSWERED`."""
+        """Return the number of copies of a command for which it is answered with a probability of
+        at least 1 - `UNANSWERED`."""
         if not self.lossy:
             return 1
         none = log1p(-self.arriving(size + ANSWER_BYTES))
@@ -187,13 +191,14 @@ class LineModel:
 
     @property
     def telemetry_timeout_s(self) -> float:
-        """Time without telemetry that losses on the line no longer explain [s]."""
+        """Time without telemetry after which losses on the line no longer explain the absence
+        [s]."""
         lost = log1p(-self.arriving(TELEMETRY_BYTES)) if self.lossy else float("-inf")
-        return min(MAX_PATIENCE_S, TELEMETRY_S * log(CHANCE) / lost)
+        return min(MAX_PATIENCE_S, TELEMETRY_S * log(MISS_PROBABILITY) / lost)
 
     @property
     def knots_per_message(self) -> int:
-        """Number of knots per message that maximises the rate of knots that arrive."""
+        """Number of knots per message that maximises the number of arriving knots per second."""
 
         def yielded(count: int) -> float:
             size = frame_bytes(_full(count))
@@ -210,16 +215,16 @@ class LineModel:
         """Return the line after `size` more bytes were sent at `now` [s]."""
         return replace(self, free_at=max(now, self.free_at) + size * self.byte_s)
 
-    def beaten(self, host_ns: int, now: float) -> LineModel:
+    def heartbeat_sent(self, host_ns: int, now: float) -> LineModel:
         """Return the line model after a heartbeat was sent at `now` [s]. Heartbeats without a pulse
-        in time count as lost."""
+        before their deadline count as lost."""
         late = sum(1 for _, until in self.beats if until <= now)
         kept = tuple(beat for beat in self.beats if beat[1] > now)
         until = max(now, self.free_at) + self.retry_s
         lost = self.answered * (1 - MEMORY) ** late
         return replace(self, answered=lost, beats=(*kept, (host_ns, until)))
 
-    def heard(self, pulse: Pulse, now: float) -> LineModel:
+    def received(self, pulse: Pulse, now: float) -> LineModel:
         """Return the line model after a pulse arrived at `now` [s] in reply to a heartbeat."""
         trip = now - pulse.host_ns * 1e-9
         if trip < -ROUNDING_S:

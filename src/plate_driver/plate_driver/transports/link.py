@@ -1,6 +1,6 @@
 """Host side of the serial protocol (docs/protocol.md) as an immutable state machine. Inputs are
 requests (tables, stop, enable, home), received packets and the time. Outputs are the packets to
-send and the device's reported state. It uses no port and no clock."""
+send and the device's reported state. The module uses neither a port nor a clock."""
 
 from __future__ import annotations
 
@@ -39,10 +39,10 @@ from .line import ANSWER_S, FULL_BYTES, LineModel, frame_bytes
 from .transport import Condition, Report
 
 SILENCE_S = 1.0
-"""If no message arrives for this time plus a round trip, the device counts as disconnected and the
-link is restarted [s]. The device itself brakes after a quarter of this time. A restarted link costs
-a stop, so a very lossy line must not appear disconnected. If 5 % of the bytes are lost, one in
-seven of the about 200 messages in this time arrives complete."""
+"""Maximum time without a message, in addition to a round trip [s]. After a longer time, the device
+counts as disconnected and the link is restarted. The device itself brakes after a quarter of this
+time. A restart of the link stops the motors, so a very lossy line must not appear disconnected. If
+5 % of the bytes are lost, one in seven of the about 200 messages in this time arrives complete."""
 
 GREETING_S = 5.0
 """Maximum time without an answer to Hello [s]."""
@@ -54,20 +54,21 @@ LATER_GREETING_S = 0.1
 """Interval between later Hellos [s]."""
 
 GIVE_UP_S = 5.0
-"""Maximum time without an answer to a command, in addition to twenty round trips [s]. While the
-device sends messages, there is no maximum for knots, because they only arrive late."""
+"""Maximum time without an answer to a command, in addition to twenty round trips [s]. Knots have no
+maximum time while the device sends messages, because they only arrive late."""
 
 QUEUE_S = 0.008
-"""Maximum transmission time of bytes already on the line when more are sent [s]. The next poll
-follows 5 ms later, and a stop must not wait long behind earlier bytes."""
+"""Maximum transmission time of the bytes that are already queued when more are sent [s]. It is
+longer than the time to the next poll (5 ms), and so short that a stop does not wait long for
+earlier bytes."""
 
 KNOTS_ANSWER_S = 0.01
-"""Maximum response time of the device to knots, in addition to the round trip [s]."""
+"""Maximum time in which the device answers knots, in addition to the round trip [s]."""
 
 MAX_ROUND_TRIP_S = 1.0
 """Maximum round trip of a pulse that is used for the line model [s]."""
 
-SCATTER = 40_503
+SESSION_STEP = 40_503
 """Difference between the first sequence numbers of successive sessions (Knuth's multiplicative
 hashing)."""
 
@@ -75,7 +76,7 @@ MOVABLE = (State.READY, State.PLAYING)
 """States in which the device accepts a table."""
 
 LATER = (Status.INCOMPLETE, Status.TOO_LONG)
-"""Answers to setpoints of a stream that arrived before earlier ones, or when the buffer was
+"""Answers to setpoints of a stream that arrived before their predecessors, or while the buffer was
 full."""
 
 
@@ -92,9 +93,9 @@ class Pending:
     sequence : int
     message : Message
     first_at : float
-        Time when it was first sent [s].
+        Time at which it was first sent [s].
     sent_at : float
-        Time when its last copy has left the line [s].
+        Time at which its last copy has left the host [s].
     tries : int
         Number of times that it was sent.
     """
@@ -122,9 +123,10 @@ class Link:
     Attributes
     ----------
     session : int
-        Number of this session. Each link has a different one.
-    heard_at : float
-        Arrival time of the last message. Before it, the time when the link was made [s].
+        Number of this session. Each link has a different number.
+    received_at : float
+        Arrival time of the last message [s]. Before the first message, the time at which the link
+        was created.
     line : LineModel
         Speed and losses of the line.
     queue : tuple of Pending
@@ -140,8 +142,8 @@ class Link:
     telemetry_at : float
         Arrival time of `telemetry` [s].
     fresh_telemetry : Telemetry or None
-        The same, but None from each command that changes the reported state until the next
-        telemetry.
+        Last telemetry. None after a command that changes the reported state, until the next
+        telemetry arrives.
     trouble : DriveTrouble or None
         Last drive fault that the device reported since the motors were enabled.
     answer : Answer or None
@@ -154,12 +156,12 @@ class Link:
         Text of a refusal by the device since the last `without_refusal`.
     retries : int
         Number of messages repeated so far.
-    in_turn : bool
+    in_order : bool
         Whether the device accepts knots only in order: true for a stream, false for a table.
     """
 
     session: int
-    heard_at: float
+    received_at: float
     line: LineModel = field(default_factory=LineModel)
     queue: tuple[Pending, ...] = ()
     next_table: tuple[Message, ...] = ()
@@ -177,7 +179,7 @@ class Link:
     failed: Report | None = None
     refusal: str = ""
     retries: int = 0
-    in_turn: bool = False
+    in_order: bool = False
 
     @classmethod
     def begun(
@@ -187,12 +189,12 @@ class Link:
 
         `baud` is the speed of the line [bit/s].
         """
-        # Each session starts at a different number, so that answers to an older session do not
-        # match.
-        number = session * SCATTER % 2**16
+        # Each session starts at a different number, so that answers to commands of an older session
+        # are not confused with answers to this one.
+        number = session * SESSION_STEP % 2**16
         link = cls(session, now, LineModel(baud), sequence=number)
-        link = link._asked(Hello(VERSION, session))
-        return link if trigger is None else link._asked(trigger)
+        link = link._requested(Hello(VERSION, session))
+        return link if trigger is None else link._requested(trigger)
 
     @property
     def busy(self) -> bool:
@@ -209,37 +211,38 @@ class Link:
         splice_ticks: int = 0,
         follows: int = 0,
     ) -> Link:
-        """Return the link that sends a table, to be played `repeats` times unless another one
-        arrives.
+        """Return the link that sends a table. The device plays it `repeats` times unless another
+        table arrives.
 
-        The table has a tail from `splice_ticks` [TICK_S] on; 0 means no tail. If the table
-        continues the table `follows` in motion, it is held back until `follows` plays.
+        The tail of the table begins at `splice_ticks` [TICK_S]. 0 means no tail. If the table
+        continues the table `follows` in motion, it is sent only when `follows` plays.
 
-        A running upload is finished first. Otherwise a planner with a high rate would interrupt
-        every upload. If several tables wait, only the newest is kept.
+        A running upload is finished first, because otherwise a planner with a high rate would
+        interrupt every upload. If several tables wait, only the newest is kept.
         """
         begin = Begin(table, len(knots), table_crc(knots), splice_ticks)
         parts = _parts(table, 0, knots, self.line.knots_per_message)
         upload = (begin, *parts, Commit(table, repeats))
-        return replace(self, next_table=upload, follows=follows, in_turn=False)
+        return replace(self, next_table=upload, follows=follows, in_order=False)
 
     def streaming(self, table: int, knots: Sequence[Knot]) -> Link:
         """Return the link that opens a stream with its first setpoints."""
         parts = _parts(table, 0, knots, self.line.knots_per_message)
         next_table = (Begin(table, 0, 0), *parts, Commit(table, 1))
-        return replace(self, next_table=next_table, follows=0, in_turn=True)
+        return replace(self, next_table=next_table, follows=0, in_order=True)
 
     def adding(self, table: int, first: int, knots: Sequence[Knot]) -> Link:
         """Return the link that adds setpoints, starting with number `first`, to the current
         stream."""
-        return self._asked(*_parts(table, first, knots, self.line.knots_per_message))
+        return self._requested(*_parts(table, first, knots, self.line.knots_per_message))
 
     def stopping(self, now: bool = False) -> Link:
-        """Return the link that requests a stop: brake, or switch off the current at once if `now`.
+        """Return the link that requests a stop. The device brakes, or switches off the current at
+        once if `now` is true.
 
-        All other commands except the greeting are dropped, including an Enable. If a stop is
+        All other commands except Hello and Trigger are dropped, including an Enable. If a stop is
         already in transit, it is sent again at once. A stop with `now` is not replaced by one
-        without.
+        without `now`.
         """
         greeting = tuple(p for p in self.queue if isinstance(p.message, Hello | Trigger))
         stops = [p for p in self.queue if isinstance(p.message, Stop)]
@@ -250,7 +253,7 @@ class Link:
         return replace(link, queue=(link.queue[-1], *link.queue[:-1]))
 
     def enabling(self, stop: int) -> Link:
-        """Return the link that requests current once, for the device's stop number `stop`."""
+        """Return the link that requests one enable, for the device's stop number `stop`."""
         return self._ordered(Enable(stop))
 
     def homing(self) -> Link:
@@ -265,19 +268,19 @@ class Link:
         return replace(self, refusal="")
 
     def _ordered(self, message: Message) -> Link:
-        link = self._asked(message)
+        link = self._requested(message)
         return replace(link, answer=Answer(link.queue[-1].sequence, message))
 
-    def _asked(self, *messages: Message) -> Link:
+    def _requested(self, *messages: Message) -> Link:
         numbers = [(self.sequence + i) % 2**16 for i in range(len(messages) + 1)]
         new = [Pending(n, m) for n, m in zip(numbers, messages, strict=False)]
         return replace(self, queue=(*self.queue, *new), sequence=numbers[-1])
 
     # Messages of the device
 
-    def heard(self, packet: Packet, now: float) -> Link:
+    def received(self, packet: Packet, now: float) -> Link:
         """Return the link after a message that arrived at `now` [s]."""
-        link, message = replace(self, heard_at=now), packet.message
+        link, message = replace(self, received_at=now), packet.message
         if isinstance(message, Telemetry):
             return link._reported(message)
         if isinstance(message, DriveTrouble):
@@ -285,7 +288,7 @@ class Link:
         if isinstance(message, Pulse):
             if now - message.host_ns * 1e-9 > MAX_ROUND_TRIP_S:
                 return link  # the host has stalled, or the pulse answers another host's heartbeat
-            clock, line = link.clock.heard(message, now), link.line.heard(message, now)
+            clock, line = link.clock.received(message, now), link.line.received(message, now)
             return replace(link, clock=clock, line=line)
         if isinstance(message, Capabilities):
             return link._greeted(message)
@@ -295,12 +298,13 @@ class Link:
 
     def _reported(self, telemetry: Telemetry) -> Link:
         link = replace(
-            self, telemetry=telemetry, fresh_telemetry=telemetry, telemetry_at=self.heard_at,
-            clock=self.clock.stamped(telemetry.device_us, self.heard_at),
+            self, telemetry=telemetry, fresh_telemetry=telemetry, telemetry_at=self.received_at,
+            clock=self.clock.stamped(telemetry.device_us, self.received_at),
         )  # fmt: skip
         if telemetry.state in MOVABLE:
             return replace(link, trouble=None)
-        # Drop the tables: a stopped device refuses them and must not receive one when enabled.
+        # Drop the tables, because a stopped device refuses them and an enabled one must not receive
+        # old tables.
         queue = tuple(p for p in self.queue if not isinstance(p.message, Begin | Knots | Commit))
         return replace(link, queue=queue, next_table=())
 
@@ -343,9 +347,11 @@ class Link:
         return replace(link, queue=queue, refusal=reason)
 
     def _missed(self, early: Pending) -> Link:
-        """Return the link that sends setpoints again, up to those that arrived too early.
+        """Return the link that repeats the setpoints up to the message `early`, which arrived too
+        early.
 
-        The line keeps the order. Therefore unanswered setpoints sent before them were lost.
+        The line preserves the order, so unanswered setpoints that were sent before `early` were
+        lost.
         """
         end = self.queue.index(early) + 1
         queue = tuple(
@@ -364,7 +370,7 @@ class Link:
         if self.failed:
             return self, []
         silence = SILENCE_S + self.line.round_s
-        if now - self.heard_at > silence and self.device is not None:
+        if now - self.received_at > silence and self.device is not None:
             why = f"device has been silent for {silence:.2g} s"
             return self._failing(DriverReason.NO_ANSWER, why), []
         link = self._fed(now)._split(now)
@@ -372,14 +378,14 @@ class Link:
         packets: list[Packet] = []
         for pending in link._stops(now):
             link = link._sent(pending, now, link._copies(pending.message), packets)
-        link = link._beaten(now, packets)
+        link = link._with_heartbeat(now, packets)
         sendable = link._sendable(now)
         for pending in sendable:
             if pending.tries and now - pending.first_at > link._longest(pending.message):
                 why = f"device does not answer {type(pending.message).__name__}"
                 return link._failing(DriverReason.NO_ANSWER, why), []
             copies = link._copies(pending.message, len(sendable))
-            if not link._room(pending.message, copies, now):
+            if not link._has_space(pending.message, copies, now):
                 break
             link = link._sent(pending, now, copies, packets)
         return link, packets
@@ -392,25 +398,25 @@ class Link:
             return float("inf")
         return GIVE_UP_S + 20 * self.line.round_s
 
-    def _beaten(self, now: float, packets: list[Packet]) -> Link:
+    def _with_heartbeat(self, now: float, packets: list[Packet]) -> Link:
         """Return the link after a heartbeat, if one is due."""
         if self.device is None or now - self.heartbeat_at < self.line.heartbeat_s - 1e-9:
             return self
         beat = Heartbeat(round(now * 1e9))
         packets.append(Packet(self.sequence, beat))
-        line = self.line.sent(frame_bytes(beat), now).beaten(beat.host_ns, now)
+        line = self.line.sent(frame_bytes(beat), now).heartbeat_sent(beat.host_ns, now)
         return replace(self, line=line, heartbeat_at=now)
 
     def _copies(self, message: Message, abreast: int = 1) -> int:
         """Return the number of copies of a command.
 
-        Unanswered knots of a table are repeated continuously, so the copies are divided among the
-        `abreast` messages that are sent together.
+        Unanswered knots of a table are repeated continuously, so the copies are divided by the
+        number `abreast` of messages that are sent together.
         """
         size = frame_bytes(message)
         if not isinstance(message, Knots):
             return self.line.command_copies(size)
-        return ceil(self.line.copies(size) / (1 if self.in_turn else abreast))
+        return ceil(self.line.copies(size) / (1 if self.in_order else abreast))
 
     def _sent(self, pending: Pending, now: float, copies: int, packets: list[Packet]) -> Link:
         """Return the link after sending copies of a command."""
@@ -434,8 +440,8 @@ class Link:
             return self
         telemetry = self.fresh_telemetry
         if self.follows and (telemetry is None or telemetry.waiting == self.follows):
-            return self  # the device would refuse the next table before the last one plays
-        return replace(self, next_table=())._asked(*self.next_table)
+            return self  # the device refuses the next table until the previous one plays
+        return replace(self, next_table=())._requested(*self.next_table)
 
     def _in_flight(self, pending: Pending, now: float) -> bool:
         """Return whether the answer to a command may still arrive."""
@@ -477,17 +483,18 @@ class Link:
         return [p for p in stops if not self._in_flight(p, now)]
 
     def _sendable(self, now: float) -> list[Pending]:
-        """Return the commands to send now: one command, or all knots if knots come first."""
+        """Return the commands to send now: one command, or all knots if the first command contains
+        knots."""
         queue = [p for p in self.queue if not isinstance(p.message, Stop)]
         if self.device is None or not queue or not isinstance(queue[0].message, Knots):
             return [p for p in queue[:1] if not self._in_flight(p, now)]
         knots = [p for p in queue if isinstance(p.message, Knots)]
-        if self.line.lossy and not self.in_turn:  # send all knots again, because most are lost
+        if self.line.lossy and not self.in_order:  # send all knots again, because most are lost
             return sorted(knots, key=lambda p: p.sent_at)
         return [p for p in knots if not self._in_flight(p, now)]
 
-    def _room(self, message: Message, copies: int, now: float) -> bool:
-        """Return whether the line and, for knots, the device's window have room for a message."""
+    def _has_space(self, message: Message, copies: int, now: float) -> bool:
+        """Return whether the line and, for knots, the device's window have space for a message."""
         if self.line.free_at - now >= QUEUE_S:
             return False
         if not isinstance(message, Knots) or self.device is None or not self.flight:
@@ -498,6 +505,6 @@ class Link:
 
 
 def _parts(table: int, first: int, knots: Sequence[Knot], count: int) -> list[Message]:
-    """Return messages of `count` knots each; the first knot has the number `first`."""
+    """Return messages of `count` knots each. The first knot has the number `first`."""
     starts = range(0, len(knots), count)
     return [Knots(table, (first + k) % 2**16, tuple(knots[k : k + count])) for k in starts]

@@ -1,6 +1,6 @@
-"""Transport to a motor controller on a serial port (docs/protocol.md). Inputs are motor tables and
-the orders stop, enable and home; outputs are sensor values and the reported state. Tables are
-uploaded or streamed as setpoints. If the link fails, the port is reopened."""
+"""Transport to a motor controller on a serial port (docs/protocol.md). The inputs are motor tables
+and the orders stop, enable and home. The outputs are sensor values and the reported state. Tables
+are uploaded or streamed as setpoints. If the link fails, the port is reopened."""
 
 from __future__ import annotations
 
@@ -44,23 +44,24 @@ from .transport import Condition, Measured, Order, Report, TransportContext
 BAUD = 921_600
 
 PIECES = 64
-"""Number of pieces of the table that is used to check the line's speed."""
+"""Number of pieces of a typical table. The speed of the line is checked with this number."""
 
 REOPEN_S = (0.1, 0.2, 0.4, 0.8)
 """Delays between attempts to reopen the port [s]. The last one is repeated."""
 
 SENT_KEPT = 8
-"""Number of sent tables that are kept, because they may play or wait."""
+"""Number of sent tables that are stored, because they may still play or wait."""
 
 NEAR = ((1e-6,), (1e-3,), (0.1,))
-"""Maximum rounding error of a state: travel [m], speed [m/s], acceleration [m/s2]."""
+"""Maximum rounding errors of a state: travel [m], speed [m/s] and acceleration [m/s2]."""
 
 LEAD_S = 0.3
-"""Time by which a stream is sent ahead of the device's playback [s]. The device brakes if only 0.1
-s are left."""
+"""Time by which a stream is sent ahead of the device's playback [s]. The device brakes if this time
+falls to 0.1 s."""
 
 QUIET_S = 0.5
-"""If no message arrives for this time plus a round trip, the device counts as not answering [s]."""
+"""Maximum time without a message, in addition to a round trip [s]. After a longer time, the device
+is reported as not answering."""
 
 STOP_ANSWER_S = 0.5
 """Maximum wait for the answer to a stop, in addition to four round trips [s]."""
@@ -69,14 +70,16 @@ HOME_ANSWER_S = 1.0
 """Maximum wait for the answer to a home, in addition to four round trips [s]."""
 
 READY_S = 8.0
-"""Maximum wait until the motors are ready, in addition to four round trips [s]: 5 s for the search
-for home, 0.5 s for the motion to it, and a margin."""
+"""Maximum wait until the motors are ready, in addition to four round trips [s]. It consists of 5 s
+for the search for home, 0.5 s for the motion to home, and a margin."""
 
 ROUNDING = 1e-5
-"""Maximum relative difference of equal limits. The device sends them in single precision."""
+"""Maximum relative difference between two limits that count as equal. The device sends its limits
+in single precision."""
 
 READ_BYTES = 65_536
-"""Maximum number of bytes per read. The device sends fewer in a second at 921,600 baud."""
+"""Maximum number of bytes per read. It exceeds the number that the device sends in half a second at
+921,600 baud."""
 
 UNANSWERED = "the device does not answer"
 NO_ANSWER = Report(Condition.GONE, DriverReason.NO_ANSWER, UNANSWERED)
@@ -98,8 +101,9 @@ REASONS = {
     Fault.HOST_SILENT: DriverReason.HOST_SILENT,
     Fault.STOPPED: DriverReason.EARLIER_STOP,
 }
-"""Reason of each fault. If there are several, the first one in this order counts. An unknown home
-is not in the list, because the next enable finds home and nobody has to look at the rig."""
+"""Reason of each fault. If there are several faults, the first one in this order determines the
+reason. An unknown home is not in the list, because the next enable finds home, so nobody must check
+the rig."""
 
 OF_DRIVES = Fault.HARDWARE | Fault.SUPPLY | Fault.FOLLOWING
 """Faults to which the report of a drive adds a description."""
@@ -134,7 +138,8 @@ class Port(Protocol):
 
 
 class _Serial(serial.Serial):
-    """Port with a `write` that returns at once. The one of pyserial waits or polls in a loop."""
+    """Port with a `write` that returns at once. The `write` of pyserial waits or polls in a
+    loop."""
 
     def write(self, data: bytes) -> int:
         """Write as many bytes as the buffer accepts, and return their number."""
@@ -195,15 +200,15 @@ def trigger_message(trigger: CameraTrigger | None) -> Trigger | None:
 class SerialTransport:
     """Transport to a motor controller with the protocol of docs/protocol.md.
 
-    It never enables the motors without a call of `enable`. This also holds after the link was
-    restarted, the device was reset, or the device received nothing for some time.
+    It never enables the motors without a call of `enable`. This rule also holds after a restart of
+    the link, after a reset of the device, and after a time without messages to the device.
 
     Parameters
     ----------
     make_port : callable
-        Opens the port; called again after a failure.
+        Opens the port. It is called again after a failure.
     clock : callable
-        Time that never runs back [s].
+        Returns a time that never decreases [s].
     seed : int
         First session number. It must differ between runs.
     streams : bool
@@ -213,7 +218,7 @@ class SerialTransport:
     limits : Limits, optional
         Limits of the rig. A device with different limits is not enabled.
     trigger : Trigger, optional
-        When the device triggers the camera. Default: never.
+        Message that sets when the device triggers the camera. Default: never.
     """
 
     motors = True
@@ -232,7 +237,7 @@ class SerialTransport:
         self._unfit: Report | None = None
         self._boot: int | None = None
         self._reset = False  # whether the device was reset and not enabled since
-        # Problem of the device's clock that stopped the motors; "" after the next enable.
+        # Problem of the device's clock that stopped the motors. Empty after the next enable.
         self._clock_fault = ""
         self._closed = False
         self._streams, self._baud = streams, baud
@@ -240,7 +245,7 @@ class SerialTransport:
         self._stream_began: float | None = None  # start of the stream on the device's clock [s]
         # Stream that begins when the current one has ended.
         self._next: SetpointStream | None = None
-        self.least_lead_s = float("inf")
+        self.min_lead_s = float("inf")
         self._make_port, self._clock, self._session = make_port, clock, seed
         self._port: Port | None = None
         self._reader = Reader()
@@ -324,7 +329,7 @@ class SerialTransport:
             return []
         measured: list[Measured] = []
         now = self._clock()
-        self.least_lead_s = min(self.least_lead_s, self._lead(now))
+        self.min_lead_s = min(self.min_lead_s, self._lead(now))
         try:
             data = self._port.read(READ_BYTES)
             now = self._clock()  # no byte of `data` arrived later than this
@@ -332,7 +337,7 @@ class SerialTransport:
             self.refused += reader.refused - self._reader.refused
             self._reader = reader
             for data in packets:
-                telemetry = self._heard(data, now)
+                telemetry = self._received(data, now)
                 if telemetry is not None:
                     when = self._link.clock.host_time(telemetry.device_us)
                     measured.append(self._measured(telemetry, min(when, now), now))
@@ -352,7 +357,7 @@ class SerialTransport:
         elif self._link.refusal:
             self._note(self._link.refusal)
             self._link = self._link.without_refusal()
-            # End the stream: with a gap in the setpoints, the device would brake.
+            # End the stream, because the device would brake at a gap in the setpoints.
             self._streamed = None
         return measured
 
@@ -362,7 +367,7 @@ class SerialTransport:
         if self._port is None or self._link.device is None or telemetry is None:
             return self._gone
         longest = QUIET_S + self._link.line.round_s
-        if now - self._link.heard_at > longest:
+        if now - self._link.received_at > longest:
             return NO_ANSWER
         if now - self._link.telemetry_at > max(longest, self._link.line.telemetry_timeout_s):
             why = "the device does not report its state"
@@ -403,7 +408,7 @@ class SerialTransport:
 
     def values(self) -> dict[str, str]:
         """Return diagnostic values since the last call, by name."""
-        link, lead, self.least_lead_s = self._link, self.least_lead_s, float("inf")
+        link, lead, self.min_lead_s = self._link, self.min_lead_s, float("inf")
         values = {
             "retries": str(self.retries),
             "frames_refused": str(self.refused),
@@ -429,8 +434,8 @@ class SerialTransport:
     # Orders of a person
 
     def stop(self, cut: bool = False) -> Order:
-        """Make the device brake, or switch off the current at once if `cut`. All else is
-        dropped."""
+        """Make the device brake. If `cut` is true, switch off the current at once. All other
+        commands are dropped."""
         self._streamed = self._next = None
         self._settle_request("another stop has come since; call enable again")
         order = self._ordered(STOP_ANSWER_S)
@@ -443,7 +448,7 @@ class SerialTransport:
         return order
 
     def enable(self) -> Order:
-        """Request current once, for the stop number that the device reports now."""
+        """Request one enable, for the stop number that the device reports now."""
         telemetry = self._link.telemetry
         order = self._ordered(READY_S)
         if self._unfit:
@@ -451,7 +456,7 @@ class SerialTransport:
         report = self.report()
         if report.condition is Condition.GONE or telemetry is None:
             return order.settle(report.text)
-        # It is unknown which stop this enable would clear.
+        # Refuse, because it is unknown which stop this enable would clear.
         if self._stops or self._link.fresh_telemetry is None:
             return order.settle("the device has not reported the last stop yet; call enable again")
         if self._request is not None:
@@ -528,14 +533,14 @@ class SerialTransport:
         if trouble not in self._troubles:
             self._troubles.append(trouble)
 
-    def _heard(self, data: bytes, now: float) -> Telemetry | None:
+    def _received(self, data: bytes, now: float) -> Telemetry | None:
         try:
             packet = parse(data)
         except FrameError:
             self.refused += 1
             return None
         before, suspect = self._link.device, self._link.clock.suspect(now)
-        self._link = self._link.heard(packet, now)
+        self._link = self._link.received(packet, now)
         if self._link.clock.suspect(now) and not suspect:
             self._note(self._link.clock.problem)
         if before is None and self._link.device is not None:
@@ -551,11 +556,12 @@ class SerialTransport:
             self._note(f"device has stopped: {named(message.faults)}{self._following(message)}")
         if message.state not in (State.READY, State.PLAYING):
             self._streamed = self._next = None
-        # Before the first pulse the time of the telemetry is unknown.
+        # The host time of the telemetry is unknown before the first pulse.
         return message if self._link.clock.known else None
 
     def _greeted(self, device: Capabilities) -> None:
-        """Check whether a device that has answered is the same one and fits this rig."""
+        """Check whether a device that has answered was reset, and whether its limits are those of
+        this rig."""
         self._reset = self._reset or self._boot not in (None, device.boot)
         self._boot = device.boot
         why = "" if self._limits is None else differing(device, self._limits)
@@ -579,8 +585,8 @@ class SerialTransport:
         self._link = self._link.stopping()
 
     def _measured(self, telemetry: Telemetry, time: float, now: float) -> Measured:
-        """Return the measurement at the host time `time` [s]. While the device brakes, no table
-        plays."""
+        """Return the measurement at the host time `time` [s]. It has no table while the device
+        brakes."""
         braking = telemetry.state is State.BRAKING
         playing = None if braking else self._sent.get(telemetry.table)
         ticks = telemetry.ticks
@@ -591,7 +597,7 @@ class SerialTransport:
         return Measured(
             time, telemetry.device_us * 1e-6, telemetry.table,
             telemetry.position, telemetry.acceleration, playing,
-            time - ticks * TICK_S, self._link.clock.doubt(now),
+            time - ticks * TICK_S, self._link.clock.rejection(now),
         )  # fmt: skip
 
     def _following(self, telemetry: Telemetry) -> str:
@@ -604,7 +610,7 @@ class SerialTransport:
     def _lead(self, now: float) -> float:
         """Return the time by which the stream is ahead of the device [s].
 
-        Infinite if no stream plays or if it was sent to its end.
+        Infinite if no stream plays or the whole stream was sent.
         """
         if self._streamed is None or self._stream_began is None or self._streamed.ended:
             return float("inf")
@@ -654,7 +660,7 @@ class SerialTransport:
             self._give_up(Report(Condition.GONE, DriverReason.PORT, why), now)
 
     def _give_up(self, why: Report, now: float) -> None:
-        if why != self._gone:  # note each reason once
+        if why != self._gone:  # record each reason only once
             self._note(why.text)
         self._gone = why
         self._streamed = self._next = None
@@ -673,13 +679,15 @@ class SerialTransport:
 
 
 def wired(table: MotorTable, before: Mapping[int, MotorTable]) -> tuple[tuple[Knot, ...], int, int]:
-    """Return a table as it is sent: its knots, the splice time and the table before.
+    """Return the content of a table's messages: its knots, its splice time, and the table that it
+    continues.
 
-    The splice time [TICK_S] is 0 without a tail. The third value is the number of the table that
-    this one continues in motion, 0 if it begins at rest.
+    The splice time [TICK_S] is 0 if the table has no tail. The third value is the number of the
+    table that this one continues in motion. It is 0 if this table begins at rest.
 
     If the first knot equals the splice knot of a table in `before` up to rounding, it is replaced
-    by that knot, so that both are bitwise equal. The latest such table is used.
+    by that knot, so that both are bitwise equal. If there are several such tables, the latest is
+    used.
     """
     first, *rest = knots(table)
     follows = 0
@@ -704,7 +712,8 @@ def named(faults: Fault) -> str:
 
 
 def differing(device: Capabilities, limits: Limits) -> str:
-    """Return a text about device limits that differ from the rig file. Empty if all are equal."""
+    """Return a text about the device limits that differ from the rig file. Empty if all are
+    equal."""
     pairs = {
         "stroke [m]": (device.stroke_m, limits.stroke_m),
         "speed [m/s]": (device.speed, limits.speed),

@@ -1,4 +1,5 @@
-"""Transport to the simulator. It publishes motor tables; there are no motors to enable."""
+"""Transport to the simulator. It publishes motor tables. There are no motors that must be
+enabled."""
 
 from __future__ import annotations
 
@@ -13,8 +14,8 @@ from .transport import Condition, Measured, Order, Report, TransportContext
 class SimTransport:
     """Transport to the simulator, which subscribes to the published setpoints.
 
-    The simulator repeats a table as often as its own parameter states. There are no motors, so the
-    state is READY until a stop.
+    A parameter of the simulator determines how often it repeats a table. There are no motors, so
+    the state is READY until a stop.
 
     Parameters
     ----------
@@ -50,7 +51,7 @@ class SimTransport:
         self._publish(table)
 
     def stop(self, cut: bool = False) -> Order:
-        """Publish rest if a table was sent. The simulator plays it from the end of its cycle on."""
+        """Publish rest if a table was sent. The simulator rests from the end of its cycle on."""
         last, self._last, self._stopped = self._last, None, True
         if last is not None:
             self._publish(MotorTable.rest(self._rig, last.cycle.period, last.stamp_ns))

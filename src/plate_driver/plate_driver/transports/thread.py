@@ -39,11 +39,12 @@ ANSWER_S = 0.3
 """Maximum wait for the result of an order [s], so that the caller gets a reply within 0.5 s."""
 
 SHOWN_S = 0.1
-"""A measurement at most this long before the deadline of a stop shows whether the motors have
-stopped [s]. All messages sent before the stop have arrived by then."""
+"""Maximum time from a measurement to the deadline of a stop for which the measurement shows whether
+the motors have stopped [s]. All messages that the device sent before the stop have arrived by
+then."""
 
 REMEMBERED = 2000
-"""Maximum number of measurements that are kept until `measured` is called: 20 s."""
+"""Maximum number of measurements that are stored until `measured` is called. They cover 20 s."""
 
 URGENT = -15
 """Niceness of the threads that stop motors, if the system allows it (CAP_SYS_NICE)."""
@@ -51,7 +52,8 @@ URGENT = -15
 
 @contextlib.contextmanager
 def urgent() -> Iterator[None]:
-    """Give this thread, and threads started in the context, priority over threads without stops."""
+    """Give this thread, and threads that are started in the context, priority over all other
+    threads."""
     own = threading.get_native_id()
     before = os.getpriority(os.PRIO_PROCESS, own)
     with contextlib.suppress(OSError):
@@ -64,9 +66,10 @@ def urgent() -> Iterator[None]:
 
 
 class Latch:
-    """Block for cycles after a stop, with its reason. It outlives transports and is thread-safe.
+    """Blocks cycles after a stop, and stores the reason of the stop.
 
-    Each stop has a number, so that a table prepared before a stop is never sent after it.
+    A latch is thread-safe and is kept when the transport is closed. Each stop has a number, so that
+    a table that was prepared before a stop is never sent after it.
     """
 
     def __init__(self) -> None:
@@ -88,7 +91,7 @@ class Latch:
 
     @property
     def enabling(self) -> bool:
-        """Whether an enable runs and no stop was requested since."""
+        """Whether an enable is in progress and no stop was requested after it."""
         return self._number in self._enabling
 
     @property
@@ -116,8 +119,8 @@ class Latch:
         self._enabling.remove(number)
 
     def open(self, number: int) -> bool:
-        """Open the latch, unless there was a stop after the stop `number`. Return whether it is
-        open."""
+        """Open the latch, unless the motors were stopped again after the stop `number`. Return
+        whether it is open."""
         with self._lock:
             if number != self._number:
                 return False
@@ -133,21 +136,21 @@ class _Enable:
 
     number: int
     order: Order
-    told: Order
+    result: Order
     end: float
 
 
 class TransportThread:
-    """Polls a transport every few milliseconds. All other calls of the transport go through this
-    class.
+    """Polls a transport every few milliseconds. This class also makes all other calls of the
+    transport.
 
     Parameters
     ----------
     transport : Transport
-        Already open.
+        Transport that is already open.
     latch : Latch
     on_defect : callable
-        Called with an unexpected exception of the transport. The motors are stopped then, and their
+        Called with an unexpected exception of the transport. The motors are then stopped, and their
         state is GONE.
     """
 
@@ -224,25 +227,25 @@ class TransportThread:
                 failure = STOPPED_SINCE
             self._enables.remove(each)
             self._latch.enable_ended(each.number)
-            each.told.settle(failure)
+            each.result.settle(failure)
             if not opened and (not settled or each.order.done):
                 # The enable has failed, so switch off every motor that it switched on.
                 self._tried(self._transport.stop)
 
-    def _tried(self, ask: Callable[[], T]) -> T | None:
-        """Call `ask` with the lock held. Return None if it raises an unexpected exception.
+    def _tried(self, call: Callable[[], T]) -> T | None:
+        """Call `call` with the lock held. Return None if it raises an unexpected exception.
 
         A transport may be third-party code. Any exception except a PlateError stops the motors and
         blocks all cycles. It must end neither this thread nor the thread that replies to stops.
         """
         try:
-            return ask()
+            return call()
         except PlateError:
             raise
-        except Exception as error:  # the docstring gives the reason
+        except Exception as error:
             why = f"the transport has a defect: {error!r}"
             self.report = Report(Condition.GONE, DriverReason.DEFECT, why)
-            with contextlib.suppress(Exception):  # this call most likely fails by the same defect
+            with contextlib.suppress(Exception):  # the same defect may make this call fail
                 self._transport.stop()
             self._on_defect(error)
             return None
@@ -253,12 +256,12 @@ class TransportThread:
             while not self._ended.wait(period_s):
                 self.poll()
 
-    def _ordered(self, ask: Callable[[], Order]) -> Order:
+    def _ordered(self, call: Callable[[], Order]) -> Order:
         """Call a method of the transport for a person's order."""
         if not self._lock.acquire(timeout=BUSY_S):
             return Order().settle(BUSY)
         try:
-            order = self._tried(ask)
+            order = self._tried(call)
             if order is None:
                 return Order().settle(self.report.text)
             self._tried(self._reported)
@@ -279,7 +282,7 @@ class TransportThread:
         Raises
         ------
         CycleError
-            If there was a stop since, or if the transport refuses the table.
+            If the motors were stopped after that, or if the transport refuses the table.
         """
         with self._lock:
             if self._latch.reason or self._latch.number != number:
@@ -287,11 +290,11 @@ class TransportThread:
 
             table.check_age(time.monotonic())
 
-            def ask() -> bool:
+            def call() -> bool:
                 self._transport.send(table, repeats)
                 return True
 
-            if not self._tried(ask):
+            if not self._tried(call):
                 raise CycleError(self.report.text)
 
     def stop(self, cut: bool = False) -> Order:
@@ -309,7 +312,8 @@ class TransportThread:
     def stopped(self, order: Order, cut: bool, end: float) -> bool:
         """Wait for a stop until `end` (steady clock [s]), and return whether it is done.
 
-        A recent measurement without current also counts as done, and so does braking unless `cut`.
+        A stop is also done if a recent measurement shows motors without current. Braking motors
+        suffice unless `cut` is true.
         """
         stopped = (Condition.OFF,) if cut else (Condition.OFF, Condition.BRAKING)
 
@@ -321,24 +325,24 @@ class TransportThread:
         return order.done if order.settled else shown()
 
     def enable(self, number: int) -> Order:
-        """Enable, see `Transport.enable`, for a caller at whose call the latch had counted `number`
-        stops.
+        """Enable the motors, see `Transport.enable`. `number` is the value of `Latch.number` at the
+        time of the request.
 
         When the motors are ready, the latch opens and the order is settled. If they do not become
-        ready, it is settled with the reason. This does not depend on whether a caller waits.
+        ready, the order is settled with the reason. Both happen even if no caller waits.
         """
 
-        def ask() -> Order:
+        def call() -> Order:
             if self._latch.number != number:
                 return Order().settle(STOPPED_SINCE)
             order = self._transport.enable()
-            told = Order(order.longest_s)
+            result = Order(order.longest_s)
             end = time.monotonic() + order.longest_s
             self._latch.enable_began(number)
-            self._enables.append(_Enable(number, order, told, end))
-            return told
+            self._enables.append(_Enable(number, order, result, end))
+            return result
 
-        return self._ordered(ask)
+        return self._ordered(call)
 
     def home(self) -> Order:
         """Home, see `Transport.home`."""

@@ -83,7 +83,7 @@ class Measured:
         Table that plays, if known. If its tail plays, only the tail.
     began : float
         Start of this play on the context's clock [s].
-    doubt : str
+    clock_problem : str
         Why these times are rejected. Empty if they are accepted.
     """
 
@@ -94,7 +94,7 @@ class Measured:
     acceleration: tuple[float, ...]
     playing: MotorTable | None = None
     began: float = float("nan")
-    doubt: str = ""
+    clock_problem: str = ""
 
 
 class Order:
