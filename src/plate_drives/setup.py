@@ -24,7 +24,7 @@ setup(
         ("share/ament_index/resource_index/packages", [f"resource/{NAME}"]),
         (f"share/{NAME}", ["package.xml"]),
     ],
-    # Of the other packages pip installs the library, from this clone; colcon builds each by itself.
+    # pip installs the other packages as one library from this clone. colcon builds each separately.
     install_requires=[f"vibrating-plate @ {CLONE.as_uri()}"],
     extras_require={"can": ["python-can>=4.2"], "test": ["canopen", "pytest"]},
     zip_safe=False,

@@ -1,9 +1,9 @@
-"""One drive commanded by the host for commissioning: set it up, enable it, move it a little,
-disable.
+"""One drive that the host commands during commissioning: it is set up, enabled, moved by small
+amounts, and disabled.
 
-The set-up is the board's. Setpoints are counted by bus cycles, not by the clock. So a late host
-slows a motion, but causes no jump. If the host's heartbeat is missing for `SILENT_MS`, the drive
-stops by itself.
+The set-up is the same as in the board's firmware. Setpoints advance with bus cycles and not with
+the clock, so a late host slows a motion but does not cause a jump. If the host's heartbeat is
+missing for `SILENT_MS`, the drive stops by itself.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ from .master import HEARTBEAT, NMT, OWN_NODE, RPDO, SYNC, TPDO, Master, Refused,
 from .survey import enabled, in_fault
 
 CYCLE_MS = 10
-"""Bus cycle, over which the drive interpolates [ms]."""
+"""Length of a bus cycle [ms]. The drive interpolates over this time."""
 
 BEAT_MS = 50
 """Period of heartbeats [ms]."""
@@ -36,14 +36,15 @@ READY_S = 5.0
 OFF_S = 0.5
 """Maximum time until the drive is disabled [s]."""
 STILL_CYCLES = 30
-"""Number of cycles for which a motor must rest before it is enabled."""
+"""Number of bus cycles during which a motor must rest before it is enabled."""
 
 STILL_M = 5e-4
 """Maximum motion of a motor that rests [m]."""
 MISSED = 3
-"""Number of consecutive SYNCs without a reply, or with two replies, that is a fault."""
+"""Number of consecutive SYNCs without a reply, or with two replies, after which a fault is
+reported."""
 ASTRAY_M = 1e-3
-"""Maximum following error if the rig file has none [m]."""
+"""Maximum following error if the rig file does not limit it [m]."""
 
 START, PRE_OPERATIONAL, RESET_NODE, RESET_COMMUNICATION = 0x01, 0x80, 0x81, 0x82
 OPERATIONAL, PDO_OFF, NO_RTR, LED, LEADABLE = 5, 1 << 31, 1 << 30, 0x227, 0x26F
@@ -62,13 +63,15 @@ STEPS = (
     (0x1A00, 2, 0x60640020, 4), (0x1A00, 0, 2, 1), (0x1800, 2, 1, 1),
     (0x1400, 1, RPDO, 4), (0x1800, 1, NO_RTR | TPDO, 4),
 )  # fmt: skip
-"""Object, subindex, value, bytes; as in firmware/drives/cia402.c, except the times and PDOs that
-are not used here. The node number is added to the values of 1400h:01 and 1800h:01."""
+"""Object, subindex, value and number of bytes of each set-up step. The steps equal those of
+firmware/drives/cia402.c, except for the times and for the process data objects (PDOs) that are not
+used here. The node number is added to the values of 1400h:01 and 1800h:01."""
 
 
 @contextlib.contextmanager
 def uninterrupted() -> Iterator[None]:
-    """Ignore SIGINT, SIGTERM and SIGHUP, so that they cannot interrupt the disabling of drives."""
+    """Ignore SIGINT, SIGTERM and SIGHUP in the context, so that they cannot prevent that drives are
+    disabled."""
     signals = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
     before = [signal.signal(each, signal.SIG_IGN) for each in signals]
     try:
@@ -79,8 +82,8 @@ def uninterrupted() -> Iterator[None]:
 
 
 def switch_off(master: Master, motor: int, node: int) -> None:
-    """Disable a drive and check that it has no current. Raise a PlateError if this is not
-    certain."""
+    """Disable a drive and check that it has no current. Raise a PlateError if it may have
+    current."""
     end = master.now + OFF_S
     try:
         master.write(node, 0x6040, 0, DISABLE, 2)
@@ -100,7 +103,7 @@ def switch_off(master: Master, motor: int, node: int) -> None:
 
 
 class Axis:
-    """A motor's drive. Its context always ends without current.
+    """A motor's drive. Its context manager always disables the drive at the end.
 
     All methods raise a PlateError, with the text of `driver_status`, if there is a fault of the
     drive or the bus.
@@ -111,15 +114,16 @@ class Axis:
     motor, node : int
         Numbers of the motor, 1 to 4, and of its drive.
     scale : float
-        Counts per metre along the motor's direction, as estimated; negative if against it.
+        Estimated counts per metre along the motor's direction. Negative if the drive counts against
+        it.
     limits : Limits
 
     Attributes
     ----------
     position, start : int
-        Position of the motor, now and when it was enabled [counts].
+        Position of the motor now, and at the time when it was enabled [counts].
     late_s : float
-        Maximum lateness of the host [s].
+        Maximum delay of the host's setpoints [s].
     """
 
     def __init__(self, master: Master, motor: int, node: int, scale: float, limits: Limits) -> None:
@@ -186,12 +190,13 @@ class Axis:
         self._command(START)
         master.wait(1e-3 * SILENT_MS, lambda: received.state == OPERATIONAL)
         received.boots, received.emergency, self._due = 0, None, master.now
-        for _ in range(2):  # exchange twice, because the first reply may belong to another SYNC
+        for _ in range(2):  # twice, because the first reply may belong to an earlier SYNC
             self._exchange(None)
         self._missed = self._doubled = 0
 
     def _exchange(self, word: int | None) -> None:
-        """Send a controlword with the target, and SYNC; receive the frames of the cycle."""
+        """Send a controlword with the target, send SYNC, and receive the frames of the bus
+        cycle."""
         master, places, cycle_s = self._master, self._received.places, 1e-3 * CYCLE_MS
         places.clear()
         self._beat -= CYCLE_MS
@@ -213,7 +218,8 @@ class Axis:
             self.position = int.from_bytes(places[-1][2:], "little", signed=True)
 
     def _cycle(self, word: int, target: int) -> None:
-        """Run a bus cycle at whose end the drive must be at a target [counts]; check for faults."""
+        """Run a bus cycle at the end of which the drive must be at a target [counts]. Check for
+        faults."""
         reached, self._target = self._target, target
         self._exchange(word)
         received, astray = self._received, abs(self.position - reached) / abs(self.scale)
@@ -245,7 +251,7 @@ class Axis:
         Parameters
         ----------
         amplitude : float
-            Distance by which it will move to either side [m].
+            Distance by which the motor will move to either side [m].
         ends : (int, int)
             Ends of the drive's range [counts].
         """
@@ -276,8 +282,9 @@ class Axis:
         self._cycle(OPERATE, self._target)
 
     def follow(self, path: Callable[[float], float], seconds: float) -> np.ndarray:
-        """Follow a path, a function from time [s] to displacement since enabling [m], and hold its
-        end. Return targets, and positions a bus cycle later (2, n), as displacements [m]."""
+        """Follow a path, and hold its end. The path is a function from time [s] to displacement
+        since the enable [m]. Return an array (2, n) with the targets and the positions one bus
+        cycle later, as displacements [m]."""
         rows = []
         for k in range(1, round(1e3 * seconds / CYCLE_MS) + 1):
             reached = self._target

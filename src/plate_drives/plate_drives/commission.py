@@ -1,6 +1,6 @@
 """Commission the drives of a rig in a dialogue: `ros2 run plate_drives commission`.
 
-This program needs no ROS: `python -m plate_drives.commission RIG` does the same.
+Without ROS, `python -m plate_drives.commission RIG` does the same.
 """
 
 from __future__ import annotations
@@ -26,25 +26,25 @@ from .survey import Found, doubts, drives_of, enabled, survey
 __all__ = ["Ask", "ask", "commission", "main"]
 
 SIZE_M = 5e-4
-"""Amplitude of the motions [m]; at most a quarter of the stroke."""
-SHARE = 0.1
+"""Amplitude of the motions [m]. It is reduced to a quarter of the stroke if the stroke is short."""
+FRACTION = 0.1
 """Maximum fraction of the rig's speed and acceleration that the motions use."""
 STAGES = (0.01, 0.1, 1.0)
-"""Fractions of the amplitude. The user is asked after each move, because counts_per_m may be far
-too large."""
+"""Fractions of the amplitude for successive moves. The program asks the user after each move,
+because counts_per_m may be far too large."""
 MOVE_S = 0.5
 """Minimum time of a move [s]."""
 
 SWING_S = 4.0
-"""Time of the following test [s]."""
+"""Duration of the test that measures the following error [s]."""
 
 SWING_HZ = 2.0
-"""Maximum frequency of the following test [Hz]."""
+"""Maximum frequency of this test [Hz]."""
 ANSWER_S = 60.0
-"""Maximum wait for a person while a motor has current [s]."""
+"""Maximum wait for a person's answer while a motor has current [s]."""
 ROUGH = 0.1
-"""Relative error of a travel read by a person. If the error is smaller, the scale of the rig file
-is kept."""
+"""Maximum relative error of a travel that a person reads. If the person's value differs by less,
+the scale of the rig file is kept."""
 
 
 Ask = Callable[[str, Callable[[], object]], str]
@@ -54,7 +54,7 @@ Ask = Callable[[str, Callable[[], object]], str]
 def ask(question: str, meanwhile: Callable[[], object]) -> str:
     """Ask a person, or read from a pipe. Raise a PlateError if the input has ended."""
     print(question, end=" ", flush=True)
-    # Unbuffered, because select does not see lines that were read ahead.
+    # Read without a buffer, because select does not report lines that are already in a buffer.
     with open(0, "rb", buffering=0, closefd=False) as lines:
         while not select.select([lines], [], [], 0)[0]:
             meanwhile()
@@ -65,7 +65,7 @@ def ask(question: str, meanwhile: Callable[[], object]) -> str:
 
 
 class Dialogue:
-    """The dialogue about each motor, on a bus whose drives fit the rig."""
+    """The dialogue about each motor. All drives on the bus must fit the rig."""
 
     def __init__(self, rig: Rig, master: Master, found: dict[int, Found], ask: Ask) -> None:
         self._rig, self._master, self._found, self._ask = rig, master, found, ask
@@ -86,7 +86,7 @@ class Dialogue:
         return self._ask(question, meanwhile)
 
     def measured(self) -> tuple[dict[str, Drive], bool]:
-        """Return the drives of the motors that were moved, and whether there was no error."""
+        """Return the drives of the motors that were moved, and whether all of them succeeded."""
         new: dict[str, Drive] = {}
         well = True
         for number, drive in enumerate(drives_of(self._rig), 1):
@@ -111,12 +111,13 @@ class Dialogue:
         return new, well
 
     def _axis(self, number: int, drive: Drive) -> tuple[str, Drive]:
-        """Identify, measure and test one drive. Return its motor's name and its new values."""
+        """Identify, measure and test one drive. Return the name of its motor and its new values."""
         limits, size, values = self._rig.limits, self._size, self._found[drive.node].values
         ends = values.get("lowest", 0), values.get("highest", 0)
         scale = drive.sign * drive.counts_per_m
-        by_speed, by_accel = 1.9 * size / limits.speed, np.sqrt(5.8 * size / limits.accel / SHARE)
-        seconds = max(MOVE_S, by_speed / SHARE, by_accel)
+        by_speed = 1.9 * size / limits.speed
+        by_accel = np.sqrt(5.8 * size / limits.accel / FRACTION)
+        seconds = max(MOVE_S, by_speed / FRACTION, by_accel)
         self._check_off()
         with Axis(self._master, number, drive.node, scale, limits) as axis:
             axis.enable(size, ends if ends[0] < ends[1] else (-(2**31), 2**31 - 1))
@@ -179,7 +180,7 @@ class Dialogue:
 
     def _swing(self, axis: Axis, size: float, limits: Limits) -> None:
         """Follow a sine within the limits, and print the following error."""
-        by_speed, by_accel = SHARE * limits.speed / size, np.sqrt(SHARE * limits.accel / size)
+        by_speed, by_accel = FRACTION * limits.speed / size, np.sqrt(FRACTION * limits.accel / size)
         rate = min(2 * np.pi * SWING_HZ, by_speed, by_accel)
         targets, actual = axis.follow(
             lambda t: size * np.sin(rate * t) * _smooth(t) * _smooth(SWING_S - t), SWING_S
@@ -197,7 +198,8 @@ class Dialogue:
 
 
 def _smooth(u: float) -> float:
-    """Rise from 0 to 1 with zero slope and curvature at both ends: 10 u^3 - 15 u^4 + 6 u^5."""
+    """Return 10 u^3 - 15 u^4 + 6 u^5. It rises from 0 to 1 with zero slope and curvature at both
+    ends."""
     u = min(max(u, 0.0), 1.0)
     return u**3 * (10 - u * (15 - 6 * u))
 
@@ -208,8 +210,9 @@ def _move(start: float, end: float, seconds: float) -> Callable[[float], float]:
 
 
 def _scale(scale: float, commanded_mm: float, answer: str) -> float:
-    """Return counts per metre, negative if against the motor's direction. `commanded_mm` is the
-    travel by `scale`, `answer` the travel that a person saw [mm]."""
+    """Return the counts per metre. They are negative if the drive counts against the motor's
+    direction. `commanded_mm` is the travel according to `scale`, and `answer` is the travel that a
+    person observed [mm]."""
     try:
         seen = float(answer or commanded_mm)
     except ValueError:
@@ -223,9 +226,10 @@ def _scale(scale: float, commanded_mm: float, answer: str) -> float:
 
 
 def commission(path: Path, master: Master, only_check: bool, ask: Ask = ask) -> int:
-    """Check the drives on a bus. Unless `only_check`, move and measure them, and write the result.
+    """Check the drives on a bus. If `only_check` is false, also move and measure them, and write
+    the result to the rig file.
 
-    Return 0 if all drives fit or are written, 1 otherwise.
+    Return 0 if all drives fit the rig file or the result was written, otherwise 1.
     """
     rig = load_rig(path)
     drives, found = drives_of(rig), survey(master)
@@ -257,7 +261,7 @@ def commission(path: Path, master: Master, only_check: bool, ask: Ask = ask) -> 
 
 
 def _all_off(master: Master, drives: Sequence[Drive]) -> bool:
-    """Disable all drives, even if one of them fails. Return whether none has current."""
+    """Disable all drives. Continue if one of them fails. Return whether all are without current."""
     off = True
     with uninterrupted():
         for number, drive in enumerate(drives, 1):
@@ -272,7 +276,7 @@ def _all_off(master: Master, drives: Sequence[Drive]) -> bool:
 
 @piped()
 def main() -> None:
-    """Run the command line; exit code 0: success, 1: failure, 2: wrong arguments, files or bus."""
+    """Run the command line. Exit code 0: success, 1: failure, 2: wrong arguments, files or bus."""
     parser = argparse.ArgumentParser(
         prog="commission", description="Commission the drives of a rig (CiA 402 on CANopen): find "
         "them on the bus and compare them with the rig file. Then, for each motor and only after "

@@ -1,7 +1,7 @@
-"""Measure how late this computer is as the master of drives: `ros2 run plate_drives lateness`.
+"""Measure the delay of this computer as the master of drives: `ros2 run plate_drives lateness`.
 
-No bus is needed, and nothing moves. The program needs no ROS: `python -m plate_drives.lateness
-RIG`.
+The program needs no bus and moves nothing. Without ROS, `python -m plate_drives.lateness RIG` does
+the same.
 """
 
 from __future__ import annotations
@@ -29,9 +29,11 @@ late."""
 
 
 def measured(transport: HostTransport, seconds: float) -> np.ndarray:
-    """Return the maximum lateness in each 10 ms [ms], from the first report of the process on.
+    """Return the maximum delay in each interval of 10 ms [ms], starting with the first report of
+    the process.
 
-    The measurement ends after `seconds`, or with Ctrl-C. Without a report the value is infinite.
+    The measurement ends after `seconds`, or with Ctrl-C. The value is infinite if the process does
+    not report.
     """
     late: list[float] = []
     end = time.monotonic() + FIRST_S
@@ -50,11 +52,11 @@ def measured(transport: HostTransport, seconds: float) -> np.ndarray:
 
 @piped()
 def main() -> None:
-    """Run the command line; exit code 0: in time, 1: too late, 2: wrong arguments or files."""
+    """Run the command line. Exit code 0: in time, 1: too late, 2: wrong arguments or files."""
     parser = argparse.ArgumentParser(
         prog="lateness", description="Measure how late this computer sends setpoints as the master "
-        "of drives on a CAN bus, and compare the result with the limit of a rig. Meanwhile, put "
-        "the same load on the computer as later in operation.",
+        "of drives on a CAN bus, and compare the result with the limit of a rig. During the "
+        "measurement, put the same load on the computer as in operation.",
     )  # fmt: skip
     parser.add_argument("rig", help="rig file with drives, or the name of one")
     parser.add_argument("--seconds", type=float, default=20.0, help="duration [s] (default: 20)")

@@ -1,6 +1,6 @@
-"""Master of a CAN bus with the services of CANopen (CiA 301), by any interface of python-can.
+"""Master of a CAN bus with the services of CANopen (CiA 301), for all interfaces of python-can.
 
-Single-threaded: time passes, and frames are received, only in `Master.wait`.
+The module uses one thread. Frames are received only in `Master.wait`.
 """
 
 from __future__ import annotations
@@ -43,9 +43,9 @@ def trouble_text(motor: int, kind: Trouble, index: int = 0, code: int = 0) -> st
 
 @dataclass
 class Received:
-    """Messages received from a node: replies to SDO requests and TPDOs since they were cleared;
-    time of the last heartbeat [s] and its state; number of boot-ups; code and error register of the
-    first emergency."""
+    """Messages that were received from a node: `answers` to requests (service data objects, SDOs)
+    and `places`, the process data (TPDOs), each since it was cleared; time of the last heartbeat
+    [s], and its state; number of boot-ups; code and error register of the first emergency."""
 
     answers: list[bytes] = field(default_factory=list)
     places: list[bytes] = field(default_factory=list)
@@ -56,7 +56,7 @@ class Received:
 
 
 class Master:
-    """The only master of a bus of python-can."""
+    """Master of a bus of python-can. It must be the only master of this bus."""
 
     def __init__(self, bus: Any) -> None:
         self._bus = bus
@@ -83,8 +83,8 @@ class Master:
             ) from None
 
     def frames(self, until: float) -> Iterator[tuple[int, bytes]]:
-        """Yield identifier and data of each frame received until this time [s]. Raise a PlateError
-        if the bus fails or reports an error."""
+        """Yield the identifier and the data of each frame that is received until this time [s].
+        Raise a PlateError if the bus fails or reports an error."""
         import can
 
         while True:
@@ -131,7 +131,8 @@ class Master:
             received.emergency = received.emergency or (int.from_bytes(data[:2], "little"), data[2])
 
     def answering(self, index: int) -> list[int]:
-        """Request an object from all nodes. Return the nodes that reply, whatever they reply."""
+        """Request an object from all nodes. Return the nodes that reply, including those that
+        refuse."""
         for node in NODES:
             self.received[node].answers.clear()
             self._request(node, 0x40, index, 0)
@@ -146,8 +147,8 @@ class Master:
         Raises
         ------
         PlateError
-            A `Refused` if the node refuses. Also if there is no reply, or if the reply has more
-            than four bytes.
+            If there is no reply, if the value has more than four bytes, or if the node refuses. The
+            class is `Refused` if the node refuses.
         """
         answer = self._transfer(node, 0x40, index, sub)
         if answer[0] & 0xE2 != 0x42:
@@ -161,7 +162,7 @@ class Master:
         self._transfer(node, 0x23 | (4 - size) << 2, index, sub, value)
 
     def _request(self, node: int, command: int, index: int, sub: int, value: int = 0) -> bytes:
-        """Send a request. Return the bytes that name the object in its reply."""
+        """Send a request. Return the bytes that identify the object in the reply."""
         name = index.to_bytes(2, "little") + bytes([sub])
         self.send(REQUEST + node, bytes([command]) + name + (value % 2**32).to_bytes(4, "little"))
         return name

@@ -1,5 +1,5 @@
-"""Changes of motors' drives in a rig file that leave everything else unchanged, comments
-included."""
+"""Changes of the drives in a rig file. Everything else in the file stays unchanged, including
+comments."""
 
 from __future__ import annotations
 
@@ -27,12 +27,12 @@ def differences(old: Drive, new: Drive) -> dict[str, str]:
 
 
 def write(path: Path, drives: Drives) -> None:
-    """Write new drives of motors into a rig file, completely or not at all.
+    """Write new drives of motors into a rig file. If one of them fails, the file stays unchanged.
 
     Raises
     ------
     PlateError
-        If the file cannot be written, or the new file would not give these drives.
+        If the file cannot be written, or the new file would not contain these drives.
     """
     motors = [replace(m, drive=drives.get(m.name, m.drive)) for m in load_rig(path).motors]
     old = {m.name: m.drive for m in load_rig(path).motors if m.drive is not None}

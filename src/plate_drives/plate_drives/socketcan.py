@@ -1,9 +1,9 @@
-"""The transport `socketcan`: this computer commands the drives by a CAN interface of Linux.
+"""The transport `socketcan`: this computer commands the drives over a CAN interface of Linux.
 
-The board's firmware runs as a separate real-time process: firmware/boards/linux. The driver talks
-to it as to a board, so tables, limits, tails, stops and drives are those of the board. In contrast
-to a board the process may be late. The lateness is measured, and the plate is stopped if it is too
-large for the rig.
+The board's firmware runs as a separate real-time process, firmware/boards/linux. The driver
+communicates with it as with a board, so tables, limits, tails, stops and drives are handled in the
+same way. In contrast to a board, the process may be late. Its delay is measured, and the plate is
+stopped if the delay is too large for the rig.
 """
 
 from __future__ import annotations
@@ -34,13 +34,13 @@ from plate_sim.device import DeviceLimits, c_header
 __all__ = ["HostPort", "HostTransport", "build", "make", "open_can", "program_of"]
 
 SOURCES = Path(__file__).parent / "firmware"
-"""Folder of the firmware's sources. It is a link in the source tree, and a copy in the installed
-package."""
+"""Folder of the firmware's sources. It is a symbolic link in the source tree, and a copy in the
+installed package."""
 FLAGS = ("-std=c99", "-O2", "-ffp-contract=off")
 
 ENDED = "the process that controls the drives has ended"
 FADE = 1e-3
-"""Decay of the maximum lateness with each telemetry message. The lateness is forgotten in about 10
+"""Relative decay of the maximum delay with each telemetry message. The time constant is about 10
 s."""
 
 
@@ -79,8 +79,8 @@ def build(header: str, kind: str, folder: Path, *files: str) -> Path:
 
 @lru_cache(maxsize=1)
 def _built(header: str, kind: str) -> tuple[Path, tempfile.TemporaryDirectory[str]]:
-    """Compile the program only once per process, because it takes a second or more, and a stop may
-    have to open a transport."""
+    """Compile the program only once per process. Compilation takes a second or more, which would
+    delay a stop that must open a transport."""
     folder = tempfile.TemporaryDirectory(prefix="plate-")
     return build(header, kind, Path(folder.name), "boards/linux/board.c"), folder
 
@@ -104,7 +104,7 @@ def program_of(rig: Rig) -> Path:
     header = c_header(DeviceLimits.of_rig(rig), "the rig file", drives)
     try:
         return _built(header, drives[0].kind)[0]
-    except (OSError, subprocess.TimeoutExpired) as error:  # the most likely cause is a full disk
+    except (OSError, subprocess.TimeoutExpired) as error:  # for example if the disk is full
         raise PlateError(f"the firmware cannot be compiled: {error}") from None
 
 
@@ -132,7 +132,7 @@ class HostPort:
     channel : str
         Name of the bus. Each bus has one process.
     opened : callable
-        Opens the bus: a socket with datagrams of `struct can_frame`.
+        Opens the bus. Returns a socket with datagrams of `struct can_frame`.
     ticks : int, optional
         File descriptor that provides the ticks instead of a timer.
 
@@ -159,7 +159,7 @@ class HostPort:
             try:
                 self._process = subprocess.Popen(
                     [program, *map(str, passed)], stdin=subprocess.PIPE, stdout=subprocess.PIPE,
-                    # In its own session, it does not receive Ctrl-C.
+                    # A process in a separate session does not receive Ctrl-C.
                     pass_fds=(*passed, lock.fileno()), start_new_session=True,
                 )  # fmt: skip
             except OSError as error:
@@ -184,8 +184,8 @@ class HostPort:
         return data
 
     def write(self, data: bytes) -> int:
-        """Write bytes without blocking; return their number. Raise an OSError if the process has
-        ended."""
+        """Write bytes without blocking, and return the number of written bytes. Raise an OSError if
+        the process has ended."""
         try:
             return os.write(self._in.fileno(), data)
         except BlockingIOError:
@@ -217,8 +217,8 @@ class HostTransport(SerialTransport):
     Attributes
     ----------
     allowed_ms : float
-        Maximum lateness of a setpoint: the time in which the plate, at its maximum speed, moves by
-        the maximum following error [ms].
+        Maximum delay of a setpoint [ms]. In this time, a motor at its maximum speed moves by the
+        maximum following error.
     """
 
     def __init__(
@@ -249,7 +249,8 @@ class HostTransport(SerialTransport):
         return super().enable()
 
     def report(self) -> Report:
-        """Return the state of the motors, and whether lateness has stopped them."""
+        """Return the state of the motors. If late setpoints have stopped them, this is the
+        reason."""
         report = super().report()
         if self._too_late and report.condition in (Condition.OFF, Condition.BRAKING):
             return Report(report.condition, DriverReason.OTHER, self._too_late)

@@ -21,7 +21,7 @@ OBJECTS = {
 SIGNED = ("position", "lowest", "highest", "exponent")
 
 NEEDED = ("consumer", "abort", "exponent")
-"""Objects that a drive needs. The drive must stop if its master fails, and it must interpolate
+"""Objects that a drive must have, because it must stop if its master fails, and it must interpolate
 setpoints."""
 
 PROFILE, CYCLIC_POSITION, UNWATCHED = 402, 1 << 7, 2**32 - 1
@@ -39,8 +39,8 @@ def in_fault(status: int) -> bool:
 
 @dataclass(frozen=True)
 class Found:
-    """A node on the bus: its number, its values by the names of `OBJECTS`, its reasons to refuse
-    other objects, and whether two nodes have this number."""
+    """A node on the bus: its number, its values by the names of `OBJECTS`, the texts of its
+    refusals of other objects, and whether two nodes have this number."""
 
     node: int
     values: Mapping[str, int]
@@ -94,7 +94,8 @@ def drives_of(rig: Rig) -> list[Drive]:
 
 
 def doubts(rig: Rig, found: Mapping[int, Found], other_master: bool) -> Iterator[Doubt]:
-    """Yield the differences between bus and rig; `impossible` ones must be corrected first."""
+    """Yield the differences between bus and rig. Differences that are `impossible` must be
+    corrected first."""
     if other_master:
         yield Doubt("bus", trouble_text(0, Trouble.OTHER_MASTER), True)
     drives = drives_of(rig)
@@ -139,7 +140,8 @@ def _of_drive(number: int, drive: Drive, found: Mapping[int, Found]) -> Iterator
 
 
 def _of_limits(drive: Drive, one: Found, limits: Limits) -> Iterator[tuple[str, bool]]:
-    """Yield the drive's own limits that affect the rig's, and whether each is an error."""
+    """Yield a text about each limit of the drive that affects the rig's limits, and whether it is
+    an error."""
     low, high, speed, window = (
         one.values.get(name, 0) / drive.counts_per_m
         for name in ("lowest", "highest", "speed", "window")

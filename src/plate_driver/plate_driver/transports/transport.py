@@ -1,13 +1,13 @@
 """Interface `Transport` between the driver node and the hardware that moves the plate.
 
 Another package can add a transport. It defines a class with the methods of `Transport` and a
-function that makes an instance from a `TransportContext`. Its setup.py names the function:
+function that returns an instance for a `TransportContext`. Its setup.py names the function:
 
     entry_points={"plate_driver.transports": ["ethercat = my_package.plate:make"]}
 
-The driver then accepts `transport:=ethercat`. `make` raises a PlateError if a parameter is invalid;
-the message has one line with the parameter, its value and the allowed values. `open` raises one if
-something is missing.
+The driver then accepts `transport:=ethercat`. `make` raises a PlateError if a parameter is invalid.
+The message is one line with the parameter, its value and the allowed values. `open` raises a
+PlateError if something else is missing.
 
 All methods return at once. The driver calls them from several threads, but never two at the same
 time. It calls `poll` every few milliseconds. Times are on `TransportContext.clock`, so that a test
@@ -39,7 +39,7 @@ class Condition(Enum):
     GONE = "gone"  # the motor controller does not answer, so its state is unknown
     OFF = "off"  # the motors have no current
     ENABLING = "enabling"  # the plate moves home
-    READY = "ready"  # the plate is held at home or plays; a table is accepted
+    READY = "ready"  # the motors hold the plate at home or play a table, and accept a table
     BRAKING = "braking"
 
 
@@ -51,8 +51,9 @@ class Report:
     ----------
     condition : Condition
     reason : DriverReason
-        Why they are off, brake or do not answer. A requested stop is EARLIER_STOP, because only the
-        driver knows whether it requested the stop itself. A reason without its own value is OTHER.
+        Reason why the motors are off or brake, or why their controller does not answer. A requested
+        stop is EARLIER_STOP, because only the driver knows whether it requested the stop itself.
+        OTHER is used for reasons that have no value.
     text : str
         The reason as text.
     values : mapping of str to str
@@ -78,13 +79,13 @@ class Measured:
     table : int
         Number of the table that plays. 0 if no table plays.
     position, acceleration : tuple of 4 float
-        [m], [m/s2].
+        Travel [m] and acceleration [m/s2] of each motor.
     playing : MotorTable or None
-        Table that plays, if known. If its tail plays, only the tail.
+        Table that plays. If its tail plays, this is the tail. None if unknown.
     began : float
-        Start of this play on the context's clock [s].
+        Time at which this table or tail started, on the context's clock [s].
     clock_problem : str
-        Why these times are rejected. Empty if they are accepted.
+        Reason why these times are rejected. Empty if they are accepted.
     """
 
     time: float
@@ -122,8 +123,8 @@ class Order:
         return self.settled and not self.failure
 
     def settle(self, failure: str = "") -> Order:
-        """Mark the order as done, or as failed if `failure` is not empty. Only the first call
-        counts."""
+        """Mark the order as done, or as failed if `failure` is not empty. Later calls have no
+        effect."""
         if not self.settled:
             self.failure = failure
             self._settled.set()
@@ -166,9 +167,9 @@ class Transport(Protocol):
     def open(self) -> None:
         """Prepare the transport for calls of the other methods. This moves nothing.
 
-        A PlateError ends the configuration of the driver. Anything that may become available later,
-        such as a port, is not an error: `poll` waits for it, and until then the report is GONE and
-        names it.
+        If this method raises a PlateError, the driver's configuration fails. A resource that may
+        become available later, such as a port, is not an error. `poll` waits for it, and until then
+        the report is GONE and names the resource.
         """
 
     def poll(self) -> list[Measured]:
@@ -178,22 +179,24 @@ class Transport(Protocol):
         """Return the state of the motors."""
 
     def send(self, table: MotorTable, repeats: int) -> None:
-        """Send a table. It ends at rest at home, and begins there or at the splice of another
-        table.
+        """Send a table. It ends at rest at home. It begins at rest at home or at the splice of
+        another table.
 
-        At their next cycle boundary the motors start the newest table. They play it `repeats` times
-        if no other one arrives, and then rest. A table with a tail is played once: at its splice
-        the motors continue with the newest table if that begins there, and otherwise with the tail.
+        At the next cycle boundary, the motors start the newest table. They play it `repeats` times
+        if no other table arrives, and then rest. A table with a tail is played once. At its splice,
+        the motors continue with the newest table if this table begins there, otherwise with the
+        tail.
 
         Raises
         ------
         CycleError
-            If the motors accept no table now, or refuse this one. The message gives the reason.
+            If the motors do not accept a table now, or refuse this table. The message states the
+            reason.
         """
 
     def stop(self, cut: bool = False) -> Order:
-        """Make the motors brake along their path, go home and switch off, or switch off at once if
-        `cut`.
+        """Make the motors brake along their path, go home and switch off. If `cut` is true, switch
+        them off at once.
 
         The order is done when the controller has confirmed it. Earlier tables and orders are
         dropped.
@@ -203,8 +206,8 @@ class Transport(Protocol):
         """Switch on the motors' current once, on a person's request. The order is done when the
         motors are ready.
 
-        A later stop has priority, and so has a stop that this enable does not refer to. Nothing
-        else may switch on the current: not `open`, `send`, or a controller that restarts.
+        A stop after this request has priority. Nothing else may switch on the current: neither
+        `open`, nor `send`, nor a restart of the controller.
         """
 
     def home(self) -> Order:
@@ -231,7 +234,7 @@ class TransportContext:
     publish : callable
         Publishes a table on motor_setpoints.
     clock : callable
-        Monotonic time [s].
+        Returns the monotonic time [s].
     parameters : mapping of str to value
         All parameters of the driver, such as `port` and `baud`.
     seed : int
