@@ -30,8 +30,8 @@
 #include "limits_rig.h"
 
 #define TICK_NS 1000000
-#define PRIORITY 50       /* SCHED_FIFO priority, if the system allows it */ define LAST_TICKS 200u
-#/* ticks without current after the input has ended: time to stop a drive
+#define PRIORITY 50       /* SCHED_FIFO priority, if the system allows it */
+#define LAST_TICKS 200u   /* ticks without current after the input has ended: time to stop a drive
                              that keeps its current */
 #define OLD_TICKS 250u    /* after a tick as late as this, discard the input that has arrived */
 
