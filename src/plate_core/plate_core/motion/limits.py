@@ -85,7 +85,7 @@ def usage(rig: Rig, cycle: PlateCycle, thermal_load: np.ndarray | float = 1.0) -
     moves = [travel, _padded(derivative(travel)), pushes]
     each = polynomial_peaks(np.concatenate(moves, axis=2), steps)
     stroke, speed, force = (float(np.max(most)) for most in np.split(each, 3))
-    accel = max(_corner_peak(rig, part) for part in parts)
+    accel = _corner_peak(rig, np.concatenate([part.coefficients for part in parts]), steps)
     # The tail may be played or not, so use the larger load of both cases.
     load = np.maximum(*(mean_square(pushes[:k], steps[:k]) for k in (len(cycle.times) - 1, None)))
     load = load / limits.continuous_force**2
@@ -156,15 +156,14 @@ def corner_accel(rig: Rig, pose: np.ndarray, twist: np.ndarray, accel: np.ndarra
     return np.hypot(ax, ay)
 
 
-def _corner_peak(rig: Rig, cycle: PlateCycle) -> float:
-    """Maximum acceleration of the plate's corners [m/s2].
+def _corner_peak(rig: Rig, pose: np.ndarray, steps: np.ndarray) -> float:
+    """Maximum acceleration of the plate's corners [m/s2] for pieces of the plate's pose (k, 6, 3)
+    with the lengths `steps` (k,) [s].
 
     A corner r of the plate has the acceleration A = a + w' J S - w^2 S, with S = R r, w = theta'
     and J the rotation by 90 degrees. With abs the magnitude, its second derivative is bounded by
     abs(A'') <= abs(a'') + abs(r) (abs(w''') + 4 abs(w w'') + 3 w'^2 + 6 w^2 abs(w') + w^4).
     """
-    steps = np.diff(cycle.times)
-    pose = cycle.coefficients
     orders = [derivative(pose, order) for order in range(5)]
     w, w1, w2, w3 = (_largest(order[:, :, 2:], steps)[:, 0] for order in orders[1:])
     radius = float(np.hypot(*rig.plate.half))
@@ -209,10 +208,11 @@ def _peaks(
 
 def _at(coefficients: np.ndarray, t: np.ndarray) -> np.ndarray:
     """Values (n, m) of polynomials (n, d, m) at the times t (n,) since the start of each."""
-    value = coefficients[:, -1]
+    value, t = coefficients[:, -1].copy(), t[:, None]
     for power in range(coefficients.shape[1] - 2, -1, -1):
-        value = value * t[:, None] + coefficients[:, power]
-    return np.asarray(value)
+        value *= t
+        value += coefficients[:, power]
+    return value
 
 
 def derivative(coefficients: np.ndarray, order: int = 1) -> np.ndarray:
