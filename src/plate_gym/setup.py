@@ -16,7 +16,8 @@ setup(
         ("share/ament_index/resource_index/packages", [f"resource/{NAME}"]),
         (f"share/{NAME}", ["package.xml"]),
     ],
-    # Of the other packages pip installs the library, from this clone; colcon builds each by itself.
+    # pip installs the library of the other packages from this clone. colcon builds each package
+    # separately.
     install_requires=["gymnasium>=1.0", f"vibrating-plate @ {CLONE.as_uri()}"],
     extras_require={"test": ["pytest"]},
     zip_safe=False,

@@ -1,4 +1,4 @@
-"""The closed loop in simulation: the nodes of config/graph.yaml.
+"""The closed loop in simulation. It consists of the nodes of config/graph.yaml.
 
 ros2 launch plate_bringup closed_loop.launch.py scenario:=sort_10 method:=sinusoids
 ros2 launch plate_bringup closed_loop.launch.py transport:=serial  # a simulated motor controller
@@ -10,5 +10,5 @@ from plate_bringup.actions import describe
 
 
 def generate_launch_description():
-    """Return what `ros2 launch` runs."""
+    """Return the launch description of the simulation."""
     return describe(hardware=False, file=__file__)

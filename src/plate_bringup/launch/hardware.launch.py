@@ -6,13 +6,13 @@ ros2 launch plate_bringup hardware.launch.py rig_file:=my_rig.yaml port:=/dev/tt
 ros2 service call /enable std_srvs/srv/SetBool "{data: true}"    # when you have looked at the rig
 ros2 run plate_client plate goal sort_10
 
-Without camera:=... another node publishes the images (image_topic:=..., info_topic:=...). The
-camera may run free, or be triggered by the motor controller (trigger_phase in the rig file).
+Without camera:=..., another node must publish the images (image_topic:=..., info_topic:=...). The
+camera may be free-running, or the motor controller may trigger it (trigger_phase in the rig file).
 """
 
 from plate_bringup.actions import describe
 
 
 def generate_launch_description():
-    """Return what `ros2 launch` runs."""
+    """Return the launch description of the hardware."""
     return describe(hardware=True, file=__file__)

@@ -1,4 +1,4 @@
-"""Actions of the launch files: they start the nodes of config/graph.yaml and, on request, a
+"""Actions of the launch files. They start the nodes of config/graph.yaml and, on request, a
 recorder."""
 
 from __future__ import annotations
@@ -57,7 +57,8 @@ HARDWARE = {
     "info_topic": "topic of the camera's calibration",
     "recipe": "with the feeder: a scenario of kind feed, name or path of a .yaml file",
 }
-"""Arguments of the launch files. An omitted argument leaves the value of the parameter files."""
+"""Arguments of the launch files. If an argument is omitted, the value in the parameter files is
+used."""
 
 CHOICES = {
     "method": ("rotations", "sinusoids"),
@@ -70,14 +71,15 @@ OPTIONS: Mapping[str, Callable[[str], Any]] = {
     "lockstep": "true".__eq__, "view": "true".__eq__, "rate": float, "image_rate": float,
     "port": str, "camera": str, "recipe": str,
 }  # fmt: skip
-"""Arguments that are options of a run, and the functions that convert their text."""
+"""Arguments that are options of a run, with the functions that convert their texts."""
 
 PACKAGE = "plate_bringup"
 
 
 def describe(hardware: bool, file: str) -> LaunchDescription:
-    """Return the launch description of the launch file `file`, for hardware or simulation."""
-    # On hardware, users may have transports of their own.
+    """Return the launch description of the launch file `file`. The file is for hardware or for
+    simulation."""
+    # On hardware, users may add transports.
     choices = {name: CHOICES[name] for name in CHOICES if not (hardware and name == "transport")}
     arguments = [
         DeclareLaunchArgument(
@@ -92,14 +94,15 @@ def describe(hardware: bool, file: str) -> LaunchDescription:
 
 
 def arguments_of(hardware: bool) -> dict[str, str]:
-    """Return the arguments of a launch file, with their meanings by name."""
+    """Return the arguments of a launch file: their meanings by name."""
     return (HARDWARE if hardware else SIMULATED) | COMMON
 
 
 def check_words(hardware: bool, words: Sequence[str], file: str) -> None:
-    """Check the arguments on the command line, if the command starts this launch file directly.
+    """Check the arguments on the command line if the command starts this launch file directly.
 
-    A launch file that includes this one may have additional arguments, which launch passes on.
+    If another launch file includes this one, it may have additional arguments. The launch system
+    passes them on.
 
     Parameters
     ----------
@@ -112,7 +115,7 @@ def check_words(hardware: bool, words: Sequence[str], file: str) -> None:
     Raises
     ------
     GraphError
-        If an argument is unknown. The message states its name and the allowed names.
+        If an argument is unknown. The message contains its name and the allowed names.
     """
     if not any(_names(file, before, word) for before, word in pairwise(["", *words])):
         return
@@ -129,7 +132,7 @@ def check_words(hardware: bool, words: Sequence[str], file: str) -> None:
 
 
 def _names(file: str, before: str, word: str) -> bool:
-    """Whether a word, or a package before it and the word, name a launch file."""
+    """Whether a word names a launch file, either alone or together with a package before it."""
     if Path(word).name != Path(file).name:
         return False
     return before == PACKAGE or (Path(word).exists() and Path(word).samefile(file))
@@ -143,18 +146,19 @@ def namespace_of(pushed: str, own: str) -> str:
     pushed : str
         Namespace pushed by actions PushRosNamespace around this launch file.
     own : str
-        Argument `namespace`. It is relative to the pushed one, unless it begins with a slash.
+        Argument `namespace`. It is relative to the pushed namespace, unless it begins with a slash.
     """
     return (own if own.startswith("/") else f"{pushed}/{own}").strip("/").replace("//", "/")
 
 
 def start(hardware: bool, file: str, context: Any) -> list[Any]:
-    """Return the actions that start every node, and the recorder.
+    """Return the actions that start all nodes and the recorder.
 
     Raises
     ------
     GraphError
-        If an argument is unknown, or the parameter file does not exist. ROS would start without it.
+        If an argument is unknown, or if the parameter file does not exist. ROS would start the
+        nodes without the file.
     """
     check_words(hardware, sys.argv, file)
     known = arguments_of(hardware)
@@ -173,7 +177,7 @@ def start(hardware: bool, file: str, context: Any) -> list[Any]:
         values["rig_file"] = load_scenario(given["scenario"]).rig
     pushed = context.launch_configurations.get("ros_namespace", "")
     space = namespace_of(pushed, given.get("namespace", ""))
-    if space:  # two plates have two simulated devices
+    if space:  # two plates need two simulated devices
         values["link"] = RunOptions.link + "_" + space.replace("/", "_")
     options = RunOptions(
         **{"transport": "serial" if hardware else "sim", "hardware": hardware} | values
@@ -234,8 +238,8 @@ def _rigs_below(data: Any) -> list[str]:
 
 
 def default_files(hardware: bool, space: str, names: Sequence[str]) -> list[str]:
-    """Return the files with the nodes' default parameters. In a namespace, one of them sets the
-    prefix of the frames."""
+    """Return the files with the nodes' default parameters. If there is a namespace, one of the
+    files sets the prefix of the frames."""
     files = [str(config_path("nodes.yaml"))]
     if hardware:
         files.append(str(config_path("hardware.yaml")))
@@ -246,12 +250,12 @@ def default_files(hardware: bool, space: str, names: Sequence[str]) -> list[str]
 
 
 def _put_first(defaults: Sequence[str], context: Any) -> None:
-    """Put the files of default parameters before all others.
+    """Set the default parameter files before all other parameters.
 
-    ROS merges the values of all files by the section's name. If two sections match a node, the one
-    whose name first occurs later has priority. `/**/solver` must therefore occur before
+    ROS merges the values of all files by the names of the sections. If two sections match a node,
+    the section whose name first occurs later has priority. Therefore `/**/solver` must occur before
     `/left/solver`. launch_ros puts parameters of outer actions, such as SetParametersFromFile,
-    before those of the node.
+    before the parameters of the node.
     """
     outer = context.launch_configurations.get("global_params", [])
     context.launch_configurations["global_params"] = [*defaults, *outer]
@@ -267,7 +271,7 @@ def programs(
     options: RunOptions, given: Mapping[str, str], space: str
 ) -> dict[str, dict[str, Any]]:
     """Return the programs to start, by name: package, executable, and the parameters that override
-    those of the files."""
+    the parameter files."""
     nodes = options.nodes(load_graph())
     if given.get("one_process") != "true":
         return {
@@ -291,7 +295,7 @@ def _remember(last_words: list[str], event: Any) -> None:
 
 
 def _end(name: str, last_words: list[str], event: Any, context: Any) -> list[Any] | None:
-    """Shut down all nodes after one has ended, and log the reason."""
+    """Shut down all nodes after one of them has ended, and log the reason."""
     if context.is_shutdown:
         return None
     why = f"{name} ended with exit code {event.returncode}: {last_words[0]}"

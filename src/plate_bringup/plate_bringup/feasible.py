@@ -1,7 +1,7 @@
-"""Predict whether a rig can perform a task: `ros2 run plate_bringup feasible`.
+"""Prediction whether a rig can perform a task: `ros2 run plate_bringup feasible`.
 
-The task is rehearsed with the solver's own prediction (`rehearsal`). Without ROS,
-`python -m plate_bringup.feasible` does the same.
+The task is rehearsed with the prediction of the solver (`rehearsal`). Without ROS, `python -m
+plate_bringup.feasible` does the same.
 """
 
 from __future__ import annotations
@@ -35,25 +35,28 @@ NOT_REHEARSED = {
     MoveTask: "tasks of kind move are not rehearsed; run the demo",
     FeedTask: "tasks of kind feed are not rehearsed; run `ros2 run plate_bringup qualify`",
 }
-"""Tasks that are not rehearsed, and the reasons."""
+"""Tasks that cannot be rehearsed, and the reasons."""
 
 COUNTS = (1, 2, 4, 10)
-"""Numbers of parts to rehearse if no scenario is given."""
+"""Numbers of parts that are rehearsed if no scenario is given."""
 
-WAY_M, PERIOD_S = 0.1, 0.2
-"""Distance for which the report gives the minimum time [m], and the longest cycle of the solver
-[s]."""
+WAY_M = 0.1
+"""Distance for which the report states the minimum time [m]."""
+
+PERIOD_S = 0.2
+"""Longest cycle of the solver [s]."""
 
 KEYS = {
     "stroke": "stroke_m", "speed": "speed_mps", "acceleration": "accel_mps2", "force": "force_n",
     "heat": "continuous_force_n",
 }  # fmt: skip
-"""Keys of the limits in the rig file, by field of `Share`."""
+"""Keys of the limits in the rig file, by the fields of `Share`."""
 
 
 @piped()
 def main() -> None:
-    """Run the command line. Exit code 0: likely, 1: not likely, 2: wrong arguments or files."""
+    """Run the command line. Exit code 0: the task is likely to succeed. 1: it is not likely. 2:
+    arguments or files are wrong."""
     parser = argparse.ArgumentParser(
         prog="feasible",
         description="Estimate whether a rig can do a task, how fast parts can move, and which "
@@ -81,8 +84,8 @@ def main() -> None:
 
 
 def report(rig: Rig, name: str, scenario: Scenario | None) -> tuple[str, bool]:
-    """Return the report as lines for a terminal, and whether the task is likely to succeed. Without
-    a task, return whether moving one part is likely to succeed."""
+    """Return the report as lines for a terminal, and whether the task is likely to succeed. If
+    there is no task, return whether one part can be moved."""
     lines = [
         f"{name}: Gamma = {rig.gamma:.1f}, limited by {rig.reach.limit}; parts slide above 1",
         one_part(rig),
@@ -93,7 +96,7 @@ def report(rig: Rig, name: str, scenario: Scenario | None) -> tuple[str, bool]:
 
 
 def one_part(rig: Rig) -> str:
-    """Return a line about the maximum speed of one part."""
+    """Return a line that states the maximum speed of one part."""
     bounds = speed_bounds(rig, PERIOD_S)
     return (
         f"one part: at most {1e3 * bounds.least:.0f} mm/s along a line by any steady motion of "
@@ -103,7 +106,7 @@ def one_part(rig: Rig) -> str:
 
 
 def of_task(rig: Rig, scenario: Scenario) -> tuple[list[str], bool]:
-    """Return the lines about a scenario, and whether it is likely to succeed."""
+    """Return lines that describe a scenario, and whether it is likely to succeed."""
     for kind, what in NOT_REHEARSED.items():
         if isinstance(scenario.task, kind):
             return [f"{scenario.name}: unknown: {what}"], False
@@ -132,8 +135,8 @@ def of_task(rig: Rig, scenario: Scenario) -> tuple[list[str], bool]:
 
 
 def of_counts(rig: Rig) -> tuple[list[str], bool]:
-    """Return a table of the speed for several numbers of parts. Half of them move to the left, half
-    to the right."""
+    """Return a table of the speeds for several numbers of parts. Half of the parts move to the
+    left, and half to the right."""
     lines = ["random starts, to two sides  mean speed [mm/s]   most used limit"]
     moved = False
     for count in COUNTS:
@@ -155,7 +158,8 @@ def of_counts(rig: Rig) -> tuple[list[str], bool]:
 
 
 def sides(count: int) -> Scenario:
-    """Return a sort task with `count` parts, black ones to the left and grey ones to the right."""
+    """Return a sort task with `count` parts. Black parts move to the left, grey parts to the
+    right."""
     groups = {"black": Side(-1, 0), "grey": Side(1, 0)}
     numbers = zip(groups, (count - count // 2, count // 2), strict=True)
     return Scenario(
@@ -172,7 +176,7 @@ def _time(seconds: float) -> str:
 
 
 def _used(verdict: Verdict) -> str:
-    """Return a line about the used fractions of the rig's limits."""
+    """Return a line that states the used fractions of the rig's limits."""
     share = verdict.share
     used = ", ".join(f"{name} {100 * value:.0f} %" for name, value in share._asdict().items())
     return f"used fractions of the rig's limits: {used}; {KEYS[share.binds]} is used most"

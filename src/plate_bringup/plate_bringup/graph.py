@@ -15,7 +15,7 @@ from plate_core.yaml_fields import Fields, read_yaml
 Value = str | int | float | bool
 
 JUDGING = ("simulator", "detector", "planner", "solver")
-"""Nodes with the parameter input_timeout_s."""
+"""Nodes that have the parameter input_timeout_s."""
 
 OWN = {
     "simulator": ("scenario", "seed", "lockstep", "rate", "simulated_time", "image_rate"),
@@ -25,16 +25,20 @@ OWN = {
     "driver": ("transport", "autostart"),
     "page": ("scenario",),
 }
-"""Options of a run that are parameters of a node with the same name."""
+"""Options of a run. Each is a parameter with the same name of the listed node."""
 
 UNTIMED_S = 30.0
-"""Input timeout of these nodes with simulated time [s, wall time]. It is long, because the duration
-of a step then has no meaning."""
+"""Input timeout of these nodes if time is simulated [s, wall time]. It is long, because a step of
+simulated time may take any wall time."""
 
 
-SERIAL_ANSWER_S, SERIAL_HANDOVER_S = 0.14, 0.08
-"""The planner's answer_s and the solver's handover_s with a serial line [s]. They include the
-transmission time of a table."""
+SERIAL_ANSWER_S = 0.14
+"""Parameter answer_s of the planner with a serial line [s]. It includes the transmission time of a
+table."""
+
+SERIAL_HANDOVER_S = 0.08
+"""Parameter handover_s of the solver with a serial line [s]. It includes the transmission time of a
+table."""
 
 
 class GraphError(PlateError):
@@ -48,15 +52,16 @@ class GraphNode:
     Attributes
     ----------
     name, package, executable : str
-        Name of the node in the graph, and the arguments of `ros2 run PACKAGE EXECUTABLE`.
+        Name of the node in the graph, and arguments of `ros2 run PACKAGE EXECUTABLE`.
     component : str
         Qualified name of the node's class.
     on_hardware : bool
-        Whether the node also runs with hardware. False for nodes that simulate the hardware.
+        Whether the node also runs with hardware. False for a node that simulates hardware.
     transport : str
-        The only transport with which the node runs. Empty: all transports.
+        The only transport with which the node runs. Empty if it runs with all transports.
     view : bool
-        Whether the node only displays the graph. Such a node is started only on request.
+        Whether the node only displays the state of the graph. Such a node is started only if it is
+        requested.
     feed : bool
         Whether the node runs only with a feed task.
     camera : bool
@@ -75,7 +80,7 @@ class GraphNode:
 
 
 def load_graph(path: str | Path | None = None) -> tuple[GraphNode, ...]:
-    """Read the list of nodes, in the order of their start.
+    """Read the list of nodes. They are in the order in which they are started.
 
     Parameters
     ----------
@@ -85,7 +90,7 @@ def load_graph(path: str | Path | None = None) -> tuple[GraphNode, ...]:
     Raises
     ------
     GraphError
-        If the file is invalid, or a name occurs twice.
+        If the file is invalid, or if a name occurs twice.
     """
     fields = read_yaml(path or config_path("graph.yaml"), GraphError)
     nodes = tuple(_node(child) for child in fields.children("nodes"))
@@ -114,7 +119,7 @@ def _node(fields: Fields) -> GraphNode:
 
 @dataclass(frozen=True)
 class RunOptions:
-    """Options of one run, which determine the nodes and their parameters.
+    """Options of one run. They determine the nodes and their parameters.
 
     Attributes
     ----------
@@ -127,35 +132,38 @@ class RunOptions:
     transport, port : str
         Transport and serial port of the driver.
     camera : str
-        Device of the camera node. If empty, images come from the simulator or another node.
+        Device of the camera node. If it is empty, the images come from the simulator or from
+        another node.
     hardware : bool
-        Whether nothing is simulated. A port has the same effect. With a camera but no port, only
-        the motor controller is simulated.
+        Whether no hardware is simulated. If a port is given, the option is treated as true. If a
+        camera but no port is given, only the motor controller is simulated.
     link : str
         Serial port of the simulated device.
     firmware : str
-        Firmware program for drives that the simulated device runs. Empty: no drive bus.
+        Firmware program for drives. The simulated device runs it. Empty if there is no drive bus.
     lockstep : bool
-        Whether the simulator waits for every reply. Time is then simulated.
+        Whether the simulator waits for each reply. If so, time is simulated.
     rate : float
         Simulated seconds per second of wall time. If it is not 1, time is simulated.
     simulated_time : bool
-        Whether time is simulated at rate 1 too. The simulator's parameter `rate` may then change
+        Whether time is simulated even at rate 1. If so, the simulator's parameter `rate` may change
         during the run.
     image_rate : float
-        Image rate of a free-running simulated camera [1/s]. 0: one image at each start of a cycle.
+        Image rate of a free-running simulated camera [1/s]. 0 means one image at each start of a
+        cycle.
     rig_file : str
-        Rig file of all nodes. Empty: the default rig.
+        Rig file of all nodes. Empty for the default rig.
     autostart : bool
-        If False, the driver waits until another program configures and activates it.
+        Whether the driver is configured and activated at the start. If False, it waits until
+        another program does this.
     one_process : bool
-        Whether all nodes run in one process, `plate_bringup one_process`.
+        Whether all nodes run in one process by `plate_bringup one_process`.
     view : bool
         Whether to show the live page.
     recipe : str
-        Name or path of the feeder's scenario. Empty: `scenario`, if it is a feed task.
+        Name or path of the feeder's scenario. If empty, `scenario` is used if it is a feed task.
     robot_port : int
-        TCP port on which the feeder serves robots. 0: any free port.
+        TCP port on which the feeder serves robots. 0 means any free port.
     """
 
     scenario: str = "sort_10"
@@ -211,8 +219,8 @@ class RunOptions:
         Parameters
         ----------
         space : str, optional
-            Namespace of the nodes, without slashes at its ends. Empty: no namespace. By default
-            the parameters apply to all namespaces.
+            Namespace of the nodes, without slashes at the beginning and the end. Empty if there is
+            no namespace. By default, the parameters apply to all namespaces.
         """
         where = f"/{space}".rstrip("/")
         values = {
@@ -222,13 +230,13 @@ class RunOptions:
         return str(yaml.safe_dump({name: v for name, v in values.items() if v["ros__parameters"]}))
 
     def parameters(self, node: GraphNode, given: Collection[str] | None = None) -> dict[str, Value]:
-        """Return the parameters of a node that override those of nodes.yaml.
+        """Return the parameters of a node that override those in nodes.yaml.
 
         Parameters
         ----------
         given : names, optional
-            Names of the chosen options. The others keep their values of nodes.yaml. Default: all
-            options are chosen.
+            Names of the chosen options. The other options keep their values from nodes.yaml.
+            Default: all options are chosen.
         """
         chosen = {option.name for option in fields(self)} if given is None else {*given}
         names = [name for name in OWN.get(node.name, ()) if name in chosen]
@@ -247,7 +255,7 @@ class RunOptions:
                 values["firmware"] = self.firmware
         if node.name == "simulator" and self.over_link:
             values["driven_by"] = "device"
-        serial = self.transport == "serial" and not self.hardware  # hardware.yaml sets its values
+        serial = self.transport == "serial" and not self.hardware  # hardware.yaml sets it
         if node.name == "planner" and (self.image_rate > 0 or serial):
             values["camera_triggered"] = False
             if self.transport == "serial":

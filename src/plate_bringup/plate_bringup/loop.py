@@ -1,10 +1,10 @@
-"""The closed loop without ROS: it runs the same cores as the nodes in one process.
+"""The closed loop without ROS. It runs the same cores as the nodes, in one process.
 
-Image k is taken at the start of cycle k, and the cycle computed from it runs as cycle k + 1, as in
-the graph. A free-running camera takes images at any time, and the loop computes each cycle shortly
-before the present one ends. If no new cycle arrives, the plate repeats the present one. An argument
-selects the transport of cycles to the plate: immediate (`Direct`), or over a serial line
-(`SerialLine` of `bench/harness/serial.py`).
+As in the graph, image k is taken at the start of cycle k. The cycle that is computed from this
+image is executed as cycle k + 1. A free-running camera takes images at any time. The loop then
+computes each cycle shortly before the present cycle ends. If no new cycle arrives, the plate
+repeats the present one. An argument selects the transport of cycles to the plate: immediate
+(`Direct`), or over a serial line (`SerialLine` of `bench/harness/serial.py`).
 """
 
 from __future__ import annotations
@@ -80,20 +80,20 @@ __all__ = [
 ALIKE = {
     "OPENBLAS_CORETYPE": "Haswell", "NPY_DISABLE_CPU_FEATURES": "X86_V4 AVX512_ICL AVX512_SPR",
 }  # fmt: skip
-"""Environment variables with which a seed gives a bit-identical run on every processor with AVX2
-and FMA. Libraries read them when they are loaded."""
+"""Environment variables with which the run of a seed is identical to the last bit on every
+processor with AVX2 and FMA. Libraries read these variables when they are loaded."""
 
 EFFORT = ("iterations", "restarts")
-"""Options of the solvers that improve the result and increase the computation time."""
+"""Options of the solvers. Larger values improve the result and increase the computing time."""
 
 MOMENT_S = 1e-6
 """Minimum time between two events [s]."""
 
 CAMERA = ("exposure_s", "readout_s")
-"""Data of the rig's camera that a setting can replace."""
+"""Data of the rig's camera that settings can replace."""
 
 VIEW = ("tilt_deg", "towards_deg", "focal_px", "distance_m")
-"""Arguments of `view_from` that are settings with the prefix `camera_`."""
+"""Arguments of `view_from` that are settings. The settings have the prefix `camera_`."""
 
 PLANNER_BYTES = 1_000_000
 """Maximum size of a planner's Python file [bytes]."""
@@ -114,33 +114,35 @@ class Setup:
     Attributes
     ----------
     scenario : str or Scenario
-        Scenario, or its name or path.
+        Scenario, or the name or path of a scenario.
     seed : int
         Random seed of the start positions, the image noise and the solver's restarts.
     method : str
         A key of `METHODS`.
     noise : float
-        Image noise [grey levels].
+        Standard deviation of the image noise [grey levels].
     mu_scale : float
-        True friction divided by the rig's [-].
+        Ratio of the true friction to the friction in the rig [-].
     disturbances : Disturbances
         Disturbances of the simulated world.
     planner : PlannerOptions
     exposure_s, readout_s : float or None
-        Replacements for the values of the rig's camera [s]. None to use the rig's values.
+        Values that replace those of the rig's camera [s]. If None, the values of the rig are used.
     camera_tilt_deg, camera_towards_deg, camera_focal_px, camera_distance_m : float or None
-        If one of them is given, `view_from` moves the camera, with its defaults for the others.
+        If one of them is given, `view_from` moves the camera. It uses its defaults for the others.
     rig_height_m : float or None
-        Height of all parts in the rig that all stages use [m]. None to use the rig file's height.
+        Height of all parts in the rig model that all stages use [m]. If None, the height in the rig
+        file is used.
     image_age_s : float or None
         Image latency that the planner assumes [s]. If it is None, the planner estimates the
         latency.
     effort : mapping of str to int
-        `iterations` and `restarts` of the solver, if they differ from the defaults of `Controller`.
+        Options `iterations` and `restarts` of the solver, if they differ from the defaults of
+        `Controller`.
     own_planner : str
         Python file with a class `OwnPlanner`, which requests the forces. The project's planner then
-        only supervises the task: it decides whether the task is done, stuck or has lost a part, and
-        it lets the plate rest for the image that confirms the result.
+        only supervises the task. It decides whether the task is done, stuck or has lost a part, and
+        it requests rest for the image that confirms the result.
     """
 
     scenario: str | Scenario
@@ -163,7 +165,7 @@ class Setup:
 
     @property
     def recipe(self) -> Scenario:
-        """The scenario, loaded if only its name or path is given."""
+        """The scenario. It is loaded if only its name or path is given."""
         return (
             self.scenario if isinstance(self.scenario, Scenario) else load_scenario(self.scenario)
         )
@@ -172,12 +174,12 @@ class Setup:
 def with_settings(setup: Setup, settings: Mapping[str, str]) -> Setup:
     """Apply settings `key=value` of the command line to a setup.
 
-    Keys are fields of `Setup`, `Disturbances` and `FollowOptions`, and those of `EFFORT`.
+    Keys are the fields of `Setup`, `Disturbances` and `FollowOptions`, and the options in `EFFORT`.
 
     Raises
     ------
     PlateError
-        If a key is unknown or a value is not allowed.
+        If a key is unknown, or if a value is not allowed.
     """
     follow, world = setup.planner.follow, setup.disturbances
     for key, text in settings.items():
@@ -245,7 +247,7 @@ class Moment:
     wanted : Wanted
         Request to the solver.
     answer : Answer
-        Result of the solver, with the cycle to run next.
+        Result of the solver. It contains the cycle that is executed next.
     progress : Progress
     image : (H, W)
         Last camera image.
@@ -255,7 +257,7 @@ class Moment:
         CPU time from the image to the motors' table [s].
     limit_share, force_share, heat_share : float
         Used fractions of the limits by the motors' table [-]: maximum over all limits, peak force,
-        and continuous force if the table is played continuously.
+        and continuous force if the table is repeated continuously.
     scaled : bool
         Whether the driver had to scale the cycle down to these limits.
     error_m : (P,)
@@ -264,7 +266,8 @@ class Moment:
     turn_error : (P,)
         True angle error of each part in a pose task [rad].
     held : int
-        Number of repeated cycles since the last image, because no new image arrived.
+        Number of times that the cycle was repeated since the last image, because no new image
+        arrived.
     """
 
     time: float
@@ -286,7 +289,7 @@ class Moment:
 
 
 class Transport(Protocol):
-    """Transport of cycles to the plate, and the plate's motion.
+    """Transport of cycles to the plate, and motion of the plate.
 
     Attributes
     ----------
@@ -302,18 +305,18 @@ class Transport(Protocol):
 
     @property
     def running(self) -> PlateCycle:
-        """The running cycle, or the running tail of one."""
+        """The running cycle, or the running tail of a cycle."""
 
     def send(self, table: MotorTable) -> None:
         """Send the table of the next cycle."""
 
     def play(self, until: float) -> Sequence[PlateCycle | PlateMotion]:
         """Advance the time to the start of the next cycle, but at most to `until` [s]. Return the
-        plate's motions in this time."""
+        motions of the plate in this time."""
 
 
 class Scene(Protocol):
-    """The parts that the loop moves, and their detection."""
+    """The parts that the loop moves, and the detection of these parts."""
 
     @property
     def state(self) -> WorldState:
@@ -323,17 +326,18 @@ class Scene(Protocol):
         """Return the images of a free-running camera from the time `begin` [s] on."""
 
     def capture(self, age: float | None = None) -> np.ndarray | None:
-        """Return an image (H, W) of the present, or of `age` [s] ago. None if there is none."""
+        """Return an image (H, W) of the present, or of the time `age` [s] ago. Return None if there
+        is no image."""
 
     def see(self, image: np.ndarray, stamp: float, expected: Prediction | None) -> Parts:
         """Return the parts detected in an image with this stamp [s]."""
 
     def run(self, motion: PlateCycle | PlateMotion) -> None:
-        """Move the plate, and the parts with it."""
+        """Move the plate. The parts move with it."""
 
 
 class Watched:
-    """The simulator's parts, detected by vision in the images of the simulated camera."""
+    """The parts of the simulator. Vision detects them in the images of the simulated camera."""
 
     def __init__(self, setup: Setup, scenario: Scenario, rig: Rig) -> None:
         self.simulation = Simulation(
@@ -375,24 +379,28 @@ class Watched:
 
 
 class Cell(Protocol):
-    """The surroundings of the plate, such as hopper and robot. They control a feed task."""
+    """The surroundings of the plate in a feed task, for example hopper and robot. They control the
+    task."""
 
     def act(self, simulation: Simulation, now: float) -> None:
-        """Perform all actions that are due at the time `now` [s], before an image is taken."""
+        """Perform all actions that are due at the time `now` [s]. This is done before an image is
+        taken."""
 
     def order(self, report: FeedReport, now: float) -> FeedOrder:
-        """Process the report of the last image. Return the order for the task from `now` [s] on."""
+        """Process the report of the last image. Return the order for the task that applies from
+        `now` [s] on."""
 
 
 class ControlLaw(Protocol):
-    """A planner of the user. It is created with the rig and called once per image."""
+    """A planner that is provided by the user. It is created with the rig, and called once per
+    image."""
 
     def plan(self, parts: Parts, t: float) -> Wanted:
         """Return the requested mean force on each part. `t` is the stamp of the image [s]."""
 
 
 def load_planner(path: str, rig: Rig) -> ControlLaw:
-    """Load the class `OwnPlanner` from a Python file and return an instance.
+    """Load the class `OwnPlanner` from a Python file, and return an instance of it.
 
     Raises
     ------
@@ -417,8 +425,8 @@ def load_planner(path: str, rig: Rig) -> ControlLaw:
 
 
 class Direct:
-    """Immediate transport to the simulator. A cycle that is sent during another one runs after
-    it."""
+    """Immediate transport to the simulator. If a cycle is sent while another one is running, it is
+    executed after the running one."""
 
     def __init__(self) -> None:
         self.now = 0.0
@@ -439,7 +447,8 @@ class Direct:
         self._timeline = self._timeline.send(table.cycle)
 
     def play(self, until: float) -> list[PlateCycle | PlateMotion]:
-        """Advance the running cycle to its end, but at most to `until` [s]. Return the motion."""
+        """Advance the running cycle to its end, but at most to `until` [s]. Return the motion in
+        this time."""
         played, began, end = self.running, self.began, self._timeline.end
         until = until if until < end - MOMENT_S else end
         begin, stop = self.now - began, min(until - began, played.period)
@@ -460,8 +469,9 @@ def run(
 ) -> Iterator[Moment]:
     """Run the loop until the task has ended. Yield a `Moment` for each computed cycle.
 
-    `drag` is a function of the time [s]. In a running move task it returns new targets. `cell` is
-    for a feed task. `scene` provides the parts, by default those of the simulator.
+    `drag` is a function of the time [s]. It returns new targets for a running move task. `cell` is
+    used in a feed task. `scene` provides the parts. By default, these are the parts of the
+    simulator.
     """
     line = transport or Direct()
     scenario = setup.recipe
@@ -503,7 +513,8 @@ def run(
                 planner = planner.order(state, cell.order(state.memory.report, now))
             state, wanted, progress = planner.answer(state)
             expected = predicted(wanted, state)
-            # While the task is held, the plate must rest for the image, also with a user's planner.
+            # Before the task is confirmed, the plate must rest for an image. This also applies to a
+            # user's planner.
             if own is not None and not state.task.held(state.estimator.stamp, planner.limits):
                 wanted = own.plan(parts, began)
                 if not isinstance(wanted, Wanted):
@@ -544,7 +555,7 @@ def predicted(wanted: Wanted, state: PlannerState) -> Prediction | None:
 
 
 def seen_by(setup: Setup, rig: Rig) -> Rig:
-    """Return the rig with the setup's camera and height of parts."""
+    """Return the rig with the camera and the part heights of the setup."""
     view = {key: getattr(setup, f"camera_{key}") for key in VIEW}
     if any(value is not None for value in view.values()):
         rig = view_from(rig, **{key: value for key, value in view.items() if value is not None})
@@ -563,7 +574,8 @@ def _true_errors(
     t: float,
 ) -> tuple[np.ndarray, np.ndarray]:
     """Return the true position errors (P,) [m] of the parts relative to their references or
-    targets, and in a pose task their angle errors (P,) [rad]. Empty while there are none."""
+    targets. In a pose task, also return their angle errors (P,) [rad]. Both are empty if no errors
+    are defined yet."""
     task, true, none = scenario.task, world.position, np.zeros(0)
     if not len(true):
         return none, none
@@ -593,7 +605,8 @@ def _true_errors(
 
 
 def _named(parts: Parts, wanted: tuple[str, ...], world: WorldState) -> Parts:
-    """Return the true parts nearest to the detected parts with the ids `wanted`, with these ids."""
+    """Return the true parts that are nearest to the detected parts with the ids `wanted`. They get
+    these ids."""
     ids = [name for name in wanted if name in parts.ids]
     seen = parts.position[[parts.ids.index(name) for name in ids]]
     rows = [int(np.argmin(np.sum((world.position - place) ** 2, axis=1))) for place in seen]
@@ -601,9 +614,9 @@ def _named(parts: Parts, wanted: tuple[str, ...], world: WorldState) -> Parts:
 
 
 def as_asked(task: Task, rig: Rig, moment: Moment, error: np.ndarray) -> bool:
-    """Whether the final true state of the parts fulfils the task, with all parts on the plate.
+    """Whether the final true state of the parts fulfils the task. All parts must be on the plate.
 
-    `error` (n,) [m] are the relevant distances of the parts from their references.
+    `error` (n,) [m] are the distances of the parts from their references that count for this task.
     """
     if moment.world.dropped:
         return False
@@ -622,7 +635,7 @@ def as_asked(task: Task, rig: Rig, moment: Moment, error: np.ndarray) -> bool:
 
 
 def summary(setup: Setup, rig: Rig, transport: Transport | None = None) -> dict[str, object]:
-    """Run the loop and return the row that `bench/closed_loop.py` prints."""
+    """Run the loop. Return the row that `bench/closed_loop.py` prints."""
     solve_s, step_s, errors, misses, asks = [], [], [], [], []
     shares, scaled, held, late = [], 0, 0, 0
     task, cycles = setup.recipe.task, hashlib.blake2b(digest_size=8)
@@ -642,7 +655,7 @@ def summary(setup: Setup, rig: Rig, transport: Transport | None = None) -> dict[
         errors.append(moment.error_m)
     stay = isinstance(task, PoseTask) and all(pose.place is None for pose in task.poses)
     all_along = stay or isinstance(task, FollowTask)
-    # Otherwise only the error at the end counts.
+    # In other tasks, only the error at the end counts.
     error = np.concatenate(errors) if all_along else errors[-1]
     turned = np.degrees(np.max(moment.turn_error, initial=0.0))
     milliseconds = 1e3 * np.array(solve_s[1:] or [0.0])  # omit the first cycle, which makes tables

@@ -1,4 +1,5 @@
-"""Run all nodes of the loop in one process and one executor, for small computers or debugging."""
+"""Runs all nodes of the loop in one process and one executor. This is useful on small computers and
+for debugging."""
 
 from __future__ import annotations
 
@@ -13,7 +14,7 @@ from .graph import RunOptions, load_graph
 
 
 def main() -> None:
-    """Run the nodes that the command line names."""
+    """Run the nodes that are named on the command line."""
     graph = {node.name: node for node in load_graph()}
     default = [node.name for node in RunOptions().nodes(graph.values())]
     parser = argparse.ArgumentParser(

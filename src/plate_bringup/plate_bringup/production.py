@@ -1,8 +1,10 @@
-"""Simulated production with a feeder and a picking robot, in simulated time and without ROS.
+"""Simulated production with a feeder and a robot that picks parts. It runs in simulated time and
+without ROS.
 
-It uses the control loop of `loop`, the feeder's rules, and the simulator's hopper and robot. The
-plate is almost empty at first, so production starts with a heap of parts from the hopper. The
-result is a `Production` with the number of parts per minute and the robot's waiting time.
+It uses the control loop of `loop`, the rules of the feeder, and the hopper and robot of the
+simulator. At the beginning the plate is almost empty. Therefore production starts with a heap of
+parts from the hopper. The result is a `Production` with the number of parts per minute and the
+robot's waiting time.
 """
 
 from __future__ import annotations
@@ -28,15 +30,20 @@ __all__ = [
     "filled", "percentiles", "produce",
 ]  # fmt: skip
 
-LEAVES, ASKS, COMES = 0.15, 0.6, 0.85
-"""Times after a grip at which the robot has left the view, requests the next part, and enters the
-view again [fractions of its cycle]."""
+LEAVES = 0.15
+"""Time from a grip until the robot has left the image [fraction of its cycle]."""
+
+ASKS = 0.6
+"""Time from a grip until the robot requests the next part [fraction of its cycle]."""
+
+COMES = 0.85
+"""Time from a grip until the robot enters the image again [fraction of its cycle]."""
 
 AGAIN = 0.1
-"""Delay until the robot requests a part again after a refusal [fraction of its cycle]."""
+"""Time after a refusal until the robot requests a part again [fraction of its cycle]."""
 
 SHORT_S = 1e-9
-"""Tolerance of times for rounding errors [s]."""
+"""Tolerance for rounding errors of times [s]."""
 
 CLIENT = "robot"
 
@@ -52,13 +59,13 @@ class Act(Enum):
 
 @dataclass(frozen=True)
 class Robot:
-    """A robot that picks one part per cycle of length C.
+    """A robot that picks one part per cycle. The length of the cycle is C.
 
-    The robot grips at time 0 and detects immediately whether it has the part. It hides a part of
-    the image until 0.15 C, and then reports the result. At 0.6 C it requests the next part. If the
-    reply arrives in time, it enters the view at 0.85 C and grips at C. Otherwise it waits outside
-    the view for the reply, and grips 0.15 C after it. This wait is the measured waiting time. A
-    failed grip takes as long as a successful one.
+    The robot grips at time 0. It detects immediately whether it has the part. It hides a part of
+    the image until 0.15 C. Then it reports the result. At 0.6 C it requests the next part. If the
+    reply arrives in time, it enters the image at 0.85 C and grips at C. Otherwise it waits outside
+    the image for the reply, and grips 0.15 C after the reply. This wait is the measured waiting
+    time. A failed grip takes as long as a successful one.
 
     Attributes
     ----------
@@ -68,9 +75,9 @@ class Robot:
         Time of the last grip [s].
     next : Act
     place : (x, y, angle) or None
-        Pose of the next grip [m, m, rad, plate_home]. None if not yet known.
+        Pose of the next grip [m, m, rad, plate_home]. None if it is not known yet.
     answered : float
-        Time of the reply with this pose [s].
+        Time of the reply that contains this pose [s].
     refused : float
         Time of the last refusal [s].
     """
@@ -88,8 +95,8 @@ class Robot:
         return cls(cycle_s, -ASKS * cycle_s, Act.ASK)
 
     def told(self, place: tuple[float, float, float] | None, now: float) -> Robot:
-        """Return the robot after a reply at the time `now` [s]. `place` is the pose of the part
-        [m, m, rad, plate_home], or None if there is no part."""
+        """Return the robot after it has received a reply at the time `now` [s]. `place` is the pose
+        of the part [m, m, rad, plate_home], or None if there is no part."""
         if place is None:
             return replace(self, next=Act.ASK, refused=now)
         return replace(self, place=place, answered=now)
@@ -107,8 +114,8 @@ class Robot:
         return comes if self.next is Act.COME else comes + (1 - COMES) * self.cycle_s
 
     def step(self, now: float) -> tuple[Robot, Act | None]:
-        """Return the robot after the first action that is due at `now` [s], and this action. The
-        action is None if none is due."""
+        """Return the robot after the first action that is due at `now` [s], and return this action.
+        The action is None if no action is due."""
         if self.due > now + SHORT_S:
             return self, None
         act = self.next
@@ -134,14 +141,14 @@ class Tally:
     first_s : float
         Time of the first successful grip [s]. NaN if there was none.
     picks, failed : int
-        Numbers of successful and failed grips.
+        Number of successful grips and number of failed grips.
     waited_s : float
-        Total waiting time of the robot after the first pick [s].
+        Total time after the first pick for which the robot waited [s].
     error_m, error_rad : list of float
         Differences between the reported and the true position [m] and angle [rad] of each part at
         the grip.
     refused : list of str
-        Replies to the robot's requests without a part.
+        Number of replies to the robot's requests that contained no part.
     cpu_s : float
         CPU time of vision, planner, solver and driver [s].
     """
@@ -175,25 +182,25 @@ class Production:
     Attributes
     ----------
     parts_per_min : float
-        Number of parts picked after the first one, divided by the time since the first pick
-        [1/min]. If only one part was picked, the number is divided by the whole time.
+        Number of parts that were picked after the first one, divided by the time since the first
+        pick [1/min]. If only one part was picked, this part is divided by the whole time.
     waiting : float
         Fraction of the time since the first pick in which the robot waited for a part [-]. 1 if
         there was no second pick.
     first_s : float
         Time until the first pick [s].
     picks, failed : int
-        Numbers of successful and failed grips.
+        Number of successful grips and number of failed grips.
     lost, discharged : int
-        Numbers of parts that left the plate by other means. Lost parts fell over an edge, or they
-        were requested and fell over the chute's edge. Discharged parts are all other parts that
-        fell over the chute's edge.
+        Number of lost parts and number of discharged parts. A part is lost if it fell over an edge
+        without the chute, or if it was requested and fell over the chute's edge. Discharged parts
+        are all other parts that fell over the chute's edge.
     error_mm, error_deg : (median, 95 %, worst)
-        Errors of the reported positions and angles of parts at the grip.
+        Errors of the reported positions and angles of the parts at the grip.
     cpu : float
-        CPU time per simulated second, without the simulator [-].
+        CPU time per simulated second, without the CPU time of the simulator [-].
     refused : tuple of str
-        Replies to the robot's requests without a part.
+        Number of replies to the robot's requests that contained no part.
     """
 
     parts_per_min: float
@@ -210,7 +217,7 @@ class Production:
 
     @classmethod
     def of(cls, tally: Tally, robot: Robot, simulation: Simulation, task: FeedTask) -> Production:
-        """Return the result from the counters so far."""
+        """Return the result of the production until now, computed from the counters."""
         astray = sum(simulation.chuted_classes[pick.label] for pick in task.picks)
         counts = tally.picks >= 2
         since = tally.time_s - tally.first_s if counts else max(tally.time_s, SHORT_S)
@@ -231,7 +238,7 @@ class Production:
 
     @property
     def row(self) -> dict[str, Any]:
-        """The result as a dictionary for JSON."""
+        """The result as a dictionary that can be converted to JSON."""
         return asdict(self)
 
 
@@ -245,7 +252,7 @@ def percentiles(values: Sequence[float], unit: float) -> tuple[float, float, flo
 
 
 class FeederCell:
-    """The surroundings of the plate: the feeder's rules, the hopper and a robot.
+    """The surroundings of the plate: the rules of the feeder, the hopper and a robot.
 
     Attributes
     ----------
@@ -253,13 +260,13 @@ class FeederCell:
     robot : Robot
     tally : Tally
     simulation : Simulation or None
-        None before the first call of `act`.
+        Order for the planner. None before the first call of `act`.
     """
 
     def __init__(self, task: FeedTask, rig: Rig, cycle_s: float) -> None:
         self.feeder, self.robot, self.tally = Feeder(task, rig), Robot.ready(cycle_s), Tally()
         self.simulation: Simulation | None = None
-        # Id of the robot's part, and whether the robot holds this part.
+        # Id of the part of the robot, and whether the robot holds this part.
         self._id, self._has = "", False
 
     def act(self, simulation: Simulation, now: float) -> None:
@@ -294,7 +301,7 @@ class FeederCell:
         return output.order
 
     def _hear(self, reply: Reply | None, now: float) -> None:
-        """Process the feeder's reply to the robot. None: the reply follows later."""
+        """Process the feeder's reply to the robot. If the reply is None, it follows later."""
         if reply is None:
             return
         part = reply.part
@@ -307,7 +314,7 @@ class FeederCell:
 
 
 def status_of(report: FeedReport) -> FeedStatus:
-    """Convert the planner's report about an image to the feeder's input."""
+    """Convert the planner's report on an image to the input of the feeder."""
     ready = report.ready
     parts = zip(ready.ids, ready.position.tolist(), ready.angle.tolist(), strict=True)
     return FeedStatus(
@@ -322,12 +329,13 @@ def status_of(report: FeedReport) -> FeedStatus:
 
 
 def check_robot(task: FeedTask, cycle_s: float) -> None:
-    """Check that a part stays reserved until the robot with this cycle [s] has left the plate.
+    """Check that a part stays reserved long enough. The robot has a cycle of the given length [s]
+    and must have left the plate before the reservation ends.
 
     Raises
     ------
     PlateError
-        If the robot's cycle is too long for the task's `valid_s`.
+        If the cycle of the robot is too long for the `valid_s` of the task.
     """
     least = (1 + LEAVES - ASKS) * cycle_s
     if task.valid_s < least:
@@ -341,13 +349,13 @@ def check_robot(task: FeedTask, cycle_s: float) -> None:
 def filled(recipe: Scenario, fill: int) -> Scenario:
     """Return a recipe whose hopper keeps `fill` parts on the plate.
 
-    At the start, the plate has one part of the first requested class and all parts of the classes
+    At the start, the plate has one part of the first requested class, and all parts of the classes
     that are not requested.
 
     Raises
     ------
     PlateError
-        If the recipe is no feed task with a hopper, or `fill` is out of range.
+        If the recipe is not a feed task with a hopper, or if `fill` is out of range.
     """
     task = recipe.task
     if not isinstance(task, FeedTask) or task.hopper is None:
@@ -388,16 +396,16 @@ def produce(
     setup : Setup
         Setup whose scenario is a feed task.
     cycle_s, time_s : float
-        The robot's cycle and the duration of the production [s].
+        Cycle of the robot and duration of the production [s].
     rig : Rig, optional
-        Default: the rig of the recipe.
+        Rig. Default: the rig of the recipe.
     note : callable
-        Called after each computed cycle.
+        Function that is called after each computed cycle.
 
     Raises
     ------
     PlateError
-        If the task ends unexpectedly, or the robot is too slow for the recipe.
+        If the task ends unexpectedly, or if the robot is too slow for the recipe.
     """
     recipe = setup.recipe
     rig = rig or load_rig(recipe.rig)

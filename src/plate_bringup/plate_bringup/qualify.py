@@ -1,7 +1,8 @@
-"""Predict the parts per minute of a feeder before a rig is built: `ros2 run plate_bringup qualify`.
+"""Prediction of a feeder's parts per minute before a rig is built: `ros2 run plate_bringup
+qualify`.
 
-It simulates production with several numbers of parts on the plate. Without ROS,
-`python -m plate_bringup.qualify` does the same.
+The program simulates production with several numbers of parts on the plate. Without ROS, `python -m
+plate_bringup.qualify` does the same.
 """
 
 from __future__ import annotations
@@ -28,10 +29,13 @@ __all__ = ["Row", "page", "qualified"]
 
 AS_GOOD = 0.99
 """Fraction of the maximum parts per minute that the best fill must reach. The best fill is the
-smallest fill that reaches this fraction."""
+smallest number of parts on the plate that reaches this fraction."""
 
-CYCLE_S, MINUTES = (0.2, 60.0), (0.05, 60.0)
-"""Allowed ranges of the robot's cycle [s] and of the duration of one production [min]."""
+CYCLE_S = (0.2, 60.0)
+"""Allowed range of the robot's cycle [s]."""
+
+MINUTES = (0.05, 60.0)
+"""Allowed range of the duration of one production [min]."""
 
 MAX_SEEDS = 100
 
@@ -43,7 +47,7 @@ HEADINGS = (
 
 @dataclass(frozen=True)
 class Row:
-    """Results for one fill.
+    """Results for one fill, which is a number of parts on the plate.
 
     Attributes
     ----------
@@ -58,12 +62,12 @@ class Row:
 
     @property
     def parts_per_min(self) -> float:
-        """Mean parts per minute over the runs."""
+        """Mean number of parts per minute over the runs."""
         return float(np.mean([run.parts_per_min for run in self.runs]))
 
     @property
     def waiting(self) -> float:
-        """Mean fraction of the time in which the robot waits [-]."""
+        """Mean fraction of the time for which the robot waits [-]."""
         return float(np.mean([run.waiting for run in self.runs]))
 
     @property
@@ -88,8 +92,8 @@ def _shown(value: float, unit: str, digits: int) -> str:
 
 
 def best(rows: Sequence[Row]) -> Row | None:
-    """Return the smallest fill with at least `AS_GOOD` of the maximum parts per minute. None if no
-    part was picked."""
+    """Return the smallest fill that reaches the fraction `AS_GOOD` of the maximum parts per minute.
+    None if no part was picked."""
     most = max(row.parts_per_min for row in rows)
     good = [row for row in rows if row.parts_per_min >= AS_GOOD * most]
     return min(good, key=lambda row: row.fill) if most > 0 else None
@@ -104,7 +108,7 @@ def qualified(
     seeds: Sequence[int],
     note: Callable[[int, FeederCell], None],
 ) -> Row:
-    """Run a recipe with one fill.
+    """Simulate a recipe with one fill.
 
     Parameters
     ----------
@@ -113,15 +117,15 @@ def qualified(
     rig : Rig
     fill : int
     cycle_s, time_s : float
-        The robot's cycle and the duration of one production [s].
+        Cycle of the robot and duration of one production [s].
     seeds : sequence of int
     note : callable
-        Called with the seed after each computed cycle.
+        Function that is called after each computed cycle, with the seed.
 
     Raises
     ------
     PlateError
-        If recipe, rig and fill are inconsistent.
+        If recipe, rig and fill do not match.
     """
     setups = [Setup(filled(recipe, fill), seed) for seed in seeds]
     runs = [
@@ -144,7 +148,7 @@ def table(rows: Sequence[Row]) -> str:
 
 
 def page(path: Path, title: str, about: str, rows: Sequence[Row]) -> None:
-    """Write a page with the chart and the table.
+    """Write a web page with the chart and the table.
 
     Raises
     ------
@@ -192,8 +196,8 @@ this machine for vision, planner, solver and driver.</p>
 
 
 def chart(rows: Sequence[Row]) -> str:
-    """Return a chart of parts per minute and waiting time over the fill, as SVG. Each dot is one
-    run."""
+    """Return a chart of parts per minute and waiting time over the fill, in SVG format. Each dot is
+    one run."""
     from matplotlib import rc_context
     from matplotlib.figure import Figure
 
@@ -219,7 +223,8 @@ def chart(rows: Sequence[Row]) -> str:
 
 @piped()
 def main() -> None:
-    """Run the command line. Exit code 0: parts were picked, 1: no parts, 2: wrong arguments."""
+    """Run the command line. Exit code 0: parts were picked. 1: no part was picked. 2: arguments are
+    wrong."""
     args = arguments()
     try:
         recipe = load_scenario(args.recipe)
@@ -255,8 +260,8 @@ def main() -> None:
 
 
 class Progress:
-    """Reports the progress of the runs of a fill on stderr. On a terminal, the progress uses one
-    line."""
+    """Reports the progress of the runs of a fill on stderr. If stderr is a terminal, the progress
+    uses one line."""
 
     def __init__(self, fill: int, seeds: int, time_s: float) -> None:
         self._fill, self._seeds, self._time_s = fill, seeds, time_s
@@ -287,7 +292,7 @@ class Progress:
 
 
 def arguments() -> argparse.Namespace:
-    """Read the command line."""
+    """Read the arguments of the command line."""
     parser = argparse.ArgumentParser(
         prog="qualify",
         description="Simulate a feeder in production with several fills of the plate, before a "

@@ -1,9 +1,9 @@
-"""Rehearsal of a task by prediction, to find out whether a rig can perform it.
+"""Rehearsal of a task by prediction. It shows whether a rig can perform the task.
 
-A rehearsal runs the loop with the real planner and solver and the rig's limits. The solver's cycle
-map replaces plate and camera: parts are observed without error, the friction coefficient differs
-from part to part, and parts never collide. The results are the predicted time and speed, and the
-used fractions of the rig's limits.
+A rehearsal runs the loop with the real planner and solver, and with the limits of the rig. The
+cycle map of the solver replaces plate and camera. Parts are observed without error, they never
+collide, and their friction coefficients differ. The results are the predicted time and speed, and
+the used fractions of the limits of the rig.
 """
 
 from __future__ import annotations
@@ -29,30 +29,30 @@ from .loop import Setup, run
 __all__ = ["REHEARSALS", "STILL", "Rehearsal", "Share", "Verdict", "judge_task", "rehearse"]
 
 REHEARSALS = 3
-"""Number of rehearsals of a task, each with other random start positions."""
+"""Number of rehearsals of a task. Each has different random start positions."""
 
 MAX_CYCLES = 150
-"""Maximum number of cycles per rehearsal. The time for the rest is extrapolated from the speed in
-the second half."""
+"""Maximum number of cycles per rehearsal. The remaining time is extrapolated from the speed in the
+second half of the rehearsal."""
 
 UNEVEN = 0.1
-"""Standard deviation of the parts' friction, relative to that of the rig [-]."""
+"""Standard deviation of the friction of the parts, relative to the friction in the rig [-]."""
 
 STILL = 0.5e-3
-"""Speed of approach below which parts count as not approaching their targets [m/s]."""
+"""Speed towards the targets below which parts count as not approaching them [m/s]."""
 
 REHEARSED = SortTask, FollowTask, AssembleTask
 """Kinds of tasks in which parts can be modelled as points."""
 
 ENDLESS_S = 1e5
-"""Time limit of a rehearsal [s]. It is long, because the rehearsal determines the required time."""
+"""Time limit of a rehearsal [s]. It is long, because the rehearsal measures the required time."""
 
 NOTHING_SEEN = np.zeros((0, 0))
-"""Image of a scene without a camera."""
+"""Image of a scene that has no camera."""
 
 
 class Share(NamedTuple):
-    """Used fractions of the rig's limits, as medians over the cycles [-]."""
+    """Used fractions of the limits of the rig [-]. They are medians over the cycles."""
 
     stroke: float = 0.0
     speed: float = 0.0
@@ -73,14 +73,14 @@ class Rehearsal:
     Attributes
     ----------
     time_s : float
-        Time until the task succeeded, extrapolated if it was not finished after `MAX_CYCLES` [s].
-        Infinite if it failed or if the parts did not approach their targets.
+        Time until the task succeeded [s]. If it was not finished after `MAX_CYCLES`, the time is
+        extrapolated. Infinite if the task failed, or if the parts did not approach their targets.
     speed : float
-        Mean speed of the parts until the remaining distance was halved [m/s].
+        Mean speed of the parts until half of the distance remained [m/s].
     lost : bool
         Whether a part left the plate.
     share : Share
-        Used fractions of the rig's limits.
+        Used fractions of the limits of the rig.
     """
 
     time_s: float
@@ -90,7 +90,7 @@ class Rehearsal:
 
 
 class Verdict(NamedTuple):
-    """Rehearsals of a task from several starts, and its time limit [s]."""
+    """Rehearsals of a task from several starts, and the time limit of the task [s]."""
 
     rehearsals: tuple[Rehearsal, ...]
     time_limit_s: float
@@ -134,8 +134,8 @@ def judge_task(rig: Rig, scenario: Scenario, rehearsals: int = REHEARSALS) -> Ve
 
 
 class Predicted:
-    """A `Scene` that moves parts by the solver's cycle map. Parts start at rest and are observed
-    without error.
+    """A `Scene` that moves the parts by the cycle map of the solver. The parts start at rest. They
+    are observed without error.
 
     Parameters
     ----------
@@ -158,7 +158,7 @@ class Predicted:
         self._half = rig.plate.half
 
     def shots(self, begin: float) -> Iterator[Shot]:
-        """Return no images, since there is no free-running camera."""
+        """Return no images, because there is no free-running camera."""
         return iter(())
 
     def capture(self, age: float | None = None) -> np.ndarray:
@@ -179,13 +179,14 @@ class Predicted:
 
 
 def rehearse(rig: Rig, scenario: Scenario, seed: int) -> Rehearsal:
-    """Rehearse a task once by Method B. The seed determines start positions and friction.
+    """Rehearse a task once with Method B. The seed determines the start positions and the friction
+    of the parts.
 
     Raises
     ------
     PlateError
-        If the scenario is impossible on this rig, or its kind of task (pose, move, feed) cannot be
-        rehearsed.
+        If the scenario is impossible on this rig, or if its kind of task cannot be rehearsed (pose,
+        move, feed).
     """
     if not isinstance(scenario.task, REHEARSED):
         raise PlateError("tasks of kind pose, move and feed are not rehearsed")
@@ -197,7 +198,8 @@ def rehearse(rig: Rig, scenario: Scenario, seed: int) -> Rehearsal:
     times = np.array([progress.time_s for progress in progresses])
     begin = int(np.argmax(left))
     left, times, first = left[begin:], times[begin:], progresses[begin]
-    # A follow task reports the largest remaining distance, other tasks the sum over all parts.
+    # A follow task reports the largest remaining distance. All other tasks report the sum over the
+    # parts.
     going = 1 if isinstance(scenario.task, FollowTask) else first.parts_total - first.parts_sorted
     half = int(np.argmax(left <= left[0] / 2)) if np.any(left <= left[0] / 2) else -1
     speed = (left[0] - left[half]) / max(going, 1) / max(times[half] - times[0], IDLE_S)

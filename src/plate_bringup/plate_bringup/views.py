@@ -1,4 +1,4 @@
-"""Variants of a rig with another camera: tilted, nearer, or with another lens."""
+"""Variants of a rig with a different camera: tilted, nearer, or with another lens."""
 
 from __future__ import annotations
 
@@ -13,14 +13,17 @@ from plate_core.rig import Lens
 __all__ = ["MARGIN_PX", "view_from", "with_height"]
 
 MARGIN_PX = 12.0
-"""Minimum distance between the plate's corners and the image's edges, which determines the
-camera's distance if none is given [px]."""
+"""Minimum distance between the corners of the plate and the edges of the image [px]. If no distance
+of the camera is given, this margin determines it."""
 
-NEAREST_M, FARTHEST_M = 0.05, 100.0
-"""Range of the search for the camera's distance [m]."""
+NEAREST_M = 0.05
+"""Lower end of the search for the camera's distance [m]."""
+
+FARTHEST_M = 100.0
+"""Upper end of the search for the camera's distance [m]."""
 
 HALVINGS = 60
-"""Number of bisections of that range. The result is exact up to rounding."""
+"""Number of bisections of that range. The result is exact, except for rounding."""
 
 
 def view_from(
@@ -32,23 +35,23 @@ def view_from(
     distance_m: float = 0.0,
     distortion: Sequence[float] = (),
 ) -> Rig:
-    """Return a rig whose camera looks at the middle of the plate, with the top of the image towards
-    +y.
+    """Return a rig whose camera is directed at the middle of the plate. The top of the image is
+    towards +y.
 
     Parameters
     ----------
     rig : Rig
-        Source of all other data, such as the size of the image.
+        Rig from which all other data are taken, for example the size of the image.
     tilt_deg, towards_deg : float
-        Tilt of the camera from straight above [degrees], and direction from the plate's middle to
-        the camera, counter-clockwise from x [degrees].
+        Tilt of the camera from the vertical [degrees], and direction from the middle of the plate
+        to the camera, counter-clockwise from x [degrees].
     focal_px : float
         Focal length of the lens [px]. The principal point is the middle of the image.
     distance_m : float
-        Distance between the camera and the middle of the plate [m]. 0: the smallest distance at
-        which the corners are at least `MARGIN_PX` inside the image.
+        Distance between the camera and the middle of the plate [m]. 0 selects the smallest distance
+        at which all corners of the plate are at least `MARGIN_PX` inside the image.
     distortion : sequence of float
-        Distortion of the lens, k1, k2, p1, p2, k3. Empty: no distortion.
+        Distortion of the lens, k1, k2, p1, p2, k3. Empty if there is no distortion.
 
     Raises
     ------
@@ -85,13 +88,13 @@ def view_from(
 
 
 def with_height(rig: Rig, height_m: float) -> Rig:
-    """Return a rig in which all parts, also those with a type, have this height [m]."""
+    """Return a rig in which all parts have this height [m], including parts with a type."""
     types = {name: replace(part, height_m=height_m) for name, part in rig.types.items()}
     return replace(rig, parts=replace(rig.parts, height_m=height_m), types=types)
 
 
 def _rotation(tilt_deg: float, towards_deg: float) -> np.ndarray:
-    """Return the axes of plate_home in the camera frame as columns (3, 3)."""
+    """Return the axes of plate_home in the frame of the camera, as columns (3, 3)."""
     tilt, towards = np.radians([tilt_deg, towards_deg])
     beside = np.array([np.cos(towards), np.sin(towards), 0.0])
     ahead = -np.sin(tilt) * beside - np.array([0.0, 0.0, np.cos(tilt)])

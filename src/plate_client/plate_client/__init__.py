@@ -12,8 +12,8 @@ __all__ = ["PlateClient", "Task", "TaskError"]
 
 
 def __getattr__(name: str) -> Any:
-    """Import the client on first use, because the program `plate` must stop the plate without this
-    delay."""
+    """Import the client on first use, because the program `plate` must be able to stop the plate
+    without this delay."""
     if name not in __all__:
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
     from .ros import client

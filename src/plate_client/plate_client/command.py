@@ -1,6 +1,8 @@
-"""The program `plate`: tasks, stops, states and parameters of a running graph, without `ros2`.
+"""The program `plate`: tasks, stops, states and parameters of a running graph. It does not need the
+program `ros2`.
 
-Modules that take long to import are imported only where needed, so that they do not delay a stop.
+Modules that take long to import are imported only where they are needed. They must not delay a
+stop.
 """
 
 from __future__ import annotations
@@ -34,8 +36,8 @@ OTHERS = {
 
 
 def main() -> None:
-    """Run the command line; exit code 0: done, 1: failed, 2: wrong arguments or files."""
-    signal.signal(signal.SIGINT, _interrupted)  # handle signals while modules are imported
+    """Run the command line. Exit code 0: done. 1: failed. 2: arguments or files are wrong."""
+    signal.signal(signal.SIGINT, _interrupted)  # handle signals during imports
     from plate_core import PlateError, ScenarioError, ends
 
     from .messages import defer_signals
@@ -59,7 +61,7 @@ def main() -> None:
             code = 2
     except KeyboardInterrupt as interrupt:
         code = 128 + int(interrupt.args[0])
-    except BrokenPipeError:  # the reader has closed the pipe, as in `plate state | head`
+    except BrokenPipeError:  # the reader closed the pipe: `plate state | head`
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         code = 128 + signal.SIGPIPE
     finally:
@@ -69,7 +71,7 @@ def main() -> None:
 
 
 def _interrupted(number: int, frame: FrameType | None) -> None:
-    """Exit at once, because an exception inside an import might be converted to another one."""
+    """Exit at once. An exception inside an import might be converted to another exception."""
     os.write(sys.stderr.fileno(), b"plate: interrupted\n")
     os._exit(128 + number)
 
@@ -84,7 +86,7 @@ def _arguments() -> argparse.Namespace:
     commands = parser.add_subparsers(dest="command", required=True, help=argparse.SUPPRESS)
     for name, what in (SERVICES | OTHERS).items():
         one = commands.add_parser(name, description=what)
-        if name in ("get", "set", "params"):  # the error for a missing argument lists the nodes
+        if name in ("get", "set", "params"):  # the error for a missing argument lists nodes
             one.add_argument("node", nargs="?", metavar="NODE")
         if name in ("get", "set"):
             one.add_argument("name", nargs="?", metavar="NAME")

@@ -1,4 +1,4 @@
-"""Processing of messages until a condition holds, with deferred signals."""
+"""Processes messages until a condition is true, and defers signals meanwhile."""
 
 from __future__ import annotations
 
@@ -12,11 +12,11 @@ POLL_S = 0.02
 """Maximum wait for one message [s]."""
 
 _noted: list[int] = []
-"""Received signals that have not raised KeyboardInterrupt yet."""
+"""Received signals for which KeyboardInterrupt has not been raised yet."""
 
 
 def defer_signals() -> None:
-    """From now on Ctrl-C, SIGTERM and SIGHUP interrupt only `spin_until`."""
+    """Defer Ctrl-C, SIGTERM and SIGHUP from now on, so that they interrupt only `spin_until`."""
     for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
         signal.signal(number, _note)
 
@@ -24,16 +24,17 @@ def defer_signals() -> None:
 def spin_until(
     spin_once: Callable[[float], object], true: Callable[[], bool], timeout_s: float
 ) -> bool:
-    """Process messages until a condition holds, or until a timeout [s]. Return whether it holds.
+    """Process messages until a condition is true, or until a timeout [s]. Return whether the
+    condition is true.
 
-    Ctrl-C raises KeyboardInterrupt between two messages. If it were raised while a message is
-    processed, a reply could be lost, for example the handle of a running task. Without this handle,
-    the task could not be canceled.
+    Ctrl-C raises KeyboardInterrupt only between two messages. If it were raised while a message is
+    processed, a reply could be lost. The reply may contain the handle of a running task. Without
+    this handle, the task could not be canceled.
 
     Raises
     ------
     KeyboardInterrupt
-        With the number of the signal.
+        If a signal was received. The exception contains the number of the signal.
     """
     deferred = (
         threading.current_thread() is threading.main_thread()

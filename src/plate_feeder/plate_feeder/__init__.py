@@ -1,4 +1,5 @@
-"""A feeder: dispenses parts to a robot one by one, while the planner gets the next ones ready."""
+"""A feeder. It dispenses parts to a robot one by one, while the planner gets the next parts
+ready."""
 
 from .codes import Code
 from .feeder import Feeder

@@ -1,4 +1,4 @@
-"""Reply codes of the feeder: one table for ROS and TCP."""
+"""Reply codes of the feeder. ROS and TCP use the same codes."""
 
 from __future__ import annotations
 
@@ -6,8 +6,8 @@ from enum import IntEnum
 
 
 class Code(IntEnum):
-    """2xx: done. 4xx: the request must be changed. 5xx: the feeder cannot execute the request at
-    present."""
+    """2xx: the command was executed. 4xx: the request must be changed. 5xx: the feeder cannot
+    execute the request at present."""
 
     DONE = 200
     BAD_LINE = 400

@@ -1,9 +1,9 @@
-"""The feeder's rules, without ROS: which part a robot gets, when the plate rests, when the hopper
-opens.
+"""The rules of the feeder, without ROS. They determine which part a robot gets, when the plate
+rests, and when the hopper opens.
 
-A `Feeder` receives the planner's statuses (`hear`) and commands. After each of them, and about
-every 0.1 s, `step` returns the actions to take. All times are arguments, from one steady clock. A
-loop without ROS uses it like this::
+A `Feeder` receives the statuses of the planner (`hear`) and the commands of the robots. After each
+of them, and about every 0.1 s, `step` returns the actions that the caller must take. All times are
+arguments. They are from one steady clock. A loop without ROS uses it like this::
 
     feeder = Feeder(task, rig)
     reply = feeder.get_part("robot", now=t)  # None: the reply comes with a later `step`
@@ -14,34 +14,37 @@ loop without ROS uses it like this::
 
 The rules:
 
-- The planner gets parts ready (`FEED`) until it has nothing left to do and rests. Then it is
-  ordered to keep resting (`REST`), so that a robot need not wait. While a command waits, the plate
-  is ordered to rest as soon as one part is ready.
-- A part is offered only from a status that was made under an order to rest, and that reports the
-  plate at rest. The mode of an order is not changed before a status has confirmed it. So a status
-  of an earlier rest is never taken for one of the present rest. The picks of an order and `hidden`
-  change at once if the mode stays.
+- The planner gets parts ready (mode `FEED`) until no more parts are needed. Then it rests by
+  itself. The feeder then orders it to keep resting (mode `REST`), so that a robot need not wait. If
+  a command waits, the feeder orders the plate to rest as soon as one part is ready.
+- A part is offered only from a status that was made under an order to rest and that reports the
+  plate at rest. The mode of an order is not changed until a status has confirmed it. Therefore a
+  status of an earlier rest is never mistaken for a status of the present rest. If the mode stays
+  the same, the picks of an order and `hidden` change at once.
 - From the reply on, the part is reserved and the plate rests. The reservation ends with
-  `part_taken`, with the next `get_part`, `prepare_part` or `purge` of its client, or at the end of
-  its validity. Only one part is reserved, for one client; these commands of other clients get
-  `BUSY`. Only its client may report the part. The feeder sends the part's id only to this client.
-  If this client has disconnected, any client that knows the id may report the part.
-- After a `stop` nothing starts before `resume`, which a person calls.
-- A part that was reserved is not offered again until a later image shows it ready. The stamp of
-  this image exceeds the newest one at the end of the reservation by at least `SEEN_ANEW_S`. After
-  `MAX_FAILURES` failed picks at one place, a part is not offered until it is elsewhere. In both
-  cases one more part of its class is requested, because the planner counts this one as ready.
-- Among several parts the one with the fewest failed picks is offered; among equals the one nearest
-  to the centre of its pick window.
-- The hopper is opened for the parts missing to `fill` if there are fewer parts than `least`, or if
-  a command waits for a class of which no part is there. It is not opened while a part is reserved,
-  while the plate is purged, or while messages of the planner are missing.
-- After an opening it is not opened again until `FALLEN_S` after it closes, and until an image
-  without a reservation arrives: the planner counts no new parts while a robot hides some. Until
-  then no part within `SPREADS` spreads of the place where parts fall is offered, and the plate does
-  not count as purged.
+  `part_taken`, with the next `get_part`, `prepare_part` or `purge` of the same client, or at the
+  end of its validity. Only one part is reserved at a time, for one client. If other clients send
+  one of these commands, they get `BUSY`. Only the client of the reservation may report the part as
+  taken. The feeder sends the part's id only to this client. If this client has disconnected, any
+  client that knows the id may report the part.
+- After a `stop`, no command starts before a person calls `resume`.
+- A part that was reserved is not offered again until a later image shows that it is ready. The
+  stamp of this image must exceed the newest stamp at the end of the reservation by at least
+  `SEEN_ANEW_S`. After `MAX_FAILURES` failed picks at one place, a part is not offered until it is
+  at another place. In both cases one more part of the same class is requested, because the planner
+  counts this part as ready.
+- If several parts are ready, the part with the fewest failed picks is offered. Among parts with the
+  same number, the one nearest to the centre of its pick window is offered.
+- The hopper is opened if there are fewer parts than `least`, or if a command waits for a class of
+  which no part is on the plate. It is opened for the number of parts that are missing to `fill`. It
+  is not opened while a part is reserved, while the plate is purged, or while messages of the
+  planner are missing.
+- After an opening, it is not opened again until `FALLEN_S` after it closed, and until an image
+  without a reservation arrives. The planner counts no new parts while a robot hides some parts.
+  Until then, parts within `SPREADS` spreads of the place where parts fall are not offered, and the
+  plate does not count as purged.
 - The hopper is closed when a purge begins and when the task ends. After `MAX_OPENINGS` openings
-  without new parts it counts as empty; each new command permits one more opening.
+  without new parts, it counts as empty. Each new command then permits one more opening.
 """
 
 from __future__ import annotations
@@ -66,41 +69,45 @@ from .codes import Code
 from .interface import FeedStatus, Output, Quantity, ReadyPart, Reply, Reserved, State
 
 LATE_S = 0.3
-"""An image whose stamp exceeds the newest known one by at least this was certainly taken after now
-[s], although images arrive late."""
+"""Minimum difference between the stamp of an image and the newest known stamp at which the image
+was certainly taken after the present time [s]. Images arrive late, so a smaller difference is not
+certain."""
 
 SEEN_ANEW_S = 1.0
-"""An image whose stamp exceeds the newest known one by at least this also does not show parts that
-are gone now [s]: the tracker keeps a missing part for some images."""
+"""Minimum difference between the stamp of an image and the newest known stamp at which the image
+no longer shows parts that are gone at present [s]. The tracker keeps a missing part for some
+images."""
 
 SILENT_S = 1.0
-"""Maximum time between two statuses of a running task [s]. It is ten typical cycles."""
+"""Maximum time between two statuses of a running task [s]. It is about ten cycles of usual
+length."""
 
 START_S = 10.0
 """Maximum time from a command to the first status of its task [s]."""
 
 SETTLED = 2
-"""Number of statuses at rest before the plate counts as settled. In the first status at rest, a
-part may have moved since the previous image, so it is not ready."""
+"""Number of statuses at rest before the plate counts as settled. A part may have moved between the
+last moving image and the first image at rest. Therefore no part is ready in the first status at
+rest."""
 
 FALLEN_S = 1.0
-"""Delay after the hopper closes until all dropped parts are visible [s]."""
+"""Time after the hopper closes until all dropped parts are visible [s]."""
 
 MAX_OPENINGS = 3
 """Number of consecutive openings without a new part after which the hopper counts as empty."""
 
 MAX_FAILURES = 3
-"""Number of failed picks at one place after which a part is not offered."""
+"""Number of failed picks at one place after which a part is no longer offered."""
 
 MOVED_M = 0.002
-"""Distance from the place of the failed pick above which a part counts as moved [m]. It is larger
-than the camera's error."""
+"""Distance from the place of a failed pick above which the part counts as moved [m]. It is larger
+than the error of the camera."""
 
 SPREADS = 2.0
-"""Maximum distance of falling parts from the hopper's place [the hopper's spread]."""
+"""Maximum distance of a falling part from the hopper's place [spread of the hopper]."""
 
 WAITS = "stopped until a person calls resume_feeding: "
-"""Beginning of the text of a stop; the reason follows."""
+"""Beginning of the text that describes a stop. The reason follows."""
 
 MAX_S = 3600.0
 """Maximum `timeout_s` of a command [s]."""
@@ -114,8 +121,8 @@ class _Task(Enum):
 
 @dataclass(frozen=True)
 class _Request:
-    """Request of a command: a class, or "" for any class, and optionally a pick that replaces the
-    recipe's."""
+    """Request of a command: a class ("" for any class), and optionally a pick that replaces the
+    pick of the recipe."""
 
     label: str = ""
     pick: Pick | None = None
@@ -123,7 +130,7 @@ class _Request:
 
 @dataclass(frozen=True)
 class _Waiting:
-    """A waiting command."""
+    """A command that waits for its reply."""
 
     client: Hashable
     request: _Request
@@ -142,12 +149,12 @@ class _Failures:
 
 
 class Feeder:
-    """Dispenses parts to robots, one at a time; see the top of this file.
+    """Dispenses parts to robots, one at a time. The top of this file describes the rules.
 
     Parameters
     ----------
     task : FeedTask
-        The recipe.
+        Task of the recipe.
     rig : Rig
 
     Notes
@@ -159,8 +166,8 @@ class Feeder:
     def __init__(self, task: FeedTask, rig: Rig) -> None:
         self.task, self._rig = task, rig
         self._status: FeedStatus | None = None
-        self._ended = False  # whether the task was stopped, or has failed
-        self._stop = ""  # reason why nothing starts before `resume`
+        self._ended = False  # whether the task was stopped or has failed
+        self._stop = ""  # reason why no command starts before `resume`
         self._task, self._since = _Task.IDLE, -math.inf  # time of the last command or status
         self._sent, self._in_force = FeedOrder(FeedMode.FEED, task.picks), False
         self._rested = 0  # number of statuses since the plate rests by order
@@ -168,21 +175,21 @@ class Feeder:
         self._waiting: _Waiting | None = None
         self._prepared: _Request | None = None
         self._reserved: Reserved | None = None
-        self._late: Reserved | None = None  # reservation ended, result not reported yet
+        self._late: Reserved | None = None  # reservation has ended, result not reported yet
         self._held: dict[str, float] = {}  # newest stamp at the end of the reservation, by id
         self._failures: dict[str, _Failures] = {}
         self._replies: list[tuple[Hashable, Reply]] = []
-        # Discharged and lost parts of tasks that have ended.
+        # Discharged and lost parts of earlier tasks.
         self._taken = self._discharged = self._lost = 0
         self._unreported = 0  # number of reservations that ended without a report on the pick
-        # Number of parts that had come before the hopper was opened.
+        # Total number of parts before the hopper was opened.
         self._opened: int | None = None
         self._evaluate_at, self._barren = -math.inf, 0
 
     # Inputs
 
     def hear(self, status: FeedStatus, now: float) -> None:
-        """Receive a status of the planner."""
+        """Process a status of the planner."""
         self._status = status
         self._held = {
             part: since
@@ -198,20 +205,20 @@ class Feeder:
         self._content |= status.mode is FeedMode.FEED and status.at_rest
 
     def task_ended(self, text: str) -> None:
-        """The planner's task has ended or was refused, or must end. A waiting command gets this
-        reply."""
+        """Process that the planner's task has ended or was refused, or that it must end. A waiting
+        command gets this reply."""
         self._answer_waiting(Code.STOPPED, text)
         self._end()
         self._ended = True
 
     def stop(self, why: str) -> None:
-        """The plate was stopped by a person, or a person is needed for another reason. End the
-        task, and refuse each command that would move the plate until `resume`."""
+        """Process that a person stopped the plate, or that a person is needed for another reason.
+        End the task. Refuse each command that would move the plate until `resume` is called."""
         self._stop = WAITS + why
         self.task_ended(self._stop)
 
     def resume(self) -> None:
-        """A person permits the next command to start the task again."""
+        """Process that a person permits the next command to start the task again."""
         if self._stop:
             self._stop, self._ended = "", False
 
@@ -224,24 +231,25 @@ class Feeder:
         *,
         now: float,
     ) -> Reply | None:
-        """Request a part. The reply comes with a later `step`, or at once if it is a refusal.
+        """Request a part. The reply comes with a later `step`. A refusal is returned at once.
 
         Parameters
         ----------
         client : hashable
         label : str
-            Class of the part; empty: that of `pick`, of `prepare_part`, or any of the recipe's.
+            Class of the part. If it is empty, the class is that of `pick`, that of `prepare_part`,
+            or any class of the recipe.
         pick : Pick, optional
-            Window, angle or number that replaces the recipe's for this command.
+            Window, angle or number that replaces the values of the recipe for this command.
         timeout_s : float
-            Maximum wait [s]; 0: the recipe's.
+            Maximum wait [s]. 0 means the value of the recipe.
         now : float
-            [s]
+            Present time [s].
 
         Returns
         -------
         Reply or None
-            None if the command waits.
+            Reply. None if the command waits.
         """
         wanted = self._read(label, pick, timeout_s)
         if isinstance(wanted, Reply):
@@ -260,7 +268,8 @@ class Feeder:
     def prepare_part(
         self, client: Hashable, label: str = "", pick: Pick | None = None, *, now: float
     ) -> Reply:
-        """Get a part ready for the next `get_part` without a class. Parameters as in `get_part`."""
+        """Get a part ready for the next `get_part` without a class. The parameters are the same as
+        in `get_part`."""
         wanted = self._read(label, pick)
         if isinstance(wanted, Reply):
             return wanted
@@ -272,23 +281,23 @@ class Feeder:
         return Reply(Code.DONE, f"{wanted.label or 'a part'} is being prepared")
 
     def part_taken(self, client: Hashable, part: str = "", taken: bool = True) -> Reply:
-        """Report that the robot has tried to take a part, and is no longer above it.
+        """Report that the robot has tried to take a part and is no longer above it.
 
         Parameters
         ----------
         client : hashable
         part : str
-            Id of the part. Empty: the part reserved for this client. A part whose client has
-            disconnected is reported with its id. A part whose validity has ended may still be
-            reported, until the next one is reserved.
+            Id of the part. If it is empty, the part that is reserved for this client is meant. A
+            part whose client has disconnected must be reported with its id. After the validity of a
+            part has ended, it may still be reported until the next part is reserved.
         taken : bool
-            Whether the robot has the part. If False, it is still there.
+            Whether the robot has the part. If False, the part is still on the plate.
         """
         known = self._reserved or self._late
         if known is None:
             return Reply(Code.NOT_RESERVED, "no part is reserved")
         if known.client != client and (known.client is not None or part != known.part.id):
-            # The same text for all ids, so that ids cannot be guessed.
+            # The text is the same for all ids, so that ids cannot be guessed.
             text = "another client has reserved the part, allowed: its id, if that client is gone"
             return Reply(Code.NOT_RESERVED, text)
         if part not in ("", known.part.id):
@@ -313,7 +322,7 @@ class Feeder:
         return Reply(Code.DONE, f"{name} is still there, failed picks at this place: {count}{late}")
 
     def purge(self, client: Hashable, timeout_s: float = 0.0, *, now: float) -> Reply | None:
-        """Bring all parts to the chute, then end the task. None if the command waits."""
+        """Move all parts to the chute, then end the task. None if the command waits."""
         problem = _time_problem(timeout_s)
         if problem:
             return Reply(Code.BAD_ARGUMENT, problem)
@@ -330,8 +339,8 @@ class Feeder:
         return None
 
     def cancel(self, client: Hashable) -> None:
-        """Withdraw the waiting command of a client, without a reply. A reserved part remains
-        reserved, because the robot may be above it. A withdrawn purge ends the task."""
+        """Withdraw the waiting command of a client without a reply. A reserved part remains
+        reserved, because the robot may be above it. If a purge is withdrawn, the task ends."""
         waiting = self._waiting
         if waiting is not None and waiting.client == client:
             self._waiting = None
@@ -339,8 +348,8 @@ class Feeder:
                 self._end()
 
     def gone(self, client: Hashable) -> None:
-        """Remove a client and withdraw its command. The part reserved for this client remains
-        reserved, without an owner."""
+        """Remove a client, and withdraw its command. If a part is reserved for this client, it
+        remains reserved, but without an owner."""
         self.cancel(client)
         self._reserved, self._late = (
             replace(each, client=None) if each is not None and each.client == client else each
@@ -350,7 +359,7 @@ class Feeder:
     # Outputs
 
     def step(self, now: float) -> Output:
-        """Return the actions to take now [s]."""
+        """Return the actions that must be taken now [s]."""
         if self._reserved is not None and now >= self._reserved.until:
             self._give_up()
         if self._waiting is not None:
@@ -363,7 +372,8 @@ class Feeder:
         return Output(self._task is not _Task.IDLE, self._sent, open_s, replies)
 
     def quantity(self) -> Quantity:
-        """Return the numbers of parts: on the plate, ready, and taken or gone so far."""
+        """Return the numbers of parts: on the plate, ready, and taken, discharged or lost until
+        now."""
         status = self._status or FeedStatus(0.0, FeedMode.FEED, False)
         running = self._task is _Task.RUNNING
         return Quantity(
@@ -393,22 +403,23 @@ class Feeder:
 
     @property
     def stopped(self) -> str:
-        """Reason why nothing starts before `resume`, as text for a robot; empty if the next command
-        may start the task."""
+        """Reason why no command starts before `resume`, as text for a robot. Empty if the next
+        command may start the task."""
         return self._stop
 
     @property
     def reserved(self) -> Reserved | None:
-        """The reserved part; None if there is none."""
+        """The reserved part. None if there is none."""
         return self._reserved
 
     @property
     def hopper_empty(self) -> bool:
-        """Whether the last openings of the hopper brought no parts."""
+        """Whether the last openings of the hopper brought no new parts."""
         return self._barren >= MAX_OPENINGS
 
     def silence(self, now: float) -> str:
-        """Return a text about missing messages of the planner; empty if none are missing."""
+        """Return a text that describes missing messages of the planner. Empty if none are
+        missing."""
         silent = now - self._since
         if self._task is _Task.REQUESTED and silent > START_S:
             return f"the planner has not started feed_parts within {START_S:g} s"
@@ -420,7 +431,8 @@ class Feeder:
     # Commands
 
     def _read(self, label: str, pick: Pick | None, timeout_s: float = 0.0) -> _Request | Reply:
-        """Return the request of a command, or a reply with its error."""
+        """Return the request of a command. If the command is wrong, return a reply with the
+        error."""
         labels = [each.label for each in self.task.picks]
         problem = _time_problem(timeout_s)
         if pick is not None:
@@ -437,7 +449,8 @@ class Feeder:
         return Reply(Code.BAD_ARGUMENT, problem) if problem else _Request(label, pick)
 
     def _refusal(self, client: Hashable) -> Reply | None:
-        """Return the reason to refuse a command that would move the plate; None to accept it."""
+        """Return the reason to refuse a command that would move the plate. None if the command is
+        accepted."""
         if self._stop:
             return Reply(Code.STOPPED, self._stop)
         waiting, reserved = self._waiting, self._reserved
@@ -515,7 +528,7 @@ class Feeder:
     def _answer_purge(self, waiting: _Waiting, now: float) -> None:
         purging = self._in_force and self._sent.mode is FeedMode.PURGE
         left = self._status.total if self._status is not None else 0
-        # No opening is pending, so no more parts fall.
+        # No opening is pending, so no more parts will fall.
         if purging and not left and self._opened is None:
             self._answer_waiting(Code.DONE, "the plate is empty")
             self._end()
@@ -525,7 +538,8 @@ class Feeder:
             self._end()
 
     def _rests(self) -> bool:
-        """Whether the plate rested in the newest status, and rests until the order changes."""
+        """Whether the plate was at rest in the newest status and stays at rest until the order
+        changes."""
         status = self._status
         return (
             self._task is _Task.RUNNING
@@ -539,7 +553,8 @@ class Feeder:
     # Parts
 
     def _picks(self) -> tuple[Pick, ...]:
-        """Return the picks to get ready, with more of a class whose ready parts are not offered."""
+        """Return the picks to get ready. If ready parts of a class are not offered, more parts of
+        this class are requested."""
         wanted = self._waiting.request if self._waiting is not None else self._prepared
         other = None if wanted is None else wanted.pick
         picks = [
@@ -587,7 +602,8 @@ class Feeder:
         )
 
     def _is_fallen_on(self, part: ReadyPart) -> bool:
-        """Whether dropped parts may fall on this part, or may have fallen on it since the image."""
+        """Whether a dropped part may fall on this part, or may have fallen on it since the
+        image."""
         hopper = self.task.hopper
         if hopper is None or self._opened is None:
             return False
@@ -616,7 +632,8 @@ class Feeder:
     # Orders
 
     def _decide(self) -> None:
-        """Update the order. Its mode changes only after a status has confirmed the previous one."""
+        """Update the order. Its mode changes only after a status has confirmed the previous
+        mode."""
         if self._task is not _Task.RUNNING:
             return
         order = FeedOrder(self._mode(), self._picks(), hidden=self._reserved is not None)
@@ -633,7 +650,7 @@ class Feeder:
             return FeedMode.PURGE
         if waiting is not None:
             stopping = self._sent.mode is FeedMode.REST and self._rested < SETTLED
-            # If the plate is stopping, wait for a status at rest.
+            # If the plate is coming to rest, wait for a status at rest.
             ready = stopping or self._offers(waiting.request)
             return FeedMode.REST if ready else FeedMode.FEED
         offers = [part.label for part in self._offers(self._prepared or _Request())]
@@ -648,7 +665,8 @@ class Feeder:
     # The hopper
 
     def _open(self, now: float) -> float | None:
-        """Return how long the hopper must be open from now [s], as `Output.open_s`."""
+        """Return the time for which the hopper must be open from now on [s], in the form of
+        `Output.open_s`."""
         hopper, status = self.task.hopper, self._status
         purging = self._waiting is not None and self._waiting.purge
         is_open = self._opened is not None and now < self._evaluate_at - FALLEN_S

@@ -1,4 +1,5 @@
-"""The plate's pose in the robot's frame, fitted to points that the robot's tool has touched."""
+"""The pose of the plate in the frame of the robot. It is fitted to points that the robot's tool has
+touched."""
 
 from __future__ import annotations
 
@@ -14,26 +15,27 @@ from plate_core.yaml_fields import Key, List, Numbers, Section, Text, read_yaml
 from .interface import ReadyPart
 
 MAX_RESIDUAL_M = 1e-3
-"""Maximum residual of a point [m]. A larger residual means a measurement error."""
+"""Maximum residual of a point [m]. A larger residual shows a measurement error."""
 
 MIN_BASE_M = 0.05
-"""Minimum extent of the points on the plate [m]. Nearer points do not determine the angle."""
+"""Minimum extent of the points on the plate [m]. Points that are closer to each other do not
+determine the angle."""
 
 FAR_M = 10.0
 """Maximum magnitude of a coordinate [m]."""
 
 FILE = Section(
     "hand-eye file",
-    "The robot's frame, given by points whose coordinates are known in both frames.",
+    "Frame of the robot, defined by points whose coordinates are known in both frames.",
     (
-        Key("frame", Text("a name"), "Name of the robot's frame; its z axis points up."),
-        Key("points", List(), "Two or more points; with three, a wrong one can be detected."),
+        Key("frame", Text("a name"), "Name of the robot's frame, whose z axis points up."),
+        Key("points", List(), "Two or more points. With three, a wrong one can be detected."),
     ),
 )
 
 POINT = Section(
     "points[]",
-    "One point in both frames.",
+    "One point with its coordinates in both frames.",
     (
         Key(
             "plate_m",
@@ -46,12 +48,12 @@ POINT = Section(
 
 
 class HandEyeError(PlateError):
-    """The points do not determine the plate's pose."""
+    """The points do not determine the pose of the plate."""
 
 
 @dataclass(frozen=True)
 class HandEye:
-    """The plate's pose in a frame: a rotation followed by a shift.
+    """The pose of the plate in another frame: a rotation followed by a translation.
 
     Attributes
     ----------
@@ -74,7 +76,7 @@ class HandEye:
         """Transform a part from plate_home to this frame."""
         cos, sin = math.cos(self.angle), math.sin(self.angle)
         covariance = part.covariance
-        if covariance[0] >= 0:  # a negative value means that the covariance is unknown
+        if covariance[0] >= 0:  # a negative value: the covariance is unknown
             turn = np.array([[cos, -sin, 0.0], [sin, cos, 0.0], [0.0, 0.0, 1.0]])
             turned = turn @ np.reshape(covariance, (3, 3)) @ turn.T
             covariance = tuple(turned.ravel().tolist())
@@ -88,12 +90,13 @@ class HandEye:
 
 
 def load_hand_eye(path: str | Path) -> HandEye:
-    """Read a hand-eye file; see docs/guide/feeder.md.
+    """Read a hand-eye file. docs/guide/feeder.md describes its format.
 
     Raises
     ------
     HandEyeError
-        With the file, the key, its value and what is allowed.
+        If the file is invalid. The message contains the file, the key, its value and what is
+        allowed.
     """
     fields = read_yaml(path, HandEyeError)
     frame = fields.value(FILE["frame"])
@@ -109,7 +112,7 @@ def load_hand_eye(path: str | Path) -> HandEye:
 
 
 def fit_hand_eye(frame: str, plate: np.ndarray, robot: np.ndarray) -> HandEye:
-    """Return the rigid motion from points to points by least squares.
+    """Return the rigid motion that maps one set of points to another with the least squared error.
 
     Parameters
     ----------
@@ -121,7 +124,8 @@ def fit_hand_eye(frame: str, plate: np.ndarray, robot: np.ndarray) -> HandEye:
     Raises
     ------
     HandEyeError
-        If there are too few points, or too near to each other, or the residual is too large.
+        If there are too few points, if they are too close to each other, or if the residual is too
+        large.
 
     Notes
     -----
@@ -154,7 +158,8 @@ def fit_hand_eye(frame: str, plate: np.ndarray, robot: np.ndarray) -> HandEye:
 
 
 def _fit(p: np.ndarray, q: np.ndarray) -> tuple[np.ndarray, complex, complex]:
-    """Return residuals (N,) [m], and rotation and shift as complex numbers [-, m]."""
+    """Return the residuals (N,) [m], and the rotation and the translation as complex numbers [-,
+    m]."""
     turn = np.sum((p - p.mean()).conj() * (q - q.mean()))
     turn = turn / max(abs(turn), np.finfo(float).tiny)
     shift = q.mean() - turn * p.mean()

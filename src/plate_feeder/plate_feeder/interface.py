@@ -1,4 +1,4 @@
-"""Data exchanged by the feeder with planner, clients and hopper."""
+"""Data that the feeder exchanges with the planner, the clients and the hopper."""
 
 from __future__ import annotations
 
@@ -22,13 +22,14 @@ class ReadyPart:
     Attributes
     ----------
     id : str
-        Such as `black_3`.
+        Id of the part, such as `black_3`.
     x, y : float
-        Centre [m, plate_home].
+        Position of the centre [m, plate_home].
     angle : float
         Angle, counter-clockwise from x [rad].
     covariance : tuple of 9 floats
-        Covariance of (x, y, angle), row by row [m2, m rad, rad2]. The first value is -1 if unknown.
+        Covariance of (x, y, angle), row by row [m2, m rad, rad2]. If it is unknown, the first value
+        is -1.
     """
 
     id: str
@@ -55,7 +56,7 @@ class FeedStatus:
     Attributes
     ----------
     stamp : float
-        Stamp of the image [s], by the camera's clock; compared only with other stamps.
+        Stamp of the image by the clock of the camera [s]. It is compared only with other stamps.
     mode : FeedMode
         Current mode of the planner.
     at_rest : bool
@@ -64,7 +65,8 @@ class FeedStatus:
     seen : mapping of str to int
         Number of parts on the plate, by class.
     discharged, lost : int
-        Parts that have left over the chute, and over other edges, since this task began.
+        Number of parts that have left over the chute, and number that have left over other edges,
+        since this task began.
     """
 
     stamp: float
@@ -93,7 +95,7 @@ class Reply:
     part : ReadyPart or None
         Part for the robot.
     valid_until : float
-        End of the part's reservation [s, the clock of `now`].
+        End of the reservation of the part [s, the clock of `now`].
     left : int
         Number of parts on the plate after a purge.
     """
@@ -107,18 +109,19 @@ class Reply:
 
 @dataclass(frozen=True)
 class Output:
-    """Requests of the feeder to planner and hopper, and replies to clients.
+    """Requests of the feeder to the planner and the hopper, and replies to clients.
 
     Attributes
     ----------
     run : bool
         Whether the planner's task should run. If False, cancel it.
     order : FeedOrder
-        Order to a running task.
+        Order to the running task.
     open_s : float or None
-        How long to keep the hopper open from now [s]. 0 closes it; None leaves it unchanged.
+        Time for which the hopper must be open from now on [s]. 0 closes it. None leaves it
+        unchanged.
     replies : tuple of (client, Reply)
-        Replies to commands that waited.
+        Replies to commands that were waiting.
     """
 
     run: bool
@@ -129,7 +132,7 @@ class Output:
 
 @dataclass(frozen=True)
 class Quantity:
-    """Numbers of parts: on the plate by class; ready; and, since the feeder began, taken by the
+    """Numbers of parts: on the plate by class; ready; and, since the feeder started, taken by the
     robot, discharged over the chute, and lost over other edges."""
 
     seen: Mapping[str, int]
@@ -160,8 +163,8 @@ class Reserved:
 class State(Enum):
     """State of the feeder."""
 
-    IDLE = "idle"  # no task runs; the next command begins it
-    STOPPED = "stopped"  # stopped or failed; the next command restarts it if that is allowed
+    IDLE = "idle"  # no task runs; the next command starts it
+    STOPPED = "stopped"  # stopped or failed; the next command restarts it if permitted
     STARTING = "starting"  # the task was requested
     FEEDING = "feeding"  # the planner gets parts ready
     READY = "ready"  # enough parts are ready, and the plate rests

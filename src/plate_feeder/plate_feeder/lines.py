@@ -1,4 +1,5 @@
-"""Text protocol for robots over TCP: one line per command, one reply line with a code."""
+"""Text protocol for robots over TCP. A command is one line, and its reply is one line with a
+code."""
 
 from __future__ import annotations
 
@@ -16,10 +17,10 @@ MAX_LINE = 256
 """Maximum length of a robot's line [bytes]."""
 
 MAX_ANSWER = 250
-"""Maximum length of a reply line [characters]. Longer texts are cut between two words."""
+"""Maximum length of a reply line [characters]. A longer text is cut between two words."""
 
 NUMBER = re.compile(r"[-+.\d]")
-"""First character of a number. Classes and ids do not begin with it."""
+"""First character of a number. Classes and ids do not begin with these characters."""
 
 SECONDS = re.compile(r"\d{1,6}(\.\d{1,6})?")
 
@@ -35,11 +36,11 @@ COMMANDS: Mapping[str, str] = {
 """Commands and their arguments."""
 
 WAITING = ("get_part", "purge")
-"""Commands whose reply may take long."""
+"""Commands whose reply may take a long time."""
 
 
 class LineError(PlateError):
-    """A line is not a valid command. `code` gives the reason."""
+    """A line is not a valid command. `code` contains the reason."""
 
     def __init__(self, code: Code, text: str) -> None:
         super().__init__(text)
@@ -53,11 +54,11 @@ class Command:
     Attributes
     ----------
     name : str
-        One of `COMMANDS`.
+        Name of the command, one of `COMMANDS`.
     label, part : str
-        Class and id; empty: not given.
+        Class and id. Empty if not given.
     timeout_s : float
-        Timeout [s]; 0: not given.
+        Timeout [s]. 0 if not given.
     taken : bool
         Whether the pick has succeeded.
     """
@@ -70,12 +71,12 @@ class Command:
 
 
 def read_line(line: bytes) -> Command:
-    """Parse a line, without its line end, to a command.
+    """Convert a line, without its line end, to a command.
 
     Raises
     ------
     LineError
-        With the error and what is allowed.
+        If the line is invalid. The message contains the error and what is allowed.
     """
     if len(line) > MAX_LINE:
         raise LineError(Code.BAD_LINE, f"the line is too long, allowed: {MAX_LINE} bytes")
@@ -115,13 +116,13 @@ def answer_line(code: Code, text: str) -> bytes:
     """Return the reply line for a command."""
     plain = " ".join(text.encode("ascii", "replace").decode().split())
     line = f"{code:d} {plain}"
-    if len(line) > MAX_ANSWER:  # cut at a space, because half a number would be a wrong number
+    if len(line) > MAX_ANSWER:  # cut at a space: half a number would be wrong
         line = line[: MAX_ANSWER + 1].rpartition(" ")[0]
     return line.encode() + b"\r\n"
 
 
 def part_text(part: ReadyPart, valid_s: float) -> str:
-    """Return a part's place in the robot's frame [mm, degrees] and its validity [s] as text."""
+    """Return a part's place in the robot's frame [mm, degrees] and its validity [s], as text."""
     degrees = math.degrees(math.remainder(part.angle, 2 * math.pi))
     return (
         f"x={_rounded(1e3 * part.x)} y={_rounded(1e3 * part.y)} angle={_rounded(degrees)} "
@@ -130,7 +131,7 @@ def part_text(part: ReadyPart, valid_s: float) -> str:
 
 
 def quantity_text(quantity: Quantity) -> str:
-    """Return the numbers of parts as text, including those on the plate by class."""
+    """Return the numbers of parts as text. The numbers on the plate are given by class."""
     counts = {
         "seen": sum(quantity.seen.values()), "ready": quantity.ready, "taken": quantity.taken,
         "discharged": quantity.discharged, "lost": quantity.lost, **quantity.seen,
@@ -139,7 +140,7 @@ def quantity_text(quantity: Quantity) -> str:
 
 
 def help_text() -> str:
-    """Return all commands with their arguments as text."""
+    """Return all commands and their arguments as text."""
     return "; ".join(f"{name} {usage}".strip() for name, usage in COMMANDS.items())
 
 

@@ -1,4 +1,4 @@
-"""The node `feeder`: dispenses parts to a robot, by actions and services or over TCP."""
+"""The node `feeder`. It dispenses parts to a robot, by actions and services or over TCP."""
 
 from __future__ import annotations
 
@@ -48,39 +48,39 @@ from .ros import FeedGoal
 from .server import Answer, RobotServer
 
 STEP_S = 0.05
-"""Polling interval of the rules [s]."""
+"""Interval at which the rules are polled [s]."""
 
 ORDER_S = 0.5
-"""Time after which an order is published again [s], in case that the planner has missed it."""
+"""Time after which an order is published again, in case the planner has missed it [s]."""
 
 HOPPER_S = 1.0
-"""Maximum delay of the hopper's reply after its closing time [s]."""
+"""Maximum delay of the hopper's reply after the time at which the hopper closes [s]."""
 
 FEEDBACK_S = 0.5
 """Time between two feedback messages [s]."""
 
 WARN_PERIOD_S = 10.0
-"""Minimum time between two equal warnings [s]."""
+"""Minimum time between two warnings with the same text [s]."""
 
 ROS = 0
-"""Client number of all ROS clients together; TCP clients have 1 and more."""
+"""Number that represents all ROS clients together. TCP clients have the numbers 1 and above."""
 
 ONE_MACHINE = ("127.0.0.1", "::1", "localhost")
-"""Hosts that other machines cannot reach."""
+"""Names of hosts that other machines cannot reach."""
 
 STOPPED = "the feeder was deactivated"
 
 NEED_A_PERSON = (
     TaskStatus.STOPPED, TaskStatus.CANCELED, TaskStatus.PREEMPTED, TaskStatus.DRIVER_STOPPED,
 )  # fmt: skip
-"""Reasons for the end of the planner's task after which a person must call resume_feeding: another
-client has requested it, or a person must enable the motors anyway."""
+"""Reasons for the end of the planner's task after which a person must call resume_feeding. Either
+another client has requested the end, or a person must enable the motors anyway."""
 
 BY_PERSON = (
     DriverStatus.SWITCHED_OFF, DriverStatus.EMERGENCY_STOP, DriverStatus.POWER_CUT,
     DriverStatus.STOP_UNANSWERED,
 )  # fmt: skip
-"""Reasons for motors off by a person's request, with or without a running task."""
+"""Reasons why the motors are off because of a person's request, with or without a running task."""
 
 Replied = Callable[[Reply], None]
 
@@ -102,26 +102,28 @@ class Options(NodeOptions):
 
 
 class FeederNode(SafeLifecycleNode[Options]):
-    """Node `feeder`: dispenses parts to a robot one by one, while the planner gets the next ready.
+    """Node `feeder`. It dispenses parts to a robot one by one, while the planner gets the next
+    parts ready.
 
-    Actions get_part, purge_plate. Services part_taken, prepare_part, part_quantity; resume_feeding,
-    which a person calls after a stop. A TCP server serves robots without ROS.
-    Subscribes feed_status, task_status, driver_status. Publishes feed_orders, diagnostics. Sends
-    feed_parts to the planner when a command needs it, and calls hopper/open.
+    Actions: get_part and purge_plate. Services: part_taken, prepare_part, part_quantity, and
+    resume_feeding, which a person calls after a stop. A TCP server serves robots that do not use
+    ROS. The node subscribes to feed_status, task_status and driver_status. It publishes feed_orders
+    and diagnostics. It sends feed_parts to the planner when a command needs it, and it calls
+    hopper/open.
     """
 
     def __init__(self) -> None:
         super().__init__("feeder", Options)
         self._server: RobotServer | None = None
         self._inbox: deque[Callable[[], None]] = deque()  # calls from the server's thread
-        # Results that are not fetched yet, by goal.
+        # Results that no client has fetched yet, by goal.
         self._results: dict[bytes, tuple[Reply, Part | None]] = {}
-        self._enabled_at: Any = None  # last known time at which the motors were enabled
+        self._enabled_at: Any = None  # last known time of enabling
         self._stopped = ""  # reason of a stop that was active at deactivation
         self.report(self._find, self._values)
 
     def configure(self) -> None:
-        """Read recipe and hand-eye points, and create actions and services."""
+        """Read the recipe and the hand-eye points, and create actions and services."""
         options = self.options
         scenario = load_scenario(options.recipe)
         self._rig = load_rig(options.rig_file or scenario.rig)
@@ -161,20 +163,20 @@ class FeederNode(SafeLifecycleNode[Options]):
         self.managed_timer(FEEDBACK_S, self._publish_feedback)
 
     def begin(self) -> None:
-        """Reset all state, except a stop by a person, and serve robots."""
+        """Reset all state except a stop by a person. Then serve robots."""
         options = self.options
         self._feeder = Feeder(self._recipe, self._rig)
         if self._stopped:
             self._feeder.stop(self._stopped)
         self._driver: DriverStatus | None = None
-        # State and reason of the last task_status:
+        # State and reason in the last task_status.
         self._last_task = TaskStatus.IDLE, TaskStatus.NONE
         self._parts: dict[str, Part] = {}  # ready parts in the newest status, by id
         self._waiting: dict[int, Replied] = {}  # recipient of the reply, by client
         self._goal: Any = None  # waiting goal of a ROS client
         self._order, self._ordered = FeedOrder(), -math.inf
         self._hopper_problem = ""
-        self._opening: tuple[Any, float] | None = None  # the hopper's reply, and its deadline
+        self._opening: tuple[Any, float] | None = None  # reply of the hopper, and its deadline
         self._inbox.clear()
         self._server = RobotServer(
             options.host, options.port, self._on_command, self._on_disconnect
@@ -197,7 +199,7 @@ class FeederNode(SafeLifecycleNode[Options]):
     # The rules
 
     def _step(self) -> None:
-        """Execute the actions that the rules require now."""
+        """Take the actions that the rules return."""
         now = time.monotonic()
         output = self._feeder.step(now)
         self._task.request(output.run)
@@ -243,7 +245,7 @@ class FeederNode(SafeLifecycleNode[Options]):
         self.get_logger().warning(text, throttle_duration_sec=WARN_PERIOD_S)
 
     def _wait(self, client: int, reply: Reply | None, replied: Replied) -> None:
-        """Reply to a command now, or when the rules give its reply."""
+        """Reply to a command, either now or when the rules return its reply."""
         if reply is None:
             self._waiting[client] = replied
         else:
@@ -273,7 +275,7 @@ class FeederNode(SafeLifecycleNode[Options]):
 
     def _on_task(self, msg: TaskStatus) -> None:
         before, self._last_task = self._last_task, (msg.state, msg.reason)
-        # task_status repeats the end of a task, but reports a stop of an idle planner once.
+        # task_status repeats the end of a task, but it reports a stop of an idle planner only once.
         again = msg.state != TaskStatus.IDLE and self._last_task == before
         if msg.reason in (TaskStatus.STOPPED, TaskStatus.DRIVER_STOPPED) and not again:
             self._wait_for_person(f"the planner was stopped: {msg.text}")
@@ -298,7 +300,7 @@ class FeederNode(SafeLifecycleNode[Options]):
             self._step()
 
     def _wait_for_person(self, why: str) -> None:
-        """Start nothing until a person calls resume_feeding."""
+        """Start no command until a person calls resume_feeding."""
         if not self._feeder.stopped:
             self.get_logger().info(f"no longer feeding: {why}")
         self._feeder.stop(why)
@@ -350,7 +352,7 @@ class FeederNode(SafeLifecycleNode[Options]):
         return CancelResponse.ACCEPT
 
     def _finish(self, goal: Any, reply: Reply) -> None:
-        """Complete a goal; `_result` returns its result."""
+        """Complete a goal. `_result` returns its result."""
         if goal is self._goal:
             self._goal = None
         part = None if reply.part is None else self._parts[reply.part.id]
@@ -414,7 +416,8 @@ class FeederNode(SafeLifecycleNode[Options]):
             response.discharged, response.lost = quantity.discharged, quantity.lost
         return response
 
-    # TCP: called on the server's thread, passed to the graph's thread
+    # TCP: these functions are called on the server's thread, and pass the command to the graph's
+    # thread
 
     def _on_command(self, client: int, command: Command, answer: Answer) -> None:
         self._soon(lambda: self._do(client, command, answer))
@@ -438,7 +441,7 @@ class FeederNode(SafeLifecycleNode[Options]):
         self._step()
 
     def _do(self, client: int, command: Command, answer: Answer) -> None:
-        """Execute a robot's command."""
+        """Execute the command of a robot."""
         feeder, now = self._feeder, time.monotonic()
 
         def tell(reply: Reply) -> None:
@@ -485,7 +488,7 @@ class FeederNode(SafeLifecycleNode[Options]):
         )
 
     def _find(self, now: float) -> Finding:
-        """Return the worst finding; see `plate_core.status`."""
+        """Return the most severe finding, see `plate_core.status`."""
         feeder, quantity = self._feeder, self._feeder.quantity()
         found: list[Finding] = []
         if silence := feeder.silence(now):
@@ -516,7 +519,8 @@ class FeederNode(SafeLifecycleNode[Options]):
 
 
 def _pick(msgs: list[FeedPick]) -> Pick | None:
-    """Return the pick of a request; None if it has none. Its number of ready parts is optional."""
+    """Return the pick of a request. None if the request has no pick. The number of ready parts in
+    it is optional."""
     if not msgs:
         return None
     pick = msg_to_pick(msgs[0])
@@ -524,7 +528,7 @@ def _pick(msgs: list[FeedPick]) -> Pick | None:
 
 
 def pose_to_msg(part: ReadyPart) -> PoseWithCovarianceStamped:
-    """Return a part's pose as a message, without stamp and frame."""
+    """Return the pose of a part as a message, without stamp and frame."""
     msg = PoseWithCovarianceStamped()
     pose = msg.pose.pose
     pose.position.x, pose.position.y = float(part.x), float(part.y)

@@ -1,9 +1,9 @@
-"""The TCP server for robots, on a separate thread that cannot delay the graph.
+"""The TCP server for robots. It runs on a separate thread, so that it cannot delay the graph.
 
-The commands of a client are executed one after the other, and replied to in this order. The numbers
-of clients and waiting commands and the length of lines are limited; excess is refused with a code.
-A client that leaves a line incomplete, or does not read its replies, is disconnected. An idle
-client may stay connected for an hour.
+The commands of a client are executed one after the other. The replies are sent in the same order.
+The number of clients, the number of waiting commands and the length of lines are limited. If a
+limit is exceeded, the server refuses with a code. A client is disconnected if it leaves a line
+incomplete or does not read its replies. An idle client may stay connected for an hour.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ from .lines import MAX_LINE, WAITING, Command, LineError, answer_line, help_text
 MAX_CLIENTS = 8
 
 MAX_WAITING = 4
-"""Maximum number of commands of one client that wait for the previous one. Further commands are
+"""Maximum number of commands of one client that wait for the previous command. Further commands are
 refused."""
 
 MAX_ANSWERS = 100
@@ -34,50 +34,53 @@ IDLE_S = 3600.0
 """Idle time after which a client is disconnected [s]."""
 
 LINE_S = 5.0
-"""Maximum time from the first byte of a line to its end [s]."""
+"""Maximum time from the first byte of a line to the end of the line [s]."""
 
 SENT_S = 5.0
-"""Maximum time for a client to accept a reply [s]. After that, the client is disconnected."""
+"""Maximum time in which a client must accept a reply [s]. After that, the client is
+disconnected."""
 
 LAST_S = 0.5
-"""Time in which the last commands of a client are executed after it has closed its side [s]."""
+"""Time in which the last commands of a client are executed after the client has closed its side of
+the connection [s]."""
 
 ANSWER_S = 5.0
 """Maximum time for the reply to a command that does not wait [s]."""
 
 PAUSE_S = 0.01
-"""Pause between two commands of a client [s], so that continuous commands do not occupy the graph's
-thread."""
+"""Pause between two commands of a client [s]. It prevents continuous commands from occupying the
+graph's thread."""
 
 KEEPALIVE = {socket.TCP_KEEPIDLE: 30, socket.TCP_KEEPINTVL: 10, socket.TCP_KEEPCNT: 3}
-"""TCP keepalive. With it, a robot that was switched off or unplugged is disconnected within a
-minute."""
+"""TCP keepalive. It disconnects a robot within a minute after the robot was switched off or
+unplugged."""
 
 CHUNK = 4096
-"""Maximum number of bytes read at once."""
+"""Maximum number of bytes that are read at once."""
 
 WEB = b" http/"
-"""Part of a browser's first line. Web pages must not send commands, so browsers are
-disconnected."""
+"""Text that occurs in the first line of a browser. Web pages must not send commands. Therefore
+browsers are disconnected."""
 
 Answer = Callable[[Code, str], None]
 Ask = Callable[[int, Command, Answer], None]
 
 
 class RobotServer:
-    """Serves robots. Created and closed on the graph's thread.
+    """TCP server for robots. It is created and closed on the graph's thread.
 
     Parameters
     ----------
     host : str
-        Address to listen on.
+        Address of the server.
     port : int
-        TCP port; 0: any free one.
+        TCP port. 0 means any free port.
     ask : callable
-        Called on the server's thread with a client's number, its command, and a function that takes
-        the reply, once, on any thread.
+        Function that is called on the server's thread for each command. Its arguments are the
+        number of the client, the command, and a function that takes the reply. The last function
+        must be called once, on any thread.
     gone : callable
-        Called on the server's thread with the number of a disconnected client.
+        Function that is called on the server's thread with the number of a disconnected client.
 
     Attributes
     ----------
@@ -88,7 +91,7 @@ class RobotServer:
     Raises
     ------
     PlateError
-        If the port is in use, or the address is not one of this machine.
+        If the port is in use, or if the address does not belong to this machine.
     """
 
     def __init__(self, host: str, port: int, ask: Ask, gone: Callable[[int], None]) -> None:
@@ -190,7 +193,7 @@ class _Client:
         )
         try:
             await asyncio.wait((reading, doing, stop), return_when=asyncio.FIRST_COMPLETED)
-            if not doing.done():  # execute the client's last commands
+            if not doing.done():  # execute the last commands of the client
                 reading.cancel()
                 drained = asyncio.ensure_future(self._queue.join())
                 await asyncio.wait((drained, doing), timeout=LAST_S,
@@ -235,7 +238,7 @@ class _Client:
             buffer = rest
 
     def _take(self, line: bytes) -> bool:
-        """Queue a line. Return False if too many are queued."""
+        """Queue a line. Return False if too many lines are queued."""
         item: Command | tuple[Code, str]
         try:
             item = read_line(line)
@@ -249,7 +252,8 @@ class _Client:
         return self._queue.qsize() <= MAX_ANSWERS
 
     async def _do(self) -> None:
-        """Execute the queued commands one after the other, while the client accepts the replies."""
+        """Execute the queued commands one after the other, as long as the client accepts the
+        replies."""
         with contextlib.suppress(OSError, TimeoutError):
             while True:
                 item = await self._queue.get()

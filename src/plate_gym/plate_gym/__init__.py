@@ -1,7 +1,7 @@
-"""The plate as a benchmark: Gymnasium environments of one or many plates, without ROS.
+"""The plate as a benchmark: Gymnasium environments of one or many plates. They do not need ROS.
 
-`import plate_gym` registers `plate/Sort10-v1` and the other `TASKS`. `plate_gym.bench` evaluates
-agents.
+`import plate_gym` registers `plate/Sort10-v1` and all other tasks in `TASKS`. `plate_gym.bench`
+evaluates agents.
 """
 
 import gymnasium

@@ -1,5 +1,5 @@
-"""Reference agents: this project's (Methods B and A on the cycle map, B by images, B on the
-averaged map), the paper's Method A, and random motions."""
+"""Reference agents. Those of this project are Methods B and A on the cycle map, Method B with
+images, and Method B on the averaged map. The others are the paper's Method A and random motions."""
 
 from __future__ import annotations
 
@@ -29,13 +29,14 @@ KNOWN = (
     "time_s", "running", "bare_images", "limit_share", "scaled", "path_s", "pace", "ids", "rests",
     "order",
 )  # fmt: skip
-"""Keys of `info` that an agent receives. They are available on a real plate, except the references
-of paths, which are also given."""
+"""Keys of `info` that an agent receives. All of them are available on a real plate, except the
+references of paths, which are given too."""
 
 
 @dataclass(frozen=True)
 class Brief:
-    """Information about the environment for an agent: copies that it may change.
+    """Information about the environment for an agent. It contains copies, which the agent may
+    change.
 
     Attributes
     ----------
@@ -43,9 +44,9 @@ class Brief:
     rig : Rig
     scenario : Scenario
     ids : tuple of str
-        Ids of the parts, in the order of rows.
+        Ids of the parts, in the order of the rows.
     friction_limit : (M,)
-        mu m g of each part by the rig file [N].
+        mu m g of each part according to the rig file [N].
     motions : Motions
         Converts values of the action `motion` to motions.
     """
@@ -60,7 +61,7 @@ class Brief:
 
     @classmethod
     def of(cls, env: PlateEnv) -> Brief:
-        """Return the brief of an environment that was reset."""
+        """Return the brief of an environment after its reset."""
         plates = env.plates
         check_begun(plates.plates)
         return deepcopy(
@@ -72,13 +73,13 @@ class Brief:
 
 
 class Agent(Protocol):
-    """Interface of agents for `evaluate`: one is made for each episode, with a brief and a random
-    seed. The agent receives only the keys `KNOWN` of `info`.
+    """Interface of agents for `evaluate`. One agent is made for each episode, from a brief and a
+    random seed. The agent receives only the keys `KNOWN` of `info`.
 
     Attributes
     ----------
     action, observation : str
-        Kinds of action and observation that the agent needs.
+        Kind of action and kind of observation that the agent needs.
     """
 
     action: str
@@ -104,7 +105,7 @@ class Random:
 
 
 class Ours:
-    """This project's planner and solver: Method B, sinusoids on the cycle map."""
+    """This project's planner and solver: Method B, which uses sinusoids on the cycle map."""
 
     action, observation, method = "cycle", "parts", "sinusoids"
 
@@ -115,7 +116,7 @@ class Ours:
         self._controller = Controller(self._rig, self.method, seed)
 
     def act(self, observation: np.ndarray, info: dict[str, Any]) -> PlateCycle:
-        """Return the solver's cycle for the planner's request."""
+        """Return the cycle that the solver computes for the planner's request."""
         time, running = float(info["time_s"]), info["running"]
         self._ids = tuple(info.get("ids", self._ids))
         self._state = self._planner.started(self._state, running, time, True)
@@ -126,7 +127,7 @@ class Ours:
         if "order" in info and self._state.memory is not None:  # pass on the feeder's order
             self._planner = self._planner.order(self._state, info["order"])
         follow = self._state.memory
-        if isinstance(follow, FollowMemory):  # use the judge's references
+        if isinstance(follow, FollowMemory):  # use the references of the evaluation
             pace, start = float(info["pace"][0]), time + running.period
             path_s = float(info["path_s"])
             follow = replace(follow, anchor=start, progress=path_s, scaling=(pace, pace))
@@ -137,7 +138,7 @@ class Ours:
         return cycle
 
     def _parts(self, seen: np.ndarray, time: float) -> Parts:
-        """Return the parts of the last image, from the rows of `observation_space`."""
+        """Return the parts of the last image from the rows of `observation_space`."""
         rows = np.flatnonzero(seen[:, 5] == 0)
         names = tuple(self._ids[row] for row in rows)
         return Parts.make(names, seen[rows, :2], seen[rows, 2:4], seen[rows, 4])
@@ -147,13 +148,13 @@ class Ours:
 
 
 class MethodA(Ours):
-    """This project's planner with Method A, rotations about a few centres."""
+    """This project's planner with Method A, which uses rotations about a few centres."""
 
     method = "rotations"
 
 
 class ByImage(Ours):
-    """`Ours` with this project's vision."""
+    """Agent `Ours` with the vision of this project."""
 
     observation = "image"
 
@@ -163,8 +164,8 @@ class ByImage(Ours):
         self._expected: Prediction | None = None
 
     def act(self, observation: np.ndarray, info: dict[str, Any]) -> PlateCycle:
-        """Return the solver's cycle for the planner's request. The first image comes with images of
-        the bare plate if these are needed."""
+        """Return the cycle that the solver computes for the planner's request. If images of the
+        bare plate are needed, they come together with the first image."""
         if "bare_images" in info:
             self._vision = replace(self._vision, background=learn_plate(info["bare_images"]))
         return super().act(observation, info)
@@ -182,7 +183,8 @@ class ByImage(Ours):
 
 
 class Averaged(Ours):
-    """The paper's method: the planner's forces on the averaged map, which assumes resting parts."""
+    """The paper's method: the forces of the planner on the averaged map, which assumes resting
+    parts."""
 
     def __init__(self, brief: Brief, seed: int) -> None:
         super().__init__(brief, seed)

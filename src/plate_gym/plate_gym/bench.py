@@ -1,6 +1,6 @@
-"""Evaluate agents: `python -m plate_gym.bench --agent B --task Sort10-v1 --json B.json`; check
-results of others: `python -m plate_gym.bench --check B.json`. Results are equal to the last bit on
-all processors with AVX2 and FMA."""
+"""Evaluation of agents: `python -m plate_gym.bench --agent B --task Sort10-v1 --json B.json`. Check
+of the results of others: `python -m plate_gym.bench --check B.json`. Results are equal to the last
+bit on all processors with AVX2 and FMA."""
 
 from __future__ import annotations
 
@@ -39,21 +39,21 @@ __all__ = [
 ]  # fmt: skip
 
 LIBRARIES = ("vibrating-plate", "plate_gym", "gymnasium", "numpy", "scipy")
-"""Libraries whose versions are recorded in a result, if installed."""
+"""Libraries whose versions are recorded in a result if they are installed."""
 
 PACKAGES = (
     "bringup", "core", "driver", "feeder", "gym", "native", "planner", "sim", "solver", "vision",
 )  # fmt: skip
-"""Packages `plate_*` whose sources are recorded in a result by a digest."""
+"""Packages `plate_*`. A digest of their sources is recorded in a result."""
 
 TIMES = ("start_ms", "decision_ms", "decision_ms_p99", "wall_ms", "wall_ms_p99")
-"""Keys of computing times, which differ between runs."""
+"""Keys of computing times. They differ between runs."""
 
 NUMBERS = ("time_s", "return", "error_mm", "turn_error_deg", "limit_share", *TIMES)
 ROW: dict[str, type] = dict.fromkeys(NUMBERS, float) | {
     "seed": int, "steps": int, "there": int, "dropped": int, "success": bool, "places": str
 }  # fmt: skip
-"""Keys and types of a row."""
+"""Names of the numbers in a row."""
 
 RESULT: dict[str, type] = {
     "agent": str, "world": str, "commit": str, "sources": str, "versions": dict, "tasks": dict
@@ -61,19 +61,20 @@ RESULT: dict[str, type] = {
 """Keys and types of a result."""
 
 CHECKED = 10
-"""Number of seeds of each task that are run again by a check."""
+"""Number of seeds of each task that a check repeats."""
 
 MAX_SEEDS = 100_000
 
 AGENT = 2
-"""Separates the random numbers of an agent from those of its world."""
+"""Number that separates the random numbers of an agent from those of its world."""
 
 HUGE = 1e9
-"""Upper bound of numbers in results."""
+"""Upper bound of the numbers in a result."""
 
 
 def agent_class(name: str) -> type[Agent]:
-    """Return an agent: one of `AGENTS`, or `MODULE:CLASS`, imported as any Python module.
+    """Return an agent class: one of `AGENTS`, or `MODULE:CLASS`, which is imported as any Python
+    module.
 
     Raises
     ------
@@ -117,17 +118,17 @@ def episode(agent: str, world: str, task: str, seed: int) -> dict[str, Any]:
     Returns
     -------
     dict
-        `seed`, `success`, `time_s` (of the plate), `steps`, `return`, `there`, `dropped`,
-        `error_mm` and `turn_error_deg` (of the worst part at the end), `limit_share` (maximum),
-        `places` (digest of all positions). Computing times: `start_ms` (processor time to make the
-        agent); `decision_ms`, `decision_ms_p99` (processor time of a decision, including this
-        project's solver if the action uses it: median and 99 %); `wall_ms`, `wall_ms_p99` (the same
-        as elapsed time).
+        Row with the keys `seed`, `success`, `time_s` (of the plate), `steps`, `return`, `there`,
+        `dropped`, `error_mm` and `turn_error_deg` (of the part with the largest error at the end),
+        `limit_share` (maximum), and `places` (digest of all positions). Computing times: `start_ms`
+        (processor time to make the agent); `decision_ms`, `decision_ms_p99` (processor time of a
+        decision, including this project's solver if the action uses it: median and 99 %);
+        `wall_ms`, `wall_ms_p99` (the same as elapsed time).
 
     Raises
     ------
     PlateError
-        If the agent fails; the message names agent, task, seed and step.
+        If the agent fails. The message contains agent, task, seed and step.
     """
     kind = agent_class(agent)
     spent, total, used = [], 0.0, 0.0
@@ -174,8 +175,8 @@ def episode(agent: str, world: str, task: str, seed: int) -> dict[str, Any]:
 
 
 def seed_of_agent(seed: int) -> int:
-    """Return the seed of an agent's random numbers. It differs from the world's seed, from
-    which an agent could compute where the parts are."""
+    """Return the seed of an agent's random numbers. It differs from the seed of the world.
+    Otherwise an agent could compute where the parts are."""
     return drawn(np.random.default_rng((seed, AGENT)))
 
 
@@ -188,7 +189,7 @@ def evaluate(
     tell: Callable[[str], None] = lambda text: None,
     keep: Callable[[dict[str, Any]], None] = lambda result: None,
 ) -> dict[str, Any]:
-    """Run an agent on tasks, each in the worlds of several seeds.
+    """Run an agent on tasks. Each task is run in the worlds of several seeds.
 
     Parameters
     ----------
@@ -197,24 +198,24 @@ def evaluate(
     tasks, seeds, world
         Names of tasks (or one name); seeds from 0, without repetition; a key of `WORLDS`.
     workers : int
-        Number of parallel processes; 0: run in this process.
+        Number of parallel processes. 0 runs all episodes in this process.
     tell : callable
-        Called with a line of text after each task.
+        Function that is called with a line of text after each task.
     keep : callable
-        Called with the result so far after each task.
+        Function that is called with the result so far after each task.
 
     Returns
     -------
     dict
-        For JSON: what was run (`agent`, `world`, `commit`, digest of the `sources`, `versions`),
-        and for each task the `rows` of `episode` with their summary: `success`, `time_s` and
-        `decision_ms` (medians; times of successful episodes), each with an interval of 95 %
-        (Wilson's, bootstrap).
+        Result for JSON. It contains what was run (`agent`, `world`, `commit`, digest of the
+        `sources`, `versions`), and for each task the `rows` of `episode` with their summary. The
+        summary contains `success`, `time_s` and `decision_ms` (medians; times of successful
+        episodes), each with an interval of 95 % (Wilson's, bootstrap).
 
     Raises
     ------
     PlateError
-        If a name is unknown, a seed is not allowed, or the agent fails.
+        If a name is unknown, if a seed is not allowed, or if the agent fails.
     """
     if ":" not in agent:  # code of others is loaded only in workers
         agent_class(agent)
@@ -240,7 +241,7 @@ def evaluate(
 def episodes(
     agent: str, world: str, task: str, seeds: list[int], workers: int
 ) -> Iterator[dict[str, Any]]:
-    """Run episodes in several processes. Yield them in the order of seeds."""
+    """Run episodes in several processes. Yield their rows in the order of the seeds."""
     run = partial(episode, agent, world, task)
     if not workers:
         yield from map(run, seeds)
@@ -270,7 +271,7 @@ def episodes(
 
 
 def show(text: str) -> None:
-    """Rewrite the last line of a terminal."""
+    """Overwrite the last line of a terminal."""
     if sys.stderr.isatty():
         print(f"\r\033[K{text}", end="", file=sys.stderr, flush=True)
 
@@ -311,32 +312,34 @@ def check(
     fresh: int = 0,
     world: str | None = None,
 ) -> list[str]:
-    """Run up to `CHECKED` seeds of each task of a result again, and recompute its summary.
+    """Repeat up to `CHECKED` seeds of each task of a result, and recompute its summary.
 
     Parameters
     ----------
     result
         Content of a file from `evaluate`.
     tell : callable
-        Called with lines: versions that differ here, seeds of the result.
+        Function that is called with lines of text: versions that differ on this machine, and seeds
+        of the result.
     workers : int
-        As in `evaluate`.
+        The same as in `evaluate`.
     fresh : int
         Number of additional random seeds of each task.
     world : str, optional
-        World of the additional seeds. Default: that of the result.
+        World of the additional seeds. Default: the world of the result.
 
     Returns
     -------
     list of str
-        Differences, except in computing times; empty if there are none. A success with additional
-        seeds in the same world differs if its interval does not overlap the recorded one. A digest
-        of places also differs between machines whose libraries round differently.
+        Differences, except in computing times. Empty if there are none. For additional seeds in the
+        same world, the success counts as different if its interval does not overlap the recorded
+        interval. A digest of places also differs between machines if their libraries round
+        differently.
 
     Raises
     ------
     PlateError
-        If it is not a result of `evaluate`, or its agent is missing or fails.
+        If it is not a result of `evaluate`, or if its agent is missing or fails.
     """
     validate(result)
     world = result["world"] if world is None else world
@@ -386,21 +389,22 @@ def read(path: Path) -> Any:
     Raises
     ------
     PlateError
-        If it is not valid; the message names the file.
+        If it is not valid JSON. The message contains the name of the file.
     """
     try:
         return json.loads(path.read_text("utf-8"))
-    except (ValueError, RecursionError) as problem:  # raised also for huge numbers or deep nesting
+    except (ValueError, RecursionError) as problem:  # also raised for huge numbers or deep nesting
         raise PlateError(f"{path} is not JSON: {problem}") from problem
 
 
 def validate(result: Any) -> None:
-    """Check that data is a result of `evaluate`, by its keys and types, not by its values.
+    """Check that data is a result of `evaluate`. The keys and types are checked, but not the
+    values.
 
     Raises
     ------
     PlateError
-        With the place, the value and what is allowed.
+        If it is not. The message contains the place, the value and what is allowed.
     """
     check_fields("result", result, RESULT)
     chosen("result: world", result["world"], WORLDS)
@@ -422,7 +426,7 @@ def validate(result: Any) -> None:
 
 
 def check_fields(where: str, found: Any, kinds: dict[str, type]) -> None:
-    """Refuse data that is not a dict of exactly these keys and types, with finite numbers."""
+    """Raise an error unless data is a dict of exactly these keys and types, with finite numbers."""
     if not isinstance(found, dict) or set(found) != set(kinds):
         has = ", ".join(map(str, found)) if isinstance(found, dict) else repr(found)
         raise PlateError(f"{where} has {has}, allowed: {', '.join(kinds)}")
@@ -454,7 +458,7 @@ def versions() -> dict[str, str]:
 
 
 def commit() -> str:
-    """Return the commit of this file; empty if it is not tracked by git."""
+    """Return the commit of this file. Empty if git does not track the file."""
     here = Path(__file__).resolve()
     git = partial(
         subprocess.run, cwd=here.parent, capture_output=True, text=True, check=True, timeout=60
@@ -470,7 +474,7 @@ def commit() -> str:
 
 
 def sources() -> str:
-    """Return a digest of the sources of `PACKAGES`, and of the tasks' files."""
+    """Return a digest of the sources of `PACKAGES` and of the files of the tasks."""
     mark = hashlib.sha256()
     for name in PACKAGES:
         spec = find_spec(f"plate_{name}")
@@ -515,7 +519,7 @@ def main() -> int:
         )
     if args.fresh is not None and not (args.check and 0 < args.fresh <= MAX_SEEDS):
         parser.error(f"--fresh requires --check, allowed: 1 to {MAX_SEEDS}")
-    if args.workers < 1:  # in this process an agent could exit, or falsify results
+    if args.workers < 1:  # in this process, an agent could exit or falsify results
         parser.error(f"--workers is {args.workers}, allowed: 1 or more")
     tell = partial(print, flush=True)
     try:
@@ -529,7 +533,7 @@ def main() -> int:
                 args.json.write_text(json.dumps(result, indent=1) + "\n", encoding="utf-8")
 
         if args.json:
-            # If the file cannot be written, fail now and not after hours.
+            # If the file cannot be written, fail now and not after hours of computing.
             args.json.open("a").close()
         evaluate(
             args.agent or "B", args.task or list(TASKS), args.seeds or range(100),
@@ -561,9 +565,9 @@ def seed_range(text: str) -> range:
 
 
 if __name__ == "__main__":
-    # Restart, because libraries read these variables only at their start.
+    # Restart this program, because libraries read these variables only at the start of a process.
     if not ALIKE.items() <= os.environ.items():
         os.execve(sys.executable, [sys.executable, *sys.orig_argv[1:]], os.environ | ALIKE)
-    # On SIGTERM, end the workers as with Ctrl-C.
+    # On SIGTERM, end the workers in the same way as with Ctrl-C.
     signal.signal(signal.SIGTERM, signal.default_int_handler)
     sys.exit(main())

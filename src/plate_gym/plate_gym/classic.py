@@ -1,5 +1,5 @@
-"""Method A of the paper (sections 3.1, 4.1): a PD controller for each part, and the minimum-norm
-weights of 24 rotations by SVD of the averaged map."""
+"""Method A of the paper (sections 3.1, 4.1). A PD controller requests a force for each part. An SVD
+of the averaged map gives the minimum-norm weights of 24 rotations."""
 
 from __future__ import annotations
 
@@ -20,22 +20,31 @@ if TYPE_CHECKING:
     from .agents import Brief
 
 GOAL = 0.8
-"""Goal of sorted parts [half side]."""
+"""Distance of the goals of sorted parts from the centre [half side]."""
 
-GAIN, FASTEST_MPS = 1.5, 0.03
-"""Gain from distance to requested drift [1/s], and maximum drift [m/s]."""
+GAIN = 1.5
+"""Requested drift per metre of distance to the goal [1/s]."""
+
+FASTEST_MPS = 0.03
+"""Maximum requested drift [m/s]."""
 
 MAX_GAIN = 3.0
-"""Maximum of inverse singular values (3.1.5)."""
+"""Maximum of the inverse singular values (section 3.1.5)."""
 
-PERIOD_S, SPEED_MPS, RETURN = 0.2, 0.3, 2.5
-"""Period of a cycle [s]; speed of the plate's fastest corner in a return stroke [m/s]; ratio of
-this speed to that of the stroke before. Each rotation returns to its start, so its mean force comes
-from the difference of both speeds."""
+PERIOD_S = 0.2
+"""Period of a cycle [s]."""
+
+SPEED_MPS = 0.3
+"""Speed of the plate's fastest corner in a return stroke [m/s]."""
+
+RETURN = 2.5
+"""Speed of a return stroke divided by the speed of the stroke before it. Each rotation returns to
+its start. Its mean force results from the difference of both speeds."""
 
 
 class Classic:
-    """Agent for tasks without angles: sort parts to sides, assemble them, move them along paths."""
+    """Agent for tasks without angles. It sorts parts to sides, assembles them, and moves them along
+    paths."""
 
     action, observation = "cycle", "parts"
 
@@ -52,20 +61,21 @@ class Classic:
         self._goal: np.ndarray | None = None
 
     def act(self, observation: np.ndarray, info: dict[str, Any]) -> PlateCycle:
-        """Return rotations, each with its return stroke, with the mean forces that PD requests."""
+        """Return rotations with the mean forces that the PD controller requests. Each rotation is
+        followed by its return stroke."""
         place = observation[:, :2]
         force = (self._drift(observation) - observation[:, 2:4]) / self._push
         matrix = self._library.forces(place)
         weight, _ = solve_weights(matrix, force.T.ravel(), MAX_GAIN)
         share = np.abs(weight) * (RETURN + 1) / (RETURN - 1)
         nearest = self._library.clearance(place)
-        order = np.argsort(-share / nearest, kind="stable")  # priority by section 3.1.4
+        order = np.argsort(-share / nearest, kind="stable")  # priority as in section 3.1.4
         out = np.sign(weight)[order, None] * self._library.twist[order] / RETURN
         share = share[order] / max(1.0, float(np.sum(share)))
         spent = np.outer(share, [RETURN, 1.0]).ravel() / (RETURN + 1)
         twist = np.stack([out, -RETURN * out], axis=1).reshape(-1, 3)
-        # For a resting part, even the smallest plate motion has the full friction. So the rest of
-        # the period is filled with a stroke and its return.
+        # For a resting part, even the smallest motion of the plate causes full friction. Therefore
+        # the rest of the period is filled with a stroke and its return stroke.
         spent = np.append(spent, np.full(2, (1 - np.sum(share)) / 2))
         twist = np.vstack([twist, out[:1], -out[:1]])
         family = RotationFamily(twist, self._limits, PERIOD_S, SPEED_MPS)

@@ -1,4 +1,4 @@
-"""The environments: one plate (`PlateEnv`), and many in parallel (`PlateVectorEnv`)."""
+"""The environments: one plate (`PlateEnv`), and many plates in parallel (`PlateVectorEnv`)."""
 
 from __future__ import annotations
 
@@ -25,14 +25,14 @@ MANY = METADATA | {"autoreset_mode": AutoresetMode.NEXT_STEP}
 NO_WINDOW = "render_mode is 'human', but no window can be opened: {}"
 
 ROUNDING = 1e-6
-"""Tolerance of the bounds of actions, for float32."""
+"""Tolerance for float32 at the bounds of actions."""
 
 
 class PlateEnv(gym.Env):
-    """One plate and one task.
+    """Environment of one plate with one task.
 
     A step is one cycle of the plate. As on the real plate, an observation is taken at the start of
-    the running cycle, and the action for it is played in the next cycle.
+    the running cycle. The action for this observation is executed in the next cycle.
 
     Parameters
     ----------
@@ -45,7 +45,7 @@ class PlateEnv(gym.Env):
     observation : str
         `parts` or `image`: see `observation_space`.
     render_mode : str, optional
-        `rgb_array`, or `human`: a window.
+        `rgb_array`, or `human` for a window.
 
     Raises
     ------
@@ -72,8 +72,8 @@ class PlateEnv(gym.Env):
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
     ) -> tuple[np.ndarray, dict[str, Any]]:
-        """Begin an episode in the world of a seed, as in `bench/closed_loop.py`. Default: a random
-        seed."""
+        """Begin an episode in the world of a seed. The world is the same as in
+        `bench/closed_loop.py`. Default: a random seed."""
         seed = None if seed is None else checked_seed(seed)
         super().reset(seed=seed)
         info = self.plates.reset([0], [drawn(self.np_random) if seed is None else seed])
@@ -81,7 +81,7 @@ class PlateEnv(gym.Env):
         return self.plates.observed()[0], first(info)
 
     def step(self, action: Any) -> tuple[np.ndarray, float, bool, bool, dict[str, Any]]:
-        """Complete the running cycle. The action is played in the next one."""
+        """Complete the running cycle. The action is executed in the next cycle."""
         check_begun(self.plates.plates)
         actions = checked_actions(self.action_space, [action])
         reward, ended, over, info = self.plates.step([0], actions)
@@ -90,7 +90,8 @@ class PlateEnv(gym.Env):
         return seen, float(reward[0]), bool(ended[0]), bool(over[0]), first(info)
 
     def render(self) -> np.ndarray | None:
-        """Return a picture (height, width, 3) of the true parts; None if there is a window."""
+        """Return a picture (height, width, 3) of the true parts. Return None if there is a
+        window."""
         return None if self.render_mode != "rgb_array" else self._picture()
 
     def close(self) -> None:
@@ -99,7 +100,8 @@ class PlateEnv(gym.Env):
             self._film.close()
 
     def __getstate__(self) -> dict[str, Any]:
-        """Return the state for a copy, without the window. The copy opens its own when needed."""
+        """Return the state for a copy, without the window. The copy opens its own window when it
+        needs one."""
         return vars(self) | ({"_film": None} if self.render_mode == "human" else {})
 
     def _show(self) -> None:
@@ -113,9 +115,9 @@ class PlateEnv(gym.Env):
 
 
 class PlateVectorEnv(VectorEnv):
-    """N plates with one task each: equal to N of `PlateEnv`, to the last bit.
+    """N plates with one task each. The results are equal to those of N `PlateEnv`, to the last bit.
 
-    If the episode of a plate has ended, the next step begins a new one and ignores the action.
+    If the episode of a plate has ended, the next step begins a new episode and ignores the action.
 
     Parameters
     ----------
@@ -124,7 +126,7 @@ class PlateVectorEnv(VectorEnv):
     threads : int, optional
         Maximum number of parallel threads. Default: the number of available cores.
     task, world, action, observation, render_mode
-        As in `PlateEnv`, without a window.
+        The same as in `PlateEnv`, but without a window.
     """
 
     metadata = MANY
@@ -160,8 +162,8 @@ class PlateVectorEnv(VectorEnv):
         seed: int | Sequence[int | None] | None = None,
         options: dict[str, Any] | None = None,
     ) -> tuple[np.ndarray, dict[str, Any]]:
-        """Begin episodes: with seeds `seed`, `seed` + 1, ..., or those of a list. If
-        `options["reset_mask"]` (N,) bool is given, only on these plates."""
+        """Begin episodes with the seeds `seed`, `seed` + 1, ..., or with the seeds of a list. If
+        `options["reset_mask"]` (N,) bool is given, they begin only on the marked plates."""
         count = self.num_envs
         mask = np.asarray((options or {}).get("reset_mask", np.ones(count, bool)))
         if mask.shape != (count,) or mask.dtype != bool or not mask.any():
@@ -223,8 +225,8 @@ class PlateVectorEnv(VectorEnv):
     def _whole(
         self, info: dict[str, np.ndarray], rows: np.ndarray, others: dict[str, Any] | None = None
     ) -> dict[str, Any]:
-        """Return the values of the plates in `rows` (N,), joined with `others`, as arrays (N, ...).
-        A mask `_NAME` (N,) marks the plates with a value."""
+        """Return the values of the plates in `rows` (N,), combined with `others`, as arrays (N,
+        ...). A mask `_NAME` (N,) marks the plates that have a value."""
         result = dict(others or {})
         for name, values in info.items():
             there = result.setdefault(f"_{name}", np.zeros(self.num_envs, bool))
@@ -241,8 +243,8 @@ def check_begun(plates: Sequence[Plate]) -> None:
 
 
 def checked_actions(space: gym.Space, actions: Iterable[Any]) -> list[Any]:
-    """Return actions clipped to their bounds. Refuse values that exceed them by more than
-    `ROUNDING`."""
+    """Return actions clipped to their bounds. Raise an error if a value exceeds its bound by more
+    than `ROUNDING`."""
     if not isinstance(space, gym.spaces.Box):
         cycles = list(actions)
         for action in cycles:
@@ -258,7 +260,7 @@ def checked_actions(space: gym.Space, actions: Iterable[Any]) -> list[Any]:
     for action in actions:
         try:
             given = np.asarray(action)
-        except ValueError:  # NumPy raises it for rows of different lengths
+        except ValueError:  # raised by NumPy for rows of different lengths
             given = np.array(None)
         if fits(given, space.shape):
             close = np.clip(given, low, high)
@@ -286,7 +288,7 @@ def checked_mode(mode: str | None) -> str | None:
 
 
 def checked_seed(seed: Any) -> int:
-    """Return a seed as a Python integer. Refuse other values."""
+    """Return a seed as a Python integer. Raise an error for other values."""
     try:
         number = operator.index(seed)
     except TypeError:
@@ -307,7 +309,8 @@ def first(info: dict[str, np.ndarray]) -> dict[str, Any]:
 
 
 class Film:
-    """Pictures of plates by a separate camera in an undisturbed world, optionally in a window."""
+    """Pictures of plates, taken by a separate camera in a world without disturbances. They are
+    optionally shown in a window."""
 
     def __init__(self, plates: Plates, window: bool) -> None:
         self._plates = plates
@@ -315,8 +318,8 @@ class Film:
         self._window = Window() if window else None
 
     def picture(self, row: int) -> np.ndarray:
-        """Return the picture (height, width, 3) of a plate's true parts, and show it in the
-        window."""
+        """Return the picture (height, width, 3) of the true parts of a plate. Show it in the window
+        if there is one."""
         self._scene.show(self._plates.plates[row].simulation.state)
         image = self._scene.capture()
         assert image is not None
@@ -333,7 +336,7 @@ class Film:
 
 
 class Window:
-    """A desktop window; without a desktop, a warning instead."""
+    """A desktop window. Without a desktop, a warning is printed instead."""
 
     def __init__(self) -> None:
         self._root: Any = None

@@ -30,23 +30,24 @@ from .tasks import FEED_S
 __all__ = ["Judge", "Memory"]
 
 START_S = 0.2
-"""Time at which references leave the starts of their paths [s]: the reply to the second image."""
+"""Time at which the references leave the starts of their paths [s]. At this time the reply to the
+second image takes effect."""
 
 AHEAD_S = 0.1
-"""Time by which a second reference point is ahead of the first [s]."""
+"""Time by which a second reference point is ahead of the first one [s]."""
 
 ROUNDING_S = 1e-6
-"""Tolerance for sums of periods [s]."""
+"""Tolerance for rounding errors in sums of periods [s]."""
 
 ROBOT_S = 2.0
-"""Cycle time of the robot that is fed [s]."""
+"""Cycle time of the robot that receives the parts [s]."""
 
 MAX_PICKS = 1 + int(FEED_S / ROBOT_S - (1 - ASKS))
 """Maximum number of parts that this robot can take. The robot requests the first part at the
 beginning."""
 
 ENOUGH = 0.9
-"""Fraction of these parts with which feeding is successful."""
+"""Fraction of these parts that must be picked for success."""
 
 
 @dataclass(frozen=True)
@@ -56,7 +57,8 @@ class Followed:
     Attributes
     ----------
     memory : FollowMemory
-        The references. They wait for parts that are behind, as in this project's loop.
+        The references on the paths. They wait for parts that are behind, as in the loop of this
+        project.
     time : float
         Time of the last evaluation [s].
     square_m2 : (M,)
@@ -69,16 +71,17 @@ class Followed:
 
 
 class Feeding:
-    """The environment of a plate that feeds a robot: hopper, robot, and the feeder's rules. It is
-    mutable: changed by `advance`.
+    """The surroundings of a plate that feeds a robot: hopper, robot, and the rules of the feeder.
+    The object is mutable: `advance` changes it.
 
     Attributes
     ----------
     ids : (M,) of str
-        Id of the part in each row of observations and actions; empty: no part. A new part takes the
-        first row that was empty before; a row that has just become empty only if there is no other.
+        Id of the part in each row of observations and actions. Empty if there is no part. A new
+        part takes the first row that was empty before. If there is no such row, it takes one that
+        has just become empty.
     rests : bool
-        Whether the plate rests in the next cycle: a robot picks, or enough parts are ready.
+        Whether the plate rests in the next cycle, because a robot picks or enough parts are ready.
     made : Production
         Production so far.
     time : float
@@ -91,8 +94,8 @@ class Feeding:
         self.ids = np.full(rows_of(task), "", object)
 
     def advance(self, world: Simulation, time: float, running: PlateCycle) -> None:
-        """Advance to a time [s] at which a cycle begins: record the parts' places, and let the
-        robot act, as `plate_bringup.loop` does, but with the true positions."""
+        """Advance to a time [s] at which a cycle begins. Record the places of the parts, and let
+        the robot act as in `plate_bringup.loop`, but with the true positions."""
         self.time = time
         self._cell.act(world, time)
         if time > 0:
@@ -117,7 +120,8 @@ class Feeding:
 
     @property
     def wanted(self) -> np.ndarray:
-        """Return for each row (M, 1): 1 for a part to be picked, -1 to be discharged, 0: empty."""
+        """Return a number for each row (M, 1): 1 for a part that must be picked, -1 for a part that
+        must be discharged, 0 for an empty row."""
         labels = [pick.label for pick in self._rules.task.picks]
         kinds = [(part_class(name) in labels) - 0.5 if name else 0.0 for name in self.ids]
         return np.sign(kinds)[:, None]
@@ -131,7 +135,8 @@ def rows_of(task: FeedTask) -> int:
 
 
 Memory = PoseMemory | Followed | Feeding | None
-"""State of a task: the assignment of parts to poses or paths, or the feeding environment."""
+"""State of a task: the assignment of parts to poses or paths, or the surroundings in a feed
+task."""
 
 
 class Score(NamedTuple):
@@ -140,16 +145,16 @@ class Score(NamedTuple):
     Attributes
     ----------
     error_m : (N, M)
-        Distance of each part from its target [m]; for paths: root mean square distance from its
-        reference so far.
+        Distance of each part from its target [m]. For paths, it is the root mean square distance
+        from its reference so far.
     turn_error : (N, M)
-        Error of each part's angle [rad]; 0 without a target angle.
+        Error of the angle of each part [rad]. 0 without a target angle.
     there : (N, M)
-        Whether each part fulfils the task; for feeding (N, 1): number of picked parts.
+        Whether each part fulfils the task. For feeding, (N, 1): number of picked parts.
     to_go : (N,)
-        Remaining distance, summed over parts [m]; rotations count by the path of the contour. For
-        paths: that of the reference with the longest rest. For feeding: parts that could have been
-        picked and were not.
+        Remaining distance [m], summed over the parts. A rotation counts as the distance that the
+        contour moves. For paths, it is the remaining length of the reference that has the longest
+        one. For feeding, it is the number of parts that could have been picked and were not.
     met : (N,) bool
         Whether the task is fulfilled.
     failed : (N,) bool
@@ -165,21 +170,21 @@ class Score(NamedTuple):
 
 
 class Judge:
-    """Evaluates one task as the planner's supervision does, but by the true positions.
+    """Evaluates one task in the same way as the planner's supervision, but with the true positions.
 
-    The camera's errors `SIGHT_M` and `SIGHT_RAD` are added to the tolerances.
+    The errors of the camera, `SIGHT_M` and `SIGHT_RAD`, are added to the tolerances.
 
     Attributes
     ----------
     hold_s : float
         Time for which all parts must be in place until the task is done [s].
     follows, feeds : bool
-        Whether parts follow paths; whether they are fed to a robot.
+        Whether parts follow paths. Whether parts are fed to a robot.
 
     Raises
     ------
     PlateError
-        If the task is of another kind than sort, assemble, pose, follow or feed.
+        If the task is not of the kinds sort, assemble, pose, follow and feed.
     """
 
     def __init__(self, task: Task, rig: Rig) -> None:
@@ -204,7 +209,7 @@ class Judge:
         self.hold_s = 0.0 if self.feeds else self._rules.hold_s
 
     def begin(self, world: Simulation, running: PlateCycle) -> Memory:
-        """Return the state of a task that begins, while a cycle runs."""
+        """Return the state of a task that begins while a cycle runs."""
         parts = _parts(world.state)
         if isinstance(self._rules, Poser):
             return self._rules.begin(parts)
@@ -217,8 +222,8 @@ class Judge:
         return None
 
     def update(self, memory: Memory, world: Simulation, time: float, running: PlateCycle) -> Memory:
-        """Record the parts' places at a time [s] at which a cycle begins. References advance as
-        slowly as parts that are behind require."""
+        """Record the places of the parts at a time [s] at which a cycle begins. The references
+        advance slowly if parts are behind."""
         if isinstance(memory, Feeding):
             memory.advance(world, time, running)
         if not isinstance(memory, Followed) or not isinstance(self._rules, Follower):
@@ -229,8 +234,8 @@ class Judge:
         return Followed(follow, time, memory.square_m2 + error**2)
 
     def agent_info(self, memory: Memory) -> dict[str, Any]:
-        """Return the information for an agent: `path_s` and `pace` for paths; for feeding
-        `Feeding.agent_info`."""
+        """Return the information for an agent. It contains `path_s` and `pace` for paths, and
+        `Feeding.agent_info` for feeding."""
         if isinstance(memory, Feeding):
             return memory.agent_info()
         if not isinstance(memory, Followed):
@@ -240,7 +245,7 @@ class Judge:
 
     def references(self, memory: Memory, ids: tuple[str, ...]) -> np.ndarray:
         """Return the references (M, 4) [m, plate_home]: x and y at the start of the next cycle, and
-        `AHEAD_S` later; for feeding `Feeding.wanted`; otherwise (M, 0)."""
+        at `AHEAD_S` later. For feeding, return `Feeding.wanted`. Otherwise return (M, 0)."""
         if isinstance(memory, Feeding):
             return memory.wanted
         if not isinstance(memory, Followed) or not isinstance(self._rules, Follower):
@@ -251,7 +256,7 @@ class Judge:
         return places[[follow.match.index(name) for name in ids]]
 
     def score(self, memories: list[Memory], states: list[WorldState]) -> Score:
-        """Evaluate the parts of N plates. `memories` come from `begin` and `update`."""
+        """Evaluate the parts of N plates. `memories` are the results of `begin` and `update`."""
         rules, names = self._rules, states[0].ids
         if isinstance(rules, Follower):
             return _followed(rules, memories, states)
@@ -310,8 +315,9 @@ def _fed(rules: Feeder, memories: list[Memory]) -> Score:
 
 
 def _situation(parts: Parts, time: float, period: float, tail: float = 0.0) -> Situation:
-    """Return the input of the planner's rules: parts at a time [s] at which a cycle begins. The
-    cycle lasts for a period. If the plate then stops, it rests after a further tail [s]."""
+    """Return the input of the planner's rules. It contains the parts at a time [s] at which a cycle
+    begins. The cycle lasts for a period. If the plate then stops, it rests after a tail of further
+    `tail` [s]."""
     return Situation(
         parts=parts, stamp=time, start=time + period, rests=time + period + tail, period=period,
         motion_known=True, latency_known=True, predicted=parts.position,

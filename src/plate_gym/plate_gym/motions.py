@@ -1,4 +1,5 @@
-"""The action `motion`: a plate motion as coefficients of sinusoids, within the rig's limits."""
+"""The action `motion`. It represents a plate motion within the rig's limits by coefficients of
+sinusoids."""
 
 from __future__ import annotations
 
@@ -9,16 +10,20 @@ from plate_core.motion import control_points
 from plate_solver import EQUAL_WEIGHT, Limits, limit_use
 from plate_solver.sinusoids import sinusoid_basis
 
-HARMONICS, PERIOD_S = 4, 0.1
-"""Harmonics and period of every motion: 10, 20, 30 and 40 Hz, starting and ending at rest."""
+HARMONICS = 4
+"""Number of harmonics of each motion: 10, 20, 30 and 40 Hz. The motions start and end at rest."""
+
+PERIOD_S = 0.1
+"""Period of each motion [s]."""
 
 CERTAIN = 0.999
-"""Maximum fraction of the limits that a motion uses, by bounds of its peaks."""
+"""Maximum fraction of the limits that a motion uses. It is computed from upper bounds of the
+peaks."""
 
 
 class Motions:
-    """Equation (13) of the paper with the plate at rest at both ends: 6 functions of time for each
-    of x, y and theta.
+    """Equation (13) of the paper for motions that begin and end at rest. It has 6 functions of time
+    for each of x, y and theta.
 
     Attributes
     ----------
@@ -27,7 +32,7 @@ class Motions:
     basis : SinusoidBasis
         The functions of time.
     scale : (6, 3)
-        Coefficients of the basis for actions of 1 [m/s, rad/s].
+        Coefficients of the basis for actions with all values 1 [m/s, rad/s].
     """
 
     def __init__(self, rig: Rig) -> None:
@@ -52,18 +57,20 @@ class Motions:
         Parameters
         ----------
         actions : (N, size)
-            Values from -1 to 1 for x, y and theta of each function of time. A single value of 1
-            uses a limit completely. If the values together exceed the limits, all are scaled down.
+            Values from -1 to 1. There is one value for x, y and theta of each function of time. A
+            single value of 1 uses a limit completely. If the values together exceed the limits, all
+            values are scaled down.
         """
         own = self.scale * actions.reshape(len(actions), -1, 3)
         used = self._use(own)
-        # Usually two rounds, because rotations enter quadratically.
+        # Two rounds are usual, because rotations have a quadratic effect.
         while (beyond := used > CERTAIN).any():
             own[beyond] *= (CERTAIN**2 / used[beyond])[:, None, None]
             used[beyond] = self._use(own[beyond])
         return self.basis.cycles(own), used
 
     def _use(self, own: np.ndarray) -> np.ndarray:
-        """Return bounds (N,) of the maximum fraction of a limit used by coefficients (N, h, 3)."""
+        """Return upper bounds (N,) of the largest fraction of a limit that coefficients (N, h, 3)
+        use."""
         each = zip(*(bound @ own for bound in self._bounds), strict=True)
         return np.array([limit_use(p, t, a, EQUAL_WEIGHT, self._limits, False) for p, t, a in each])

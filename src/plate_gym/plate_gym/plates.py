@@ -1,5 +1,5 @@
-"""Plates with a task each: simulation of cycles, observations, rewards. The environments of one and
-of many plates use this module."""
+"""Plates with one task each: simulation of cycles, observations and rewards. The environment of one
+plate and the environment of many plates use this module."""
 
 from __future__ import annotations
 
@@ -26,29 +26,37 @@ from .tasks import WORLDS, chosen, scenario_of
 ACTIONS = ("motion", "forces", "progress", "cycle")
 OBSERVATIONS = ("parts", "image")
 
-CENTRE_NOISE_M, ANGLE_NOISE = 3e-5, 3.5e-3
-"""Standard deviation of places [m] and angles [rad] in `parts`. It is measured for this project's
-vision in noisy images (sort_10 and align_6, 30 images each)."""
+CENTRE_NOISE_M = 3e-5
+"""Standard deviation of the positions in `parts` [m]. It was measured for this project's vision in
+noisy images (sort_10 and align_6, 30 images each)."""
+
+ANGLE_NOISE = 3.5e-3
+"""Standard deviation of the angles in `parts` [rad]. It was measured in the same images."""
 
 REST = PlateCycle.rest(IDLE_S)
-"""Cycle at rest that all plates share. Separate cycles are not equal objects, but equal seeds must
-give equal `info`."""
+"""Cycle at rest that all plates share. If each plate had a cycle object of its own, the `info` of
+equal seeds would not be equal."""
 
 GAP = 0.5
-"""Minimum distance between the edges of two moving parts, in `progress` [part radii]."""
+"""Minimum distance between the edges of two moving parts in the action `progress` [part radii]."""
 
-OUT_M, FASTEST_MPS, NEVER_S = 0.05, 2.0, 1000.0
-"""Bounds of `parts`: distance beyond the plate's edges [m], speed [m/s], and time since a part was
-seen, if it never was [s]."""
+OUT_M = 0.05
+"""Maximum distance of a part beyond the plate's edges in `parts` [m]."""
+
+FASTEST_MPS = 2.0
+"""Maximum speed in `parts` [m/s]."""
+
+NEVER_S = 1000.0
+"""Time since the last detection in `parts`, if the part was never detected [s]."""
 
 UNSEEN = np.array([0.0, 0.0, 0.0, 0.0, 0.0, -np.inf])
 """Row of a part that was never seen."""
 
 MIN_DISTANCE_M = 0.01
-"""Minimum initial distance by which rewards are normalised [m]."""
+"""Minimum of the initial distance when rewards are normalised [m]."""
 
 SEEDS = 2**31
-"""Upper bound of random seeds, and of the solver's seeds."""
+"""Upper bound of random seeds, including the seeds of the solver."""
 
 
 def clocks() -> np.ndarray:
@@ -62,10 +70,11 @@ class Step(NamedTuple):
     Attributes
     ----------
     reward : (N,)
-        Reduction of the distance to go as a fraction of the initial distance, or picked parts as a
-        fraction of the maximum; plus 1 if the task is done; minus 1 for each lost part.
+        Reward. It is the reduction of the remaining distance as a fraction of the initial distance
+        or, for feeding, the picked parts as a fraction of the maximum. 1 is added if the task is
+        done, and 1 is subtracted for each lost part.
     ended, over : (N,) bool
-        Whether the task is done or a part is lost; whether the time is over.
+        Whether the task is done or a part is lost. Whether the time is over.
     info : dict of arrays (N, ...)
         Details of the evaluation; see docs/guide/gym.md.
     """
@@ -96,7 +105,7 @@ class Plate:
         self.bare = np.zeros(0)
         self.timeline = Timeline(REST, filling=True)
         self.memory: Memory = shared.judge.begin(self.simulation, self.running)
-        # x, y, drift along x and y, angle, time: the last observation of each part
+        # Last observation of each part: x, y, drift along x and y, angle, time.
         self.seen = np.tile(UNSEEN, (len(self.ids), 1))
         if shared.observation == "image" and shared.rig.types:
             bare = [self.simulation.capture_bare() for _ in range(BARE_IMAGES)]
@@ -104,17 +113,17 @@ class Plate:
 
     @property
     def running(self) -> PlateCycle:
-        """The running cycle. It began at the last observation."""
+        """The running cycle. It began at the time of the last observation."""
         return self.timeline.cycle
 
     @property
     def time(self) -> float:
-        """Start of the running cycle, since the reset [s]."""
+        """Start of the running cycle, as time since the reset [s]."""
         return self.timeline.begin
 
     @property
     def ids(self) -> tuple[str, ...]:
-        """Ids of the parts by rows; empty: no part."""
+        """Ids of the parts by row. Empty if there is no part."""
         memory = self.memory
         return tuple(memory.ids) if isinstance(memory, Feeding) else self.simulation.state.ids
 
@@ -126,7 +135,7 @@ class Plate:
 
     @cached_property
     def controller(self) -> Controller:
-        """This project's solver, for actions that need it."""
+        """This project's solver. It is used for actions that need it."""
         return Controller(self._shared.rig, seed=self._seed % SEEDS)
 
     def begin(self, cycle: PlateCycle) -> None:
@@ -144,13 +153,14 @@ class Plate:
             self.seen = np.where(other[:, None], UNSEEN, self.seen)
 
     def capture(self) -> None:
-        """Take the image of the start of the running cycle."""
+        """Take the image at the start of the running cycle."""
         image = self.simulation.capture()
         self.image = self.image if image is None else image  # a missed image changes nothing
 
     def sighted(self) -> tuple[np.ndarray, np.ndarray, np.ndarray] | None:
-        """Return the positions (M, 2) [m] and angles (M,) [rad] of the parts in an image, and which
-        parts (M,) it shows, by rows; None if the image is missed."""
+        """Return the positions (M, 2) [m] and angles (M,) [rad] of the parts in an image, and
+        whether the image shows each part (M,). They are ordered by row. Return None if the image is
+        missed."""
         sight, state = self.simulation.sight(), self.simulation.state
         if sight is None:
             return None
@@ -165,7 +175,7 @@ class Plate:
         )
 
     def answer(self, action: Any) -> PlateCycle:
-        """Return the cycle of an action, within the limits; not for `motion`."""
+        """Return the cycle of an action, within the limits. The action must not be `motion`."""
         level = self._shared.action
         if level != "cycle":
             make = self._forces if level == "forces" else self._progress
@@ -180,8 +190,8 @@ class Plate:
 
     @property
     def _rows(self) -> np.ndarray:
-        """Indices (n,) of the rows to which actions apply: all rows; if parts come and go, those of
-        parts that were seen."""
+        """Indices (n,) of the rows to which actions apply. They are all rows or, if parts come and
+        go, the rows of parts that were detected."""
         return np.flatnonzero(np.isfinite(self.seen[:, 5]) | (not self._shared.judge.feeds))
 
     def _parts(self) -> Parts:
@@ -194,8 +204,8 @@ class Plate:
         return Wanted.make(self._parts(), action * self._shared.friction_limit[self._rows, None])
 
     def _progress(self, action: np.ndarray) -> Wanted:
-        """Return the request for places and weights (n, 3), with angles and their weights (n,
-        5)."""
+        """Return the request for places and weights. An action is (n, 3), or (n, 5) with angles and
+        their weights."""
         rig, angle = self._shared.rig, self.seen[self._rows, 4]
         place, weight = action[:, :2] * rig.plate.half, np.repeat(np.abs(action[:, 2:3]), 2, axis=1)
         angles = None
@@ -208,12 +218,12 @@ class Plate:
 
 
 class Plates:
-    """N plates of one task, with their common data.
+    """N plates of one task, and the data that they share.
 
     Parameters
     ----------
     task, world, action, observation : str
-        Keys of `TASKS` and `WORLDS`, and of `ACTIONS` and `OBSERVATIONS`.
+        Keys of `TASKS`, of `WORLDS`, of `ACTIONS` and of `OBSERVATIONS`.
     count, threads : int
         Number N of plates, and maximum number of parallel threads.
 
@@ -287,7 +297,7 @@ class Plates:
         return Step(reward, ended, over, self._info(rows, score))
 
     def observed(self) -> np.ndarray:
-        """Return the observation of each plate (N, ...): see `observation_space`."""
+        """Return the observation of each plate (N, ...), see `observation_space`."""
         if self.observation == "image":
             return np.array([plate.image for plate in self.plates])
         result = np.array([plate.seen for plate in self.plates])
@@ -297,7 +307,7 @@ class Plates:
         return np.clip(np.concatenate([result, np.stack(goals)], axis=2), *self.bounds)
 
     def _answers(self, plates: Sequence[Plate], actions: Sequence[Any]) -> list[PlateCycle]:
-        """Return the cycles of actions, within the limits."""
+        """Return the cycles for actions, within the limits."""
         if self.action != "motion":
             return self._each(Plate.answer, plates, actions)
         cycles, shares = self.motions.cycles(np.array(actions, float))
@@ -330,14 +340,16 @@ class Plates:
             plate.seen = seen
 
     def _each(self, do: Callable[..., Any], *of: Iterable[Any]) -> list[Any]:
-        """`map` on all cores. The threads end with it, because a forked process would lack them."""
+        """`map` on all cores. The threads end with the call, because a forked process would not
+        contain them."""
         if self._threads < 2:
             return list(map(do, *of))
         with ThreadPoolExecutor(self._threads) as pool:
             return list(pool.map(do, *of))
 
     def _mark(self, plate: Plate, met: bool) -> None:
-        """Record whether the task is fulfilled. It is done when this holds for `hold_s`."""
+        """Record whether the task is fulfilled. The task is done when it has been fulfilled for
+        `hold_s`."""
         if not met or self._spoilt(plate):
             plate.met_since = None
             return
@@ -350,7 +362,8 @@ class Plates:
         return plate.dropped > 0 and not self.judge.feeds
 
     def _labels(self) -> tuple[str, ...]:
-        """Return the classes of the parts (M,) by rows; one class if parts come and go."""
+        """Return the classes of the parts (M,) by row. If parts come and go, all rows have one
+        class."""
         task = self.scenario.task
         if isinstance(task, FeedTask):
             return (task.picks[0].label,) * rows_of(task)

@@ -14,7 +14,8 @@ from .plates import Plates
 
 
 class CycleSpace(spaces.Space):
-    """Any motion of the plate: a `plate_core.PlateCycle`, which the driver scales to the limits."""
+    """Space of any motion of the plate: a `plate_core.PlateCycle`, which the driver scales to the
+    limits."""
 
     def __init__(self, motions: Motions) -> None:
         super().__init__()
@@ -25,11 +26,11 @@ class CycleSpace(spaces.Space):
         return self._motions.cycle(self.np_random.uniform(-1, 1, self._motions.size))[0]
 
     def contains(self, x: Any) -> bool:
-        """Whether it is a motion of the plate."""
+        """Return whether it is a motion of the plate."""
         return isinstance(x, PlateCycle)
 
     def __eq__(self, other: object) -> bool:
-        """Whether the other space is a CycleSpace: all are equal."""
+        """Return whether the other space is a CycleSpace, because all such spaces are equal."""
         return isinstance(other, CycleSpace)
 
     def __repr__(self) -> str:
@@ -46,10 +47,11 @@ def action_space(plates: Plates) -> spaces.Space:
     """Return the space of a kind of action, for M parts.
 
     `motion` (18,): see `Motions`. `forces` (M, 2): mean force on each part over a cycle along x and
-    y, from -1 to 1 times mu m g. `progress` (M, 3): target of each part as a fraction of the
-    plate's half sides, and the weight of a metre of its distance, compared with a weight of 1 for
-    parts too near to an edge or to each other; (M, 5) if parts have angles: then the angle over pi,
-    and the weight of the distance of its contour. `cycle`: a `CycleSpace`.
+    y. The range -1 to 1 represents -mu m g to mu m g. `progress` (M, 3): target of each part as a
+    fraction of the plate's half sides, and the weight per metre of its distance. The weight is
+    relative to a weight of 1 for parts too close to an edge or to each other. If parts have angles,
+    it is (M, 5): then follow the angle divided by pi, and the weight of the distance that its
+    contour moves. `cycle`: a `CycleSpace`.
     """
     count = len(plates.friction_limit)
     if plates.action == "cycle":
@@ -65,11 +67,12 @@ def action_space(plates: Plates) -> spaces.Space:
 def observation_space(plates: Plates) -> spaces.Space:
     """Return the space of observations.
 
-    `parts` (M, 6), one fixed row for each part: x, y [m, plate_home], drift along x and y [m/s],
-    angle [rad], and time since the part was last seen [s]; a part that was never seen is at 0.
-    (M, 10) for paths: then its reference at the start of the next cycle, x and y [m, plate_home],
-    and 0.1 s later. (M, 7) if parts come and go: then 1 for a part to be picked, -1 for one that is
-    not, 0 for an empty row, which looks like a part that was never seen.
+    `parts` (M, 6): one fixed row for each part. It contains x, y [m, plate_home], drift along x and
+    y [m/s], angle [rad], and the time since the part was last detected [s]. A part that was never
+    detected has the position 0. For paths, it is (M, 10). Then follow the references of the part, x
+    and y [m, plate_home], at the start of the next cycle and 0.1 s later. If parts come and go, it
+    is (M, 7). The last number is 1 for a part that must be picked, -1 for a part that must not, and
+    0 for an empty row. An empty row is otherwise the same as a part that was never detected.
     `image`: grey levels (height, width), or colours (height, width, 3), of the rig's camera.
     """
     if plates.observation == "image":

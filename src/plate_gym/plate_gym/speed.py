@@ -1,4 +1,5 @@
-"""Measure the cycles per second of environments, one and many: `python -m plate_gym.speed`."""
+"""Measurement of the cycles per second of environments with one plate and with many plates: `python
+-m plate_gym.speed`."""
 
 from __future__ import annotations
 
@@ -19,12 +20,16 @@ TASKS = ("Sort4-v1", "Sort10-v1", "Sort24-v1", "Sort50-v1")
 MANY = 64
 """Number of parallel plates."""
 
-CYCLES, IMAGES = 1920, 320
-"""Total number of cycles in a measurement, without and with images."""
+CYCLES = 1920
+"""Total number of cycles in a measurement without images."""
+
+IMAGES = 320
+"""Total number of cycles in a measurement with images."""
 
 
 def measure(task: str, count: int, threads: int, observation: str) -> tuple[float, float]:
-    """Return the cycles per second, and the processor time of a cycle [us], with random motions."""
+    """Return the cycles per second, and the processor time per cycle [us]. The motions are
+    random."""
     env = PlateVectorEnv(task, count, observation=observation, threads=threads)
     env.reset(seed=0)
     cycles = IMAGES if observation == "image" else CYCLES

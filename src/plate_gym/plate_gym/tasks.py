@@ -1,4 +1,5 @@
-"""Tasks and worlds of the benchmark. Their numbers never change: a change makes a `-v2`."""
+"""Tasks and worlds of the benchmark. Their numbers never change. If a number must change, a new
+version `-v2` is made."""
 
 from __future__ import annotations
 
@@ -24,7 +25,7 @@ class World:
     ----------
     disturbances : Disturbances
     mu_scale : float
-        Ratio of the true friction to the rig file's.
+        Ratio of the true friction to the friction in the rig file.
     """
 
     disturbances: Disturbances = NONE
@@ -44,7 +45,8 @@ WORLDS = {
         mu_scale=0.9,
     ),
 }  # fmt: skip
-"""As in the rig file; three disturbed worlds; and one for evaluation with random seeds."""
+"""The nominal world, which follows the rig file; three disturbed worlds; and one world for the
+evaluation with random seeds."""
 
 TASKS = {
     "Sort4-v1": ("sort_4", "465f434df34c169d"),
@@ -60,15 +62,15 @@ TASKS = {
     "Follow5-v1": ("follow_5", "3057df7c5f244eed"),
     "Feed-v1": ("feed", "5b99341f03a50dbc"),
 }
-"""Name, scenario, and digest of the content of its file and its rig file."""
+"""Name, scenario, and digest of the contents of its scenario file and rig file."""
 
 
 FEED_S = 60.0
-"""Duration of feeding, which does not end by itself [s]."""
+"""Duration of a feed task [s]. Such a task does not end by itself."""
 
 
 def scenario_of(task: str) -> tuple[Scenario, Rig]:
-    """Return a task's scenario and rig.
+    """Return the scenario and the rig of a task.
 
     Raises
     ------
@@ -87,7 +89,7 @@ def chosen(name: str, key: str, among: dict[str, Value]) -> Value:
     Raises
     ------
     PlateError
-        If the key is unknown; the message lists the known ones.
+        If the key is unknown. The message lists the allowed keys.
     """
     if key not in among:
         raise PlateError(
@@ -97,7 +99,7 @@ def chosen(name: str, key: str, among: dict[str, Value]) -> Value:
 
 
 def digest(scenario: str) -> str:
-    """Return a digest of the content of a scenario's file and its rig's, without comments."""
+    """Return a digest of the contents of a scenario file and its rig file, without comments."""
     keys = yaml.safe_load((config_path("scenarios") / f"{scenario}.yaml").read_text("utf-8"))
     rig = f"rigs/{keys['rig']}.yaml" if "rig" in keys else "rig.yaml"
     both = keys, yaml.safe_load(config_path(rig).read_text("utf-8"))

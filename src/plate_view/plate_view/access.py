@@ -1,5 +1,5 @@
-"""Access rules of the page: who may open it and who may send commands, by address, origin,
-token."""
+"""Access rules of the page. They decide by address, origin and token who may open the page and who
+may send commands."""
 
 from __future__ import annotations
 
@@ -18,11 +18,11 @@ MIN_TOKEN = 12
 
 
 class AccessError(PlateError):
-    """The access settings are not safe or not valid."""
+    """The settings of the access are not safe or not valid."""
 
 
 class Role(StrEnum):
-    """Role of a browser: a viewer only sees data, an operator may also send commands."""
+    """Role of a browser. A viewer may only see data, and an operator may also send commands."""
 
     VIEWER = "viewer"
     OPERATOR = "operator"
@@ -37,7 +37,7 @@ class Access:
     address : str
         IP address on which the page is served.
     operator_token, viewer_token : str
-        Token at the end of a browser's address, as `?token=...`; empty: no such token.
+        Token at the end of the address in a browser, `?token=...`. Empty if there is no such token.
 
     Raises
     ------
@@ -78,7 +78,7 @@ class Access:
         return ipaddress.ip_address(self.address).is_loopback
 
     def role(self, token: str) -> Role | None:
-        """Return the role of a browser with this token; None: no access."""
+        """Return the role of a browser with this token. Return None if it has no access."""
         if self.operator_token and hmac.compare_digest(
             token.encode(), self.operator_token.encode()
         ):
@@ -90,12 +90,12 @@ class Access:
         return Role.OPERATOR
 
     def allows_host(self, host: str) -> bool:
-        """Whether requests for this host (`name:port`) are accepted. A page that is served only to
-        this machine accepts only local names. Otherwise another site could point its own name to
-        this address (DNS rebinding)."""
+        """Whether requests to this host (`name:port`) are accepted. A page that is served only to
+        this machine accepts only the local names. Otherwise another web site could map its own name
+        to this address (DNS rebinding)."""
         name = host.rsplit(":", 1)[0] if not host.endswith("]") else host
         return not self.is_local or name in (*LOCAL_NAMES, self.address)
 
     def allows_origin(self, origin: str, host: str) -> bool:
-        """Whether a page of this origin may connect: only the page itself."""
+        """Whether a web page of this origin may connect. Only the page itself may connect."""
         return origin in (f"http://{host}", f"https://{host}")

@@ -1,4 +1,4 @@
-"""The equivalent call in a terminal for each command of a browser, for the page's log."""
+"""The equivalent terminal call for each command of a browser. The page's log shows it."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ SERVICES = {
     "place": ("/simulator/place_part", "plate_interfaces/srv/PlacePart"),
     "remove": ("/simulator/remove_part", "plate_interfaces/srv/RemovePart"),
 }
-"""Commands that call one service: its name and type."""
+"""Name and type of the service, for each command that calls one service."""
 
 
 def call_text(command: Command) -> str:

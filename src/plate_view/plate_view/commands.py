@@ -1,4 +1,4 @@
-"""Commands of browsers: they are parsed and checked before anything is executed."""
+"""Commands of browsers. They are parsed and checked before they are executed."""
 
 from __future__ import annotations
 
@@ -16,14 +16,14 @@ MAX_TEXT = 200
 """Maximum number of characters of a name or a value."""
 
 LARGEST = 1e10
-"""Maximum magnitude of a number; it includes stamps of the wall clock [s]."""
+"""Maximum magnitude of a number. Stamps of the wall clock [s] are within it."""
 
 MAX_POINTS = 2000
 """Maximum number of points of a drawn path."""
 
 
 class CommandError(PlateError):
-    """A browser's command is not valid, or not permitted for its role."""
+    """A command of a browser is not valid, or not permitted for its role."""
 
 
 @dataclass(frozen=True)
@@ -35,9 +35,9 @@ class Command:
     name : str
         Name, such as `stop`.
     number : int
-        Number that the browser gave it, for the reply.
+        Number that the browser gave to the command. The reply contains it.
     values : mapping
-        Its arguments, checked.
+        Arguments of the command, after a check.
     """
 
     name: str
@@ -54,7 +54,8 @@ def read_command(text: str | bytes, role: Role) -> Command:
     Raises
     ------
     CommandError
-        With the wrong value and what is allowed. `number_of` gives the number for the reply.
+        If the command is not valid. The message contains the wrong value and what is allowed.
+        `number_of` returns the number for the reply.
     """
     try:
         data = json.loads(text)
@@ -78,7 +79,7 @@ def read_command(text: str | bytes, role: Role) -> Command:
 
 
 def number_of(data: Any) -> int:
-    """Return the number of a command; -1 if it has none."""
+    """Return the number of a command. It is -1 if the command has none."""
     number = data.get("number") if isinstance(data, dict) else None
     if isinstance(number, int) and not isinstance(number, bool) and 0 <= number <= LARGEST:
         return number
@@ -200,8 +201,8 @@ COMMANDS: Mapping[str, Mapping[str, Reader]] = {
 """Arguments of each command, with the functions that check them."""
 
 FOR_ALL = ("watch", "parameters", "replay")
-"""Commands that change nothing in the graph, permitted for viewers."""
+"""Commands that change nothing in the graph. Viewers may send them."""
 
 URGENT = ("emergency_stop", "cut_power", "stop")
-"""Commands that stop the plate. They are executed before all others, and their number is not
-limited."""
+"""Commands that stop the plate. They are executed before all other commands, and their number is
+not limited."""

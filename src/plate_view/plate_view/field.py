@@ -1,4 +1,5 @@
-"""The effect of a plate cycle on resting parts at any place: drift, and the paper's mean force."""
+"""The effect of a plate cycle on resting parts at any place: their drift, and the mean force of the
+paper."""
 
 from __future__ import annotations
 
@@ -8,14 +9,15 @@ from plate_core import PlateCycle, Rig
 from plate_core.rig import surface_velocity
 
 STEPS = 200
-"""Number of time steps of a cycle."""
+"""Number of time steps per cycle."""
 
 RESTING = 1e-6
-"""Speed of the surface below which it does not slide under a resting part [m/s]."""
+"""Speed of the surface below which a resting part does not slide [m/s]."""
 
 
 def grid(rig: Rig, count: int = 17) -> tuple[np.ndarray, np.ndarray]:
-    """Return the x (count,) and y (n,) [m, plate_home] of a grid with equal steps on the plate."""
+    """Return the coordinates x (count,) and y (n,) [m, plate_home] of a grid on the plate. The grid
+    has the same step along x and y."""
     half = rig.plate.half
     rows = max(3, round(count * half[1] / half[0]))
     return (
@@ -25,9 +27,9 @@ def grid(rig: Rig, count: int = 17) -> tuple[np.ndarray, np.ndarray]:
 
 
 def mean_force(cycle: PlateCycle, point: np.ndarray) -> np.ndarray:
-    """Mean friction on parts that rest at world-fixed points, section 3.1 of the paper.
+    """Mean friction on parts that rest at world-fixed points (section 3.1 of the paper).
 
-    With the velocity s(t) of the surface at a point: mean over a cycle of s / norm(s).
+    With the velocity s(t) of the surface at a point, it is the mean of s / norm(s) over a cycle.
 
     Parameters
     ----------
@@ -47,10 +49,10 @@ def mean_force(cycle: PlateCycle, point: np.ndarray) -> np.ndarray:
 
 
 def drift(cycle: PlateCycle, point: np.ndarray, accel: float) -> np.ndarray:
-    """Mean velocity over one cycle of parts that rest at points at its beginning.
+    """Mean velocity over one cycle of parts that rest at the given points when the cycle begins.
 
-    Parts are points that slide or stick, integrated in steps of 1/200 of the cycle. This is precise
-    enough for display, not for planning.
+    Parts are points that slide or stick. They are integrated in steps of 1/200 of the cycle. This
+    accuracy is sufficient for display, but not for planning.
 
     Parameters
     ----------

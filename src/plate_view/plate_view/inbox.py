@@ -1,4 +1,4 @@
-"""Queue of commands between the server's and the graph's thread."""
+"""Queue of commands between the server's thread and the graph's thread."""
 
 from __future__ import annotations
 
@@ -9,11 +9,12 @@ from typing import Any
 from .commands import Command
 
 OLD_S = 2.0
-"""Age above which a waiting command is refused [s]. Its sender possibly no longer wants it."""
+"""Age above which a waiting command is refused [s]. The person who sent it may no longer want
+it."""
 
 
 class Inbox:
-    """Queue of commands. It is filled on one thread and emptied on another."""
+    """Queue of commands. One thread appends to it, and another thread empties it."""
 
     def __init__(self) -> None:
         self._waiting: deque[tuple[Any, Command, float]] = deque()
@@ -22,10 +23,11 @@ class Inbox:
         return len(self._waiting)
 
     def put(self, browser: Any, command: Command) -> None:
-        """Append a browser's command."""
+        """Append a command of a browser."""
         self._waiting.append((browser, command, time.monotonic()))
 
     def take(self) -> tuple[Any, Command, bool]:
-        """Return the next browser, its command, and whether the command is too old."""
+        """Return the next browser, its command, and whether the command is too old. Return None if
+        the queue is empty."""
         browser, command, since = self._waiting.popleft()
         return browser, command, time.monotonic() - since > OLD_S

@@ -1,4 +1,5 @@
-"""The node `page`: serves a live web page of the graph, and executes its commands."""
+"""The node `page`. It serves a live web page of the graph, and executes the commands of this
+page."""
 
 from __future__ import annotations
 
@@ -24,20 +25,21 @@ from .server import PageServer, Socket
 from .top_view import TopView
 
 FRAME_S = 0.04
-"""Minimum time between two messages of a kind to the browsers [s]."""
+"""Minimum time between two messages of the same kind to the browsers [s]."""
 
 SLOW_S = 0.5
-"""Minimum time between two messages of a kind with slow data [s]."""
+"""Minimum time between two messages of the same kind if their data change slowly [s]."""
 
 
 SWITCH_S = 0.0005
-"""Switch interval of Python's threads [s]: maximum wait of the thread that stops the plate."""
+"""Interval at which Python switches between threads [s]. It is the maximum wait of the thread that
+stops the plate."""
 
 ALWAYS_THERE = ("black", "grey")
 """Types of parts that every rig has."""
 
 REPLAY = ("begin", "end", "now", "playing", "rate", "problem")
-"""State of a replay that is sent to browsers."""
+"""State of a replay. It is sent to browsers."""
 
 
 @dataclass(frozen=True)
@@ -58,12 +60,13 @@ class Options(NodeOptions):
 
 
 class PageNode(SafeLifecycleNode[Options]):
-    """Node `page`: serves a live web page of the graph. It executes the page's commands by the
-    graph's public actions, topics, services and parameters.
+    """Node `page`. It serves a live web page of the graph. It executes the commands of the page
+    with the public actions, topics, services and parameters of the graph.
 
-    Subscribes, while a browser is connected: parts, part_forces, part_targets, cycle_started,
-    motor_setpoints, task_status, driver_status, friction, diagnostics, /rosout, and image_raw if a
-    browser shows it. Publishes targets. Without a browser there are no subscriptions.
+    While a browser is connected, it subscribes to parts, part_forces, part_targets, cycle_started,
+    motor_setpoints, task_status, driver_status, friction, diagnostics and /rosout. It subscribes to
+    image_raw if a browser shows the image. It publishes targets. Without a browser there are no
+    subscriptions.
     """
 
     def __init__(self) -> None:
@@ -93,7 +96,7 @@ class PageNode(SafeLifecycleNode[Options]):
         self.managed_timer(SLOW_S, self._tick_slowly)
 
     def begin(self) -> None:
-        """Start to serve the page."""
+        """Start serving the page."""
         if self.options.bag:
             kinds = {name.removeprefix("/"): topic.kind for name, topic in TOPICS.items()}
             self._replay = Replay(self.options.bag, kinds, self._receive)
@@ -119,7 +122,7 @@ class PageNode(SafeLifecycleNode[Options]):
             replay.close()
 
     def _hello(self) -> Scene:
-        """Return the first message to every browser."""
+        """Return the first message that every browser receives."""
         rig, options = self._rig, self.options
         types = sorted({*rig.types, *ALWAYS_THERE})
         return {
@@ -133,7 +136,7 @@ class PageNode(SafeLifecycleNode[Options]):
         }
 
     def _scenarios(self) -> Scene:
-        """Return the scenarios that this rig can execute, with the content of their files."""
+        """Return the scenarios that this rig can execute, and the contents of their files."""
         found = {}
         own = (
             [self.options.scenario] if self.options.scenario not in ("", *scenario_names()) else []
@@ -161,7 +164,7 @@ class PageNode(SafeLifecycleNode[Options]):
             self._listener.tick_slowly()
         self._publish_replay()
 
-    # On the server's thread: pass commands to the graph's thread
+    # These functions are called on the server's thread. They pass commands to the graph's thread.
 
     def _take(self, browser: Socket, command: Command) -> None:
         if command.name in URGENT and self._replay is None:
@@ -175,7 +178,8 @@ class PageNode(SafeLifecycleNode[Options]):
         self._wake()
 
     def _work(self) -> None:
-        """Execute the next command, then return to the executor for other callbacks."""
+        """Execute the next command. Then return to the executor, so that other callbacks can
+        run."""
         if self._inbox:
             self._do_next()
         if self._inbox:
@@ -208,7 +212,7 @@ class PageNode(SafeLifecycleNode[Options]):
             self._listener.receive("/rosout" if topic == "rosout" else topic, msg)
 
     def _do_replay(self, browser: Socket, command: Command) -> None:
-        """Play, seek or change the rate. All other commands need a running graph."""
+        """Play, seek or change the rate of a replay. All other commands need a running graph."""
         server, replay, values = self._server, self._replay, command.values
         assert server is not None
         why = ""

@@ -1,4 +1,5 @@
-"""The messages to the page as mappings for JSON. Units: metres, radians, seconds; plate_home."""
+"""The messages to the page, as mappings for JSON. The units are metres, radians and seconds. The
+frame is plate_home."""
 
 from __future__ import annotations
 
@@ -30,7 +31,7 @@ SAMPLES = 65
 """Number of samples of a cycle's motion."""
 
 FAR_HALVES = 3.0
-"""Maximum distance at which centres of rotation are shown [half lengths of the plate]."""
+"""Maximum distance of centres of rotation that are shown [half lengths of the plate]."""
 
 CAMERA_PX = 960
 """Maximum width of the camera's picture in browsers [px]."""
@@ -42,7 +43,8 @@ Scene = dict[str, Any]
 
 
 def camera_scene(stamp: float, image: np.ndarray) -> Scene:
-    """Return a camera's picture (H, W) or (H, W, 3), blue, green, red, scaled and compressed."""
+    """Return a picture of the camera, scaled and compressed. The input is (H, W) or (H, W, 3), in
+    the order blue, green, red."""
     height, width = image.shape[:2]
     scale = min(1.0, CAMERA_PX / width)
     if scale < 1:
@@ -81,8 +83,8 @@ def type_scene(kind: PartType) -> Scene:
 def parts_scene(
     rig: Rig, stamp: float, parts: Parts, scatter: np.ndarray, seen: Sequence[bool]
 ) -> Scene:
-    """Return the parts of an image. `scatter` (M, 3) holds standard deviations [m, m, rad], NaN if
-    unknown."""
+    """Return the parts of an image. `scatter` (M, 3) are standard deviations [m, m, rad]. A value
+    is NaN if it is unknown."""
     return {
         "kind": "parts",
         "stamp": stamp,
@@ -101,7 +103,7 @@ def parts_scene(
 
 
 def wanted_scene(rig: Rig, stamp: float, wanted: Wanted) -> Scene:
-    """Return the planner's request for each part: targets, and mean force [mu m g]."""
+    """Return the planner's request for each part: its target, and its mean force [mu m g]."""
     to, count = wanted.targets, len(wanted.parts)
     unasked: list[list[Any]] = [[None, None, None]] * count
     intervals = unasked
@@ -130,7 +132,7 @@ def wanted_scene(rig: Rig, stamp: float, wanted: Wanted) -> Scene:
 
 
 def cycle_scene(rig: Rig, stamp: float, cycle: PlateCycle, field: bool) -> Scene:
-    """Return a cycle of the plate, with its drift and mean force if `field`."""
+    """Return a cycle of the plate. If `field`, include its drift and mean force."""
     t = np.linspace(0, cycle.period, SAMPLES)
     pose, twist = cycle.pose(t), cycle.twist(t)
     with np.errstate(all="ignore"):
@@ -148,7 +150,7 @@ def cycle_scene(rig: Rig, stamp: float, cycle: PlateCycle, field: bool) -> Scene
 
 
 def field_scene(rig: Rig, cycle: PlateCycle) -> Scene:
-    """Return drift [m/s] and mean force [mu m g] over the plate, row by row."""
+    """Return the drift [m/s] and the mean force [mu m g] over the plate, row by row."""
     x, y = grid(rig)
     point = np.stack(np.meshgrid(x, y), axis=-1).reshape(-1, 2)
     return {
@@ -159,7 +161,8 @@ def field_scene(rig: Rig, cycle: PlateCycle) -> Scene:
 
 
 def motors_scene(rig: Rig, cycle: PlateCycle) -> Scene:
-    """Return the motors' motion in a cycle, and the fractions of their limits that it uses."""
+    """Return the motion of the motors in a cycle, and the fractions of their limits that it
+    uses."""
     t = np.linspace(0, cycle.period, SAMPLES)
     position, _, _ = motor_state(rig, cycle.pose(t), cycle.twist(t), cycle.accel(t))
     used, limits = usage(rig, cycle), rig.limits
@@ -178,7 +181,7 @@ def motors_scene(rig: Rig, cycle: PlateCycle) -> Scene:
 
 
 def task_scene(rig: Rig, task: Task | None) -> Scene:
-    """Return the target places of a task: paths, regions and places; empty without a task."""
+    """Return the target places of a task: paths, regions and places. Empty if there is no task."""
     scene: Scene = {"kind": "paths", "paths": [], "regions": [], "places": []}
     match task:
         case FollowTask():
@@ -212,7 +215,7 @@ def task_scene(rig: Rig, task: Task | None) -> Scene:
 
 
 def nodes_scene(reports: Mapping[str, tuple[float, str, str, Mapping[str, str]]]) -> Scene:
-    """Return the diagnostics of all nodes; by name: age [s], level, message, values."""
+    """Return the diagnostics of all nodes by name: age [s], level, message and values."""
     return {
         "kind": "nodes",
         "nodes": [

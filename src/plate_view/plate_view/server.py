@@ -1,8 +1,9 @@
-"""The page's server: HTTP and a websocket, on a separate thread that cannot delay the graph.
+"""The server of the page: HTTP and a websocket. It runs on a separate thread, so that it cannot
+delay the graph.
 
-Each browser has an outgoing queue. Of data that is sent repeatedly, the queue holds the newest
-message. Of other messages, it holds the last `MAX_QUEUE`. A slow browser misses frames. A browser
-that accepts nothing is disconnected.
+Each browser has an outgoing queue. If data are sent repeatedly, the queue contains only the newest
+message. Of all other messages, it contains the last `MAX_QUEUE`. A slow browser therefore misses
+frames. If a browser accepts no data, it is disconnected.
 """
 
 from __future__ import annotations
@@ -31,49 +32,51 @@ from .commands import URGENT, Command, CommandError, number_of, read_command
 STATIC = Path(__file__).with_name("static")
 
 MAX_MESSAGE = 64_000
-"""Maximum size of a browser's message [bytes]."""
+"""Maximum size of a message from a browser [bytes]."""
 
 MAX_QUEUE = 200
-"""Maximum number of queued messages that must not be skipped, per browser."""
+"""Maximum number of messages in the queue of a browser that must not be skipped."""
 
 HUNG_S = 10.0
-"""Time without progress in sending after which a browser is disconnected [s]."""
+"""Maximum time without progress in sending [s]. After that, the browser is disconnected."""
 
 MAX_BROWSERS = 32
 """Maximum number of browsers."""
 
 MAX_VIEWERS = 24
-"""Maximum number of viewers: fewer, so that an operator can always connect."""
+"""Maximum number of viewers. It is smaller, so that an operator can always connect."""
 
 MAX_REQUESTS = 100
-"""Maximum number of open HTTP connections; further ones are closed at once."""
+"""Maximum number of open HTTP connections. Further connections are closed at once."""
 
 COMMANDS_PER_S = 100.0
-"""Mean rate of commands that one browser may send [1/s]. Dragging sends 60 per second."""
+"""Mean rate of commands that one browser may send [1/s]. A drag sends 60 commands per second."""
 
 BURST = 200.0
-"""Commands that one browser may send at once."""
+"""Number of commands that one browser may send at once."""
 
 MAX_OPEN = 50
-"""Maximum number of commands of one browser without a reply. Others are refused, except stops."""
+"""Maximum number of commands of one browser without a reply. Further commands are refused, except
+stops."""
 
 MAX_TOTAL = 200
 """Maximum number of commands of all browsers without a reply."""
 
 PRICE = {"move": 1.0, "watch": 1.0, "replay": 1.0}
-"""Costs of commands that are frequent while a person drags; others cost `DEAR`."""
+"""Costs of commands that are frequent while a person drags. All other commands cost `DEAR`."""
 
 DEAR = 10.0
 """Cost of a command that another node must process."""
 
 STILL_S = 2.0
-"""Stall of the server after which only stops are accepted for a moment [s]."""
+"""Duration of a stall of the server after which only stops are accepted for a moment [s]."""
 
 KEPT = ("log", "call")
-"""Kinds of messages that must not be skipped. Replies must not be skipped either, and go first."""
+"""Kinds of messages that must not be skipped. Replies must not be skipped either. They are sent
+first."""
 
 NEW_PORTS = 20
-"""Number of following ports that are tried if a port is in use."""
+"""Number of ports after the given one that are tried if this port is in use."""
 
 HEADERS = {
     "Content-Security-Policy": "default-src 'none'; script-src 'self'; style-src 'self'; "
@@ -89,7 +92,7 @@ class Socket(tornado.websocket.WebSocketHandler):
     """The connection to one browser."""
 
     def initialize(self, page: PageServer) -> None:
-        """Initialise the connection's state."""
+        """Initialise the state of the connection."""
         self.page = page
         self.role: Role | None = None
         self.watches = {"image": False, "field": False, "camera": False}
@@ -101,12 +104,12 @@ class Socket(tornado.websocket.WebSocketHandler):
         self._allowance, self._counted = BURST, 0.0
 
     def check_origin(self, origin: str) -> bool:
-        """Accept only pages of this server's origin."""
+        """Accept only web pages of this server's origin."""
         return self.page.access.allows_origin(origin, self.request.host)
 
     def prepare(self) -> None:
-        """Refuse connections without a valid host, origin and token, or beyond the maximum
-        number."""
+        """Refuse a connection without a valid host, origin and token, and connections beyond the
+        maximum number."""
         access = self.page.access
         self.role = access.role(self.get_query_argument("token", ""))
         origin = self.request.headers.get("Origin", "")
@@ -120,7 +123,7 @@ class Socket(tornado.websocket.WebSocketHandler):
             raise tornado.web.HTTPError(503)
 
     def open(self) -> None:
-        """Send the latest messages to a new browser."""
+        """Send the latest messages to a browser that has just connected."""
         assert self.role is not None
         self.set_nodelay(True)
         self.page.browsers.add(self)
@@ -131,20 +134,20 @@ class Socket(tornado.websocket.WebSocketHandler):
         self.page.changed()
 
     def on_close(self) -> None:
-        """Remove a browser. Its commands in execution continue."""
+        """Remove a browser. Its commands that are being executed continue."""
         self.page.browsers.discard(self)
         if hasattr(self, "_task"):
             self._task.cancel()
         self.page.changed()
 
     async def on_message(self, text: str | bytes) -> None:
-        """Process a command, then let other browsers' commands run. A browser that exceeds its
-        allowance is read slowly."""
+        """Process a command. Then let commands of other browsers run. If a browser exceeds its
+        allowance, its messages are read slowly."""
         within = self._take(text)
         await asyncio.sleep(0 if within else 1 / COMMANDS_PER_S)
 
     def _take(self, text: str | bytes) -> bool:
-        """Process a command. Return whether this browser is within its allowance."""
+        """Process a command. Return whether this browser has stayed within its allowance."""
         now = asyncio.get_event_loop().time()
         self._allowance = min(BURST, self._allowance + COMMANDS_PER_S * (now - self._counted))
         self._counted = now
@@ -171,7 +174,7 @@ class Socket(tornado.websocket.WebSocketHandler):
         return within
 
     def _refusal(self, within: bool) -> str:
-        """Return the reason to refuse a command that does not stop; "" to accept it."""
+        """Return the reason to refuse a command that is not a stop. Return "" if it is accepted."""
         if not within:
             return f"too many commands, allowed: {COMMANDS_PER_S:g} per second"
         if self.page.is_late():
@@ -240,7 +243,7 @@ class File(tornado.web.StaticFileHandler):
         super().initialize(path, default_filename)
 
     def prepare(self) -> None:
-        """Refuse other host names, and requests of the page without a valid token."""
+        """A file of the page."""
         if not self._access.allows_host(self.request.host):
             raise tornado.web.HTTPError(403)
         page = self.request.path in ("/", "/index.html")
@@ -252,16 +255,16 @@ class File(tornado.web.StaticFileHandler):
             )
 
     def set_extra_headers(self, path: str) -> None:
-        """Set headers that forbid loading from other origins."""
+        """Set headers that prevent loading from other origins."""
         for name, value in HEADERS.items():
             self.set_header(name, value)
 
 
 class Door(tornado.httpserver.HTTPServer):
-    """HTTP server that limits the number of connections, and the idle time of each."""
+    """Store the access rules."""
 
     def handle_stream(self, stream: tornado.iostream.IOStream, address: tuple[str, int]) -> None:
-        """Accept a connection if there are not too many."""
+        """Accept a connection unless there are too many."""
         if len(self._connections) < MAX_REQUESTS:
             super().handle_stream(stream, address)
         else:
@@ -269,24 +272,25 @@ class Door(tornado.httpserver.HTTPServer):
 
 
 class PageServer:
-    """Serves the page. Created and closed on the graph's thread.
+    """Server of the page. It is created and closed on the graph's thread.
 
     Parameters
     ----------
     access : Access
     port : int
-        Port; the next free one if it is in use.
+        Port. If it is in use, the next free port is used.
     hello : mapping
         First message to every browser.
     take : callable
-        Called with a browser and its command, on the server's thread.
+        Function that is called on the server's thread with a browser and its command.
     changed : callable
-        Called on the server's thread when browsers connect, disconnect, or watch other data.
+        Function that is called on the server's thread when browsers connect, disconnect or watch
+        other data.
 
     Raises
     ------
     PlateError
-        If no port is free, or the address is not one of this machine.
+        If no port is free, or if the address does not belong to this machine.
     """
 
     def __init__(
@@ -310,7 +314,7 @@ class PageServer:
 
     @property
     def url(self) -> str:
-        """Address for a browser on this machine."""
+        """Address of the page for a browser on this machine."""
         host = self.access.address
         host = "127.0.0.1" if host in ("0.0.0.0", "::") else host
         shown = f"[{host}]" if ":" in host else host
@@ -321,20 +325,21 @@ class PageServer:
         return any(browser.watches[what] for browser in tuple(self.browsers))
 
     def is_late(self) -> bool:
-        """Whether a message that arrives now may have been sent during a stall of the server.
-        Called on the server's thread."""
+        """Whether a message that arrives now may have been sent during a stall of the server. This
+        function is called on the server's thread."""
         return self._standstill.is_late(self._loop.time())
 
     def _keep_time(self) -> None:
         self.is_late()
 
     def publish(self, kind: str, message: Mapping[str, Any] | bytes, keep: bool = True) -> None:
-        """Send a message to all browsers, from any thread. If `keep`, also to later browsers."""
+        """Send a message to all browsers. This may be called from any thread. If `keep`, also send
+        it to browsers that connect later."""
         text = message if isinstance(message, bytes) else json.dumps(message, allow_nan=False)
         self._loop.call_soon_threadsafe(self._publish, kind, text, keep)
 
     def answer(self, browser: Socket, number: int, ok: bool, text: str) -> None:
-        """Reply to an accepted command, from any thread."""
+        """Reply to an accepted command. This may be called from any thread."""
         self._loop.call_soon_threadsafe(self._answer, browser, number, ok, text)
 
     def close(self) -> None:
@@ -390,7 +395,7 @@ class PageServer:
 
 
 def _bound(address: str, port: int) -> tuple[list[Any], int]:
-    """Return listening sockets on the first free port, and the port."""
+    """Return listening sockets on the first free port, and the number of this port."""
     for each in range(port, port + NEW_PORTS):
         try:
             family = socket.AF_INET6 if ":" in address else socket.AF_INET

@@ -1,4 +1,4 @@
-"""The camera's image rectified to a view from straight above, in plate_home."""
+"""The camera's image, rectified to a view from straight above, in plate_home."""
 
 from __future__ import annotations
 
@@ -9,17 +9,17 @@ from plate_core import PlateError, Rig
 from plate_core.rig import homography
 
 MARGIN = 0.06
-"""Width of the margin shown around the plate [fraction of its length]."""
+"""Width of the margin that is shown around the plate [fraction of the plate's length]."""
 
 QUALITY = 75
-"""Quality of the JPEG [%]."""
+"""Quality of the JPEG compression [%]."""
 
 UNSEEN = (128, 128, 128)
 """Colour of areas outside the camera's image."""
 
 
 class TopView:
-    """Rectifies images of one rig's camera to pictures of the plate.
+    """Rectifies images of the camera of one rig to pictures of the plate.
 
     Parameters
     ----------
@@ -49,7 +49,8 @@ class TopView:
         self._x, self._y = np.moveaxis(pixel.astype(np.float32), -1, 0)
 
     def jpeg(self, image: np.ndarray) -> bytes:
-        """Return the picture of an image (H, W) or (H, W, 3), blue, green, red, as JPEG.
+        """Return the picture of an image as JPEG. The image is (H, W) or (H, W, 3), in the order
+        blue, green, red.
 
         Raises
         ------

@@ -1,1 +1,1 @@
-"""Calls of the running nodes. This file imports nothing, so that it does not delay a stop."""
+"""Calls of the running nodes. This file imports no module, so that it does not delay a stop."""

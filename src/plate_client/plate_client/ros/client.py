@@ -1,4 +1,5 @@
-"""Client of the planner's actions: send goals, follow their progress, wait for their results.
+"""Client of the planner's actions. It sends goals, follows their progress and waits for their
+results.
 
 with PlateClient.connect() as plate:
     status = plate.run(load_scenario("sort_4"))
@@ -35,27 +36,30 @@ from plate_interfaces.msg import Targets, TaskProgress, TaskStatus
 from ..messages import spin_until
 
 FOUND_S = 5.0
-"""Maximum time to discover the planner [s]."""
+"""Maximum time for the discovery of the planner [s]."""
 
 SILENT_S = 2.0
-"""Time without feedback on a running task after which the planner counts as ended [s]."""
+"""Maximum time without feedback on a running task [s]. After that, the planner counts as ended."""
 
 CANCEL_S = 5.0
-"""Maximum time for a canceled task to end [s]."""
+"""Maximum time in which a canceled task must end [s]."""
 
-AGAIN_S, ANSWER_S = 0.2, 1.0
-"""Time between two attempts while the graph is not ready for a goal; time without a reply after
-which the goal is sent again [s]. DDS may lose the first reply of a planner that was just
-discovered."""
+AGAIN_S = 0.2
+"""Time between two attempts to send a goal while the graph is not ready for it [s]."""
+
+ANSWER_S = 1.0
+"""Time without a reply after which the goal is sent again [s]. DDS may lose the first reply of a
+planner that was just discovered."""
 
 Callback = Callable[[Any], None]
 
 Until = Callable[[Callable[[], bool], float], bool]
-"""Processes messages until a condition holds, or until a timeout [s]. Returns whether it holds."""
+"""Function that processes messages until a condition is true or until a timeout [s]. It returns
+whether the condition is true."""
 
 
 class TaskError(PlateError):
-    """A task was not completed. `status` gives the reason."""
+    """A task was not completed. `status` contains the reason."""
 
     def __init__(self, status: TaskStatus) -> None:
         super().__init__(status.text)
@@ -69,8 +73,8 @@ class Task:
     ----------
     name : str
     send : callable
-        Sends the goal, with callbacks for feedback and reply. All repetitions use one id, so that
-        the planner executes it once.
+        Function that sends the goal, with callbacks for feedback and reply. All repetitions use the
+        same id, so that the planner executes the goal only once.
 
     Attributes
     ----------
@@ -79,7 +83,7 @@ class Task:
     progress : TaskProgress
         Newest progress.
     status : TaskStatus or None
-        Result; None while the task runs.
+        Result. None while the task is running.
     """
 
     def __init__(self, name: str, send: Callable[[Callback, Callback], None]) -> None:
@@ -92,21 +96,21 @@ class Task:
 
     @property
     def ended(self) -> bool:
-        """Whether the task has ended, successfully or not."""
+        """Whether the task has ended, with or without success."""
         return self.status is not None
 
     @property
     def done(self) -> bool:
-        """Whether the task has ended, and its goal is reached."""
+        """Whether the task has ended and its goal is reached."""
         return self.status is not None and self.status.state == TaskStatus.DONE
 
     @property
     def accepted(self) -> bool:
-        """Whether the planner has replied, so that `cancel` reaches it."""
+        """Whether the planner has replied to the goal. Only then does `cancel` have an effect."""
         return self._handle is not None
 
     def has_begun(self) -> bool:
-        """Whether the planner executes the task, or has ended it."""
+        """Whether the planner executes the task or has ended it."""
         return self.ended or (self.accepted and self.progress.parts_total > 0)
 
     def send(self) -> None:
@@ -116,12 +120,12 @@ class Task:
         self._send(self._on_feedback, self._on_answer)
 
     def send_again(self) -> None:
-        """Send the goal again if there is no reply in time."""
+        """Send the goal again if the planner has not replied in time."""
         if not self.accepted and not self.ended and time.monotonic() - self._sent_at > ANSWER_S:
             self.send()
 
     def cancel(self) -> None:
-        """Request the end of the task. `PlateClient.wait` returns when it has ended."""
+        """Request that the task ends. `PlateClient.wait` returns when the task has ended."""
         self._cancel = True
         if self._handle is not None and not self.ended:
             self._handle.cancel_goal_async()
@@ -154,9 +158,9 @@ class PlateClient:
     Parameters
     ----------
     node : Node
-        Node in the planner's namespace.
+        Node that is in the namespace of the planner.
     until : callable
-        Processes the node's messages, see `Until`. Default: `rclpy.spin_once`.
+        Function that processes the messages of the node, see `Until`. Default: `rclpy.spin_once`.
     """
 
     def __init__(self, node: Node, until: Until | None = None) -> None:
@@ -168,7 +172,7 @@ class PlateClient:
     @classmethod
     @contextmanager
     def connect(cls, namespace: str = "") -> Iterator[PlateClient]:
-        """Make a client with a separate node, in the domain ROS_DOMAIN_ID."""
+        """Make a client with a separate node. The node is in the domain ROS_DOMAIN_ID."""
         choose_network(os.environ)
         context = rclpy.Context()
         rclpy.init(args=[], context=context, signal_handler_options=SignalHandlerOptions.NO)
@@ -199,8 +203,8 @@ class PlateClient:
         return bool(self._clients[name].server_is_ready())
 
     def send(self, task: Scenario | Any, waiting: Callable[[str], None] = lambda why: None) -> Task:
-        """Send a scenario, or a goal of one of the actions, without waiting for its result. While
-        the planner is not found, `waiting` is called with the reason.
+        """Send a scenario, or a goal of one of the actions, without waiting for its result. If the
+        planner is not found, `waiting` is called with the reason.
 
         Raises
         ------
@@ -227,8 +231,9 @@ class PlateClient:
         return sent
 
     def move_targets(self, targets: Sequence[PartTarget]) -> None:
-        """Replace targets of parts in a running task `move`. Other parts keep their targets.
-        Targets that the planner refuses appear in its log and diagnostics.
+        """Replace targets of parts in a running task of kind `move`. Other parts keep their
+        targets. If the planner refuses a target, the target appears in the planner's log and
+        diagnostics.
 
         Raises
         ------
@@ -247,12 +252,13 @@ class PlateClient:
         timeout_s: float = float("inf"),
         meanwhile: Callable[[], None] = lambda: None,
     ) -> TaskStatus:
-        """Return the last status of a task. `meanwhile` is called repeatedly until it has ended.
+        """Return the last status of a task. `meanwhile` is called repeatedly until the task has
+        ended.
 
         Raises
         ------
         PlateError
-            If the task does not end in time, or the planner sends no more feedback.
+            If the task does not end in time, or if the planner stops sending feedback.
         """
         end, feedbacks, silent_s = time.monotonic() + timeout_s, task.feedbacks, 0.0
         while not self._until(lambda: task.ended, AGAIN_S):
@@ -276,8 +282,8 @@ class PlateClient:
         ready_timeout_s: float = FOUND_S,
         waiting: Callable[[str], None] = lambda why: None,
     ) -> Task:
-        """Send a goal, repeatedly while the graph is not ready, for at most `ready_timeout_s` [s].
-        During this time `waiting` is called with the reason.
+        """Send a goal. If the graph is not ready, the goal is sent again for at most
+        `ready_timeout_s` [s]. During this time `waiting` is called with the reason.
 
         Raises
         ------
@@ -305,14 +311,14 @@ class PlateClient:
             self._until(lambda: False, AGAIN_S)
 
     def run(self, scenario: Scenario | Any, timeout_s: float = float("inf")) -> TaskStatus:
-        """Execute a task; return its last status.
+        """Execute a task, and return its last status.
 
         Raises
         ------
         TaskError
-            If the task is refused, or ends without reaching its goal.
+            If the task is refused, or if it ends without reaching its goal.
         PlateError
-            As `wait`.
+            The same as in `wait`.
         """
         status = self.wait(self.start(scenario), timeout_s)
         if status.state != TaskStatus.DONE:
@@ -320,7 +326,7 @@ class PlateClient:
         return status
 
     def cancel(self, task: Task) -> TaskStatus:
-        """Cancel a task; return its last status.
+        """Cancel a task, and return its last status.
 
         Ctrl-C ends the wait, but only after the request has reached the planner.
         """

@@ -25,23 +25,28 @@ from plate_interfaces.srv import MeasureFriction
 from .client import AGAIN_S, SILENT_S, PlateClient, Task, TaskError
 from .services import DISCOVERY_S, Services, no_graph_text
 
-PROGRESS_S, WAITING_S = 2.0, 5.0
-"""Time between two lines about a task's progress, and about the reason why it waits [s]."""
+PROGRESS_S = 2.0
+"""Time between two lines that state the progress of a task [s]."""
 
-REPORT_S, LATE_S = 2.0, 2.0
-"""Time for which diagnostics are collected [s] (nodes publish them once a second), and additional
-time if some nodes have not published yet [s]."""
+WAITING_S = 5.0
+"""Time between two lines that state the reason why a task waits [s]."""
+
+REPORT_S = 2.0
+"""Time for which diagnostics are collected [s]. Nodes publish them once per second."""
+
+LATE_S = 2.0
+"""Additional time if some nodes have not published yet [s]."""
 
 AT_FIRST_S = 0.5
 """Minimum wait that is reported [s]."""
 
 
 class SilentError(PlateError):
-    """The driver no longer reports its measurement."""
+    """The driver no longer reports that it measures."""
 
 
 class Graph(Services):
-    """The running nodes and their services, as seen by a separate node.
+    """The running nodes and their services. A separate node accesses them.
 
     Parameters
     ----------
@@ -84,7 +89,7 @@ class Graph(Services):
     # Tasks
 
     def _do(self, scenario: Scenario) -> str:
-        """Do a task, and show its progress. Return the text of the last status."""
+        """Execute a task, and show its progress. Return the text of the last status."""
         self._find_nodes()
         plate = PlateClient(self.node, self._until)
         task = self._start(plate, scenario)
@@ -107,7 +112,7 @@ class Graph(Services):
         return str(status.text)
 
     def _start(self, plate: PlateClient, scenario: Scenario) -> Task:
-        """Send the goal of a task. Print the reason while it waits."""
+        """Send the goal of a task. While the graph is not ready, print the reason."""
         began, next_s = time.monotonic(), AT_FIRST_S
 
         def waiting(why: str) -> None:
@@ -120,7 +125,8 @@ class Graph(Services):
         return plate.start(scenario, waiting=waiting)
 
     def _cancel_all(self) -> str:
-        """Cancel all goals. A zero id and stamp mean every goal (action_msgs/CancelGoal)."""
+        """Cancel all goals. A request with a zero id and a zero stamp cancels every goal
+        (action_msgs/CancelGoal)."""
         self._find_nodes()
         count = sum(
             len(self._call(CancelGoal, f"{name}/_action/cancel_goal", CancelGoal.Request())
@@ -132,13 +138,13 @@ class Graph(Services):
     # Friction
 
     def _friction(self, write: bool) -> str:
-        """Measure friction, show the progress, and write the result into the rig file if the user
-        agrees. Return the outcome as text.
+        """Measure friction and show the progress. If the user agrees, write the result into the rig
+        file. Return the outcome as text.
 
         Raises
         ------
         PlateError
-            If the measurement or the writing failed.
+            If the measurement fails, or if the result cannot be written.
         """
         received: list[Friction] = []
         drivers: list[DriverStatus] = []
@@ -150,7 +156,7 @@ class Graph(Services):
             if answer.success:
                 self._await_friction(received, drivers, answer.started)
         except (KeyboardInterrupt, OSError, SilentError):
-            # An OSError means that the output is closed.
+            # An OSError means that the output was closed.
             self._call(MeasureFriction, "measure_friction", end)
             raise
         if not answer.success:
@@ -176,7 +182,7 @@ class Graph(Services):
     def _await_friction(
         self, received: list[Friction], drivers: list[DriverStatus], started: Time
     ) -> None:
-        """Show the progress of the measurement with this start time, until it is over.
+        """Show the progress of the measurement that has this start time, until it ends.
 
         Raises
         ------
@@ -232,8 +238,8 @@ class Graph(Services):
         return "\n".join([*lines, *(f"  {name}: {text}" for name, text in sorted(nodes.items()))])
 
     def _silent(self, reports: dict[str, Report]) -> list[str]:
-        """Return the nodes that have a publisher of diagnostics, but no report yet. These nodes are
-        starting, or they hang."""
+        """Return the nodes that have a publisher of diagnostics but have not published yet. These
+        nodes are starting or hang."""
         topic = self.node.resolve_topic_name("diagnostics")
         there = {each.node_name for each in self.node.get_publishers_info_by_topic(topic)}
         return sorted(there & set(self._seen()) - reports.keys())
@@ -247,7 +253,7 @@ class Graph(Services):
     # Parameters
 
     def _nodes(self, name: str | None) -> list[str]:
-        """Return the node of a name, or all.
+        """Return the node with a name. Without a name, return all nodes.
 
         Raises
         ------
@@ -265,7 +271,7 @@ class Graph(Services):
         return [name]
 
     def _node(self, args: argparse.Namespace, *words: str) -> str:
-        """Return the node of the arguments. All arguments named by `words` are required."""
+        """Return the node of the arguments. All arguments that `words` names are required."""
         if any(getattr(args, word) is None for word in words):
             usage, listed = " ".join(words).upper(), ", ".join(self._nodes(None))
             raise PlateError(f"{args.command} requires {usage}; running nodes: {listed}")

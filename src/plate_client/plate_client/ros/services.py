@@ -1,4 +1,4 @@
-"""Calls of the running nodes' services, with only the imports that a stop needs."""
+"""Calls of the services of running nodes. It imports only the modules that a stop needs."""
 
 from __future__ import annotations
 
@@ -19,28 +19,45 @@ from plate_core import PlateError, choose_network, ros_domain
 
 from ..messages import spin_until
 
-DISCOVERY_S, FOUND_S, ANSWER_S, READY_S = 1.0, 3.0, 15.0, 15.0
-"""Maximum waits [s]: to discover any node; to discover a service; for its reply; for motors that
-are being enabled."""
+DISCOVERY_S = 1.0
+"""Maximum time for the discovery of any node [s]."""
+
+FOUND_S = 3.0
+"""Maximum time for the discovery of a service [s]."""
+
+ANSWER_S = 15.0
+"""Maximum time for the reply of a service [s]."""
+
+READY_S = 15.0
+"""Maximum time until enabled motors are ready [s]."""
 
 URGENT = ("emergency_stop", "cut_power", "disable")
 """Commands that are tried longer, even if no node is discovered."""
 
-ONCE, AGAIN_S = ("home", "calibrate", "call"), 0.5
-"""Commands that must not be repeated (nor must `enable`); time without a reply after which other
-commands are repeated [s]. DDS may lose the first reply of a service that was just discovered."""
+ONCE = ("home", "calibrate", "call")
+"""Commands that must not be repeated. The command `enable` must not be repeated either."""
+
+AGAIN_S = 0.5
+"""Time without a reply after which any other command is repeated [s]. DDS may lose the first reply
+of a service that was just discovered."""
 
 SERVICE = re.compile(r"/?([A-Za-z_]\w*/)*[A-Za-z_]\w*", re.ASCII)
 """Valid names of services."""
 
 CALLS = QoSProfile(depth=1000)
-"""The same profile as in plate_core.ros, whose import takes too long."""
+"""The same profile as in plate_core.ros. It is repeated here because the import of plate_core.ros
+takes too long."""
 
 NAME = "plate_command"
 
-DDS_PORT, PORTS_PER_DOMAIN, DOMAINS = 7400, 250, range(102)
-"""UDP ports of a ROS domain (DDSI-RTPS 9.6.1.1), and the domains with ports below the ephemeral
-range."""
+DDS_PORT = 7400
+"""First UDP port of ROS domain 0 (DDSI-RTPS 9.6.1.1)."""
+
+PORTS_PER_DOMAIN = 250
+"""Number of UDP ports of a ROS domain."""
+
+DOMAINS = range(102)
+"""Domains whose ports are below the ephemeral range."""
 
 
 def start_ros(namespace: str) -> None:
@@ -62,14 +79,14 @@ def start_ros(namespace: str) -> None:
 
 
 def end_ros(services: Services | None) -> None:
-    """Shut down ROS, and destroy the node if there is one."""
+    """Shut down ROS. Destroy the node if there is one."""
     if services is not None:
         services.node.destroy_node()
     rclpy.try_shutdown()
 
 
 class Services:
-    """The services of the running nodes, called by a separate node.
+    """The services of the running nodes. A separate node calls them.
 
     Parameters
     ----------
@@ -110,12 +127,13 @@ class Services:
         return str(answer.message)
 
     def _enable(self) -> str:
-        """Enable the motors, and wait until they are ready. This may take longer than the reply.
+        """Enable the motors, and wait until they are ready. This may take longer than the reply of
+        the service.
 
         Raises
         ------
         PlateError
-            If the motors do not become ready. The message gives the reason.
+            If the motors do not become ready. The message contains the reason.
         """
         from plate_core.ros import LATCHED
         from plate_interfaces.msg import DriverStatus
@@ -152,7 +170,7 @@ class Services:
     ) -> Any:
         client = self.node.create_client(kind, service, qos_profile=CALLS)
 
-        def there() -> bool:  # a service may be discovered before the name of its node
+        def there() -> bool:  # a service may be discovered before its node's name
             return urgent or client.service_is_ready() or bool(self._seen())
 
         cut = ": cut the power by hand" if urgent else ""
@@ -202,20 +220,22 @@ class Services:
 
 
 def no_graph_text() -> str:
-    """Return an error text that no graph runs, with the ROS domains in use on this machine."""
+    """Return an error text that no graph is running. It lists the ROS domains that are in use on
+    this machine."""
     ours = ros_domain(os.environ)
     others = sorted(domains_in_use() - {ours})
     text = f"no graph runs in ROS domain {ours}"
     if others:
         listed = ", ".join(map(str, others))
         text += f"; ROS runs on this machine in {listed}: export ROS_DOMAIN_ID="
-        # Some of these graphs may be of other users.
+        # Some of these graphs may belong to other users.
         text += listed if len(others) == 1 else "that of yours"
     return text
 
 
 def domains_in_use() -> set[int]:
-    """Return the ROS domains of this machine's processes, from their UDP ports."""
+    """Return the ROS domains of the processes on this machine. They are derived from the UDP ports
+    of the processes."""
     found = set()
     for table in ("/proc/net/udp", "/proc/net/udp6"):
         path = Path(table)

@@ -1,4 +1,5 @@
-"""The planner's task of feeding: started when requested, and canceled when no longer requested."""
+"""The planner's feeding task. It is started when requested, and canceled when no longer
+requested."""
 
 from __future__ import annotations
 
@@ -14,22 +15,23 @@ from plate_interfaces.action import FeedParts
 from plate_interfaces.msg import TaskStatus
 
 END_S = 5.0
-"""Maximum wait for a planner to end a canceled task [s]."""
+"""Maximum time for the planner to end a canceled task [s]."""
 
 ANSWER_S = 1.0
-"""Time without a reply after which a goal is sent again [s]. The planner was killed or has stalled,
-or the reply was lost. The goal has the same id, so the planner executes it only once."""
+"""Time without a reply after which a goal is sent again [s]. Either the planner was killed or has
+stalled, or the reply was lost. The goal has the same id, so the planner executes it only once."""
 
 
 class FeedGoal:
-    """The goal of `feed_parts`, started and canceled as requested.
+    """The goal of `feed_parts`. It is started and canceled as requested.
 
     Parameters
     ----------
     node : Node
     goal : FeedParts.Goal
     ended : callable
-        Called with the planner's status when the task has ended by itself, or was refused.
+        Function that is called with the planner's status when the task has ended by itself or was
+        refused.
 
     Attributes
     ----------
@@ -47,10 +49,10 @@ class FeedGoal:
         self._id, self._tries = new_goal_id(), 0
         self._sent = self.runs = self._seen = False
         self._answer_by = 0.0
-        self._ending, self._until = 0, 0.0  # number of the canceled goal; deadline of its end
+        self._ending, self._until = 0, 0.0  # number of the canceled goal; deadline for its end
 
     def request(self, run: bool) -> None:
-        """Start the task, or cancel it. Must be called repeatedly."""
+        """Start the task or cancel it. The caller must call this function repeatedly."""
         if self._sent and not run:
             self._cancel()
         now = time.monotonic()
@@ -67,7 +69,7 @@ class FeedGoal:
             future.add_done_callback(lambda done: self._on_answer(number, again, done))
 
     def on_task_status(self, status: TaskStatus) -> None:
-        """Detect that the planner has restarted and no longer executes the task."""
+        """Detect that the planner has restarted and does not execute the task any more."""
         running = status.state == TaskStatus.RUNNING and status.task == "feed"
         if self.runs and self._seen and not running:
             reason = status.reason

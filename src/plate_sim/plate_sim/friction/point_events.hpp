@@ -35,7 +35,7 @@ constexpr int COARSE = 2000;
 constexpr double FINE = 1e-3;
 // Friction [m/s2] below which it is neglected, because its direction would be a rounding error.
 constexpr double LEAST = 1e-60;
-// Minimum number of intervals per piece in the search for the time at which a stuck part is released.
+// Minimum number of intervals per piece in the search for the time at which a stuck part slides.
 constexpr int SCAN = 3;
 // Minimum number of intervals per period in the same search.
 constexpr int LOOKS = 100;

@@ -32,11 +32,11 @@ constexpr double NARROWEST = 1e-10;
 // Value of n b cosh u above which the integrand is neglected, because it is below 4e-8.
 constexpr double FADED = 17.0;
 
-// Value of n b above which a dip needs no correction, because the error of equal steps is exp(-n b).
+// Value of n b above which a dip needs no correction: the error of equal steps is exp(-n b).
 constexpr double NEAR = 14.0;
 
-// Value of b^2/2 at n b = NEAR, with b in steps. This b^2/2 is estimated from three squared samples:
-// the minimum of the parabola through them, divided by its second difference.
+// Value of b^2/2 at n b = NEAR, with b in steps. It is estimated from three squared samples, as the
+// minimum of the parabola through them divided by its second difference.
 constexpr double STEPS_NEAR = (NEAR / (2 * PI)) * (NEAR / (2 * PI)) / 2;
 
 // Distance [steps] between two dips below which one of them may not appear as a minimum of the

@@ -1,4 +1,4 @@
-"""The page's ROS interface: its subscriptions, and the calls that it makes."""
+"""The page's ROS interface: its subscriptions and its calls."""
 
 from .listener import TOPICS, Listener
 from .operator import Operator, PendingCommand

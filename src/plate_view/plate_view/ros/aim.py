@@ -1,4 +1,4 @@
-"""The data of the page's view for aiming the camera."""
+"""Data for the view in which a user aims the camera."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ STATES = state_names(LensPictures, "IDLE", "TAKING", "FITTING", "FITTED")
 
 
 def aim_scene(msg: Aim) -> Scene:
-    """Convert the detector's measurements of a picture; places are in pixels."""
+    """Convert the detector's measurements of a picture. Positions are in pixels."""
     lens = msg.lens
     return {
         "kind": "aim", "stamp": seconds(msg.header.stamp), "width": msg.width, "height": msg.height,

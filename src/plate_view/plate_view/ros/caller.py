@@ -1,4 +1,4 @@
-"""Asynchronous calls of services of other nodes."""
+"""Asynchronous calls of the services of other nodes."""
 
 from __future__ import annotations
 
@@ -23,16 +23,16 @@ URGENT_S = 1.0
 """Maximum wait for the reply to an urgent command [s]."""
 
 AGAIN_S = 0.25
-"""Time without a reply after which a stop is requested again [s]."""
+"""Time without a reply after which the request of a stop is repeated [s]."""
 
 POLL_S = 0.02
-"""Polling interval of pending calls [s]."""
+"""Interval at which pending calls are polled [s]."""
 
 Then = Callable[[Any], None]
 
 
 class Caller:
-    """The clients of a node, and its pending calls.
+    """The service clients of a node, and its pending calls.
 
     Parameters
     ----------
@@ -41,7 +41,7 @@ class Caller:
     Attributes
     ----------
     pollers : set of callables
-        Called every `POLL_S`, see `poll`.
+        Function that is called every `POLL_S`, see `poll`.
     """
 
     def __init__(self, node: Node) -> None:
@@ -57,7 +57,7 @@ class Caller:
             self._node.destroy_client(client)
 
     def poll(self, poller: Callable[[], None]) -> None:
-        """Call `poller` every `POLL_S` while it is one of `pollers`."""
+        """Call `poller` every `POLL_S` as long as it is in `pollers`."""
         if not self.pollers:
             self._timer.reset()
         self.pollers.add(poller)
@@ -65,21 +65,21 @@ class Caller:
     def _poll(self) -> None:
         for poller in list(self.pollers):
             poller()
-        if not self.pollers:  # without calls the node has nothing to do
+        if not self.pollers:  # without calls, the node is idle
             self._timer.cancel()
 
     def client(self, kind: Any, name: str) -> Any:
-        """Return the client of a service. Create it early, so that discovery is complete when it is
-        needed."""
+        """Return the client of a service. If it is created early, the discovery is complete when
+        the client is needed."""
         if name not in self._clients:
             self._clients[name] = self._node.create_client(kind, name, qos_profile=CALLS)
         return self._clients[name]
 
     def call(self, pending: PendingCommand, kind: Any, name: str, request: Any, then: Then) -> None:
-        """Call a service; `then` is called with its response.
+        """Call a service. `then` is called with its response.
 
-        An urgent request is repeated until there is a reply, because DDS may lose the reply of a
-        node that has just started.
+        An urgent request is repeated until there is a reply. DDS may lose the reply of a node that
+        has just started.
         """
         client = self.client(kind, name)
         urgent = pending.command.name in URGENT

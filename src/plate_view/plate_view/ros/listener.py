@@ -1,4 +1,5 @@
-"""Passes messages of the graph to the browsers. It subscribes only while a browser is connected."""
+"""Subscriber that passes messages of the graph to the browsers. It subscribes only while a browser
+is connected."""
 
 from __future__ import annotations
 
@@ -47,14 +48,14 @@ from .aim import aim_scene
 from .values import plain, state_names
 
 SAME_CLOCK_S = 10.0
-"""Maximum difference of a stamp from this node's clock [s]. If the difference is larger, the stamp
-is from another clock."""
+"""Maximum difference between a stamp and the clock of this node [s]. If the difference is larger,
+the stamp is from another clock."""
 
 LATENCIES = 200
 """Number of setpoint messages over which the latency is measured."""
 
 CAMERA_S = 0.1
-"""Minimum time between two pictures in the aiming view [s]."""
+"""Minimum time between two pictures in the view for aiming the camera [s]."""
 
 
 TASK_STATES = state_names(TaskStatus, "IDLE", "RUNNING", "DONE", "STUCK", "LOST", "ABORTED")
@@ -64,13 +65,13 @@ DRIVER_STATES = state_names(
 )  # fmt: skip
 FRICTION_STATES = state_names(Friction, "NONE", "RUNNING", "DONE", "FAILED")
 SEVERITIES = {20: "info", 30: "warn", 40: "error", 50: "error"}
-"""Shown severities of rcl_interfaces/Log."""
+"""Severities of rcl_interfaces/Log that are shown."""
 
 ROSOUT = QoSProfile(depth=100, durability=DurabilityPolicy.TRANSIENT_LOCAL)
 
 
 class Listener:
-    """Subscribes while a browser is connected, and passes messages on to all browsers.
+    """Subscribes while a browser is connected, and passes the messages on to all browsers.
 
     Parameters
     ----------
@@ -86,7 +87,7 @@ class Listener:
     parts : Parts
         Parts in the newest image.
     on_task : callable
-        Called after each task status.
+        Function that is called after each task status.
     """
 
     def __init__(self, node: Node, rig: Rig, view: TopView, server: PageServer) -> None:
@@ -101,7 +102,8 @@ class Listener:
         self._camera_at = -math.inf
 
     def adapt(self) -> None:
-        """Subscribe to the topics that browsers need; to none without browsers."""
+        """Subscribe to the topics that browsers need. Without browsers, there are no
+        subscriptions."""
         some = bool(self._server.browsers)
         for name, topic in TOPICS.items():
             wanted = some and (not topic.watched or any(map(self._server.wants, topic.watched)))
@@ -123,7 +125,7 @@ class Listener:
             self._newest.pop(topic, None)
 
     def receive(self, topic: str, msg: Any) -> None:
-        """Receive a message of one of `TOPICS`."""
+        """Process a message of one of `TOPICS`."""
         if TOPICS[topic].at_once:
             TOPICS[topic].take(self, msg)
         else:
@@ -187,7 +189,7 @@ class Listener:
     # Messages that are sent at the rate at which browsers can draw
 
     def tick(self) -> None:
-        """Send the newest messages since the last tick to the browsers."""
+        """Send the browsers the messages that are new since the last tick."""
         newest, self._newest = self._newest, {}
         for topic, msg in newest.items():
             try:
@@ -229,7 +231,7 @@ class Listener:
 
     def _show_image(self, msg: Image) -> None:
         if not any(map(self._server.wants, TOPICS["image_raw"].watched)):
-            return  # a recorded run also delivers images that nobody wants
+            return  # a replay also delivers images that no browser shows
         image, stamp = image_to_array(msg), seconds(msg.header.stamp)
         image = image[..., ::-1] if msg.encoding == "rgb8" else image
         now = time.monotonic()
@@ -244,7 +246,7 @@ class Listener:
         self._publish(aim_scene(msg), keep=False)
 
     def tick_slowly(self) -> None:
-        """Send node states and times to the browsers."""
+        """Send the states of the nodes and the times to the browsers."""
         if not self._server.browsers:
             return
         now = time.monotonic()
@@ -276,11 +278,11 @@ class Listener:
 
 
 class Topic(NamedTuple):
-    """A topic to subscribe to, and the function that handles its messages.
+    """A topic, and the function that handles its messages.
 
-    If `at_once`, each message is handled on arrival; otherwise only the newest one, at the rate at
-    which browsers can draw. If `watched` is not empty, the topic is subscribed to only while a
-    browser watches one of these.
+    If `at_once`, each message is handled on arrival. Otherwise only the newest message is handled,
+    at the rate at which browsers can draw. If `watched` is not empty, the topic is subscribed to
+    only while a browser watches one of these kinds of data.
     """
 
     kind: type

@@ -1,4 +1,5 @@
-"""Executes browsers' commands by the graph's public actions, services, topics and parameters."""
+"""Executes commands of browsers with the public actions, services, topics and parameters of the
+graph."""
 
 from __future__ import annotations
 
@@ -48,17 +49,17 @@ from .listener import Listener
 from .pending import PendingCommand
 
 FOUND_S = 2.0
-"""Maximum time to discover an action server [s]."""
+"""Maximum time for the discovery of an action server [s]."""
 
 MOVE_TOLERANCE_M = 0.001
-"""Distance at which a dragged part counts as arrived [m]."""
+"""Distance at which a dragged part counts as at its target [m]."""
 
 MOVE_TOLERANCE_RAD = 0.05
-"""Angle error at which a dragged part counts as arrived [rad]."""
+"""Angle error at which a dragged part counts as at its target [rad]."""
 
 MAX_SQUARES = 255
-"""Maximum number of squares along a side of a board in TakeLensPictures. The detector allows
-fewer."""
+"""Maximum number of squares along a side of a board in TakeLensPictures. The detector allows only
+smaller numbers."""
 
 FOLLOW_ERROR_M = 0.02
 """Maximum distance of a part from its drawn path [m]. If it is exceeded, the task ends."""
@@ -72,7 +73,7 @@ SECRET = ("operator_token", "viewer_token")
 
 @dataclass(eq=False)
 class Goal:
-    """A goal that the page has sent. `handle` is set when the planner accepts it."""
+    """A goal that the page has sent. `handle` is set when the planner accepts the goal."""
 
     task: Task
     handle: Any = None
@@ -87,9 +88,9 @@ class Operator:
     node : Node
     rig : Rig
     publish : callable
-        Publishes on the topic `targets`.
+        Publisher on the topic `targets`.
     expected : Scenario or None
-        Scenario assumed for a running task that the page has not started.
+        Scenario that is assumed for a running task that this page has not started.
     """
 
     def __init__(
@@ -99,11 +100,12 @@ class Operator:
         self._actions = {name: ActionClient(node, kind, name) for name, kind in ACTIONS.items()}
         self._caller = Caller(node)
         self._call = self._caller.call
-        self._goal: Goal | None = None  # goal of the task that the page has started
-        # Goal to send when that task has ended:
+        self._goal: Goal | None = None  # goal of the task that this page has started
+        # Goal that is sent when this task has ended.
         self._next: tuple[PendingCommand, str, Any] | None = None
-        self._waiting: dict[str, dict[str, Any]] | None = None  # targets until the task runs
-        # Waiting requests for a node's parameters:
+        # Targets that are kept until the task runs.
+        self._waiting: dict[str, dict[str, Any]] | None = None
+        # Requests that wait for the parameters of a node.
         self._requests: dict[str, list[PendingCommand]] = {}
 
     def begin(self, server: PageServer, listener: Listener) -> None:
@@ -122,7 +124,8 @@ class Operator:
             action.destroy()
 
     def do(self, browser: Socket, command: Command) -> None:
-        """Execute a command. The browser gets the reply, all browsers see the call."""
+        """Execute a command. The browser receives the reply, and all browsers show the equivalent
+        call."""
         pending = PendingCommand(self._server, browser, command)
         try:
             DONE[command.name](self, pending)
@@ -140,7 +143,7 @@ class Operator:
         self._call(pending, SetBool, "enable", request, pending.done)
 
     def _reset(self, pending: PendingCommand) -> None:
-        """Reset the simulator's parts, then the detector, so that ids restart at 1."""
+        """Reset the parts of the simulator, then the detector. The ids then restart at 1."""
         seed, request = pending.values["seed"], Trigger.Request()
 
         def forget(answer: Any) -> None:
@@ -171,7 +174,8 @@ class Operator:
         self._call(pending, RemovePart, "simulator/remove_part", request, pending.done)
 
     def _take_lens_pictures(self, pending: PendingCommand) -> None:
-        """Take pictures of a board. Refuse numbers outside the range of the message."""
+        """Take pictures of a calibration board. Refuse numbers that are outside the range of the
+        message."""
         given = {key: value for key, value in pending.values.items() if value is not None}
         for side in ("columns", "rows"):
             if given.get(side, 0) > MAX_SQUARES:
@@ -195,7 +199,7 @@ class Operator:
     def _set_value(
         self, pending: PendingCommand, node: str, name: str, value: Any, then: Callable[[], None]
     ) -> None:
-        """Set a parameter, then call `then`."""
+        """Set a parameter. Then call `then`."""
 
         def on_reply(answer: Any) -> None:
             (result,) = answer.results
@@ -220,7 +224,7 @@ class Operator:
         self._call(pending, SetParameters, f"{self._found(node)}/set_parameters", request, on_reply)
 
     def _found(self, name: str) -> str:
-        """Return the name of an existing node. Clients are not made for other names."""
+        """Return the name of an existing node. No clients are made for other names."""
         here = self._node.get_namespace()
         nodes = self._node.get_node_names_and_namespaces()
         there = sorted({each for each, space in nodes if space == here})
@@ -229,7 +233,8 @@ class Operator:
         return name
 
     def _parameters(self, pending: PendingCommand) -> None:
-        """Send a node's parameters. Further requests wait until the present one is complete."""
+        """Send the parameters of a node to a browser. Further requests wait until the present
+        request is complete."""
         node = pending.values["node"]
         if node in self._requests:
             self._requests[node].append(pending)
@@ -239,7 +244,7 @@ class Operator:
     def _request_parameters(
         self, pending: PendingCommand, node: str, others: Sequence[PendingCommand] = ()
     ) -> None:
-        """Request the names, then the values, then the descriptions of parameters."""
+        """Request the names of parameters, then their values, then their descriptions."""
         self._requests[node] = []
 
         def end(ok: bool, text: str) -> None:
@@ -295,7 +300,7 @@ class Operator:
         self._send_after_move(pending, name, goal)
 
     def _send(self, pending: PendingCommand, name: str, goal: Any) -> None:
-        """Send a goal. Reply when it runs, or why it does not."""
+        """Send a goal. Reply when the goal is executed, or with the reason why it is not."""
         client, end = self._actions[name], time.monotonic() + FOUND_S
         before: Goal | None = None
         own = Goal(goal_to_scenario(goal).task)
@@ -342,7 +347,8 @@ class Operator:
         def tick() -> None:
             nonlocal before, end
             if not sent and client.server_is_ready():
-                # Set before sending: task_status reports the task before the planner accepts.
+                # Set this before the goal is sent, because task_status reports the task before the
+                # planner accepts the goal.
                 before, self._goal = self._goal, own
                 sent.append(client.send_goal_async(goal, feedback_callback=on_feedback))
                 sent[0].add_done_callback(on_answer)
@@ -358,7 +364,8 @@ class Operator:
         tick()
 
     def _cancel(self, pending: PendingCommand) -> None:
-        """Cancel all running goals: a zero id and stamp mean every goal (CancelGoal)."""
+        """Cancel all running goals. A request with a zero id and a zero stamp cancels every goal
+        (CancelGoal)."""
         left, found = list(ACTIONS), [0]
 
         def on_reply(answer: Any) -> None:
@@ -374,7 +381,7 @@ class Operator:
             self._call(pending, CancelGoal, service, request, on_reply)
 
     def _move(self, pending: PendingCommand) -> None:
-        """Publish targets, and start the task `move` if no task runs."""
+        """Publish targets. If no task runs, start the task `move`."""
         targets = {target["id"]: target for target in pending.values["targets"]}
         task = self._listener.task
         running = task.state == TaskStatus.RUNNING
@@ -410,7 +417,8 @@ class Operator:
         self._waiting = None
 
     def _on_task(self) -> None:
-        """Show the target places of a task that begins, and send the targets that waited for it."""
+        """Show the target places of a task that begins. Send the targets that waited for this
+        task."""
         status = self._listener.task
         running = status.task if status.state == TaskStatus.RUNNING else ""
         if running != self._shown:
@@ -445,13 +453,13 @@ class Operator:
         self._send_after_move(pending, "follow_paths", goal)
 
     def _send_after_move(self, pending: PendingCommand, name: str, goal: Any) -> None:
-        """Send a goal. If this page's task `move`, which does not end by itself, runs, cancel it
-        first.
+        """Send a goal. If the task `move` of this page runs, cancel it first, because it does not
+        end by itself.
 
         Raises
         ------
         ScenarioError
-            If the rig cannot execute the goal. Then nothing is canceled.
+            If the rig cannot execute the goal. In this case no task is canceled.
         """
         check_scenario(goal_to_scenario(goal), self._rig)
         own = self._goal
@@ -474,7 +482,7 @@ KINDS = {
     SortTask: "sort", FollowTask: "follow", AssembleTask: "assemble", PoseTask: "pose",
     FeedTask: "feed",
 }  # fmt: skip
-"""Names in task_status of the tasks with target places to show."""
+"""Names in task_status of the tasks whose target places are shown."""
 
 DONE: Mapping[str, Callable[[Operator, PendingCommand], None]] = {
     "learn_plate": Operator._trigger,
@@ -497,11 +505,11 @@ DONE: Mapping[str, Callable[[Operator, PendingCommand], None]] = {
     "measure_friction": Operator._measure_friction,
     "write_friction": Operator._trigger,
 }
-"""Function for each command. Commands that stop are executed by `Stops`."""
+"""Function for each command. `Stops` executes the commands that stop the plate."""
 
 
 def _given(msg: Any) -> Any:
-    """Return the fields of a message that differ from their defaults, as mappings, lists,
+    """Return the fields of a message that differ from their defaults, as mappings, lists and
     values."""
     if hasattr(msg, "get_fields_and_field_types"):
         values = {name: getattr(msg, name) for name in msg.get_fields_and_field_types()}
@@ -513,7 +521,7 @@ def _given(msg: Any) -> Any:
 
 
 def _parameter(name: str, value: Any, about: Any) -> dict[str, Any]:
-    """Return a parameter's name, value and description for the page."""
+    """Return the name, the value and the description of a parameter for the page."""
     ranges = [*about.floating_point_range, *about.integer_range]
     text, plain = about.additional_constraints, parameter_value_to_python(value)
     return {

@@ -1,4 +1,4 @@
-"""Commands that are being executed, with their replies."""
+"""Commands that are being executed, and their replies."""
 
 from __future__ import annotations
 
@@ -15,16 +15,16 @@ QUIET = ("parameters",)
 
 
 class PendingCommand:
-    """A command that is being executed, and the browser that gets the reply.
+    """A command that is being executed, and the browser that receives the reply.
 
     Attributes
     ----------
     values : mapping
         Arguments of the command.
     call : str
-        Equivalent terminal command, if it differs from `call_text` of the command.
+        Equivalent terminal command, if it differs from the result of `call_text`.
     answered : callable
-        Called with the reply: whether the command succeeded, and a text.
+        Function that is called with the reply: whether the command succeeded, and a text.
     """
 
     def __init__(self, server: PageServer, browser: Socket, command: Command) -> None:
@@ -37,7 +37,7 @@ class PendingCommand:
         self.answer(True, text)
 
     def refuse(self, text: str) -> None:
-        """Reply why the command failed."""
+        """Reply that the command failed, with the reason."""
         self.answer(False, text)
 
     def done(self, response: Any) -> None:
@@ -45,7 +45,7 @@ class PendingCommand:
         self.answer(bool(response.success), str(response.message))
 
     def answer(self, ok: bool, text: str) -> None:
-        """Reply to the browser, and show the call to all browsers."""
+        """Reply to the browser. Show the equivalent call to all browsers."""
         self.answered(ok, text)
         self._server.answer(self._browser, self.command.number, ok, text)
         if self.command.name in QUIET or (self.values.get("dragging") and not self.call):

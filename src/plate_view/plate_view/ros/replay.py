@@ -1,4 +1,4 @@
-"""Replay of a recorded run, which the page shows instead of the graph."""
+"""Replay of a recorded run. The page shows it instead of the graph."""
 
 from __future__ import annotations
 
@@ -15,16 +15,16 @@ from plate_core import PlateError
 from plate_core.files import check_file
 
 BEFORE_S = 1.5
-"""Maximum age of messages that are shown after a seek [s]. Messages of latched topics are shown at
-any age."""
+"""Maximum age of messages that are shown after a jump to another time [s]. Messages of latched
+topics are shown at any age."""
 
 LATCHED_TOPICS = ("task_status", "driver_status", "part_targets")
 
 BAG_BYTES = 10**12
-"""Maximum size of a bag's data files, which are read message by message [bytes]."""
+"""Maximum total size of the data files of a bag [bytes]. They are read message by message."""
 
 METADATA_BYTES = 10**6
-"""Maximum size of metadata.yaml, which is read as a whole [bytes]."""
+"""Maximum size of metadata.yaml [bytes]. It is read as a whole."""
 
 RATES = 0.05, 20.0
 """Allowed range of the rate, in recorded seconds per second."""
@@ -40,14 +40,14 @@ class Replay:
     folder : str or path
         Folder of a bag from `ros2 bag record` or `make demo ARGS=--record`.
     kinds : mapping of str to type
-        Types of the messages of the topics to play.
+        Types of the messages of the topics that are played.
     receive : callable
-        Called with the topic and each message.
+        Function that is called with the topic and each message.
 
     Attributes
     ----------
     begin, end, now : float
-        Begin, end and present time [s of the recording].
+        Time of the beginning, of the end, and of the present position [s of the recording].
     playing : bool
     rate : float
         Recorded seconds per second.
@@ -57,7 +57,7 @@ class Replay:
     Raises
     ------
     PlateError
-        If the bag cannot be read, or contains none of the topics.
+        If the bag cannot be read, or if it contains none of the topics.
     """
 
     def __init__(self, folder: str | Path, kinds: Mapping[str, type], receive: Receive) -> None:
@@ -98,7 +98,8 @@ class Replay:
         self._reader.close()
 
     def play(self, playing: bool) -> None:
-        """Start or pause. At the end, start again from the beginning."""
+        """Start or pause the replay. At the end of the recording, start again from the
+        beginning."""
         if playing and self.now >= self.end:
             self.seek(self.begin)
         self.playing, self._played_at, self.problem = playing, time.monotonic(), ""
@@ -117,12 +118,12 @@ class Replay:
         self.rate = rate
 
     def seek(self, t: float) -> None:
-        """Jump to a time [s], and show the state at that time.
+        """Jump to a time [s], and show the state at this time.
 
         Raises
         ------
         PlateError
-            If the bag is damaged at that place.
+            If the bag is damaged at this place.
         """
         self.now = t = min(max(t, self.begin), self.end)
         self._coming, self._next, self.problem = iter(()), None, ""
@@ -140,7 +141,7 @@ class Replay:
         self._played_at = time.monotonic()
 
     def step(self) -> None:
-        """Play the messages that are due. At a damaged place stop, and set `problem`."""
+        """Play the messages that are due. If a place is damaged, stop and set `problem`."""
         now = time.monotonic()
         elapsed, self._played_at = now - self._played_at, now
         try:
@@ -177,7 +178,7 @@ class Replay:
     def _pass_on(self, name: str, data: bytes) -> None:
         try:
             msg = deserialize_message(bytes(data), self._kinds[name])
-        except Exception as error:  # rmw raises an error that has no public name
+        except Exception as error:  # rmw raises an error without a public name
             raise _damaged(error) from None
         self._receive(name, msg)
 
@@ -187,4 +188,5 @@ def _damaged(error: Exception) -> PlateError:
 
 
 KEPT = ("rosout", "diagnostics")
-"""Topics whose every message is passed on; of other topics only the newest."""
+"""Topics of which every message is passed on. Of other topics, only the newest message is passed
+on."""

@@ -19,7 +19,7 @@ END_S = 2.0
 
 
 class Stops:
-    """Calls the stop services with a separate node on a separate thread.
+    """Calls the services that stop the plate. It uses a separate node on a separate thread.
 
     Parameters
     ----------
@@ -44,7 +44,7 @@ class Stops:
         self._thread.start()
 
     def do(self, pending: PendingCommand) -> None:
-        """Call a service, from any thread. The reply goes to the browser that sent the command."""
+        """Call a service, from any thread. The browser that sent the command receives the reply."""
         self._waiting.append(pending)
         self._guard.trigger()
 
@@ -62,8 +62,8 @@ class Stops:
                 self._executor.spin_once()
 
     def _call(self) -> None:
-        """Make one call for all waiting commands of a name, so that many commands do not delay each
-        other."""
+        """Make one call for all waiting commands with the same name, so that many commands do not
+        delay each other."""
         waiting: dict[str, list[PendingCommand]] = {}
         while self._waiting:
             pending = self._waiting.popleft()

@@ -1,4 +1,4 @@
-"""Message values converted for JSON."""
+"""Conversion of message values for JSON."""
 
 from __future__ import annotations
 
@@ -6,12 +6,12 @@ import math
 
 
 def state_names(kind: type, *names: str) -> dict[int, str]:
-    """Return the lower-case names of a message's constants by their values."""
+    """Return the names of the constants of a message in lower case, by their values."""
     return {getattr(kind, name): name.lower() for name in names}
 
 
 def plain(value: float) -> float | None:
-    """Return a number rounded to six decimals; None if it is not finite."""
+    """Return a number, rounded to six decimals. Return None if it is not finite."""
     if isinstance(value, int):
         return value
     return round(float(value), 6) if math.isfinite(value) else None

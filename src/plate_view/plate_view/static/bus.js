@@ -1,4 +1,4 @@
-// The latest messages from the server, and their listeners.
+// The latest messages from the server, and the functions that listen to them.
 
 /** The newest message of each kind. */
 export const known = {};

@@ -1,9 +1,10 @@
-// The running cycle in slow motion: the enlarged motion of the plate's outline, and its rotation centres.
+// The running cycle in slow motion: the enlarged motion of the plate's outline, and its rotation
+// centres.
 
 import { known, on } from "./bus.js";
 import { byId, colour, fitted, tell } from "./dom.js";
 
-const SHOWN_S = 3; // one cycle takes this long on the screen
+const SHOWN_S = 3; // duration of one cycle on the screen
 const FRAME_MS = 50;
 const STRETCH = 0.12; // amplitude of the plate's motion on the screen, as a fraction of its length
 const SENSE = { 1: "--ccw", [-1]: "--cw" };

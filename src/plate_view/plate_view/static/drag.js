@@ -1,14 +1,15 @@
-// The pointer on the plate: drag targets, select several parts, draw paths, move simulated parts.
+// The pointer on the plate: it drags targets, selects several parts, draws paths and moves
+// simulated parts.
 
 import { known, on } from "./bus.js";
 import { byId, clamp, mm, seldom, tell } from "./dom.js";
 
-const NEAR_PX = 12; // a part is hit within this distance of its edge
+const NEAR_PX = 12; // maximum distance from a part's edge at which the part is hit
 const UNANSWERED = 3; // maximum number of moves without a reply
-const STEP_M = 0.004; // between the points of a drawn path
-const REFUSED_MS = 5000; // how long a refusal is shown at its target
+const STEP_M = 0.004; // distance between the points of a drawn path
+const REFUSED_MS = 5000; // time for which a refusal is shown at its target
 const BY_HAND = "by hand"; // instead of a part's id: the simulator uses other names
-const WISH_MS = 2000; // how long a request is shown whose confirmed target differs
+const WISH_MS = 2000; // time for which a request is shown if the confirmed target differs from it
 
 const HINTS = {
   target: "Drag a part or a target. Shift-click selects several. The round knob rotates the target.",

@@ -1,5 +1,6 @@
-// Drawing of each thing on the plate. Colours suit a light plate in every theme. Shapes repeat what colours
-// say: targets are crosses, unconfirmed things are dashed, rotation centres have an arrow.
+// Drawing of all objects on the plate. The colours suit a light plate in every theme. Shapes show
+// the same information as colours: targets are crosses, unconfirmed objects are dashed, and
+// rotation centres have an arrow.
 
 import { clamp, degrees, mm } from "./dom.js";
 
@@ -14,7 +15,7 @@ export const DRIFT = "#6d3f92";
 export const FORCE = "#3d525f";
 const SENSE = { 1: "#a85a00", [-1]: "#0b5f96" };
 const GRID_M = 0.05;
-const FEW = 8; // number of rotation centres up to which each has an arrow
+const FEW = 8; // maximum number of rotation centres that have an arrow each
 const FONT = "system-ui, sans-serif";
 
 function line(context, colour, width, dash = []) {

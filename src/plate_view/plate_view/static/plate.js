@@ -1,4 +1,5 @@
-// The plate from above: layers, lowest first, drawn only after new data.
+// The plate from above. Its layers are drawn from the lowest to the highest, and only after new
+// data.
 
 import { known, on } from "./bus.js";
 import { byId, fitted } from "./dom.js";
@@ -7,7 +8,7 @@ import { Trails } from "./trails.js";
 
 const MIN_MS = 25; // minimum time between two drawings, except while the pointer is dragging
 const MARGIN_M = 0.012;
-const RECENT = 8; // number of latest part messages kept for matching with an image
+const RECENT = 8; // number of the latest messages of parts that are kept for matching with an image
 const TOGETHER_S = 0.5; // maximum age of an image that determines the drawn parts
 const NO_RIG = { length: 0.6, width: 0.3, motors: [] };
 
@@ -41,7 +42,7 @@ export class PlateView {
     this.chosen = new Set(); // ids
     this.drawn = null; // {points}: a path that is being drawn
     this.band = null; // {from, to}: a selection frame
-    this.hold = null; // id of the part whose target shows a knob to rotate it
+    this.hold = null; // id of the part whose target shows a knob for rotation
     new ResizeObserver(() => this.#resize()).observe(byId("plate-box"));
     for (const kind of ["targets", "wanted", "paths"]) on(kind, () => this.draw());
     on("parts", (message) => {

@@ -1,10 +1,10 @@
-// The connection: commands and their replies, and reconnection.
+// The connection: commands, their replies, and reconnection.
 
 const FIRST_WAIT_MS = 250;
 const MAX_WAIT_MS = 4000;
 const ANSWER_MS = 7000; // the server waits up to 5 s for a node
 const SILENT_MS = 2500; // the server sends a message at least every second
-const FULL_BYTES = 8192; // unsent bytes above which frequent commands have to wait
+const FULL_BYTES = 8192; // number of unsent bytes above which frequent commands must wait
 
 export class Connection {
   /** `heard(message)`, `image(stamp, blob)`, `changed("connected" | "silent" | "lost")` */

@@ -1,4 +1,4 @@
-// The camera panel: the steps from an unmounted camera to one that is ready.
+// The camera panel. It shows the steps that make a newly mounted camera ready.
 
 import { on } from "../bus.js";
 import { byId, el, tell } from "../dom.js";

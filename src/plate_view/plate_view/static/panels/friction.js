@@ -1,4 +1,5 @@
-// The friction panel: measure the parts' friction by small pushes of the plate, write it into the rig file.
+// The friction panel: it measures the friction of the parts by small pushes of the plate, and
+// writes it into the rig file.
 
 import { on } from "../bus.js";
 import { el, tell } from "../dom.js";

@@ -1,11 +1,11 @@
-// The log: messages of the nodes, and each command as the equivalent terminal call.
+// The log: messages of the nodes, and the equivalent terminal call of each command.
 
 import { on } from "../bus.js";
 import { el } from "../dom.js";
 
 const MOST = 300;
 const SOON_MS = 300; // maximum delay between a reply and its call
-const SAME_MS = 3000; // an equal refusal within this time is not shown again
+const SAME_MS = 3000; // time within which the same refusal is not shown again
 const SIGNS = { info: "\u00b7", warn: "!", error: "\u2715", call: "$", refused: "\u2715" };
 
 export function log(panel) {

@@ -1,4 +1,5 @@
-// The motors: their travel in the running cycle, and the fractions of the limits that the cycle uses.
+// The motors: their travel in the running cycle, and the fractions of the limits that the cycle
+// uses.
 
 import { known, on } from "../bus.js";
 import { byId, clamp, el, mm, seldom, tell } from "../dom.js";

@@ -1,4 +1,4 @@
-// The nodes: their state, the age of their last report, and their values.
+// The nodes: their states, the ages of their last reports, and their values.
 
 import { on } from "../bus.js";
 import { el, seldom, tell } from "../dom.js";

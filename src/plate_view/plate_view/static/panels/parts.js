@@ -1,4 +1,4 @@
-// The table of parts: the drawing's content as text, and targets moved by the keyboard.
+// The table of parts: the content of the drawing as text. Targets can be moved with the keyboard.
 
 import { on } from "../bus.js";
 import { degrees, el, mm, seldom, tell } from "../dom.js";

@@ -1,4 +1,4 @@
-// Replay of a recorded run: play, seek, rate.
+// Replay of a recorded run: play, seek and rate.
 
 import { known, on } from "../bus.js";
 import { byId, tell } from "../dom.js";

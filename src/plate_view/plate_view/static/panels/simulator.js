@@ -1,4 +1,4 @@
-// The simulator: place and remove parts, reset, rate of time, disturbances.
+// The simulator panel: place and remove parts, reset, set the rate of time and the disturbances.
 
 import { known, on } from "../bus.js";
 import { el } from "../dom.js";

@@ -1,4 +1,4 @@
-// The header: rig, task, measured values, motors.
+// The header: rig, task, measured values and motors.
 
 import { known, on } from "../bus.js";
 import { byId, tell } from "../dom.js";

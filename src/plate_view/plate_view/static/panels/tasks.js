@@ -1,4 +1,4 @@
-// Tasks: choose a scenario, change its numbers, start and end it, show its progress.
+// The task panel: select a scenario, change its numbers, start and end it, and show its progress.
 
 import { known, on } from "../bus.js";
 import { degrees, el, mm, seldom, tell } from "../dom.js";
@@ -26,9 +26,9 @@ export function tasks(panel, ask) {
     node.addEventListener("click", work);
     return node;
   };
-  let scenario = null; // its content, where the server tells it
+  let scenario = null; // content of the scenario, if the server sent it
   let changed = false;
-  let paused = null; // the command that restarts the task
+  let paused = null; // command that restarts the task
   let last = null;
   const send = async (command) => {
     const told = await ask(command, answer);
