@@ -1,7 +1,8 @@
-"""For all tests: each process that runs some has a ROS domain of its own.
+"""Settings of all tests. Each process that runs tests has a separate ROS domain.
 
-So neither the workers of one run nor two runs on a machine hear each other. Tests that need a tool
-which is not here are left out; with NO_SKIP in the environment no other test may be.
+So the workers of a run, and two runs on a machine, do not receive each other's messages. Tests are
+skipped if a tool that they need is missing. With NO_SKIP in the environment, any other skipped test
+fails.
 """
 
 import gc
@@ -16,7 +17,7 @@ from needs import missing
 LEFT_OUT = {need: f"{need} is missing: make test-tools" for need in missing()}
 SETUP = pytest.StashKey[float]()
 REAL_S = 2.0
-"""Tests that take longer [s] most likely had real nodes."""
+"""Duration above which a test has most likely started real nodes [s]."""
 
 
 @pytest.hookimpl(wrapper=True)
@@ -29,7 +30,7 @@ def pytest_runtest_setup(item):
 
 
 def without_skip(report):
-    """A report, failed if it is of a skip that NO_SKIP forbids."""
+    """Return a report. If NO_SKIP forbids its skip, it is changed to a failure."""
     if report.skipped and "NO_SKIP" in os.environ and not hasattr(report, "wasxfail"):
         reason = report.longrepr[2]
         if reason.removeprefix("Skipped: ") not in LEFT_OUT.values():
@@ -49,7 +50,7 @@ def pytest_runtest_makereport():
 
 @pytest.fixture
 def clock(monkeypatch):
-    """Time of the nodes in this process, which the test moves on."""
+    """Clock of the nodes in this process. The test advances it."""
     from stepped_clock import SteppedClock  # only where there is ROS
 
     return SteppedClock(monkeypatch)

@@ -1,5 +1,5 @@
-"""Drives of CiA 402 for the firmware in simulated time: the stack is `canopen`; the bus, the power
-state machine and the motion are written here."""
+"""CiA 402 drives for the firmware in simulated time. The CANopen stack is `canopen`; this file has
+the bus, the power state machine and the motion."""
 
 import io
 import math
@@ -34,7 +34,7 @@ STATUS = {
 
 
 def eds(node: int, without: tuple[int, ...] = (), **values: int) -> str:
-    """The EDS of a drive; `values` are defaults of objects, by x1000_0."""
+    """Return the EDS of a drive. `values` are defaults of objects, with keys such as x1000_0."""
     objects: dict[int, dict[int, tuple[str, int, int | None]]] = {
         0x1000: {0: ("DeviceType", 7, 0x20192)},
         0x1001: {0: ("ErrorRegister", 5, 0)},
@@ -86,10 +86,12 @@ def crc15(bits: str) -> int:
 
 
 def frame_bits(identifier: int, data: bytes) -> int:
-    """Return the bits of a frame on the bus: of data, or with 0x800 a request for eight bytes.
+    """Return the number of bits of a frame on the bus. With 0x800 in its identifier the frame is a
+    request for eight bytes.
 
-    With its stuffed bits (ISO 11898-1: after five alike one of the other kind, from the start of
-    the frame to the CRC's end) and the three bits between two frames.
+    The number includes the three bits between two frames, and the stuffed bits (ISO 11898-1: from
+    the start of the frame to the end of the CRC, five equal bits are followed by one of the other
+    value).
     """
     remote = identifier >> 11
     size = 8 if remote else len(data)
@@ -131,7 +133,7 @@ class Wire:
 
 @dataclass
 class Beat:
-    """What a node sends again and again, in simulated time [ms]."""
+    """A message that a node sends periodically, in simulated time [ms]."""
 
     network: "SteppedNetwork"
     id: int
@@ -147,7 +149,7 @@ class Beat:
 
 
 class SteppedNetwork(canopen.Network):
-    """A network without threads: what comes is handed on when it is asked."""
+    """A network without threads. `take` delivers the messages that have arrived."""
 
     def __init__(self, bus: Any) -> None:
         super().__init__(bus)
@@ -172,7 +174,7 @@ class SteppedNetwork(canopen.Network):
 
 
 class Drive(canopen.LocalNode):
-    """A drive: what the standard asks of it, and a motor that follows with a lag of first order."""
+    """A drive with the behaviour that the standard requires, and a motor with a first-order lag."""
 
     def __init__(self, network: SteppedNetwork, node: int, lag_ms: float = 1.0, **of_eds) -> None:
         file = io.StringIO(eds(node, **of_eds))
@@ -180,14 +182,14 @@ class Drive(canopen.LocalNode):
         super().__init__(node, canopen.import_od(file, node))
         self.state, self.position, self.start, self.goal = "switch on disabled", 0.0, 0.0, 0.0
         self.into, self.lag_ms, self.jammed, self.mute = 0.0, lag_ms, False, False
-        self.keeps = False  # its current, whatever the controlword
-        self.holds = ""  # a state which only "disable voltage" ends, if it is not fault
+        self.keeps = False  # keeps its current, whatever the controlword
+        self.holds = ""  # a state that only "disable voltage" ends, if it is not fault
         self.word, self.heard, self.enables = 0, math.inf, 0
         self.deaf = True  # its supply is off
         self.stuck_mode, self.remote = False, True
         self.slip = 0.0  # counts that it has lost
-        self.leap = 0.0  # counts that it loses each time it gets current
-        self.wrong_once: tuple[str, int] | None = None  # a state, and how far [counts]
+        self.leap = 0.0  # counts that it loses each time it is enabled
+        self.wrong_once: tuple[str, int] | None = None  # a state, and the error in it [counts]
         self.history: list[str] = []
         self.asked: list[tuple[str, str, int]] = []  # transitions by a controlword
         self.refuses: tuple[int, int] | None = None  # an object
@@ -198,7 +200,7 @@ class Drive(canopen.LocalNode):
         network.subscribe(0x700 + MASTER, self.on_master)
 
     def swap(self, **of_eds) -> "Drive":
-        """Another drive in its place."""
+        """Replace the drive by another one."""
         for identifier, call in (
             (0, self.on_nmt), (0x80, self.on_sync), (0x700 + MASTER, self.on_master),
         ):  # fmt: skip
@@ -216,7 +218,7 @@ class Drive(canopen.LocalNode):
         return obj.decode_raw(self.get_data(index, sub))
 
     def boot(self) -> None:
-        """As after power came, or a reset."""
+        """Restart as after power-up or a reset."""
         self.deaf = False
         self.nmt.stop_heartbeat()
         self.data_store.clear()
@@ -244,7 +246,7 @@ class Drive(canopen.LocalNode):
     def set_data(self, index, subindex, data, check_writable=False):
         self.refuse(check_writable and (index, subindex))
         if index >> 8 == 0x18 and subindex == 1 and not data[3] & 0x40:
-            raise canopen.SdoAbortedError(0x06090030)  # as one that answers no requests for it
+            raise canopen.SdoAbortedError(0x06090030)  # requests of this PDO get no reply
         super().set_data(index, subindex, data, check_writable)
 
     def refuse(self, by_sdo: Any) -> None:
@@ -301,7 +303,7 @@ class Drive(canopen.LocalNode):
         self.word = word
 
     def switch(self, word: int) -> None:
-        """The transitions of CiA 402 that a controlword asks for; one a time."""
+        """Make the transition of CiA 402 that a controlword requests, one per controlword."""
         reset = word & ~self.word & 0x80
         low = word & 0xF
         if self.state in ("not ready", "fault reaction"):
@@ -328,7 +330,7 @@ class Drive(canopen.LocalNode):
             self.enter("switched on")
 
     def fail(self, code: int, register: int = 1) -> None:
-        """Into fault, with an emergency."""
+        """Enter the state fault, and send an emergency message."""
         self.emcy.send(code, register)
         self.enter("fault")
 
@@ -350,7 +352,8 @@ class Drive(canopen.LocalNode):
 
 @dataclass
 class CanBench:
-    """The firmware as a process, drives on its bus; a tick of it is a millisecond of theirs."""
+    """The firmware as a process, with drives on its bus. Its tick is one millisecond of the
+    drives."""
 
     program: Path
     channel: str
@@ -361,8 +364,8 @@ class CanBench:
     state: int = 0
     faults: int = 0
     stop: int = 0
-    cut: bool = False  # the firmware's wire
-    plate: Plate | None = None  # that all drives move
+    cut: bool = False  # the firmware's wire is cut
+    plate: Plate | None = None  # plate that all drives move
 
     def __post_init__(self) -> None:
         self.network = self.network or SteppedNetwork(Wire(self.channel))
@@ -377,7 +380,7 @@ class CanBench:
         self.process.stdin.write(line + "\n")
 
     def run(self, ms: int) -> None:
-        """Let time pass: drives and bus, then the firmware."""
+        """Advance the time of drives and bus, then of the firmware."""
         assert self.process.stdin is not None
         assert self.process.stdout is not None
         for _ in range(ms):
@@ -416,7 +419,7 @@ class CanBench:
             self.network.take()
 
     def disturb(self, count: int, known: np.ndarray) -> None:
-        """Send the firmware frames of noise too, most of them of a known identifier."""
+        """Also send the firmware random frames, most of them with a known identifier."""
         rng = np.random.default_rng(5)
         chosen, others = rng.choice(known, count), rng.integers(0x800, size=count)
         identifiers = np.where(rng.random(count) < 0.8, chosen, others).tolist()
@@ -425,7 +428,7 @@ class CanBench:
             self.order(f"can {identifier:x} {noise[16 * k : 16 * k + size]}")
             if k % 600 == 0:
                 tell(self, say(1, Heartbeat(1)))
-            if k % 15 == 0:  # with what the drives say, no more than a tick reads
+            if k % 15 == 0:  # together with the drives' frames, at most as many as a tick reads
                 self.run(1)
 
     def end(self) -> None:

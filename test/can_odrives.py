@@ -1,6 +1,5 @@
-"""ODrives for the firmware in simulated time: frames are read and written by the DBC of CANSimple
-(firmware 0.6.10) that the package `odrive_can` brings; states and motion are written here, from the
-manual."""
+"""ODrives for the firmware in simulated time. Frames are decoded and encoded by the DBC of
+CANSimple (firmware 0.6.10) in the package `odrive_can`. States and motion follow the manual."""
 
 from importlib.util import find_spec
 from pathlib import Path
@@ -29,7 +28,7 @@ def messages() -> dict[int, "cantools.db.Message"]:
 
 
 class Bus:
-    """The drives' end of a bus: what comes is handed on when it is asked."""
+    """The drives' end of a bus. `take` delivers the frames that have arrived."""
 
     def __init__(self, channel: str) -> None:
         self.bus = Wire(channel)
@@ -50,13 +49,13 @@ class Bus:
 
 
 class ODrive:
-    """A drive: cascaded loops with feed-forward of speed, without the load's inertia."""
+    """A drive with cascaded loops and feed-forward of the speed, without the load's inertia."""
 
     def __init__(self, bus: Bus, node: int, dbc, **change) -> None:
         self.network, self.node, self.dbc = bus, node, dbc
         self.off, self.jammed, self.mute, self.silent, self.stuck = True, False, False, False, False
-        self.keeps = False  # its current
-        self.wrong_once = 0.0  # by so many turns it tells its position
+        self.keeps = False  # keeps its current
+        self.wrong_once = 0.0  # error of the next reported position [turns]
         self.watchdog_ms, self.protocol = 100, 2
         vars(self).update(change)
         self.position, self.goal, self.speed, self.torque = 0.0, 0.0, 0.0, 0.0  # turns
@@ -73,7 +72,7 @@ class ODrive:
         return self.history.count("CLOSED_LOOP_CONTROL")
 
     def boot(self) -> None:
-        """As after power came, or a reset: it counts from where it is."""
+        """Restart as after power-up or a reset. The position is not changed."""
         self.off, self.state, self.errors, self.reason, self.fed = False, IDLE, 0, 0, 0.0
 
     def disarm(self, error: str = "", clears: bool = False) -> None:

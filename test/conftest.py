@@ -1,4 +1,4 @@
-"""What several tests here share: a graph that runs, and the firmware, built for this machine."""
+"""Fixtures of several tests: a running graph, and the firmware compiled for this machine."""
 
 import contextlib
 import os
@@ -19,19 +19,20 @@ FOUR = {
     ],
     "task": {"kind": "move", "tolerance_m": 0.002, "hold_s": 0.5, "until_canceled": True},
 }
-"""None leaves the plate where images or answers are late."""
+"""Scenario in which no part leaves the plate, even if images or results are late."""
 
 
 @pytest.fixture
 def domain():
-    """A ROS domain for this test alone."""
+    """A ROS domain that only this test uses."""
     with own_domain() as domain:
         yield domain
 
 
 @pytest.fixture(scope="module")
 def graph(tmp_path_factory, request):
-    """A graph that runs, with the live page; in lockstep if the module says `LOCKSTEP = True`."""
+    """A running graph with the live page. It runs in lockstep if the module has `LOCKSTEP =
+    True`."""
     from graph.session import ANSWER_S, session  # only where there is ROS
     from light_graph import LightOptions
 
@@ -39,12 +40,12 @@ def graph(tmp_path_factory, request):
     (folder / "four.yaml").write_text(yaml.safe_dump(FOUR), encoding="utf-8")
     lockstep = getattr(request.module, "LOCKSTEP", False)
     options = LightOptions(scenario=str(folder / "four.yaml"), view=True, lockstep=lockstep)
-    # The page's `teach` writes its file where the detector runs.
+    # The page's `teach` writes its file into the detector's working folder.
     with contextlib.chdir(folder), session(options, folder, pictures=False) as running:
         assert running.page(), running.processes.tail("page")
         running.observer.await_ready()
         ready = running.observer.record.driver.text
-        # The planner hears it at a time of its own, and takes no goal before.
+        # The planner may receive this status later, and accepts no goal before.
         heard = partial(running.observer.record.last, "planner", "driver_status")
         assert running.observer.until(lambda: heard() == ready, ANSWER_S), heard()
         if lockstep:
@@ -53,7 +54,7 @@ def graph(tmp_path_factory, request):
 
 
 def give_way(processes):
-    """Let programs with a time of their own be first: a graph in lockstep takes what is left."""
+    """Lower the priority of a graph in lockstep, because other programs run in real time."""
     for name in processes.names:
         for thread in Path(f"/proc/{processes.pid(name)}/task").iterdir():
             os.setpriority(os.PRIO_PROCESS, int(thread.name), 10)
@@ -61,7 +62,7 @@ def give_way(processes):
 
 @pytest.fixture(scope="module")
 def url(graph):
-    """Address of its page."""
+    """Address of the graph's page."""
     return graph.page()
 
 
@@ -73,13 +74,13 @@ def _program(tmp_path_factory):
 
 @pytest.fixture(name="device")
 def _device(program):
-    """It, as a function from orders to what is printed."""
+    """The firmware, as a function from orders to its output."""
     return running(program)
 
 
 @pytest.fixture(name="firmware")
 def _firmware(program):
-    """The firmware in simulated time, on a line of its own."""
+    """The firmware in simulated time, on a separate line."""
     firmware = SimulatedFirmware(program)
     yield firmware
     firmware.end()

@@ -1,4 +1,4 @@
-"""Cycles that are cut out of others, with tails."""
+"""Parts of cycles, with tails."""
 
 import numpy as np
 
@@ -6,7 +6,7 @@ from plate_core import PlateCycle
 
 
 def cut(cycle: PlateCycle, begin: int, end: int, tail_s: float = 0.05) -> PlateCycle:
-    """What a cycle does between two of its knots, and a tail of so many seconds to rest."""
+    """Return the motion between two knots of a cycle, with a tail of `tail_s` [s] to rest."""
     tail = PlateCycle.stopping(cycle.state(end), tail_s)
     times = cycle.times[begin : end + 1] - cycle.times[begin]
     states = [

@@ -1,4 +1,5 @@
-"""The firmware, as a program and as the simulator runs it: orders in, what the device does out."""
+"""The firmware as a program and in the simulator: orders as input, behaviour of the device as
+output."""
 
 import os
 import subprocess
@@ -35,21 +36,22 @@ from plate_sim.device import Device, DeviceLimits
 
 STROKE_M, SPEED, ACCEL = 0.010, 1.0, 100.0
 SLACK = 1.002
-"""Of the limits, for the motors' splines (docs/protocol.md)."""
+"""Factor on the limits, because the splines of the motors differ from the plate's
+(docs/protocol.md)."""
 
 STEP_M = 2e-6
 SILENCE_S = 0.25
 PERIOD_S = 0.1
 BOOT = 0xCAFE
-"""Of the device, which takes the number of its first stop from it."""
+"""Boot number of the device, from which it derives the number of its first stop."""
 
 LIMITS = DeviceLimits.of_rig(load_rig())
 
 
 @dataclass(frozen=True)
 class Run:
-    """What the device did: times [s], setpoints (n, 3, 4), messages, when current was switched on
-    and off [s], and its state in the end."""
+    """Behaviour of the device: times [s], setpoints (n, 3, 4), messages, times at which the current
+    was switched on or off [s], and final state."""
 
     times: np.ndarray
     setpoints: np.ndarray
@@ -60,7 +62,7 @@ class Run:
     refused: int
     stop: int
     switched: list[tuple[float, bool]]
-    line: list[tuple[int, bool]]  # when the camera's line has changed [us], and to what
+    line: list[tuple[int, bool]]  # changes of the camera's line: time [us], value
 
     def answers(self) -> dict[int, Status]:
         found = [p.message for p in self.said if isinstance(p.message, Acknowledgement)]
@@ -68,19 +70,19 @@ class Run:
 
 
 def run(device: Callable[..., str], *orders: bytes | float | str) -> Run:
-    """Give the device bytes, seconds that pass, and lines as they are."""
+    """Run the device with orders: bytes to receive, durations [s], or lines of its input."""
     return heard(device(ordered(*orders)))
 
 
 def assert_bounded(done: Run) -> None:
-    """All setpoints are within the limits, and none is further from the one before than the speed
-    limit allows for the time between them."""
+    """Check that all setpoints are within the limits, and that each step is within the speed
+    limit."""
     q, v, a = np.abs(np.moveaxis(done.setpoints, 1, 0))
     assert np.all(q <= STROKE_M * SLACK)
     assert np.all(v <= SPEED * SLACK)
     assert np.all(a <= ACCEL * 1.1)
     dt = np.diff(done.times)
-    on_end = dt < 2.5e-3  # else current was off between them, or the tick was late
+    on_end = dt < 2.5e-3  # otherwise the current was off between them, or the tick was late
     steps = np.max(np.abs(np.diff(done.setpoints[:, 0], axis=0)), axis=1)
     assert np.all(steps[on_end] <= SPEED * SLACK * dt[on_end] + STEP_M)
     late = ~on_end & (np.abs(done.setpoints[1:, 1]).max(axis=1) > 0.05)
@@ -98,10 +100,10 @@ def ordered(*orders: bytes | float | str) -> str:
 
 
 def heard(stdout: str) -> Run:
-    """Read what a device has printed."""
+    """Parse the output of a device."""
     output = [line.split() for line in stdout.splitlines()]
     ticks = [line for line in output if line[0] == "at"]
-    assert all(line[-1] != "off" for line in ticks)  # nothing is commanded without current
+    assert all(line[-1] != "off" for line in ticks)  # there is no setpoint without current
     sent = b"".join(bytes.fromhex(line[1]) for line in output if line[0] == "tx")
     reader, packets = Reader().fed(sent)
     assert reader == Reader()
@@ -126,7 +128,8 @@ def say(sequence: int, message: Message) -> bytes:
 
 
 def wave(size: float, phase: float = 0.0) -> tuple[Knot, ...]:
-    """A closed table of 24 pieces from rest, peak travel near `size` [m]."""
+    """Return a closed table of 24 pieces that begins at rest, with a maximum travel of about `size`
+    [m]."""
     t = np.linspace(0, PERIOD_S, 25)
     w = 2 * np.pi / PERIOD_S
     lift = np.array([0.0, 0.5, 1.0, 1.5]) + phase
@@ -149,7 +152,8 @@ def wave(size: float, phase: float = 0.0) -> tuple[Knot, ...]:
 def uploaded(
     table: int, knots: tuple[Knot, ...], first: int, repeats: int = 50, splice_ticks: int = 0
 ) -> list[bytes]:
-    """All frames of a table, numbered from `first`; the last one is Commit."""
+    """Return all frames of a table, with sequence numbers from `first` on. The last one is
+    Commit."""
     messages: list[Message] = [Begin(table, len(knots), table_crc(knots), splice_ticks)]
     messages += [Knots(table, i, knots[i : i + 4]) for i in range(0, len(knots), 4)]
     messages.append(Commit(table, repeats))
@@ -159,19 +163,19 @@ def uploaded(
 def upload(
     table: int, knots: tuple[Knot, ...], first: int, repeats: int = 50, splice_ticks: int = 0
 ) -> bytes:
-    """The bytes of them."""
+    """Return the bytes of these frames."""
     return b"".join(uploaded(table, knots, first, repeats, splice_ticks))
 
 
 HELLO, ENABLE = say(99, Hello(VERSION, 77)), say(101, Enable(BOOT))
 HOMEWARD = [0.2, say(1, Heartbeat(1)), 0.2, say(1, Heartbeat(1)), 0.15]
-"""While the plate goes home."""
+"""Orders during the motion to home."""
 
 READY = [HELLO, ENABLE, *HOMEWARD]
 GENTLE = wave(0.001)
-COMMIT = 110 + 1 + 7  # sequence number of an upload's Commit, when its first is 110
+COMMIT = 110 + 1 + 7  # sequence number of the Commit of an upload that begins with 110
 UPLOAD_S = 0.02
-"""Longer than the device takes to read such an upload and to look at it."""
+"""Time that exceeds the time in which the device reads and checks such an upload [s]."""
 
 
 def alive(seconds: float) -> list[bytes | float]:
@@ -190,7 +194,7 @@ def changed(at: int, **values) -> tuple[Knot, ...]:
 
 
 class Simulated:
-    """What firmware/host is, with the simulator's device; collects what it prints."""
+    """Replacement of firmware/host with the simulator's device. It collects the output lines."""
 
     def __init__(self, *arguments: str) -> None:
         names = ("heat_s", "continuous_force", "force", "following_m")
@@ -235,7 +239,7 @@ class Simulated:
         self._data = b""
         told = [f"tx {frame.hex()}00" for frame in said.split(b"\0")[:-1]]
         moved = [] if at is None else [f"at {self._now_us} " + shown(at)]
-        # Answers come before the setpoint, telemetry after it.
+        # Replies are printed before the setpoint, telemetry after it.
         late = [t for t in told if t[5:7] == "84"]
         self.lines += [t for t in told if t not in late] + moved + late
         on = device.state != State.OFF
@@ -249,7 +253,7 @@ class Simulated:
 
 
 def simulated(orders: str, *arguments: str) -> str:
-    """Do what firmware/host does, with the simulator's device; returns what it prints."""
+    """Execute the orders of firmware/host with the simulator's device, and return the output."""
     device = Simulated(*arguments)
     for order in orders.splitlines():
         device.obey(order)
@@ -261,7 +265,7 @@ def shown(at: np.ndarray) -> str:
 
 
 def running(program: Path):
-    # To look for leaks takes half of the time, and only host.c has a heap.
+    # The search for leaks takes half of the time, and only host.c has a heap.
     environment = {**os.environ, "ASAN_OPTIONS": "detect_leaks=0"}
 
     def run(orders: str, *arguments: str) -> str:
@@ -280,7 +284,7 @@ def tell(bench, data):
 
 
 def live(bench, ms):
-    """Let time pass with a host that lives."""
+    """Advance the time while the host sends heartbeats."""
     for _ in range(0, ms, 50):
         tell(bench, say(1, Heartbeat(1)))
         bench.run(50)

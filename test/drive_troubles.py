@@ -1,4 +1,4 @@
-"""Troubles of a drive on CAN: functions of the bench and the drive in which one happens."""
+"""Faults of a drive on CAN: each function causes one, in a bench and a drive."""
 
 from device_orders import live
 
@@ -45,7 +45,7 @@ def doubled(bench, drive):
 
 def pre_operational(bench, drive):
     drive.nmt.state = "PRE-OPERATIONAL"
-    bench.network.send_message(0x700 + drive.id, b"\x7f")  # its heartbeat, which is due now
+    bench.network.send_message(0x700 + drive.id, b"\x7f")  # the drive's heartbeat, which is due now
 
 
 def second_master(bench, drive):
@@ -88,4 +88,4 @@ def stopped(bench, drive):
 def moved_in_bus_off(bench, drive):
     bench.order("busoff")
     live(bench, 1020)
-    drive.position += 3000  # it may count from elsewhere
+    drive.position += 3000  # the drive may have another origin

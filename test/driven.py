@@ -1,4 +1,5 @@
-"""The driver's node in the process of a test that is its clock and its executor: nothing waits."""
+"""The driver's node in the process of a test. The test is its clock and executor, so nothing
+waits."""
 
 import threading
 import time
@@ -22,7 +23,7 @@ from plate_driver.status import LOOK
 from plate_driver.transports import TransportThread
 
 TICK_S = 0.01
-"""All periods of the driver's timers are multiples of it."""
+"""Step of the clock [s]. All periods of the driver's timers are multiples of it."""
 
 EMERGENCY, CUT = (f"stopped: {what}; {LOOK}" for what in ("emergency stop", "power cut"))
 
@@ -30,7 +31,7 @@ EPOCH_NS = 1_700_000_000_000_000_000
 
 
 class Clock:
-    """Time of the test: the steady one in place of the module `time` [s], and that of images."""
+    """Time of the test. It replaces the module `time` [s], and the clock of images."""
 
     def __init__(self):
         self.now = 1000.0
@@ -49,8 +50,7 @@ class Clock:
 
 
 class Log:
-    """Each line that a node logs, also those that are too many for the console; but none for
-    debugging."""
+    """All lines that a node logs, except those of level debug. Throttled lines are included."""
 
     def __init__(self):
         self.lines = []
@@ -62,15 +62,13 @@ class Log:
 
 
 class Driven:
-    """A driver, what it has said, and what others ask of it.
+    """A driver with its published messages, and functions that send it messages and calls.
 
     Parameters
     ----------
     monkeypatch
-    parameters : str
-        Of the node, each `name:=value`; with `use_sim_time:=true` the clock of images is ROS's.
-    start : bool
-        Whether it is configured and activated.
+    parameters : str Parameters of the node, each `name:=value`. With `use_sim_time:=true` the clock
+        of images is ROS's. start : bool Whether the node is configured and activated.
     """
 
     def __init__(self, monkeypatch, *parameters, start=True):
@@ -102,7 +100,8 @@ class Driven:
         return Time(nanoseconds=self.clock.time_ns(), clock_type=ClockType.ROS_TIME)
 
     def pass_time(self, seconds):
-        """Let so much time pass, and the node do what it does by the clock."""
+        """Advance the time by `seconds`, and call the transports and the node's timers when they
+        are due."""
         for _ in range(round(seconds / TICK_S)):
             self.clock.now += TICK_S
             self._ticks += 1
@@ -113,17 +112,17 @@ class Driven:
                 if self._ticks % round(timer.timer_period_ns * 1e-9 / TICK_S) == 0:
                     timer.callback()
 
-    # What it is sent and asked
+    # Messages and calls to the node
 
     def send(self, cycle, stamp_ns=None, source=b"solver"):
-        """Hand it a cycle that answers an image, of now if not said otherwise; returns its stamp,
-        or why it was refused."""
+        """Send the node a cycle with a stamp (default: now). Return the stamp, or the reason of the
+        refusal."""
         stamp_ns = self.clock.time_ns() if stamp_ns is None else stamp_ns
         why = self.send_bytes(serialize_message(cycle_to_msg(cycle, to_time(stamp_ns))), source)
         return why or stamp_ns
 
     def send_bytes(self, data, source=b"solver"):
-        """Hand it bytes as a cycle; returns why they were refused."""
+        """Send the node bytes as a cycle. Return the reason of the refusal, or an empty text."""
         lines, answers = len(self.log.lines), len(self.setpoints)
         self.node.take_cycle(data, len(data), source)
         why = [line for line in self.log.lines[lines:] if line.startswith("cycle refused: ")]
@@ -131,7 +130,7 @@ class Driven:
         return why[0].removeprefix("cycle refused: ") if why else ""
 
     def call(self, name, request=None):
-        """Call a service of it; returns the answer."""
+        """Call a service of the node, and return the reply."""
         services = [*self.node.services, *self.node._safety.node.services]
         [service] = [each for each in services if each.srv_name.split("/")[-1] == name]
         answer = service.callback(request or Trigger.Request(), service.srv_type.Response())
@@ -141,7 +140,7 @@ class Driven:
     def enable(self, on=True):
         return self.call("enable", SetBool.Request(data=on))
 
-    # What it says
+    # Messages of the node
 
     @property
     def setpoints(self):
@@ -152,7 +151,7 @@ class Driven:
 
     @property
     def told(self):
-        """Texts of driver_status, each but once in a row."""
+        """Texts of driver_status, without repetitions."""
         told = []
         for text in [msg.text for msg in self.said["driver_status"]]:
             told += [text] if told[-1:] != [text] else []
@@ -164,7 +163,7 @@ class Driven:
         return self.said["diagnostics"][-1].status[0]
 
     def values(self):
-        """What each of the diagnostics tells, name to value."""
+        """Return the values of each diagnostics message, by name."""
         return [{v.key: v.value for v in msg.status[0].values} for msg in self.said["diagnostics"]]
 
     def close(self):
@@ -173,15 +172,15 @@ class Driven:
 
 
 def answered_once(calls, wait):
-    """Call each client, and again those without an answer: answers to a client that the server does
-    not know yet are lost, and no other.
+    """Call each client, and repeat the call if there is no reply. A reply is lost if the server has
+    not discovered the client yet.
 
     Parameters
     ----------
     calls : list
         Clients and their requests.
-    wait : callable
-        Waits until a condition holds, at most so long [s]; returns whether it does.
+    wait : callable Waits until a condition is true, for a maximum time [s]. Returns whether it is
+        true.
     """
     asked = [[] for _ in calls]
 

@@ -1,8 +1,8 @@
 """Assign tests to workers, so that real nodes get the processor when they need it.
 
-Most files of test/ start nodes or programs and mostly wait for them. All others compute: those of
-the packages, in src/, and those of test/ that name neither. The first half of the workers runs the
-files that wait, then the other files. The other half runs the files that compute, at a lower
+Most files of test/ start nodes or programs and mostly wait for them. All other files compute: those
+of the packages, in src/, and those of test/ that start neither. The first half of the workers runs
+the files that wait, then the other files. The other half runs the files that compute, at a lower
 priority: it uses the time in which the first half waits. When no file of its kind is left, a worker
 takes the others, so that all processors are busy until the end.
 """
@@ -18,12 +18,13 @@ from xdist.scheduler import LoadFileScheduling
 from xdist.workermanage import WorkerController
 
 BEHIND = 10
-"""By this `nice` value, the others have a tenth of the weight of the workers in front."""
+"""Increment of the `nice` value of the other workers. They get a tenth of the weight of the first
+half."""
 
 ROOT = Path(__file__).resolve().parents[1]
 FRONT = "test/"
 STARTS = re.compile(r"\b(subprocess|rclpy|graph|url|program|device|firmware)\b")
-"""In a file of test/ that starts something: modules, and fixtures of conftest.py."""
+"""Names of modules and fixtures in a file of test/ that starts nodes or programs."""
 
 
 @cache
@@ -39,16 +40,18 @@ def in_front(worker: Mapping[str, Any]) -> bool:
 
 
 def give_way(worker: Mapping[str, Any]) -> None:
-    """Have this process, and all it starts, give way to the workers in front if it is not one."""
+    """Lower the priority of this process and its children, unless it is a worker of the first
+    half."""
     if not in_front(worker):
         os.nice(BEHIND)
 
 
 class Lanes(LoadFileScheduling):
-    """A file's tests stay together: they share a graph, or what was compiled."""
+    """Scheduler that keeps the tests of a file together, because they share a graph or a
+    program."""
 
     def _next(self, node: WorkerController) -> str | None:
-        """The file that a worker is to take, if any."""
+        """Return the file that a worker should run next, or None."""
         front = in_front(node.workerinput)
         own = (name for name in self.workqueue if computes(name) != front)
         return next(own, next(iter(self.workqueue), None))

@@ -1,4 +1,4 @@
-"""A graph whose solver leaves processors to the other tests."""
+"""A graph whose solver uses little CPU time, so that other tests can run."""
 
 from collections.abc import Collection
 from dataclasses import dataclass
@@ -10,7 +10,7 @@ from plate_bringup import GraphNode, RunOptions, Value
 
 @dataclass(frozen=True)
 class LightOptions(RunOptions):
-    """As `RunOptions`, with `FEW_STARTS` for the solver."""
+    """`RunOptions` with `FEW_STARTS` for the solver."""
 
     def parameters(self, node: GraphNode, given: Collection[str] | None = None) -> dict[str, Value]:
         values = super().parameters(node, given)

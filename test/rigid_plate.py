@@ -13,9 +13,10 @@ Enabled = tuple[bool, ...]
 
 
 class Plate:
-    """Takes motors without current along.
+    """Rigid plate that also moves the motors without current.
 
-    `homes` and `counts`: what the drives tell at home, and by a metre, with its sign.
+    `homes` are the positions that the drives report at home, and `counts` their signed change per
+    metre.
     """
 
     def __init__(self, rig: Rig, homes: Sequence[float], counts: Sequence[float]) -> None:
@@ -25,12 +26,14 @@ class Plate:
         self.known: dict[Enabled, np.ndarray] = {}
 
     def nearest(self, enabled: Enabled) -> np.ndarray:
-        """Matrix (4, 4) to the travel of the motors from where each would go."""
+        """Return the matrix (4, 4) from the travel of each motor alone to the travel on the
+        plate."""
         weight = np.where(enabled, 1, 1e-3)
         return self.levers @ np.linalg.pinv(weight[:, None] * self.levers) * weight
 
     def wave(self, size: float, turns: bool = False) -> tuple[Knot, ...]:
-        """A closed table that it can follow; or that only turns it, up to `size` [m] of a motor."""
+        """Return a closed table that the plate can follow, with motor travel up to `size` [m]. With
+        `turns` the plate only rotates."""
         knots, taken = wave(size), self.nearest((True,) * 4)
         if turns:
             taken = np.outer(self.levers[:, 2] / np.max(np.abs(self.levers[:, 2])), [1, 0, 0, 0])
@@ -41,7 +44,7 @@ class Plate:
         )
 
     def hold(self, drives: Sequence[Any]) -> None:
-        """Put all motors where the plate is."""
+        """Set the positions of all motors to those on the plate."""
         enabled = tuple(drive.enabled for drive in drives)
         if enabled not in self.known:
             self.known[enabled] = self.nearest(enabled)

@@ -1,15 +1,15 @@
-"""A gentle cycle, for tests of what plays it."""
+"""A gentle cycle, for tests of programs that play it."""
 
 import numpy as np
 
 from plate_core import PlateCycle
 
 PERIOD = 0.1
-"""Of the usual cycle [s]."""
+"""Default length of the cycle [s]."""
 
 
 def shaking(amplitude: float, period: float = PERIOD) -> PlateCycle:
-    """Cycle of two harmonics that starts at rest; amplitudes [m]."""
+    """Return a cycle of two harmonics that starts at rest, with an amplitude [m]."""
     t = np.arange(48) * period / 48
     wave = np.sin(np.pi * t / period) ** 4
     phase = 4 * np.pi * t / period

@@ -6,7 +6,7 @@ from typing import Any
 from plate_core.tasks import Scenario, load_scenario
 
 FEW_STARTS = {"restarts": 10}
-"""Effort of the solver in a loop under test: a quarter of the searches for each motion will do."""
+"""Options of the solver in a tested loop: a quarter of the default searches is sufficient."""
 
 MIDDLE: dict[str, Any] = {
     "description": "Two parts change sides, far from the edges.",
@@ -22,17 +22,17 @@ MIDDLE: dict[str, Any] = {
     },
     "time_limit_s": 180,
 }
-"""No part leaves the plate, also where images or answers are late."""
+"""Scenario in which no part leaves the plate, even if images or results are late."""
 
 
 def with_few(name: str, count: int = 1) -> Scenario:
-    """Return a scenario of ours with so many parts of each class."""
+    """Return a scenario of the project with `count` parts of each class."""
     scenario = load_scenario(name)
     return replace(scenario, parts=tuple(replace(g, count=count) for g in scenario.parts))
 
 
 def short_task(way_m: float, time_limit_s: float) -> dict[str, Any]:
-    """Return a scenario: one part goes along x."""
+    """Return a scenario in which one part moves along x."""
     path = {
         "class": "black",
         "waypoints_m": [[0.0, 0.0], [way_m, 0.0]],

@@ -1,7 +1,7 @@
 """Text that a page shows, compared with what a program prints.
 
-`...` stands for anything. A number may be off by a tenth, one with a decimal point by one in its
-last digit. Any space and any line break is like another, so that a page may break long lines.
+`...` matches any text. An integer may differ by a tenth, and a number with a decimal point by one
+in its last digit. Spaces and line breaks are equal, so that a page may break long lines.
 """
 
 from __future__ import annotations
@@ -13,7 +13,7 @@ OFF = 0.1
 
 
 def differs(shown: str, printed: str, decimals_vary: bool = False) -> str:
-    """Return what is different, in words; empty where nothing is.
+    """Return a text on the difference, empty if there is none.
 
     `decimals_vary`: numbers with a decimal point may have any value, such as times of a machine.
     """
@@ -34,7 +34,7 @@ def differs(shown: str, printed: str, decimals_vary: bool = False) -> str:
 
 
 def says(text: str, *words: str) -> bool:
-    """Whether a text contains these words in this order, whatever stands between them."""
+    """Whether a text contains these words in this order, with any text between them."""
     at = 0
     for each in words:
         at = text.find(each, at)

@@ -39,7 +39,7 @@ TICK_S = 1e-3
 
 
 def compiled(folder: Path, *patterns: str) -> Path:
-    """Build files of firmware/ for this machine, with headers of a folder; returns the program."""
+    """Compile files of firmware/ for this machine, with headers of a folder. Return the program."""
     compiler = shutil.which("cc")
     if compiler is None:
         pytest.skip("no C compiler `cc` on this machine: the firmware is not tested")
@@ -54,7 +54,7 @@ def compiled(folder: Path, *patterns: str) -> Path:
 
 
 def shaking(amplitude: float, turns: int = 2) -> MotorTable:
-    """Table of a cycle that starts at rest; amplitude [m]."""
+    """Return the table of a cycle that starts at rest, with an amplitude [m]."""
     t = np.arange(48) * PERIOD / 48
     wave = np.sin(np.pi * t / PERIOD) ** 4
     phase = 2 * np.pi * turns * t / PERIOD
@@ -66,7 +66,7 @@ def shaking(amplitude: float, turns: int = 2) -> MotorTable:
 
 
 def long_table() -> MotorTable:
-    """Table of 64 pieces in 0.2 s."""
+    """Return a table of 64 pieces in 0.2 s."""
     t = np.arange(64) * 0.2 / 64
     wave = 5e-4 * np.sin(np.pi * t / 0.2) ** 4
     cycle = PlateCycle.from_samples(0.2, np.outer(wave, [1, 1, 0]))
@@ -77,14 +77,14 @@ def long_table() -> MotorTable:
 
 @dataclass
 class SimulatedFirmware:
-    """The firmware as a process, its time, and the line to it with all that may go wrong."""
+    """The firmware as a process, its time, and the line to it with all its possible faults."""
 
     program: Path
-    options: tuple[str, ...] = ()  # time in which motors get warm [s], force they bear [N]
-    damage: float = 0.0  # share of bytes that change
-    loss: float = 0.0  # share of bytes that vanish
+    options: tuple[str, ...] = ()  # thermal time constant of the motors [s], continuous force [N]
+    damage: float = 0.0  # fraction of bytes that are changed
+    loss: float = 0.0  # fraction of bytes that are lost
     delay: float = 0.0  # [s], each way
-    fast: float = 0.0  # share by which its clock, and so the plate, is faster than the host's
+    fast: float = 0.0  # fraction by which its clock, and so the plate, is faster than the host's
     cut: bool = False
     withholds: bool = False  # acknowledgements
     now: float = 0.0
@@ -92,13 +92,13 @@ class SimulatedFirmware:
     to_host: list[tuple[float, bytes]] = field(default_factory=list)
     states: list[State] = field(default_factory=list)
     setpoints: list[list[float]] = field(default_factory=list)
-    wire: list[tuple[float, bytes]] = field(default_factory=list)  # all that the host has written
+    wire: list[tuple[float, bytes]] = field(default_factory=list)  # bytes from the host
     current: bool = False
-    stop: int = 0  # number of the last stop, as the device counts
+    stop: int = 0  # number of the last stop, counted by the device
 
     def __post_init__(self) -> None:
         self.rng = np.random.default_rng(4)
-        self.own = 0.5  # ticks of the device so far
+        self.own = 0.5  # number of ticks of the device so far
         self.start()
 
     def start(self) -> None:
@@ -129,11 +129,12 @@ class SimulatedFirmware:
         return bytes(b for b, n in kept if n >= self.loss)
 
     def arrival(self, way: list[tuple[float, bytes]]) -> float:
-        """When what is sent now arrives: a line keeps the order, also if its delay changes."""
+        """Return the arrival time of bytes that are sent now. A line keeps their order, even if its
+        delay changes."""
         return max([self.now + self.delay, *(at for at, _ in way[-1:])])
 
     def tick(self, count: int = 1) -> None:
-        """Let ticks of the device pass; the host does nothing meanwhile."""
+        """Advance the device by a number of ticks, without the host."""
         assert self.process.stdin is not None
         times = []
         for _ in range(count):
@@ -151,7 +152,7 @@ class SimulatedFirmware:
             self.hear()
 
     def hear(self) -> None:
-        """Take what the device says in a tick."""
+        """Read the output of the device for one tick."""
         assert self.process.stdout is not None
         for line in iter(self.process.stdout.readline, ""):
             kind, *words = line.split()
@@ -176,12 +177,12 @@ class SimulatedFirmware:
         return b"".join(map(frame, told))
 
     def order(self, line: str) -> None:
-        """Tell the board something that comes from no line."""
+        """Send the board an order that does not come over the line."""
         assert self.process.stdin is not None
         self.process.stdin.write(line + "\n")
 
     def said(self, since: float = 0.0) -> list[Message]:
-        """What the host has put on the line, before anything could spoil it."""
+        """Return the messages that the host has written, before any fault of the line."""
         data = b"".join(data for at, data in self.wire if at >= since)
         return [parse(packet).message for packet in Reader().fed(data)[1]]
 
@@ -200,14 +201,14 @@ class SimulatedFirmware:
         return len(data)
 
     def close(self) -> None:
-        self.to_host = []  # what was written is on its way, although the port is closed
+        self.to_host = []  # written bytes still arrive, although the port is closed
 
     def opened(self) -> "SimulatedFirmware":
         if self.cut:
             raise PlateError("port is '/dev/plate', allowed: a serial port that opens")
         return self
 
-    # What was played
+    # Played setpoints
 
     def check_limits(self) -> None:
         rows = np.array(self.setpoints).reshape(-1, 13)
@@ -215,7 +216,7 @@ class SimulatedFirmware:
         assert np.max(np.abs(rows[:, 5:9]), initial=0.0) <= RIG.limits.speed
 
     def check_smooth(self) -> None:
-        """No jump of position or speed from tick to tick, current on or not."""
+        """Check that position and speed do not jump between ticks, with or without current."""
         rows = np.array(self.setpoints)
         dt = np.diff(rows[:, 0])
         near = dt < 1.5 * TICK_S
@@ -236,7 +237,7 @@ def link(firmware: SimulatedFirmware, streams: bool = False, seed: int = 7) -> S
 def pass_time(
     firmware: SimulatedFirmware, transport: SerialTransport, seconds: float
 ) -> list[Measured]:
-    """Let time pass; the host looks every 5 ms."""
+    """Advance the time. The host polls every 5 ms."""
     measured = []
     ticks, done = round(seconds / TICK_S), 0
     for look in range(0, ticks, 5):
@@ -248,7 +249,7 @@ def pass_time(
 
 
 def settled(firmware: SimulatedFirmware, transport: SerialTransport, order: Order) -> Order:
-    """Let time pass until an order is settled, or its time is over."""
+    """Advance the time until an order is settled, or its maximum time is over."""
     end = firmware.now + order.longest_s
     while not order.settled and firmware.now < end:
         pass_time(firmware, transport, 0.005)
@@ -256,7 +257,7 @@ def settled(firmware: SimulatedFirmware, transport: SerialTransport, order: Orde
 
 
 def enabled(firmware: SimulatedFirmware, seed: int = 7) -> SerialTransport:
-    """A transport whose motors a person has enabled."""
+    """Return a transport with enabled motors."""
     transport = link(firmware, seed=seed)
     while transport.report().condition is Condition.GONE and firmware.now < 10:
         pass_time(firmware, transport, 0.1)
@@ -268,7 +269,7 @@ def enabled(firmware: SimulatedFirmware, seed: int = 7) -> SerialTransport:
 def play(
     firmware: SimulatedFirmware, transport: SerialTransport, seconds: float, size: float = 0.002
 ) -> set[int]:
-    """Send a table in every period; returns the numbers of those that were played."""
+    """Send a table in every period, and return the numbers of the played tables."""
     tables: set[int] = set()
     for n in range(round(seconds / PERIOD)):
         if transport.report().condition is Condition.READY:

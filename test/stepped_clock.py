@@ -1,4 +1,5 @@
-"""Time that a test moves on, for nodes in its process, which hear each other at once."""
+"""Clock that a test advances, for nodes in its process that receive each other's messages at
+once."""
 
 import sys
 import time
@@ -10,19 +11,20 @@ from rclpy.time import Time
 from plate_core.ros import NodeExecutor
 
 STEP_S = 0.05
-"""When nothing is left to do time goes on by so much, or to the next timer [s]."""
+"""Maximum step of the time if no callback is ready [s]. A timer that is due earlier shortens the
+step."""
 
 OTHERS_S = 0.001
-"""Meanwhile threads of the middleware have so long [s]: they tell who is there, and what was
-latched before."""
+"""Real time that the threads of the middleware get before each step [s], for discovery and latched
+messages."""
 
 MAX_S = 60.0
-"""A bound on what takes a moment [s]."""
+"""Maximum simulated time of a wait [s]."""
 
 
 class SteppedClock:
-    """Stands until it is moved on. All our code that is imported has it as the module `time`, and
-    as the system's clock and the steady one."""
+    """Clock that stands still until it is advanced. In all imported modules of the project it
+    replaces the module `time`, the system clock and the steady clock."""
 
     def __init__(self, monkeypatch):
         self.ns, self._led = 10**12, []
@@ -48,7 +50,7 @@ class SteppedClock:
         return 1e-9 * self.ns
 
     def lead(self, clock):
-        """Have a node's clock go by this one too."""
+        """Let a node's clock follow this one."""
         clock._set_ros_time_is_active(True)  # rclpy has no public name for it
         self._led.append(clock)
         self.step(0.0)
@@ -63,18 +65,18 @@ class SteppedClock:
 
 
 class SteppedExecutor(NodeExecutor):
-    """Moves a clock on when its nodes have nothing left to do."""
+    """Executor that advances the clock when no callback of its nodes is ready."""
 
     def __init__(self, clock):
         super().__init__()
         self.clock = clock
 
     def spin_once(self, timeout_sec=STEP_S):
-        """Do one thing; if there is none, time goes on."""
+        """Call one callback. If none is ready, advance the time."""
         self._spin_once(self.clock.ns + round(1e9 * timeout_sec))
 
     def settle(self):
-        """Do all that there is to do by now."""
+        """Call all callbacks that are ready."""
         while self._turn():
             pass
 
@@ -98,7 +100,7 @@ class SteppedExecutor(NodeExecutor):
             self.clock.go_to(min([latest, *dues]))
 
     def _turn(self):
-        for _ in range(2):  # the first may find the end of a round
+        for _ in range(2):  # the first attempt may find the end of a round
             try:
                 handler, *_ = self.wait_for_ready_callbacks(timeout_sec=0)
             except TimeoutException:
