@@ -51,10 +51,11 @@ BEAT_TICKS = 25
 """Time between heartbeats while nothing else is sent [ticks]."""
 
 WAIT_TICKS = 12_000
-"""Maximum wait for a condition [ticks]. It exceeds the time for which a table may be repeated."""
+"""Maximum wait for a condition [ticks], which exceeds the time for which a table may be
+repeated."""
 
 FEW_PIECES = 24
-"""Minimum number of pieces that can represent the wave. With fewer, `committed` uses a tiny
+"""Minimum number of pieces that can represent the wave. With fewer pieces, `committed` uses a tiny
 amplitude."""
 
 PLAYED_TICKS = 300

@@ -3,7 +3,7 @@
 python tools/demos.py [SCENARIO ...]
 
 Each run is `make demo SCENARIO=... ARGS=--lockstep`: the real graph, in which simulated time waits
-for the answers, so that a film does not depend on the computer's load. Runs with a feeder are not
+for the results, so that a film does not depend on the computer's load. Runs with a feeder are not
 in lockstep, because the robot uses real time. A failed run is reported.
 """
 

@@ -34,7 +34,7 @@ MEASUREMENTS = {name: f"{chapter}.{name}" for chapter, names in CHAPTERS.items()
 """Module of each measurement, by its name."""
 
 LONG = {"feeding_hour", "sameness", "tasks", "views"}
-"""Measurements that take hours. They run only if they are named."""
+"""Measurements that take hours. `bench/run.py` runs them only if they are named."""
 
 PUBLISHED = ROOT / "docs/results/measured.json"
 """File with facts about the measurements in docs/results, such as their duration."""

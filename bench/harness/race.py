@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 BATCH_S = 2e-3
-"""Minimum time of a timed batch of calls [s]. It is much longer than the clock's resolution."""
+"""Minimum time of a timed batch of calls [s], which is much longer than the clock's resolution."""
 
 MIN_ROUNDS = 3
 """Minimum number of rounds, also for slow functions, because a median needs them."""

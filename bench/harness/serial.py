@@ -1,9 +1,9 @@
 """The closed loop over the serial line, in simulated time.
 
 It has the driver's transport, a line with faults, the device, and an independent check of the
-device's setpoints. The time is the device's. An image is taken at each boundary of the device's
-segments. The result reaches the driver `ANSWER_S` later, and is uploaded while the previous cycle
-is played.
+device's setpoints. Time is counted in ticks of the device. An image is taken at each boundary of
+the device's segments. The result reaches the driver `ANSWER_S` later, and is uploaded while the
+previous cycle is played.
 """
 
 from __future__ import annotations

@@ -34,7 +34,7 @@ TOLERANCE = 1e-4
 """Tolerance of the simulated displacement, relative to the displacement by full friction."""
 
 LEVEL = 0.3
-"""Error of the force relative to the request, at the border."""
+"""Level of the map's border: error of the force, relative to the request."""
 
 
 def motions(rig: Rig, parts: int, count: int) -> list[tuple[PlateCycle, np.ndarray, float]]:
@@ -67,7 +67,8 @@ def error(rig: Rig, cycle: PlateCycle, position: np.ndarray) -> float:
 
 
 def first_order(rig: Rig, cycle: PlateCycle, position: np.ndarray) -> float:
-    """Return the same error by theory for a large shaking ratio. It is proportional to 1/Gamma.
+    """Return the theoretical value of `error` for a large shaking ratio. This error is proportional
+    to 1/Gamma.
 
     Let n(t) be the direction of the slip w(t) of a held part. Until t, a free part gains the
     velocity v(t) = mu g (integral of n), which changes the direction of its slip by

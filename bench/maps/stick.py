@@ -12,7 +12,7 @@ from stages.scenes import wave_cycle
 
 PERIOD_S = 0.05
 CYCLES = 100
-"""Number of cycles until the part's motion is periodic. The last one is evaluated."""
+"""Number of cycles until the part's motion is periodic. The last cycle is evaluated."""
 
 SAMPLES = 2000
 """Number of samples per cycle."""
@@ -24,7 +24,7 @@ LEVEL = 0.005
 """Fraction of a cycle above which a part counts as resting at times."""
 
 FORCES = np.linspace(0.0, 0.2, 11)
-"""Requests [mu m g]. Two harmonics along a line can have up to 1/3."""
+"""Requests [mu m g]. The maximum force of two harmonics along a line is 1/3."""
 
 GAMMAS = np.geomspace(0.9, 8, 19)
 
@@ -70,7 +70,7 @@ def least_gamma(force: float) -> float:
 
 
 def resting_share(rig: Rig, force: float, gamma: float) -> float:
-    """Return the fraction of a cycle in which a part sticks to the plate, simulated."""
+    """Simulate a part, and return the fraction of a cycle in which it sticks to the plate."""
     b, omega = overtone(force), 2 * np.pi / PERIOD_S
     speed = gamma * rig.friction.accel / (peak(b) * omega)
     cycle = wave_cycle(1 / PERIOD_S, np.array([speed, 0.0, 0.0]), b)

@@ -301,7 +301,7 @@ def crowds(rows: list[Row]) -> Drawn:
 
 
 def not_all(row: Row) -> bool:
-    """Whether not all runs of a row succeeded. The row contains a text such as "9 of 10"."""
+    """Whether some runs of a row failed. The row contains a text such as "9 of 10"."""
     return percent(row) < 100
 
 

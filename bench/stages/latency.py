@@ -1,9 +1,9 @@
 """Latency from image to motors in the real graph, compared with a graph that only forwards.
 
 The nodes run in separate processes, then all in one. Both graphs run at the same time and
-alternate: the image of the forwarding graph follows half a cycle after the real one. Its messages
-have the same topics, types and sizes. Times are the middleware's publication times, so the
-observer's speed has no effect.
+alternate: the image of the forwarding graph follows half a cycle after the real one. Both graphs
+have messages of the same topics, types and sizes. Times are the middleware's publication times, so
+the observer's speed has no effect.
 """
 
 from __future__ import annotations

@@ -32,7 +32,7 @@ NOISE = 0.2
 
 PERIOD, HARMONICS = 0.2, 8
 CYCLES = 10
-"""Number of evaluated cycles. Each is repeated until the plate's motion is periodic."""
+"""Number of evaluated cycles. Each cycle is repeated until the plate's motion is periodic."""
 
 TRUST = 0.3
 """Weight of an experiment after the calibration."""

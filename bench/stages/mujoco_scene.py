@@ -1,10 +1,10 @@
 """Baseline of the simulator: the same scenes in MuJoCo.
 
-A plate that moves as a mocap body does not drag parts. So the scene is in the plate's frame, with
-shaking gravity. Parts on a plane have errors of several percent at every time step, because a
-sliding contact also lifts them. The best tested model is the dry friction of two slide joints per
-part. It is as accurate as pymunk if the plate moves along one joint. In other directions friction
-is too strong, by up to sqrt(2).
+A plate that moves as a mocap body does not drag parts. Therefore the scene is in the plate's frame,
+and gravity contains the negative acceleration of the plate. Parts on a plane have errors of several
+percent at every time step, because a sliding contact also lifts them. The best tested model is the
+dry friction of two slide joints per part. This model is as accurate as pymunk if the plate moves
+along one joint. In other directions friction is too strong, by up to sqrt(2).
 """
 
 from __future__ import annotations

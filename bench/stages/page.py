@@ -2,9 +2,9 @@
 
 The latency from image to setpoints and the page's fraction of a CPU core are measured with no, one
 and ten browsers, and with one that hangs. A browser is a connection, in a separate process, that
-requests images and fields and reads all messages. It draws nothing, like a browser on another
-computer. One running graph goes through the conditions in turn. In the first one the page's process
-does not run.
+requests images and fields and reads all messages. It draws nothing, because a real browser would
+run on another computer. All conditions are measured in turn with the same running graph. In the
+first condition the page's process does not run.
 """
 
 from __future__ import annotations

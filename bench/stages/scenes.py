@@ -1,8 +1,8 @@
 """Scenes for the simulator and its baselines: parts without collisions on a shaken plate.
 
 In the exact scene the plate has the velocity V (sin w t + 0.5 cos 2 w t) along x at 30 Hz. The
-travel after 1 s is known from an event-driven integration. It agrees with `solve_ivp` at rtol 1e-12
-within 1e-10 mm.
+travel after 1 s is known from an event-driven integration. This travel agrees with `solve_ivp` at
+rtol 1e-12 within 1e-10 mm.
 """
 
 from __future__ import annotations

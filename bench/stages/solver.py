@@ -37,7 +37,7 @@ SAMPLES = 1024
 """Number of samples in scipy's final steps. They resolve most dips of the slip."""
 
 JUDGE_SAMPLES = 6007
-"""Number of samples of the check. It is not a multiple of any method's number."""
+"""Number of samples of the check, which is not a multiple of any method's number of samples."""
 
 OURS, PEER, ROTATIONS = METHODS = "SinusoidSolver", "scipy lm", "RotationSolver"
 """Methods. scipy is least_squares(method='lm') with the project's Jacobian on the same samples,

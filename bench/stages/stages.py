@@ -1,6 +1,6 @@
 """Computation time of each stage of the loop for one image.
 
-`loop.run` runs the loop. Then every stage gets the same inputs again, and is timed.
+`loop.run` runs the loop. Afterwards, every stage gets the inputs of this run again, and is timed.
 """
 
 from __future__ import annotations

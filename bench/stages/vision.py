@@ -22,7 +22,7 @@ OURS = "plate_vision.detect"
 
 FRAMES, PEER_FRAMES = 250, 20
 """Number of images of each scene: 1000 in total for the project's detector, fewer for the baselines
-to save time. All are timed with the smaller number."""
+to save time. All methods are timed with the smaller number of images."""
 
 ROUNDS = 5
 """Number of timings of each method with every image, in a loop and in turn."""

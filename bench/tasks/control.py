@@ -15,8 +15,8 @@ from tasks.runs import UNEVEN, Loop, runs_of, summed
 
 SCENARIOS = ("follow_3", "sort_10")
 SEEDS = range(11_000, 11_006)
-"""Seeds of all runs. They determine start positions, image noise, friction and the solver's random
-numbers."""
+"""Seeds of all runs. A seed determines start positions, image noise, friction and the solver's
+random numbers."""
 
 EFFORTS: dict[str, tuple[dict[str, int], ...]] = {
     "sinusoids": (

@@ -1,6 +1,6 @@
 """Small and weak rigs: success, time and error, compared with the prediction of `feasible`.
 
-The results answer the questions before a rig is bought. They are compared with the prediction of
+The results help to choose the components of a rig. Results are compared with the prediction of
 `ros2 run plate_bringup feasible`. The complete loop is simulated with image noise and uneven
 friction. The 90 runs take about ten minutes on two cores.
 """

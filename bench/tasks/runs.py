@@ -47,7 +47,7 @@ def summed(runs: Iterable[Mapping[str, Any]]) -> dict[str, Any]:
     """Return one row for the runs of a case. A value without data is None.
 
     Times of the task are simulated times of successful runs. `most` and `worst` are values of the
-    worst run. All others are medians over the runs.
+    worst run. All other values are medians over the runs.
     """
     runs = list(runs)
     good = [run for run in runs if run["success"]]

@@ -3,7 +3,7 @@
 Every variation runs in new processes. It is compared with a run without load in which BLAS and
 numpy use their code for AVX2 (`ALIKE`). Other processors are represented by the code that the
 libraries would choose for them. The code of the project's kernels depends only on the actual
-processor. There are about 1000 runs.
+processor. The measurement has about 1000 runs.
 """
 
 from __future__ import annotations

@@ -1,13 +1,13 @@
 """Baseline of the feeder: a plate that shakes all parts, takes an image, and shakes again.
 
-Commercial flexible feeders work like this. Simulator, camera, vision, robot and hopper are those of
-the project's feeder.
+Commercial flexible feeders work in this way. Simulator, camera, vision, robot and hopper are those
+of the project's feeder.
 
-It takes an image while the robot is away and the plate rests. All parts that are ready in one image
-are picked one after the other, without a further image. When none is left, it shakes until an image
-shows a ready part. It starts to shake at the last grip, but the project's feeder moves only after
-the robot has left the view. The hopper opens during a shake, by the same rule as the project's. An
-image takes 0.2 s: settling, exposure, evaluation.
+The baseline takes an image while the robot is away and the plate rests. All parts that are ready in
+one image are picked one after the other, without a further image. When no ready part is left, the
+plate shakes until an image shows one. It starts to shake at the last grip, but the project's feeder
+moves only after the robot has left the view. The hopper opens during a shake, by the same rule as
+the project's. An image takes 0.2 s: settling, exposure, evaluation.
 
 There are two kinds of shakes:
 
@@ -15,9 +15,9 @@ There are two kinds of shakes:
   direction and fast in the other (a Fejer kernel as velocity). Conveying moves the centre of the
   parts to that of the pick window, along x, then y. Stirring rotates the plate about two centres on
   its long axis, one after the other (a blinking vortex, which mixes well), in a random direction
-  for each shake. Parts that leave over an edge cost only the time until the next drop, because
-  commercial feeders have a rim. No vibration in the plane spreads resting parts: the mean friction
-  force of each centre of rotation has no divergence, nor has any sum of them.
+  for each shake. If a part leaves over an edge, only the time until the next drop is lost, because
+  commercial feeders have a border. No vibration in the plane spreads resting parts: the mean
+  friction force of each centre of rotation has no divergence, nor has any sum of them.
 - Thrown: idealised vertical shakes, better than any existing feeder's. Within 0.6 s with settling,
   all parts get new random positions and angles, uniformly distributed, with disjoint circumscribed
   discs. In this comparison the project's feeder has no advantage from the missing spreading of the

@@ -15,7 +15,7 @@ from plate_solver import RotationSolver, SinusoidSolver
 from tasks.runs import UNEVEN, runs_of, summed
 
 SPEEDS_MM = (2, 5, 20, 40, 80, 160, 320)
-"""Speeds along the circles [mm/s]. They are tried in this order until one fails."""
+"""Speeds along the circles [mm/s]. The speeds are tried in this order until one fails."""
 
 SEEDS = (0, 1)
 """Seeds of the runs at each speed. Image noise, friction and the solver's random numbers differ."""

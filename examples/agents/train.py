@@ -2,8 +2,8 @@
 
 The network acts for some cycles in a model of the plate in which parts are points. The gradient of
 the parts' distances from their targets is propagated back through friction and motions to its
-weights. So it learns without a solver and without rewards. Run it in this folder, in a separate
-environment (pip install ../../src/plate_gym -r requirements.txt):
+weights. Therefore the network learns without a solver and without rewards. Run it in this folder,
+in a separate environment (pip install ../../src/plate_gym -r requirements.txt):
 
     python train.py
 
@@ -14,9 +14,9 @@ training. It takes about 20 minutes on one core:
     done [%]                     42    86   100   100   100   100
     plate time, median [s]     20.7  13.9  10.1   8.4   7.7   7.2
 
-This is twice the plate time of Method B, and 0.1 ms per decision instead of 30. In the disturbed
-worlds, which it has not seen in training, it takes at most 5 % longer. With ten parts (`--task
-Sort10-v1`) it sorted none after 1,000 updates; longer was not tried.
+The final plate time is twice that of Method B. A decision takes 0.1 ms instead of 30 ms. In the
+disturbed worlds, which it has not seen in training, it takes at most 5 % longer. With ten parts
+(`--task Sort10-v1`) it sorted none after 1,000 updates; longer was not tried.
 """
 
 from __future__ import annotations
@@ -45,7 +45,7 @@ PLATES, CYCLES = 512, 8
 """Number of plates in parallel, and number of cycles through which the gradient is propagated."""
 
 RATE = 3e-3
-"""Initial learning rate. It decreases linearly to 0."""
+"""Initial learning rate, which decreases linearly to 0."""
 
 STEPS = 64
 """Time steps per cycle in the model."""

@@ -107,7 +107,7 @@ def between(said: Iterable[Said], since: float, until: float) -> list[Said]:
 
 
 def before(said: Iterable[Said], when: float) -> Said:
-    """Return the last message up to a time [s, monotonic]. It is empty if there is none."""
+    """Return the last message up to a time [s, monotonic], or an empty message."""
     return [Said(0.0, 0, ""), *(each for each in said if each.at <= when)][-1]
 
 

@@ -1,5 +1,5 @@
-"""Send malformed messages to every topic of the real nodes. None may crash, leak memory or make the
-plate exceed its limits.
+"""Send malformed messages to every topic of the real nodes. No node may crash, leak memory or make
+the plate exceed its limits.
 
 Each node's class is created in this process, and its callbacks receive messages that were
 serialised and deserialised, like any message from the network. Most are valid messages in which up
@@ -102,7 +102,7 @@ def templates(rig: Rig, rng: np.random.Generator) -> dict[type, bytes]:
     parts = Parts.make(ids, place, 0.01 * rng.normal(size=(count, 2)))
     wanted = Wanted.make(parts, force)
     size_px = (rig.camera.height_px, rig.camera.width_px)
-    if rng.random() < 0.9:  # most images are small, because a whole one takes 20 ms to change
+    if rng.random() < 0.9:  # a full-size image takes 20 ms to change
         size_px = (int(rng.integers(1, 64)), int(rng.integers(1, 64)))
     pixels = rng.integers(0, 255, size_px, np.uint8)
     message = cycle_to_msg(cycle, stamp)

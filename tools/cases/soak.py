@@ -33,7 +33,7 @@ CONFIDENCE = 0.95
 
 def slope(time_s: np.ndarray, value: np.ndarray) -> tuple[float, float]:
     """Return the slope of the least-squares line [1/h], and the half-width of its confidence
-    interval. Both are NaN for fewer than three samples."""
+    interval. With fewer than three samples, both values are NaN."""
     if len(time_s) < 3:
         return float("nan"), float("nan")
     line = stats.linregress(time_s / 3600, value)

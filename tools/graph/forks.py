@@ -39,8 +39,8 @@ AT_LOADING = (
 nodes with the same values of them."""
 
 START_S = 120.0
-"""Maximum wait until the server has loaded its code and started a node [s]. It is long because the
-computer may be busy."""
+"""Maximum wait until the server has loaded its code and started a node [s]. The value is large,
+because the computer may be busy."""
 
 END_S = 5.0
 """Maximum wait for the server to end [s]."""

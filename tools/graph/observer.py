@@ -215,17 +215,16 @@ class Observer:
         Whether to record images.
     waiting : callable, optional
         Called during a wait, with a text on the missing event.
-    simulated : bool
-        Whether to record the parts' true positions from the simulator. Otherwise those from the
-        detector are recorded.
+    simulated : bool Whether to record the parts' true positions from the simulator. Otherwise, the
+        positions from the detector are recorded.
 
     Attributes
     ----------
     record : Record
     domain : int
     node : Node
-    pulses : list of callables
-        Called about every `POLL_S` during a wait. Each may raise an exception to end the wait.
+    pulses : list of callables Functions that are called about every `POLL_S` during a wait. A
+        function may raise an exception to end the wait.
     """
 
     def __init__(

@@ -5,11 +5,10 @@ python tools/graph/relays.py gate TRANSPORT Forwards the main input of each node
     that its parameter `cut` names. For this node the effect is that of a cut cable, a wrong
     remapping or a crashed filter: all processes run, but no message arrives.
 
-python tools/graph/relays.py NODE FOLDER
-    One node of a graph with the same topics, types, message sizes and qualities of service as the
-    real one, in the namespace `beside`. It measures the time that the middleware and Python take.
-    Its camera publishes an image half a cycle after the real one, so that the two graphs alternate.
-    The messages are files in FOLDER, serialised.
+python tools/graph/relays.py NODE FOLDER One node of a graph with the same topics, types, message
+    sizes and qualities of service as the real one, in the namespace `beside`. This graph shows the
+    time that the middleware and Python take. Its camera publishes an image half a cycle after the
+    real one, so that the two graphs alternate. The messages are files in FOLDER, serialised.
 """
 
 from __future__ import annotations

@@ -93,8 +93,8 @@ class Session:
 
 
 def driver_triggers(options: RunOptions) -> bool:
-    """Return whether the motor controller triggers the camera. Then images arrive only after the
-    driver is connected to it."""
+    """Return whether the motor controller triggers the camera. If so, images arrive only after the
+    driver is connected to the controller."""
     return options.transport == "serial" and load_rig(options.rig_file).camera.trigger is not None
 
 

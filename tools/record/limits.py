@@ -1,8 +1,8 @@
 """Fractions of a rig's limits that a motion of the plate uses, by independent mechanics.
 
-The result checks the solver and the driver's guard. So this module shares only the rig file and the
-motion with them. Points of the plate are complex numbers x + i y. With the plate's pose (o, theta),
-a point a of the plate is at p = o + e^(i theta) a.
+The result is an independent check of the solver and the driver. Therefore this module shares only
+the rig file and the motion with them. Points of the plate are complex numbers x + i y. With the
+plate's pose (o, theta), a point a of the plate is at p = o + e^(i theta) a.
 """
 
 from __future__ import annotations

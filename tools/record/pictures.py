@@ -1,7 +1,7 @@
 """Pictures of a run: a strip of snapshots like Figure 15 of the paper, and an animation over the
 camera images.
 
-Both are sheets of frames with a title and a key. A frame shows the plate at one time.
+A picture is a sheet of frames with a title and a key. A frame shows the plate at one time.
 """
 
 from __future__ import annotations
@@ -60,11 +60,12 @@ SAME = 12
 """Maximum difference between a pixel of the plate and the picture without parts [grey values]."""
 
 BRIGHT = 85
-"""Percentile of a pixel's values that shows the plate. Parts are darker, and may stay at a pixel
-for long."""
+"""Percentile of a pixel's values over time that shows the plate. The percentile is high because
+parts are darker than the plate, and may cover a pixel for a long time."""
 
 TRAIL_S = 2.0
-"""Length of the trails if parts come and go [s]. Otherwise trails begin with the task."""
+"""Length of the trails in tasks in which parts come and go [s]. In other tasks, trails begin with
+the task."""
 
 NOW = 1e-6
 """Tolerance for rounding of times [s]."""
