@@ -275,6 +275,7 @@ class SimulatorNode(SafeLifecycleNode[Options]):
         self._pulse_ns = 0  # time of the last trigger pulse [ns]
         self._due_ns = time.monotonic_ns()  # wall time at `_next_ns`
         self._aim(self._next_ns)
+        self._ahead: list[np.ndarray | None] = []  # the next image, if it is already rendered
         if not self._driven:
             self._begin_cycle()
 
@@ -301,6 +302,7 @@ class SimulatorNode(SafeLifecycleNode[Options]):
                 "simulator with simulated_time or with a rate other than 1)"
             )
         self._simulation.change(options.disturbances, options.noise, options.mu_scale)
+        self._ahead = []
         if options.rate != before:
             self._rate, now_ns = options.rate, time.monotonic_ns()
             if self.active:
@@ -383,6 +385,9 @@ class SimulatorNode(SafeLifecycleNode[Options]):
         self._count["held cycles"] += alone
         self._count["missed images"] += self._shot is None and not seen
         self._advance()
+        if self._shot is None and not options.lockstep:
+            # Render now, because a real camera does not take this computer's time.
+            self._ahead = [self._simulation.capture()]
         return seen
 
     def _advance(self) -> None:
@@ -545,7 +550,7 @@ class SimulatorNode(SafeLifecycleNode[Options]):
         seed."""
         self._seed = (self._seed + 1) % 2**31 if self._next_seed is None else self._next_seed
         plate, self._next_seed = self._simulation.plate, None
-        self._simulation = self._scattered()
+        self._simulation, self._ahead = self._scattered(), []
         self._simulation.plate = plate  # the plate continues its motion
         response.success, response.message = True, f"parts are at new positions, seed {self._seed}"
         return response
@@ -555,6 +560,7 @@ class SimulatorNode(SafeLifecycleNode[Options]):
     ) -> PlacePart.Response:
         """Place a part by hand. It is visible from the next image on."""
         place = np.array([request.x, request.y])
+        self._ahead = []
         try:
             response.id = self._simulation.place(request.id, request.type, place, request.angle)
         except PlateError as error:
@@ -569,6 +575,7 @@ class SimulatorNode(SafeLifecycleNode[Options]):
         self, request: RemovePart.Request, response: RemovePart.Response
     ) -> RemovePart.Response:
         """Remove a part from the plate by hand."""
+        self._ahead = []
         try:
             self._simulation.remove(request.id)
         except PlateError as error:
@@ -594,6 +601,7 @@ class SimulatorNode(SafeLifecycleNode[Options]):
         self, request: MoveRobot.Request, response: MoveRobot.Response
     ) -> MoveRobot.Response:
         """Move the robot. Grip a part if requested."""
+        self._ahead = []
         try:
             done = self._simulation.move_robot(request.to, request.x, request.y, request.angle)
         except PlateError as error:
@@ -608,7 +616,8 @@ class SimulatorNode(SafeLifecycleNode[Options]):
     def _take_image(self, stamp_ns: int, age: float | None = None) -> bool:
         """Publish the image that `Simulation.capture` returns, if any. Return whether there was an
         image."""
-        stamp, pixels = to_time(stamp_ns), self._simulation.capture(age)
+        stamp = to_time(stamp_ns)
+        pixels = self._ahead.pop() if self._ahead else self._simulation.capture(age)
         if pixels is not None:
             self._image = array_to_image(pixels, stamp, "mono8" if pixels.ndim == 2 else "bgr8")
             self._publish_image()

@@ -191,6 +191,24 @@ def test_the_truth_has_angles_and_spins():
         assert [part.spin for part in truth.parts] == pytest.approx(spin)
 
 
+@pytest.mark.parametrize("change", ["reset", "place", "remove", "noise"])
+def test_in_real_time_the_next_image_shows_what_a_person_changed(change):
+    with Loop(scenario="sort_4", seed=7, noise=0.0, idle_period=0.5) as loop:
+        assert loop.spin(lambda: len(loop.images) >= 2)
+        before = image_to_array(loop.images[-1])
+        if change == "reset":
+            assert call(loop, Trigger, "reset").success
+        elif change == "place":
+            assert call(loop, PlacePart, "place_part", type="grey", x=0.28, y=0.14).success
+        elif change == "remove":
+            assert call(loop, RemovePart, "remove_part", id="grey_1").success
+        else:
+            assert not set_parameters(loop, noise=5.0)
+        count = len(loop.images)
+        assert loop.spin(lambda: len(loop.images) > count)
+        assert not np.array_equal(image_to_array(loop.images[count]), before)
+
+
 def test_reset_puts_the_parts_down_as_the_next_seed_would():
     with Loop(lockstep=True, scenario="sort_4", seed=7, noise=0.0) as loop:
         assert loop.spin(lambda: len(loop.truths) == 1)
