@@ -48,7 +48,7 @@ def force_map(rows: list[Row]) -> Drawn:
         f"{quad['us'] / best['us']:.0f} times as fast as scipy's quad. Equal steps are faster, "
         f"but their error exceeds {MAX_P99:g} a hundredfold if the surface is almost at rest, as "
         "at the end of a search.",
-        "average_force evaluates motions, and forces is used inside the search. They are the "
+        "`average_force` evaluates motions, and `forces` is used inside the search. They are the "
         f"fastest functions with a 99th percentile below {MAX_P99:g} mu mg.",
     )
 
