@@ -68,8 +68,8 @@ float hal_load(void)
 }
 
 /* Check the result of reading or writing a frame for a lost interface. Without an interface the process
-   ends, so that the host reports it and waits for the interface. */
-static void look(ssize_t size)
+   ends, so that the host reports this and waits for the interface. */
+static void check_interface(ssize_t size)
 {
     gone = gone || size == 0 || (size < 0 && errno != EAGAIN && errno != EINTR && errno != ENOBUFS);
 }
@@ -88,7 +88,7 @@ bool can_read(CanFrame *frame)
             return true;
         }
     }
-    look(size);
+    check_interface(size);
     return false;
 }
 
@@ -98,7 +98,7 @@ void can_write(const CanFrame *frame)
     if (frame->id & CAN_REMOTE)
         out.can_id |= CAN_RTR_FLAG;
     memcpy(out.data, frame->data, sizeof out.data);
-    look(write(can, &out, sizeof out)); /* a frame that does not fit is dropped */
+    check_interface(write(can, &out, sizeof out)); /* a frame that does not fit is dropped */
 }
 
 bool can_off(void)

@@ -1,4 +1,5 @@
-/* Of rig.yaml, by `python -m plate_sim.device.limits_header`: change that, not this. */
+/* Limits of rig.yaml, written by `python -m plate_sim.device.limits_header`. Change rig.yaml, not this
+   file. */
 static const Limits LIMITS = {
     .stroke_m = 0.01f,
     .speed = 1.0f,

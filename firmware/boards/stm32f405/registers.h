@@ -86,7 +86,7 @@ typedef struct {
 #define CR1_RXNEIE BIT(5)
 #define CR1_UE BIT(13)
 
-/* CAN bus: three mailboxes to send from, two queues of three frames that came */
+/* CAN bus: three mailboxes for sending, two queues of three received frames */
 typedef struct {
     volatile uint32_t IR, DTR, DLR, DHR;
 } CanBox;
@@ -97,8 +97,8 @@ typedef struct {
 } Can;
 #define CAN1 ((Can *)0x40006400u)
 #define MCR_INRQ BIT(0)
-#define MCR_TXFP BIT(2) /* in the order in which they were asked for */
-#define MCR_ABOM BIT(6) /* back on the bus by itself */
+#define MCR_TXFP BIT(2) /* transmit in the order of the requests */
+#define MCR_ABOM BIT(6) /* return to the bus automatically */
 #define MSR_INAK BIT(0)
 #define TSR_RQCP (BIT(0) | BIT(8) | BIT(16))
 #define TSR_TME(box) BIT(26 + (box))

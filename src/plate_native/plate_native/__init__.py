@@ -1,10 +1,10 @@
-"""Build of the C++ kernels, and the headers shared by the kernels of several packages.
+"""Build of the C++ kernels, and the headers that the kernels of several packages use.
 
-A package keeps its kernels beside the Python files that call them: `NAME.hpp` holds the kernels of
-`NAME.py`. Any `.cpp` file in the package holds bindings, which nanobind puts into the module
-`PACKAGE._kernels`. No compiler option changes a sum, whatever the processor: products are not fused
-with sums, sums are not reordered, and functions compiled for several vector widths (`PLATE_WIDE`)
-return equal results to the last bit.
+In each package, the kernels are beside the Python files that call them: `NAME.hpp` contains the
+kernels of `NAME.py`. The `.cpp` files contain bindings, which nanobind compiles to the module
+`PACKAGE._kernels`. Results do not depend on the processor: products are not fused with sums, sums
+are not reordered, and functions that are compiled for several vector widths (`PLATE_WIDE`) return
+bitwise equal results.
 """
 
 from __future__ import annotations
@@ -50,7 +50,7 @@ def kernels(package: str) -> Extension:
 
 
 def _nanobind() -> Path:
-    """Return the folder of nanobind's sources: from pip, or from Debian and Ubuntu."""
+    """Return the folder of nanobind's sources. They come from pip, Debian or Ubuntu."""
     found = importlib.util.find_spec("nanobind")
     places = list(found.submodule_search_locations or ()) if found else []
     for place in [*map(Path, places), DEBIAN]:
@@ -60,8 +60,8 @@ def _nanobind() -> Path:
 
 
 class CompileKernels(build_ext):
-    """Compiles, in parallel, the changed `.cpp` files beside a module's first one and below it. The
-    module is also copied beside them, for use of the source tree."""
+    """Compiles the changed `.cpp` files in the folder of a module and below it, in parallel. The
+    module is also copied into this folder, so that it can be used in the source tree."""
 
     def build_extension(self, extension: Extension) -> None:
         """Compile a module's sources, then link them."""
@@ -94,7 +94,7 @@ class CompileKernels(build_ext):
         first = cache.key_of(*words, *python, _compiler(*words), _named(str(source), places))
         folders = [Path(self.build_temp, "kept"), cache.of_user()]
         made.parent.mkdir(parents=True, exist_ok=True)
-        for folder in folders:  # first the list of files it depends on, then the digest of these
+        for folder in folders:  # first the list of the object's source files, then their digest
             read = cache.take(folder, first)
             content = read and cache.take(folder, _key(first, read, places))
             if content:
@@ -117,7 +117,8 @@ _compiler = lru_cache(lambda *words: cache.compiler(list(words)))
 
 
 def _named(path: str, places: dict[str, Path]) -> str:
-    """Return a path that is equal in all clones: the name of a place, and the path below it."""
+    """Return a path in a form that is equal in all clones: the name of a place, and the path below
+    it."""
     for name, place in places.items():
         if path.startswith(f"{place}/"):
             return f"{name}//{path[len(f'{place}/') :]}"
@@ -125,17 +126,17 @@ def _named(path: str, places: dict[str, Path]) -> str:
 
 
 def _files_read(rules: Path, places: dict[str, Path]) -> bytes:
-    """Return the files that a compiler has read, one per line, from the make rule that it
-    writes."""
+    """Return the files that a compiler has read, one per line. They are in the make rule that the
+    compiler writes."""
     text = os.fsdecode(rules.read_bytes()).replace("\\\n", " ").partition(":")[2]
     words = (word.replace("\\ ", " ") for word in re.findall(r"(?:\\ |\S)+", text))
     return os.fsencode("\n".join(_named(word, places) for word in words))
 
 
 def _key(first: str, read: bytes, places: dict[str, Path], since: float = math.inf) -> str:
-    """Return the key of an object: a digest of `first` and the content of all files that were read.
-    Empty if a file is missing or has changed after `since`: the compiler may have read another
-    content."""
+    """Return the key of an object: a digest of `first` and of the content of all files that were
+    read. Empty if a file is missing or has changed after `since`, because the compiler may have
+    read another content."""
     lines = (line.partition("//") for line in os.fsdecode(read).split("\n"))
     files = [Path(places[at], name) for at, _, name in lines]
     try:
@@ -149,7 +150,8 @@ def _key(first: str, read: bytes, places: dict[str, Path], since: float = math.i
 
 @contextmanager
 def _whole(made: Path) -> Iterator[Path]:
-    """Yield a path to write to; it then replaces the file atomically."""
+    """Yield the path of a temporary file. At the end of the context, it replaces the file
+    atomically."""
     part = made.with_name(f"part-{made.name}")
     yield part
     part.replace(made)

@@ -1,4 +1,5 @@
-"""Programs that start nodes. Ctrl-C ends them at any time, at once and without a traceback."""
+"""Programs that start nodes. Ctrl-C ends them at once and without a traceback, even while Python
+starts."""
 
 from __future__ import annotations
 
@@ -18,7 +19,7 @@ if __name__ == "__main__":
     import signal
     import sys
 
-    # Until run_node takes over, exit with 130, as shells report for Ctrl-C.
+    # Exit with 130, the code that shells report for Ctrl-C, until run_node sets its own handlers.
     signal.signal(signal.SIGINT, lambda number, frame: os._exit(128 + number))
     signal.signal(signal.SIGTERM, signal.SIG_DFL)
     signal.pthread_sigmask(signal.SIG_UNBLOCK, [signal.SIGINT, signal.SIGTERM])
@@ -26,7 +27,8 @@ if __name__ == "__main__":
     code = 1
 
     def leave():
-        # Skip the clean-up of Python and libraries: it takes 0.3 s, and the system frees memory.
+        # Skip the clean-up of Python and libraries, because it takes 0.3 s. The system frees
+        # memory.
         try:
             sys.stdout.flush()
         finally:
@@ -45,7 +47,7 @@ if __name__ == "__main__":
 
 
 def node_programs(*names: str) -> type[install_scripts]:
-    """Return the command `install_scripts` for a setup.py whose programs of these names are nodes.
+    """Return the command `install_scripts` for a setup.py. The programs with these names are nodes.
 
     Python needs 20 ms or more before the first line of a program runs. Ctrl-C during this time
     would print a traceback, so `env` blocks the signal until then, if it can.
@@ -68,8 +70,8 @@ def node_programs(*names: str) -> type[install_scripts]:
 
 
 def first_line(line: str) -> str:
-    """Return the first line `#!PYTHON` of a script, changed so that it starts with SIGINT blocked.
-    It is unchanged if this machine's `env` cannot do so."""
+    """Return the first line `#!PYTHON` of a script, changed so that the script starts with SIGINT
+    blocked. If `env` on this machine cannot block signals, the line is unchanged."""
     try:
         done = subprocess.run([ENV, HOLDING, "true"], capture_output=True, check=False)
     except OSError:

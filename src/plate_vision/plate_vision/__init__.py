@@ -1,7 +1,7 @@
 """Finds parts in camera images and measures their positions and drift.
 
-The names below are the public ones. The subpackages `camera`, `plate`, `discs`, `shapes` and
-`tracking` hold the methods.
+The names below are public. The subpackages `camera`, `plate`, `discs`, `shapes` and `tracking`
+implement the methods.
 """
 
 from .camera import Calibration, Lens, calibrate, calibrate_by_matrix, calibrate_by_rig

@@ -1,4 +1,5 @@
-"""Measurements in a picture while a camera is aimed, focused and lit. Pure: no ROS."""
+"""Measurements in a picture while a user aims and focuses a camera and adjusts the light. This
+module does not use ROS."""
 
 from __future__ import annotations
 
@@ -26,56 +27,60 @@ from .plate.outline import (
 from .vision import Vision
 
 AROUND = 0.03
-"""Margin around the plate in which sharpness is measured too, relative to the plate's larger side
-in the image [-]. The margin contains the plate's edges, the only edges in the image of a bare
+"""Margin around the plate in which sharpness is also measured, relative to the plate's larger side
+in the image [-]. It contains the plate's edges, which are the only edges in the image of a bare
 plate."""
 
 SMOOTH_PX = 1.0
-"""Standard deviation of the Gaussian filter before the gradient [px], against noise."""
+"""Standard deviation of the Gaussian filter that reduces noise before the gradient is computed
+[px]."""
 
 MIN_CONTRAST = 4.0
 """Minimum standard deviation of the grey levels for a measurement of sharpness. Noise alone, for
 example with a covered lens, causes about 2."""
 
 BINS = 64
-"""Bins of the histogram, four grey levels each."""
+"""Number of bins of the histogram. Each bin has four grey levels."""
 
 CLIPPED = 0.01
-"""Maximum fraction of the plate's pixels at grey level 0, and of those with a channel at 255 [-].
-Reflections of a part are smaller."""
+"""Maximum fraction of the plate's pixels at grey level 0, and maximum fraction of its pixels with a
+channel at 255 [-]. Reflections of a part cover smaller fractions."""
 
 BLURRED = 0.85
-"""Sharpness relative to the best of the last minute below which the image counts as out of focus
-[-]. Noise, or a part that is moved, changes sharpness by less than 5 %."""
+"""Minimum sharpness of an image in focus, relative to the maximum of the last minute [-]. Noise, or
+a part that is moved, changes sharpness by less than 5 %."""
 
 PASSED, BACK = 0.9, 0.95
-"""Sharpness relative to the best of the last minute [-]. The best value is a maximum if the
-sharpness was below the first fraction before and after it, and is above the second one now."""
+"""Sharpness relative to the maximum of the last minute [-]. The focus was passed if the sharpness
+was below the first fraction before and after its maximum. It is back in focus if it is above the
+second fraction now."""
 
 SHARP_PX = 1.5
-"""Standard deviation of the blur of the plate's edges up to which a picture is sharp [px]. Drawn
+"""Maximum standard deviation of the blur of the plate's edges in a sharp picture [px]. Drawn
 pictures have a blur of 1.0 px with a sharp lens, of 1.4 px with a defocus of 1 px, and of 2.2 px
 with a defocus of 2 px."""
 
 ESF_PX = 12
-"""Length of the profile on each side of the plate's edge by which its blur is measured [px]."""
+"""Length of the grey-level profile on each side of the plate's edge [px]. The blur is measured in
+this profile."""
 
 ESF_ENDS = 4
-"""Number of values at each end of that profile whose medians give the contrast."""
+"""Number of values at each end of the profile. The contrast is the difference of the medians of
+both ends."""
 
 BEST_S, LATELY_S = 60.0, 2.0
-"""Time over which the best sharpness is taken, and time over which its change is measured [s]."""
+"""Time over which the maximum sharpness is determined, and time over which its change is measured
+[s]."""
 
 STEADY = 0.04
 """Maximum relative change of the sharpness that counts as noise [-]."""
 
 MIN_PART_PX = 10.0
-"""Minimum diameter of a part in the image [px]. For smaller parts, the standard deviation of places
-exceeds
-0.05 px, and marks are not read."""
+"""Minimum diameter of a part in the image [px]. For smaller parts, the standard deviation of
+positions exceeds 0.05 px, and marks are not detected."""
 
 EDGE_POINTS = 9
-"""Number of points with which each measured edge of the plate is displayed."""
+"""Number of displayed points on each measured edge of the plate."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -86,9 +91,10 @@ class AimField:
     ----------
     vision : Vision
     rows, columns : slice
-        Window of the picture that holds the plate and its surround.
+        Window of the picture that contains the plate and its surround.
     plate, around : (h, w) uint8
-        Masks of this window: 255 on the plate (with its surround), 0 elsewhere.
+        Masks of this window. `plate` is 255 on the plate, `around` is 255 on the plate and its
+        surround. Both are 0 elsewhere.
     grid : OutlineGrid
         Image points at which the plate's edges are searched.
     part_px : (float, float)
@@ -138,7 +144,8 @@ class Light:
     histogram : (BINS,) int
         Number of pixels in each bin of four grey levels.
     black, white : float
-        Fraction of the pixels at grey level 0, and of those with a channel at 255 [-].
+        Fraction of the pixels at grey level 0, and fraction of the pixels with a channel at 255
+        [-].
     """
 
     histogram: np.ndarray
@@ -161,8 +168,9 @@ def light_on_plate(image: np.ndarray, field: AimField) -> Light:
 def sharpness_of(image: np.ndarray, field: AimField) -> float:
     """Return the sharpness of an image (H, W) or (H, W, 3) uint8 around the plate [1/px].
 
-    Root mean square of the gradient (Tenengrad) over the standard deviation of the grey levels, so
-    that brighter light does not count. NaN if there is less contrast than `MIN_CONTRAST`.
+    It is the root mean square of the gradient (Tenengrad), divided by the standard deviation of the
+    grey levels, so that it does not depend on the brightness. NaN if the contrast is less than
+    `MIN_CONTRAST`.
     """
     grey = grey_levels(np.ascontiguousarray(image[field.rows, field.columns])).astype(np.float32)
     _, deviation = cv2.meanStdDev(grey, mask=field.around)
@@ -178,8 +186,8 @@ def sharpness_of(image: np.ndarray, field: AimField) -> float:
 
 def edge_blur_px(image: np.ndarray, outline: Outline, field: AimField) -> float:
     """Return the standard deviation of the blur of the plate's edges in an image (H, W) or
-    (H, W, 3) [px]. It is the median of contrast / (sqrt(2 pi) slope) over the visible edges; NaN if
-    none is visible."""
+    (H, W, 3) [px]. It is the median of contrast / (sqrt(2 pi) slope) over the visible edges. NaN if
+    no edge is visible."""
     calibration, along = field.vision.calibration, field.grid.along
     grey = contrasted(image, field.grid)
     middle, slope, bow = (column[:, None] for column in outline.edges.T)
@@ -209,9 +217,9 @@ class Focus:
     Attributes
     ----------
     values : tuple of (float, float)
-        Stamps [s] and sharpness [1/px], the newest last.
+        Stamps [s] and sharpness [1/px] of the images, oldest first.
     blur_px : float
-        Blur of the plate's edges in the newest image [px]; NaN if unknown.
+        Blur of the plate's edges in the newest image [px]. NaN if unknown.
     peaked : bool
         Whether the maximum was passed.
     sharp : bool
@@ -250,19 +258,19 @@ class Focus:
 
     @property
     def now(self) -> float:
-        """The newest sharpness [1/px]; NaN if it could not be measured."""
+        """The newest sharpness [1/px]. NaN if it could not be measured."""
         return self.values[-1][1] if self.values else math.nan
 
     @property
     def best(self) -> float:
-        """The highest sharpness of the last minute [1/px]; NaN if none was measured."""
+        """The maximum sharpness of the last minute [1/px]. NaN if no sharpness was measured."""
         known = [value for _, value in self.values if math.isfinite(value)]
         return max(known, default=math.nan)
 
     @property
     def change(self) -> float:
-        """Relative change during the last `LATELY_S`: mean of the second half divided by the mean
-        of the first half, minus one [-]; NaN if a half has no value."""
+        """Relative change during the last `LATELY_S` [-]: the mean of the second half divided by
+        the mean of the first half, minus one. NaN if a half has no value."""
         if not self.values:
             return math.nan
         age = self.values[-1][0] - np.array([stamp for stamp, _ in self.values])
@@ -304,7 +312,7 @@ class Focus:
 
 
 def outline_px(outline: Outline, field: AimField) -> np.ndarray:
-    """Return points (m, 2) [px] on the edges of the plate that are seen."""
+    """Return points (m, 2) [px] on the detected edges of the plate."""
     along = np.linspace(-1, 1, EDGE_POINTS)
     middle, slope, bow = (column[:, None] for column in outline.edges.T)
     away = middle + slope * along + bow * (1 - along**2)
@@ -315,9 +323,9 @@ def outline_px(outline: Outline, field: AimField) -> np.ndarray:
 def outline_finding(
     image: np.ndarray, outline: Outline, field: AimField, moving: bool = False
 ) -> Finding:
-    """Return how well the outline in an image (H, W) or (H, W, 3) agrees with the expected one.
+    """Return whether the outline in an image (H, W) or (H, W, 3) agrees with the expected outline.
 
-    If `moving`, the plate may be away from home.
+    If `moving` is true, the plate may be away from home.
     """
     grid, bends = field.grid, field.vision.calibration.lens is not None
     facts = outline, grid, field.radius, bends, moving
@@ -349,8 +357,8 @@ def light_finding(image: np.ndarray, light: Light, field: AimField) -> Finding:
 
 
 def size_finding(part_px: tuple[float, float]) -> Finding:
-    """Return whether parts are large enough in the image. `part_px` is their smallest and largest
-    diameter [px]."""
+    """Return whether parts are large enough in the image. `part_px` contains their minimum and
+    maximum diameter [px]."""
     low, high = part_px
     text = f"parts are {low:.1f} to {high:.1f} px across"
     if low < MIN_PART_PX:
@@ -366,9 +374,9 @@ class Thing:
     Attributes
     ----------
     id : str
-        Id of the part; empty if it is not a part.
+        Id of the part. Empty if the object is not a part.
     x_px, y_px, radius_px : float
-        Centre, and radius of the disc of the same area [px].
+        Centre of the object, and radius of the disc with the same area [px].
     reason, remedy : str
         Reason why it is rejected as a part, and the remedy. Empty for a part.
     """
@@ -392,11 +400,11 @@ class Situation:
     expected : Expected
         Sizes of the rig's parts.
     things : tuple of Thing
-        Objects in the last image that was used.
+        Objects in the last image that the detector used.
     findings : tuple of (str, Finding)
         Name and state of the steps that the detector itself checks.
     lens : Lens or None
-        Lens in use; None: that of the rig file, if it has one.
+        Lens in use. None: the lens of the rig file, if the file has one.
     moving : bool
         Whether the plate may be away from home.
     """

@@ -1,8 +1,8 @@
 """State of the bare plate in the detector, for rigs with part types.
 
-The bare plate is learned from images on request, otherwise modelled from an image with parts. Each
-later image updates its light and focus. Input: images and the plate's region; output: the
-background that recognition subtracts.
+On request, the bare plate is learned from images. Otherwise it is modelled from an image with
+parts. Each later image updates its light and focus. The inputs are images and the plate's region.
+The output is the background that recognition subtracts.
 """
 
 from __future__ import annotations
@@ -22,7 +22,8 @@ from .vision import Vision
 __all__ = ["BARE_IMAGES", "MODELLED", "BarePlate", "know_plate", "learn_next"]
 
 BARE_IMAGES = 5
-"""Number of images from which the bare plate is learned; averaging reduces their noise."""
+"""Number of images from which the bare plate is learned. They are averaged, which reduces their
+noise."""
 
 MODELLED = "the bare plate is estimated from an image with parts: call ~/learn_plate without parts"
 """Warning until the bare plate is learned."""
@@ -54,8 +55,8 @@ class BarePlate:
 
 
 def learn_next(plate: BarePlate, image: np.ndarray | None, region: Region) -> tuple[BarePlate, str]:
-    """Start learning: the next images must show the bare plate. Also return a message for the user.
-    It lists objects on the plate in the last image (H, W) or (H, W, 3)."""
+    """Start learning. The next images must show the bare plate. Also return a message for the user.
+    It states the number of objects on the plate in the last image (H, W) or (H, W, 3)."""
     text = f"the next {BARE_IMAGES} images are used for the bare plate"
     things = "" if image is None else lying(image, region)
     if things:
@@ -66,8 +67,8 @@ def learn_next(plate: BarePlate, image: np.ndarray | None, region: Region) -> tu
 def know_plate(
     plate: BarePlate, vision: Vision, image: np.ndarray
 ) -> tuple[BarePlate, Vision, Finding | None]:
-    """Process one image (H, W) or (H, W, 3): learn the bare plate if requested, model it if it is
-    unknown, otherwise follow its light and focus.
+    """Process one image (H, W) or (H, W, 3). If requested, learn the bare plate. If the bare plate
+    is unknown, model it. Otherwise adapt it to the light and focus of the image.
 
     Return the new state of the bare plate, a vision with the background in this light, and a
     finding for the user.
@@ -78,7 +79,7 @@ def know_plate(
         If too little of the plate is visible, because it is too dark or the camera was moved.
     """
     if plate.requested:
-        # `np.stack` needs one shape: all grey or all colour.
+        # `np.stack` requires equal shapes: all images are grey, or all have colours.
         alike = [one for one in plate.images if one.shape == image.shape]
         images = (*alike, image)
         if len(images) < plate.requested:
@@ -100,6 +101,6 @@ def know_plate(
 
 
 def lying(image: np.ndarray, region: Region) -> str:
-    """Describe the objects on a plate that should be bare; empty if it seems to be bare."""
+    """Describe the objects on a plate that should be bare. Empty if no objects are detected."""
     count = len(find_patches(image, model_plate(image, region), region))
     return f"{count} object{'s are' if count > 1 else ' is'} on it" if count else ""

@@ -1,8 +1,9 @@
 """Chessboards and ChArUco boards: draw them, find them in pictures, and fit a camera's lens.
 
-`find_board` finds the inner corners of a board to sub-pixels. `fit_lens` takes the corners from
-at least five pictures and fits K and the distortion: OpenCV's calibrateCamera for plumb_bob and
-rational_polynomial, Levenberg-Marquardt for an equidistant lens.
+`find_board` finds the inner corners of a board with sub-pixel accuracy. `fit_lens` fits the camera
+matrix K and the distortion to the corners in at least five pictures. It uses OpenCV's
+calibrateCamera for plumb_bob and rational_polynomial, and the Levenberg-Marquardt method for an
+equidistant lens.
 """
 
 from __future__ import annotations
@@ -36,33 +37,35 @@ MIN_MARKERS = 4
 """Minimum number of markers for a check of the printed board."""
 
 WORST_MISFIT = 0.4
-"""Maximum misfit of markers to the correct board [marker sides]. A wrong board has 0.7 or more. The
-correct board has up to 0.2 with a strongly distorting lens."""
+"""Maximum distance between the detected markers and those of the correct board [marker sides]. It
+is 0.7 or more for a wrong board, and up to 0.2 for the correct board with a strongly distorting
+lens."""
 
 NEAR = 4
-"""Number of nearest markers from which a corner is predicted. A local prediction tolerates a
-distorting lens."""
+"""Number of nearest markers from which a corner is predicted. A prediction from few markers
+tolerates a distorting lens."""
 
 
 MIN_SQUARE_M, MAX_SQUARE_M = 1e-3, 1.0
 """Range of a square's side [m]."""
 
 MAX_PIXELS = 200_000_000
-"""Maximum number of pixels of a board for the printer: A0 at 300 dpi has 140 million."""
+"""Maximum number of pixels of a board for the printer. A sheet of A0 at 300 dpi has 140 million."""
 
 MIN_PICTURES = 5
 """Minimum number of pictures. Three determine K in principle, but noise requires more."""
 
 MAX_PICTURES = 40
-"""Maximum number of pictures in a fit. More take long and improve little."""
+"""Maximum number of pictures in a fit. More pictures increase the computation time, but hardly
+improve the fit."""
 
 START_ANGLES_RAD = (np.pi, 0.75 * np.pi, 0.5 * np.pi, 0.35 * np.pi)
-"""Angles of view across the longer side of the image, at which fits of an equidistant lens
-start."""
+"""Angles of view across the longer side of the image [rad]. They are the starting values for the
+fits of an equidistant lens."""
 
 WEAKEST = 1e-9
-"""Minimum singular value of a fit's derivative, relative to the largest. Values that the pictures
-do not determine, such as k1 to k6 together, then have a large but finite deviation."""
+"""Minimum singular value of a fit's derivative, relative to the largest one. It keeps the
+deviations finite if the pictures do not determine all values, such as k1 to k6 together."""
 
 FIXED = (
     0,
@@ -74,17 +77,17 @@ FIXED = (
 coefficients to 0."""
 
 FOLD_GRID = 33
-"""Number of points along each side of the image where folding by the lens is checked."""
+"""Number of points along each side of the image at which folding by the lens is checked."""
 
 FIT_STEPS = 200
-"""Maximum number of iterations of the equidistant fit; 10 to 20 are typical."""
+"""Maximum number of iterations of the equidistant fit. It typically needs 10 to 20."""
 
 WORST_ERROR_PX = 1.0
-"""Maximum root mean square error of a fit [px]. Good pictures yield 0.1 to 0.3."""
+"""Maximum root mean square error of a fit [px]. Good pictures give 0.1 to 0.3 px."""
 
 MIN_COVER = 0.5
-"""Minimum fraction of the image's width and height that the corners of all pictures should span.
-Outside of them the lens is extrapolated."""
+"""Recommended minimum fraction of the image's width and height that the corners of all pictures
+span. Outside the corners, the lens model is extrapolated."""
 
 Corners = tuple[np.ndarray, np.ndarray]
 """Corners in one picture: indices (n,) of the board's corners, and their places (n, 2) [px]."""
@@ -97,17 +100,17 @@ class Board:
     Attributes
     ----------
     columns, rows : int
-        Number of squares along x and y, 3 to 40; of a chessboard at least 4.
+        Number of squares along x and y, 3 to 40. A chessboard needs at least 4.
     square_m : float
         Side of a square [m], 0.001 to 1.
     marker_m : float
-        Side of the markers in the white squares of a ChArUco board [m], numbered along the rows.
-        0: a chessboard.
+        Side of the markers in the white squares of a ChArUco board [m]. The markers are numbered
+        along the rows. 0: a chessboard.
     dictionary : str
         Dictionary of the markers.
     white_first : bool
-        Whether the square at the top left is white, as on boards of OpenCV before 4.6 with an even
-        number of rows, and of other programs. If False, it is black.
+        Whether the square at the top left is white. It is white on boards of other programs, and on
+        boards of OpenCV before 4.6 with an even number of rows. If False, it is black.
     """
 
     columns: int
@@ -136,7 +139,8 @@ class Board:
 
     @property
     def corners(self) -> np.ndarray:
-        """Inner corners ((columns - 1) (rows - 1), 2) [m], row by row from the top left; y down."""
+        """Inner corners ((columns - 1) (rows - 1), 2) [m], row by row from the top left. y points
+        down."""
         y, x = np.mgrid[1 : self.rows, 1 : self.columns]
         return self.square_m * np.column_stack([x.ravel(), y.ravel()]).astype(float)
 
@@ -148,7 +152,7 @@ class Board:
 
     @property
     def markers(self) -> np.ndarray:
-        """Corners (n, 4, 2) [m] of the markers, in the order of `find_markers`; y down."""
+        """Corners (n, 4, 2) [m] of the markers, in the order of `find_markers`. y points down."""
         y, x = np.nonzero(self.white)
         middle = np.column_stack([x, y]) + 0.5
         square = 0.5 * self.marker_m * np.array([[-1, -1], [1, -1], [1, 1], [-1, 1.0]])
@@ -182,20 +186,20 @@ def draw_board(board: Board, square_px: int) -> np.ndarray:
 
 
 def find_board(grey: np.ndarray, board: Board, fast: bool = False) -> tuple[Board, Corners | None]:
-    """Find a board's inner corners in an image (H, W) uint8; None if fewer than `MIN_CORNERS`.
-    Also return the board as printed: the given one, unless the markers show that its first square
-    has the other colour.
+    """Find a board's inner corners in an image (H, W) uint8. They are None if fewer than
+    `MIN_CORNERS` are found. Also return the board as it is printed. It differs from the given board
+    if the markers show that its first square has the other colour.
 
     All corners of a chessboard must be visible. On a ChArUco board, the corners next to visible
     markers are found.
 
-    If `fast`, a picture without a chessboard takes 0.1 s instead of 2 s, but a few chessboards are
-    missed.
+    If `fast` is true, a picture without a chessboard takes 0.1 s instead of 2 s, but a few
+    chessboards are not found.
 
     Raises
     ------
     CalibrationError
-        If markers are visible, but not at the places where this board has them.
+        If markers are visible, but not at the places of the markers on this board.
     """
     grey = np.ascontiguousarray(grey)
     if board.marker_m == 0:
@@ -216,8 +220,8 @@ def find_board(grey: np.ndarray, board: Board, fast: bool = False) -> tuple[Boar
 
 
 def _as_printed(found: Mapping[int, np.ndarray], board: Board) -> Board:
-    """Return the board whose first square, black or white, fits the detected markers: corners (4,
-    2) [px] by number."""
+    """Return the board with the colour of the first square that fits the detected markers. `found`
+    contains the corners (4, 2) [px] of each marker by its number."""
     if len(found) < MIN_MARKERS:
         return board
     other = replace(board, white_first=not board.white_first)
@@ -252,7 +256,8 @@ def _misfit(found: Mapping[int, np.ndarray], board: Board) -> float:
 
 
 def _corners_beside(found: Mapping[int, np.ndarray], board: Board) -> Corners:
-    """Predict the corners next to detected markers (4, 2) [px], by number."""
+    """Predict the board's corners next to the detected markers. `found` contains the corners (4, 2)
+    [px] of each marker by its number."""
     known = board.markers
     numbers = [number for number in found if number < len(known)]
     which, corners_px = [], []
@@ -285,11 +290,12 @@ def _refine(grey: np.ndarray, corner_px: np.ndarray, board: Board) -> np.ndarray
 
 
 def choose(seen: Sequence[Corners], board: Board, most: int = MAX_PICTURES) -> list[int]:
-    """Choose the pictures whose board places differ most, and return their indices.
+    """Choose pictures with different positions of the board, and return their indices.
 
-    The first chosen picture shows the most corners. Each further one maximises the distance to the
-    chosen ones, measured by the images of the board's four outer corners (farthest-point sampling).
-    The boards then spread over the image, distances and tilts.
+    The first chosen picture is the one with the largest number of corners. Each further picture
+    maximises the distance to the chosen ones, measured at the image points of the board's four
+    outer corners (farthest-point sampling). The chosen boards therefore have different places in
+    the image, distances and tilts.
     """
     if len(seen) <= most:
         return list(range(len(seen)))
@@ -329,7 +335,7 @@ class LensFit:
     corners : tuple
         Indices and places [px] of the corners in each picture.
     deviation : (n,)
-        Standard deviations of fx, fy, cx, cy [px] and the distortion that follow from the errors.
+        Standard deviations of fx, fy, cx, cy [px] and of the distortion, estimated from the errors.
     cover : (float, float)
         Fraction of the image's width and height that the corners span.
     """
@@ -350,7 +356,7 @@ class LensFit:
                 f"the board covered {self.cover[0]:.0%} of the width and {self.cover[1]:.0%} "
                 f"of the height, advised: {MIN_COVER:.0%} or more (hold it in the corners)"
             )
-        model = self.lens.model  # no undistorted image for a wide fisheye
+        model = self.lens.model  # a wide fisheye has no undistorted image
         if model != "equidistant" and not _shows(self.lens, self.size_px):
             return (
                 "the fitted lens folds the image near its edges: keep the plate away from them, or "
@@ -362,10 +368,10 @@ class LensFit:
 def fit_lens(
     board: Board, seen: Sequence[Corners], size_px: tuple[int, int], model: str = "plumb_bob"
 ) -> LensFit:
-    """Fit the lens to the corners of a board in pictures of a width and height [px].
+    """Fit the lens to the corners of a board in pictures with the width and height `size_px` [px].
 
     `model` is a key of `plate_core.rig.LENS_MODELS`: a plumb_bob with k1, k2, p1, p2, k3, a
-    rational_polynomial with k4, k5, k6 too, or an equidistant lens.
+    rational_polynomial that also has k4, k5, k6, or an equidistant lens.
 
     Raises
     ------
@@ -439,7 +445,7 @@ def _fit_opencv(
     count: int,
     flags: int,
 ) -> Fit:
-    """Fit a lens with `count` distortion coefficients, by OpenCV's calibrateCamera and its
+    """Fit a lens with `count` distortion coefficients by OpenCV's calibrateCamera. `flags` are its
     flags."""
     try:
         _, matrix, bend, turns, moves = cv2.calibrateCamera(
@@ -469,8 +475,8 @@ def _fit_opencv(
 
 
 def _deviation(slopes: np.ndarray, errors: np.ndarray) -> np.ndarray:
-    """Return the standard deviations (m,) of parameters of a least-squares fit from its derivative
-    (n, m) and residuals; infinite after a failed fit.
+    """Return the standard deviations (m,) of the parameters of a least-squares fit, from its
+    derivative (n, m) and its residuals. They are infinite after a failed fit.
 
     With the derivative J = U S V', the deviations are s sqrt(diag(V S^-2 V')), where s^2 is the sum
     of squared residuals divided by the degrees of freedom.
@@ -521,7 +527,7 @@ def _fit_equidistant(
 
 
 def _pose(point: np.ndarray, lens: Lens, place: np.ndarray) -> np.ndarray:
-    """Return the rotation vector and translation (6,) of a board for a given lens; NaN if there is
+    """Return the rotation vector and translation (6,) of a board for a given lens. NaN if there is
     no solution."""
     straight = lens.straighten(place)
     if not np.all(np.isfinite(straight)):

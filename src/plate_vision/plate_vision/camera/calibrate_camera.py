@@ -1,6 +1,6 @@
 """The program `calibrate`: fit a camera's lens to pictures, and draw boards and markers.
 
-It needs no ROS. Example:
+It does not need ROS. Example:
 
 ros2 run plate_vision calibrate lens PICTURES --board 9x7 --square 0.03 --marker 0.022
 """
@@ -41,11 +41,11 @@ PRINT_DPI = 300
 INCH_M = 0.0254
 
 FRAMES_SEARCHED, PICTURES_SEARCHED = 60, 240
-"""Number of frames of a film, and of pictures of a folder, that are searched one by one. Then the
-same number is searched among every second picture, then among every fourth, and so on. In total,
-250 of 1000 frames or 450 of 10,000 are searched."""
+"""Number of frames of a film, and number of pictures of a folder, that are searched without gaps.
+After them, the same number is searched among every second picture, then among every fourth, and so
+on. In total, 250 of 1000 frames or 450 of 10,000 frames are searched."""
 
-FRAMES_TOLD = 50
+FRAMES_PER_LINE = 50
 """Number of searched frames between two progress lines, if the output is not a terminal."""
 
 BROWN = ("k1", "k2", "p1", "p2", "k3", "k4", "k5", "k6")
@@ -139,9 +139,9 @@ def _lens(args: argparse.Namespace) -> None:
 
 
 def _search(pictures: Pictures, board: Board) -> tuple[Board, list[Corners], tuple[int, int]]:
-    """Search for the board in pictures of one size. In a long film or a large folder, more and more
-    pictures are skipped (`FRAMES_SEARCHED`). Return the board as printed, the corners in each
-    picture that shows it, and the size [px]."""
+    """Search for the board in pictures of one size. In a long film or a large folder, an increasing
+    number of pictures is skipped (`FRAMES_SEARCHED`). Return the board as it is printed, its
+    corners in each picture that shows it, and the size of the pictures [px]."""
     each = FRAMES_SEARCHED if pictures.is_film else PICTURES_SEARCHED
     progress = Progress(pictures)
     seen: list[Corners] = []
@@ -169,8 +169,9 @@ def _search(pictures: Pictures, board: Board) -> tuple[Board, list[Corners], tup
 
 
 class Progress:
-    """Prints the progress of the search: one line per picture of a folder; for a film, one line
-    that is updated on a terminal, otherwise a line from time to time; and the totals at the end."""
+    """Prints the progress of the search and the totals at the end. For a folder, it prints one line
+    per picture. For a film, it updates one line on a terminal, and otherwise prints a line every
+    `FRAMES_PER_LINE` frames."""
 
     def __init__(self, pictures: Pictures) -> None:
         self._pictures = pictures
@@ -178,14 +179,15 @@ class Progress:
         self.count = self._found = 0
 
     def searched(self, name: str, corners: int, of: int) -> None:
-        """Count a picture in which some corners were found, and print the progress."""
+        """Count a picture with the number of corners that were found in it, and print the
+        progress."""
         self.count += 1
         self._found += corners > 0
         if not self._pictures.is_film:
             print(f"{name}: {corners} of {of} corners", flush=True)
         elif self._changes:
             print(f"\r{self._text()}", end="", file=sys.stderr, flush=True)
-        elif self.count % FRAMES_TOLD == 0:
+        elif self.count % FRAMES_PER_LINE == 0:
             print(self._text(), flush=True)
 
     def end(self) -> None:

@@ -1,6 +1,6 @@
 """Conversion of image encodings to grey levels (H, W) or blue, green, red (H, W, 3), uint8.
 
-Input: the data of sensor_msgs/Image or CompressedImage. Sizes are checked before any pixels are
+The input is the data of sensor_msgs/Image or CompressedImage. Sizes are checked before pixels are
 unpacked.
 """
 
@@ -13,7 +13,8 @@ from ..errors import ImageError, check_image, check_size
 from .headers import PNG, Header, not_turned, read_header
 
 BAYER = {
-    "bayer_rggb": cv2.COLOR_BayerBG2BGR,  # OpenCV names the second row and column
+    # OpenCV names a pattern by its second row and column.
+    "bayer_rggb": cv2.COLOR_BayerBG2BGR,
     "bayer_bggr": cv2.COLOR_BayerRG2BGR,
     "bayer_gbrg": cv2.COLOR_BayerGR2BGR,
     "bayer_grbg": cv2.COLOR_BayerGB2BGR,
@@ -34,7 +35,7 @@ CODES = {
 needed."""
 
 CHANNELS = {"bgr": 3, "rgb": 3, "bgra": 4, "rgba": 4, "yuv422": 2, "yuv422_yuy2": 2}
-"""Number of channels for each kind of pixels with more than one."""
+"""Number of channels for each kind of pixels with more than one channel."""
 
 ENCODINGS = {
     **{f"{kind}8": (kind, 1) for kind in CODES if not kind.startswith("yuv")},
@@ -50,8 +51,8 @@ ENCODINGS = {
 """Encodings of sensor_msgs/Image: kind of pixels, and bytes per number."""
 
 MAX_PIXELS = 50_000_000
-"""Maximum size of an unpacked image [pixels]: 0.15 GB in colour. A small file can declare a much
-larger image."""
+"""Maximum size of an unpacked image [pixels], which is 0.15 GB in colour. The limit is needed
+because a small file can declare a much larger image."""
 
 PNG_DEPTH = 24
 """Position of the bit depth in a PNG file [bytes]."""
@@ -60,8 +61,8 @@ BRIGHT = 127
 """Maximum grey level that leaves the highest bit unused."""
 
 TAIL = 64
-"""Number of bytes at the end of a file that must contain the end mark. It is not always last,
-because some cameras append padding."""
+"""Number of bytes at the end of a file that must contain the end mark. The end mark is not always
+at the end, because some cameras append padding."""
 
 
 def decode(
@@ -87,17 +88,19 @@ def decode(
     big_endian : bool
         Byte order of 16-bit numbers.
     bits : int
-        Number of used bits of 16-bit numbers. For a camera with 12 bits the maximum is 4095.
+        Number of used bits of 16-bit numbers. For example, it is 12 for a camera with the maximum
+        value 4095.
 
     Returns
     -------
     (H, W) or (H, W, 3) uint8
-        Grey levels, or blue, green, red. Shares the memory of `data` if no conversion is needed.
+        Grey levels, or blue, green, red. The array shares the memory of `data` if no conversion is
+        needed.
 
     Raises
     ------
     ImageError
-        If the encoding is unknown, or size, step and number of bytes disagree.
+        If the encoding is unknown, or the size, the step and the number of bytes are inconsistent.
     """
     if encoding not in ENCODINGS:
         raise ImageError(f"image: encoding is {encoding!r}, allowed: {', '.join(ENCODINGS)}")
@@ -138,7 +141,7 @@ def decode_file(
     bits : int
         As in `decode`.
     size_px : (int, int), optional
-        Expected width and height; a file of another size is refused before it is unpacked.
+        Expected width and height. A file of another size is refused before it is unpacked.
 
     Returns
     -------
@@ -148,7 +151,7 @@ def decode_file(
     Raises
     ------
     ImageError
-        If the file is neither JPEG nor PNG, or is damaged or truncated.
+        If the file is neither JPEG nor PNG, is damaged or truncated, or has another size.
     """
     if "compressedDepth" in form:
         raise ImageError(f"image: format is {form!r}, allowed: jpeg, png")
@@ -179,14 +182,14 @@ def is_wide(encoding: str) -> bool:
 
 
 def is_wide_file(content: bytes | bytearray | memoryview) -> bool:
-    """Whether a picture's file has 16 bits per number. Only PNG files can."""
+    """Whether a picture's file has 16 bits per number. Only PNG files can have 16 bits."""
     return bytes(content[: len(PNG)]) == PNG and len(content) > PNG_DEPTH and content[PNG_DEPTH] > 8
 
 
 def bits_hint(image: np.ndarray, bits: int) -> str:
-    """Return a remedy for an image (H, W) or (H, W, 3) uint8 that had 16 bits and is too dark or
-    too bright: another value of `bits`. Empty if `bits` is not the reason, or if the image is
-    black."""
+    """Return a hint for an image (H, W) or (H, W, 3) uint8 that had 16 bits and is too dark or too
+    bright. The hint suggests another value of `bits`. Empty if `bits` is not the reason, or if the
+    image is black."""
     brightest = int(image.max(initial=0))
     used = bits - 8 + brightest.bit_length()
     if brightest > BRIGHT:
@@ -197,15 +200,15 @@ def bits_hint(image: np.ndarray, bits: int) -> str:
 
 
 def unpack(content: bytes, flags: int, header: Header | None = None) -> np.ndarray | None:
-    """Return the pixels of a picture's file by OpenCV's flags, never rotated; None if it is not a
-    picture, or damaged.
+    """Return the pixels of a picture's file, as OpenCV's flags define. They are never rotated. None
+    if the file is damaged or not a picture.
 
     `header` is the header of the file, if it has been read already.
 
     Raises
     ------
     ImageError
-        If the file declares no pixels or too many. This is checked before unpacking.
+        If the file declares no pixels or too many pixels. This is checked before unpacking.
     """
     header = header or read_header(content)
     if header is None:
@@ -231,11 +234,12 @@ def grey_levels(image: np.ndarray) -> np.ndarray:
     image = np.asarray(image)
     check_image(image)
     grey = image if image.ndim == 2 else image[:, :, 1]
-    return np.ascontiguousarray(grey)  # make it contiguous once here, instead of in each kernel
+    return np.ascontiguousarray(grey)  # make it contiguous here, so that no kernel copies it
 
 
 def check_pixels(width: int, height: int, what: str = "image:") -> None:
-    """Refuse images without pixels or with too many. `what` begins the message."""
+    """Refuse images without pixels or with too many pixels. `what` is the beginning of the
+    message."""
     if width < 1 or height < 1 or width * height > MAX_PIXELS:
         raise ImageError(
             f"{what} size is {width} x {height} px, allowed: at least 1 x 1, "
@@ -249,7 +253,8 @@ def to_8_bits(wide: np.ndarray, bits: int) -> np.ndarray:
 
 
 def to_colour(pixels: np.ndarray, kind: str) -> np.ndarray:
-    """Return blue, green, red (H, W, 3) or grey levels (H, W) of pixels of a key of `CODES`."""
+    """Return blue, green, red (H, W, 3) or grey levels (H, W) of pixels. `kind` is a key of
+    `CODES`."""
     code = CODES[kind]
     if code is None:
         return pixels

@@ -35,7 +35,8 @@ PICTURES = (".bmp", ".jpeg", ".jpg", ".pgm", ".png", ".ppm", ".tif", ".tiff", ".
 KINDS = "BMP, JPEG, PNG, PGM, PPM, TIFF or WebP"
 
 PICTURE_BYTES, VIDEO_BYTES = 64_000_000, 4_000_000_000
-"""Maximum size of a file [bytes]: 20 megapixels without compression; half an hour of full HD."""
+"""Maximum size of a file [bytes]. Pictures: 20 megapixels without compression. Videos: half an hour
+of full HD."""
 
 
 NO_FILM = "cannot be read, allowed: a video that OpenCV can decode"
@@ -71,8 +72,8 @@ def _camera_fields(path: Path) -> Fields:
 
 
 def save_lens(path: str | Path, camera: str, size_px: tuple[int, int], lens: Lens) -> None:
-    """Write the camera_info file of a camera for images of a width and height: without
-    rectification (R = 1), P = [K 0].
+    """Write the camera_info file of a camera for images of a width and height. The file has no
+    rectification: R = 1 and P = [K 0].
 
     Raises
     ------
@@ -100,8 +101,8 @@ def _block(matrix: np.ndarray) -> dict[str, object]:
 
 
 def _matrix(fields: Fields, shape: tuple[int, int] | None) -> np.ndarray:
-    """Return the values of a matrix as a flat array. If no shape is given, the file determines
-    it."""
+    """Return the values of a matrix as a flat array. If `shape` is None, the file determines the
+    shape."""
     rows, columns = fields.integer("rows", 1, 16), fields.integer("cols", 1, 16)
     if shape is not None and (rows, columns) != shape:
         raise CalibrationError(
@@ -111,16 +112,16 @@ def _matrix(fields: Fields, shape: tuple[int, int] | None) -> np.ndarray:
 
 
 def read_pictures(path: Path, warn: Callable[[str], None] | None = None) -> Pictures:
-    """Return an iterator over pictures. It yields the name and the pixels (H, W, 3) uint8, blue,
-    green, red, of each.
+    """Return an iterator over pictures. It yields the name of each picture and its pixels
+    (H, W, 3) uint8, blue, green, red.
 
-    Pictures are never rotated: an orientation in EXIF, PNG, TIFF, WebP or a video is ignored. A
-    warning names the first picture that has one.
+    Pictures are never rotated. An orientation in EXIF, PNG, TIFF, WebP or a video is ignored. A
+    warning names the first picture that has an orientation.
 
     Parameters
     ----------
     path : Path
-        A folder, whose pictures are sorted by name; a picture; or a video.
+        A folder, a picture or a video. The pictures of a folder are sorted by name.
     warn : callable, optional
         Called with the text of a warning. Default: print it to stderr.
 
@@ -147,11 +148,13 @@ class Pictures:
     ----------
     is_film : bool
     count : int
-        Number of pictures; of a video as declared in its file, which may be wrong or 0.
+        Number of pictures or frames. For a video, it is the number that its file declares, which
+        may be wrong or 0.
     place : int
-        Number of pictures read or skipped.
+        Number of pictures that were read or skipped.
     rate : float
-        Frames per second declared in a video's file, which may be wrong or 0; 0 for pictures.
+        Frames per second that a video's file declares, which may be wrong or 0. For pictures, it is
+        0.
     """
 
     def __init__(self, path: Path, files: Sequence[Path], warn: Callable[[str], None]) -> None:
@@ -228,7 +231,7 @@ def write_picture(path: Path, picture: np.ndarray) -> None:
     Raises
     ------
     ImageError
-        If it cannot be written.
+        If the file cannot be written.
     """
     try:
         done = cv2.imwrite(str(path), picture)
@@ -241,11 +244,11 @@ def write_picture(path: Path, picture: np.ndarray) -> None:
 
 
 def rig_of_picture(rig: Rig, size_px: tuple[int, int]) -> tuple[Rig, str]:
-    """Return the rig adapted to pictures of a size (width, height), and a message for the user. The
-    rig is unchanged and the message empty if this is the size of the rig's camera.
+    """Return the rig adapted to pictures of a size (width, height), and a message for the user.
 
-    For another size the camera's pose is unknown. The picture is then taken as a view from straight
-    above of a plate that fills it and has the length of the rig's plate.
+    If this is the size of the rig's camera, the rig is unchanged and the message is empty. For
+    another size, the camera's pose is unknown. The function then assumes a view from straight
+    above and a plate that fills the picture and has the length of the rig's plate.
     """
     camera = rig.camera
     if size_px == (camera.width_px, camera.height_px):

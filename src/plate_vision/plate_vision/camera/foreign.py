@@ -1,6 +1,6 @@
 """Camera files of other programs, converted to the keys of a camera_info file.
 
-Supported are files of OpenCV's cv::FileStorage and `.ini` files of ROS 1.
+The module supports files of OpenCV's cv::FileStorage and `.ini` files of ROS 1.
 """
 
 from __future__ import annotations
@@ -15,10 +15,11 @@ from plate_core.yaml_fields import Fields, parse_yaml
 from ..errors import CalibrationError
 
 OPENCV = b"%YAML:1.0"
-"""First bytes of files from cv::FileStorage up to OpenCV 4; version 5 writes standard YAML."""
+"""First bytes of files that cv::FileStorage writes up to OpenCV 4. Version 5 writes standard
+YAML."""
 
 MATRIX = re.compile(rb"!!opencv-[a-z-]+")
-"""Tag of a matrix in these files; JSON files have `type_id`."""
+"""Tag of a matrix in these files. JSON files have `type_id` instead."""
 
 NAMES = {
     "image_width": ("imagewidth", "width"),
@@ -26,7 +27,7 @@ NAMES = {
     "camera_matrix": ("cameramatrix", "intrinsics", "k", "mtx"),
     "distortion_coefficients": ("distortioncoefficients", "distcoeffs", "dist", "d"),
 }
-"""Keys of a camera_info file, and the names for them in programs of OpenCV, without `_`."""
+"""Keys of a camera_info file, and their names in OpenCV's programs, without `_`."""
 
 BLOCKS = {"camera matrix": (3, 3), "distortion": (1, None)}
 """Blocks of an `.ini` file that are read, with their shapes."""
@@ -48,13 +49,13 @@ def is_opencv(content: bytes) -> bool:
 def read_opencv(content: bytes, path: Path) -> Fields:
     """Return the camera in a file of cv::FileStorage.
 
-    If `distortion_model` is missing, it follows from `fisheye_model`, which OpenCV's example
-    writes, and from the number of coefficients.
+    If `distortion_model` is missing, the model is determined from the number of coefficients and
+    from `fisheye_model`, which OpenCV's example program writes.
 
     Raises
     ------
     CalibrationError
-        If the file is malformed, or contains no K.
+        If the file is malformed, or does not contain K.
     """
     if content.lstrip()[:1] == b"<":
         raise CalibrationError(
@@ -79,7 +80,7 @@ def read_opencv(content: bytes, path: Path) -> Fields:
 
 
 def _block(value: Any) -> Any:
-    """Return a matrix in the form of camera_info files; an nd-matrix has `sizes`."""
+    """Return a matrix in the form of camera_info files. An nd-matrix of OpenCV has `sizes`."""
     if not isinstance(value, Mapping) or not isinstance(value.get("sizes"), list):
         return value
     rows, columns = [1, 1, *value["sizes"]][-2:]
@@ -96,8 +97,8 @@ def _model(spelt: Mapping[str, Any], data: Mapping[str, Any]) -> str:
 
 
 def read_ini(content: bytes, path: Path) -> Fields:
-    """Return the camera in an `.ini` file of ROS 1: each block of numbers follows a line with its
-    name.
+    """Return the camera in an `.ini` file of ROS 1. In this file, each block of numbers follows a
+    line with its name.
 
     Raises
     ------

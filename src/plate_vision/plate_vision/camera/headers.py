@@ -1,9 +1,10 @@
 """Size and orientation of a picture file. They are read from its header, before the pixels are
 unpacked.
 
-A file of 389 kB can unpack to 20000 x 20000 pixels, so the size is checked first. OpenCV rotates
-pictures by their orientation; ROS never does. This project keeps the pixels as the sensor stores
-them, because `camera_info` and `corners_px` refer to the unrotated picture.
+The size is checked first, because a file of 389 kB can unpack to 20000 x 20000 pixels. OpenCV
+rotates pictures according to their orientation, but ROS does not rotate them. This project uses the
+pixels as the sensor stores them, because `camera_info` and `corners_px` refer to the unrotated
+picture.
 """
 
 from __future__ import annotations
@@ -14,8 +15,8 @@ from collections.abc import Iterator
 from typing import NamedTuple
 
 ORIENTATION = 274
-"""EXIF and TIFF tag for the rotation and mirroring that a viewer applies. The value 1 means
-none."""
+"""EXIF and TIFF tag for the rotation and mirroring that a viewer applies. The value 1 means no
+rotation and no mirroring."""
 
 WIDTH, HEIGHT = 256, 257
 """TIFF tags of the size."""
@@ -36,16 +37,16 @@ PNM = re.compile(rb"P[1-6](?:\s+(?:#[^\n]*\n\s*)*)(\d+)(?:\s+(?:#[^\n]*\n\s*)*)(
 """Kind, width and height of a PNM file, with comments between them."""
 
 MAX_ENTRIES = 1000
-"""Maximum number of tags that are read from a directory; files have some dozens."""
+"""Maximum number of tags that are read from a directory. Files usually have some dozens."""
 
 
 MAX_PIECES = 20_000
-"""Maximum number of chunks that are read from a file. A PNG file of 64 MB has 8,000; a malformed
-file may have millions."""
+"""Maximum number of chunks that are read from a file. A PNG file of 64 MB has 8,000 chunks. A
+malformed file may have millions."""
 
 
 BROKEN = (struct.error, IndexError, OverflowError)
-"""Errors from a file that is truncated, or refers to places beyond its end."""
+"""Errors that occur if a file is truncated, or refers to positions beyond its end."""
 
 
 class Header(NamedTuple):
@@ -56,11 +57,11 @@ class Header(NamedTuple):
     kind : str
         PNG, JPEG, BMP, PNM, TIFF or WebP.
     width, height : int
-        Size as stored [px].
+        Size of the picture as stored [px].
     orientation : int
         EXIF orientation, 1 to 8.
     place : int
-        Position of the orientation in a TIFF file [bytes]; 0 if there is none.
+        Position of the orientation in a TIFF file [bytes]. 0 if there is no orientation.
     """
 
     kind: str
@@ -71,7 +72,8 @@ class Header(NamedTuple):
 
 
 def read_header(content: bytes) -> Header | None:
-    """Return the header of a picture's file; None if its kind is unknown or it is malformed."""
+    """Return the header of a picture's file. None if the kind of file is unknown or the file is
+    malformed."""
     try:
         if content.startswith(PNG):
             return _png(content)
@@ -91,8 +93,8 @@ def read_header(content: bytes) -> Header | None:
 
 
 def not_turned(content: bytes, header: Header) -> bytes:
-    """Return the file with its orientation set to 1 if it is TIFF, which OpenCV rotates in spite of
-    its flags."""
+    """Return the file. The orientation of a TIFF file is set to 1, because OpenCV rotates these
+    files in spite of its flags."""
     if header.kind != "TIFF" or not header.place:
         return content
     value = b"\1\0" if content[:2] == b"II" else b"\0\1"
@@ -100,7 +102,7 @@ def not_turned(content: bytes, header: Header) -> bytes:
 
 
 def turned_text(header: Header) -> str:
-    """Return a warning about a picture that viewers rotate or mirror; empty if they do not."""
+    """Return a warning about a picture that viewers rotate or mirror. Empty for other pictures."""
     if header.orientation == 1:
         return ""
     do = TURNS[header.orientation]
@@ -181,8 +183,8 @@ def _tiff(content: bytes) -> Header | None:
 
 
 def _exif(data: bytes) -> int:
-    """Return the orientation in EXIF data, which has the form of a TIFF file; 1 if there is
-    none."""
+    """Return the orientation in EXIF data, which have the form of a TIFF file. 1 if there is no
+    orientation."""
     try:
         found = (value for tag, value, _ in _tags(data) if tag == ORIENTATION)
         return _known(next(found, 1))
@@ -195,8 +197,8 @@ def _known(orientation: int) -> int:
 
 
 def _tags(data: bytes) -> Iterator[tuple[int, int, int]]:
-    """Yield tag, first value and position of the value [bytes] for each integer tag in the first
-    directory of a TIFF file.
+    """Yield the tag, its first value and the position of the value [bytes] for each integer tag in
+    the first directory of a TIFF file.
 
     Raises
     ------

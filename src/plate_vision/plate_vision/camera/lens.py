@@ -1,6 +1,6 @@
 """Mapping between image points [px] and points of the plate [m, plate_home], with lens distortion.
 
-`calibrate` fits a homography to four pairs of points; `Calibration` applies it together with the
+`calibrate` fits a homography to four pairs of points. `Calibration` applies the homography and the
 lens (`plate_core.rig.Lens`).
 """
 
@@ -24,7 +24,7 @@ MIN_AREA_PX2 = 100.0
 """Minimum area of the plate in an image [px2]. On a smaller plate, no part is large enough."""
 
 SLENDER = 1e-4
-"""Minimum area of the quadrilateral of four plate points, relative to their extent squared."""
+"""Minimum area of the quadrilateral of four plate points, relative to their squared extent."""
 
 SLOPE_STEP = 1e-4
 """Step of the finite differences for the scale under a lens [m]."""
@@ -41,13 +41,13 @@ class Lens:
     matrix : (3, 3)
         Focal lengths and image centre [px].
     distortion : (n,)
-        OpenCV's k1, k2, p1, p2[, k3[, k4, k5, k6[, s1, s2, s3, s4[, tau_x, tau_y]]]]; for an
-        equidistant lens k1, k2, k3, k4.
+        OpenCV's k1, k2, p1, p2[, k3[, k4, k5, k6[, s1, s2, s3, s4[, tau_x, tau_y]]]]. An
+        equidistant lens has k1, k2, k3, k4.
     model : str, optional
-        A key of `plate_core.rig.LENS_MODELS`. None: plumb_bob if there are up to five values, else
-        rational_polynomial.
+        A key of `plate_core.rig.LENS_MODELS`. None: plumb_bob if there are up to five values,
+        otherwise rational_polynomial.
     source : str
-        Origin, such as a file's name, with which messages begin; may be empty.
+        Origin of the lens, such as the name of a file. Messages begin with it. It may be empty.
 
     Raises
     ------
@@ -77,7 +77,7 @@ class Lens:
 
     @property
     def bends(self) -> bool:
-        """Whether the distortion is not zero."""
+        """Whether the lens has distortion."""
         return self._formula.bends
 
     def straighten(self, point_px: np.ndarray) -> np.ndarray:
@@ -87,7 +87,7 @@ class Lens:
         return self._formula.straighten(point_px) if len(point_px) and self.bends else point_px
 
     def bend(self, point_px: np.ndarray) -> np.ndarray:
-        """Apply the distortion to points (M, 2) [px] of the straight image."""
+        """Apply the distortion to points (M, 2) [px] of the undistorted image."""
         return self._formula.bend(_points(point_px))
 
     def check_folding(self, corners_px: np.ndarray, straight: bool = False) -> None:
@@ -98,7 +98,7 @@ class Lens:
         corners_px : (4, 2)
             Corners of the plate in the image [px].
         straight : bool
-            Whether they are corners in the image without distortion.
+            Whether the corners are those in the undistorted image.
 
         Raises
         ------
@@ -124,9 +124,9 @@ class Calibration:
     home_from_image : (3, 3)
         Its inverse.
     lens : Lens, optional
-        A distorting lens; the homographies then refer to the image without distortion.
+        A distorting lens. If it is given, the homographies refer to the undistorted image.
     place : (3,), optional
-        Centre of projection of the camera [m, plate_home]; None if unknown.
+        Centre of projection of the camera [m, plate_home]. None if unknown.
     """
 
     image_from_home: np.ndarray
@@ -146,8 +146,8 @@ class Calibration:
         return straight if self.lens is None else self.lens.bend(straight)
 
     def slopes(self, point_px: np.ndarray) -> np.ndarray:
-        """Derivative (M, 2, 2) [m/px] of `to_home` at image points (M, 2) [px]: analytic without a
-        lens, by central differences with one."""
+        """Derivative (M, 2, 2) [m/px] of `to_home` at image points (M, 2) [px]. Without a lens it
+        is computed analytically, with a lens by central differences."""
         point_px = _points(point_px)
         if self.lens is None:
             rows = point_px @ self.home_from_image[:, :2].T + self.home_from_image[:, 2]
@@ -159,12 +159,12 @@ class Calibration:
         return np.stack([seen[0] - seen[1], seen[2] - seen[3]], axis=2)
 
     def disc_centres(self, ring_px: np.ndarray) -> np.ndarray:
-        """Return the centres (M, 2) [m, plate_home] of discs, from points (M, k, 2) [px] at equal
-        angles on the ellipses that are their images.
+        """Return the centres (M, 2) [m, plate_home] of discs. Their images are ellipses, given by
+        points (M, k, 2) [px] at equal angles.
 
-        The centre of a disc's image is not the image of its centre: perspective and a strong lens
-        shift it by some hundredths of a pixel. Therefore the points are mapped to the plate, and
-        the centroid of their polygon is returned.
+        The centre of a disc's image is not the image of its centre, because perspective and a
+        strong lens shift it by some hundredths of a pixel. Therefore the points are mapped to the
+        plate, and the centroid of their polygon is returned.
         """
         count, corners = ring_px.shape[:2]
         outline = self.to_home(ring_px.reshape(-1, 2)).reshape(count, corners, 2)
@@ -176,7 +176,8 @@ class Calibration:
         return np.asarray(middle + shift)
 
     def scale(self, point: np.ndarray) -> np.ndarray:
-        """Pixels per metre (M,) at points of plate_home (M, 2) [m]: square root of the area ratio.
+        """Pixels per metre (M,) at points of plate_home (M, 2) [m]. It is the square root of the
+        ratio of areas.
 
         A homography H scales a small area by det(H) / w^3, where w is the third homogeneous
         coordinate of the image point. With a lens the ratio comes from central differences.
@@ -213,8 +214,8 @@ def calibrate(
     Raises
     ------
     CalibrationError
-        If either four points are not the corners of a convex quadrilateral, or the lens folds the
-        image of the plate.
+        If `corners_px` or `corners` are not the corners of a convex quadrilateral, or if the lens
+        folds the image of the plate.
     """
     corners_px = check_quadrilateral(corners_px, "corners_px", CalibrationError)
     corners = np.asarray(corners, dtype=float)
@@ -239,7 +240,7 @@ def check_quadrilateral(
     Raises
     ------
     error
-        If the polygon has another form; the message names the defect.
+        If the polygon has another form. The message states the defect.
     """
     polygon = np.asarray(polygon, dtype=float)
     if polygon.shape != (4, 2) or not np.all(np.isfinite(polygon)):
@@ -266,9 +267,10 @@ def calibrate_by_matrix(
     image_from_home: np.ndarray, lens: Lens | None = None, place: np.ndarray | None = None
 ) -> Calibration:
     """Return the calibration for a known homography (3, 3) from plate_home [m] to the image [px].
-    If there is a lens, this is the image without distortion.
+    If there is a lens, the homography maps to the undistorted image.
 
-    The camera's place (3,) [m, plate_home] follows from the lens. Without a lens it may be given.
+    The camera's place (3,) [m, plate_home] is computed from the lens. Without a lens, it may be
+    given as an argument.
 
     Raises
     ------
@@ -290,8 +292,8 @@ def calibrate_by_matrix(
 
 
 def calibrate_by_rig(rig: Rig, lens: Lens | None = None) -> Calibration:
-    """Calibrate by the images of the plate's corners in the rig file, and by its lens if none is
-    given."""
+    """Calibrate by the image points of the plate's corners in the rig file. If no lens is given,
+    the lens of the rig file is used."""
     lens = lens or rig_lens(rig)
     place = camera_place(rig) if lens is None else None
     return calibrate(np.array(rig.camera.corners_px), rig.plate.corners, lens, place)

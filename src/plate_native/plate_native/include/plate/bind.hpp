@@ -1,4 +1,4 @@
-// Conversion of Python arrays to C++ views: type, axes and order are checked, nothing is copied.
+// Conversion of Python arrays to C++ views without copies. Type, axes and order are checked.
 #pragma once
 #include <nanobind/nanobind.h>
 #include <nanobind/ndarray.h>
@@ -48,7 +48,7 @@ SamplesOf<Number> samples(const Array<const Number, 2>& array) {
     return {array.data(), static_cast<int>(array.shape(0)), 3, 1};
 }
 
-// A numpy array that takes over the memory of a vector.
+// A numpy array that becomes the owner of a vector's memory.
 template <int N, class T = double, class Memory = std::allocator<T>>
 nb::ndarray<nb::numpy, T, nb::ndim<N>> to_numpy(std::vector<T, Memory>&& numbers,
                                                 std::array<size_t, N> shape) {

@@ -1,7 +1,7 @@
-// Lengths of vectors, equal to the last bit on all processors.
+// Lengths of vectors, bitwise equal on all processors.
 //
 // C libraries round std::hypot differently. IEEE 754 fixes sums, products and square roots, so
-// |(x, y)| = sqrt(x x + y y) has one value everywhere. A square overflows beyond 1e154 and loses
+// |(x, y)| = sqrt(x x + y y) has one value everywhere. A square overflows above 1e154 and loses
 // digits below 1e-146. Only lengths that may reach these limits need `scaled_length`.
 #pragma once
 #include <algorithm>

@@ -1,7 +1,7 @@
-// Products of small matrices. The order of summation does not depend on the processor's vectors.
-//
-// Vector instructions run along a row of the result, so each sum is computed term by term, as
-// written.
+// Products of small matrices. The order of summation does not depend on the processor's vector
+// width.
+// Vector instructions compute several columns of a row at once. Each sum is computed term by term,
+// in the order of the source code.
 #pragma once
 #include <algorithm>
 
@@ -9,7 +9,7 @@
 
 namespace plate {
 
-// Count of numbers in a vector of 256 bits.
+// Number of values in a vector of 256 bits.
 template <class Number>
 constexpr int LANES_OF = 32 / sizeof(Number);
 
@@ -66,7 +66,8 @@ template <class Number>
     }
 }
 
-// result (high, wide) = the sum over k of a[k] b[k]': a' b. Rows are `.._row` numbers apart.
+// result (high, wide) = a' b, the sum over k of a[k] b[k]'. The rows of each matrix are `.._row`
+// numbers apart.
 PLATE_WIDE inline void product(const double* a, int a_row, const double* b, int b_row, int terms, int high, int wide,
                                double* result, int result_row) {
     product_of(a, a_row, b, b_row, terms, high, wide, result, result_row);
@@ -77,7 +78,8 @@ PLATE_WIDE inline void product(const float* a, int a_row, const float* b, int b_
     product_of(a, a_row, b, b_row, terms, high, wide, result, result_row);
 }
 
-// The upper half of a' a (count, count), and the rest of its tiles.
+// The upper half of a' a (count, count). Entries below the diagonal are computed if they belong to
+// a tile of the upper half.
 PLATE_WIDE inline void square_product(const double* a, int a_row, int terms, int count, double* result) {
     square_product_of(a, a_row, terms, count, result);
 }

@@ -1,4 +1,5 @@
-// Vectors of numbers for the processor's vector instructions; + - * / act on each number.
+// Vectors of numbers for the processor's vector instructions. The operators + - * / act on each
+// number.
 #pragma once
 #include <cstring>
 

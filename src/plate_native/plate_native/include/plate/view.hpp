@@ -1,4 +1,5 @@
-// Views of arrays in memory that others own, and a matrix that owns its memory; both in row order.
+// Views of arrays that do not own their memory, and a matrix that owns its memory. Both are in row
+// order.
 #pragma once
 #include <array>
 #include <cstddef>
@@ -7,7 +8,7 @@
 
 namespace plate {
 
-// A view of an array of N axes, the last one innermost.
+// A view of an array with N axes in row order.
 template <class T, int N>
 struct View {
     T* data;
@@ -49,7 +50,7 @@ struct Aligned {
 template <class Number>
 using AlignedNumbers = std::vector<Number, Aligned<Number>>;
 
-// A matrix that owns its numbers and keeps its memory when it becomes smaller.
+// A matrix that owns its numbers. Its memory does not shrink when it becomes smaller.
 template <class Number>
 struct MatrixOf {
     int rows = 0, columns = 0;

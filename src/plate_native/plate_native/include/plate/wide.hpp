@@ -1,7 +1,9 @@
-// PLATE_WIDE: the function is compiled for several vector widths; the loader chooses one.
+// PLATE_WIDE: the function is compiled for several vector widths. The loader of the operating
+// system selects one.
 //
 // Results do not depend on the width: the order of sums is fixed, and products are not fused with
-// sums. 512 bits are excluded: there GCC 12 loads past the ends of arrays (test_native.py).
+// sums. Vectors of 512 bits are excluded, because GCC 12 then loads past the ends of arrays
+// (test_native.py).
 #pragma once
 
 #if defined(__x86_64__) && defined(__gnu_linux__) && defined(__GNUC__) && !defined(__clang__)
