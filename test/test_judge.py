@@ -4,7 +4,9 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from cuts import cut
 from record.limits import limit_shares, thermal_load
+from shaking import shaking
 
 from plate_core import PlateCycle, load_rig
 from plate_core.motion import usage
@@ -62,3 +64,69 @@ def test_judge_and_guard_agree(seed):
     ]  # fmt: skip
     np.testing.assert_allclose(limit_shares(rig, cycle), guard, rtol=1e-3)
     np.testing.assert_allclose(thermal_load(rig, cycle), told.thermal_load, rtol=1e-3)
+
+
+def jump(seconds):
+    """A cycle whose velocity changes by 0.5 m/s within `seconds`, and changes back."""
+    times = [0.0, 0.01, 0.05, 0.05 + seconds, 0.09, 0.1]
+    speed = [0.0, -0.1, -0.1, 0.4, 0.0, 0.0]
+    place = np.concatenate(
+        [[0], np.cumsum(np.diff(times) * (np.array(speed[1:]) + speed[:-1]) / 2)]
+    )
+    place[-1] = place[-2] = 0.0
+    states = [np.outer(row, [1.0, 0, 0]) for row in (place, speed, np.zeros(6))]
+    return PlateCycle.from_knots(times, *states)
+
+
+@pytest.mark.parametrize("seconds", [1e-9, 1e-7, 1e-5, 1e-4])
+def test_a_jump_between_two_samples_is_seen(seconds):
+    _, _, accel, _ = limit_shares(RIG, jump(seconds))
+    assert accel > 0.5 / seconds / RIG.limits.accel
+
+
+@pytest.fixture(name="ros")
+def _ros():
+    """Functions that record motor tables, and starts of cycles at times [s]."""
+    pytest.importorskip("rclpy")
+    from graph.observer import Record
+    from rclpy.serialization import serialize_message
+    from record.judge import check_limits
+
+    from plate_core.ros import cycle_to_msg, motors_to_msg, to_time
+
+    def faults(cycles=(), starts=()):
+        stamp = to_time(1)
+        tables = [serialize_message(motors_to_msg(RIG, cycle, stamp)) for cycle in cycles]
+        told = [
+            serialize_message(cycle_to_msg(cycle, to_time(round(1e9 * at)))) for at, cycle in starts
+        ]
+        return list(check_limits(Record(tables=tables, starts=told), RIG).faults)
+
+    return faults
+
+
+CALM = shaking(0.0005, 0.3)
+FIRST, SECOND = cut(CALM, 0, 16), cut(CALM, 16, 32)
+OTHER = cut(shaking(0.0004, 0.3), 16, 32)
+
+
+def test_a_recording_that_begins_in_motion_is_a_fault(ros):
+    assert ros([FIRST, SECOND]) == []
+    [fault] = ros([SECOND])
+    assert fault.startswith("motor table 0: begins neither at rest nor in the end of another")
+    assert len(ros([FIRST, OTHER])) == 1
+
+
+def test_a_table_that_continues_an_earlier_one_must_not_be_played_in_between(ros):
+    """The tables are valid, because the device refuses one that comes too late."""
+    third = cut(CALM, 32, 48)
+    tables = [FIRST, SECOND, third]
+    assert ros(tables, [(0, FIRST), (0.1, SECOND), (0.2, third), (0.3, third.tail)]) == []
+    assert ros(tables, [(0, FIRST), (0.1, FIRST.tail), (0.15, PlateCycle.rest(0.1))]) == []
+    [fault] = ros(tables, [(0, FIRST), (0.1, third)])
+    assert fault.startswith("cycle started at 0.100 s: the plate jumps by ")
+    assert len(ros(tables, [(0, FIRST), (0.1, PlateCycle.rest(0.1))])) == 1
+    assert len(ros(tables, [(0, PlateCycle.rest(0.1)), (0.1, SECOND)])) == 1
+    # Published again, or a report between them was lost.
+    assert ros(tables, [(0, FIRST), (0, FIRST), (0.1, SECOND)]) == []
+    assert ros(tables, [(0, FIRST), (0.2, third)]) == []

@@ -138,6 +138,8 @@ class Record:
     truth, tables : list of bytes
         All messages of ground_truth and of motor_setpoints. Without a simulator, `truth` has the
         messages of parts.
+    starts : list of bytes
+        All messages of cycle_started.
     simulated : bool
         Whether there is a simulator.
     answers : int
@@ -156,6 +158,7 @@ class Record:
 
     truth: list[bytes] = field(default_factory=list)
     tables: list[bytes] = field(default_factory=list)
+    starts: list[bytes] = field(default_factory=list)
     simulated: bool = True
     answers: int = 0
     images: Thinned = field(default_factory=Thinned)
@@ -253,6 +256,7 @@ class Observer:
 
         listen(Parts, "ground_truth" if simulated else "parts", record.truth.append, ALL, True)
         listen(JointTrajectory, "motor_setpoints", record.tables.append, ALL, True)
+        listen(JointTrajectory, "cycle_started", record.starts.append, ALL, True)
         listen(JointTrajectory, "plate_cycle", self._on_answer, ALL, True)
         if pictures:
             listen(Image, "image_raw", record.images.add, CAMERA, True)

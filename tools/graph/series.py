@@ -172,6 +172,7 @@ def one_task(
         rows(others, start, end) if others is not None else np.zeros((0, len(CHAIN) + 1)),
     )
     record.tables.clear()
+    record.starts.clear()
     record.truth.clear()
     for said in record.said.values():
         del said[:-1]

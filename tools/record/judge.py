@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import os
 from collections import deque
+from collections.abc import Iterable
 from dataclasses import dataclass
 from typing import Any
 
@@ -16,7 +17,7 @@ from trajectory_msgs.msg import JointTrajectory
 from plate_bringup import RunOptions
 from plate_core import PlateCycle, PlateError, Rig
 from plate_core.motion import is_rest
-from plate_core.ros import msg_to_motors
+from plate_core.ros import msg_to_cycle, msg_to_motors, nanoseconds
 from plate_core.tasks import AssembleTask, FollowTask, PoseTask, Task, load_scenario
 from plate_planner.tasks import SLOWED
 
@@ -41,6 +42,10 @@ table that arrives too late, so the next one continues an earlier table."""
 ROUNDING = 1e-6
 """Fraction of a limit that rounding may add."""
 
+GAP_S = 5e-3
+"""Maximum time between the end of a cycle and the start of the next one [s]. If it is longer, the
+report of a cycle between them was lost, or the simulator was late."""
+
 
 @dataclass(frozen=True)
 class LimitCheck:
@@ -51,7 +56,8 @@ class LimitCheck:
     tables : int
         Number of motor tables.
     faults : tuple of str
-        Messages on invalid tables. Empty if all are valid.
+        Messages on invalid tables, and on cycles that began with a jump of the plate. Empty if all
+        are valid.
     shares : dict of str to float
         Maximum fraction of each limit, by `SHARES`. `heat` is the maximum of a motor's I2t load
         over all tables, as a fraction of the continuous load.
@@ -89,13 +95,50 @@ def check_limits(record: Record, rig: Rig) -> LimitCheck:
             )
         if hottest > 1 + ROUNDING:
             faults.append(f"motor table {number}: heat {hottest:.4f} of the limit")
-        if before and not (cycle.starts_at_rest or any(map(cycle.follows, before))):
+        if not (cycle.starts_at_rest or any(map(cycle.follows, before))):
             faults.append(f"motor table {number}: begins neither at rest nor in the end of another")
         if not is_rest(cycle.parts[-1].state(-1)):
             faults.append(f"motor table {number}: does not end at rest at home")
         before.append(cycle)
+    faults += jumps(record.starts)
     shares = {**dict(zip(SHARES, most.tolist(), strict=True)), "heat": hottest}
     return LimitCheck(len(record.tables), tuple(faults), shares)
+
+
+def jumps(starts: Iterable[bytes]) -> list[str]:
+    """Return messages on jumps of the plate between two cycles that it has played.
+
+    A motor table is valid if it continues any of the last tables, but the plate must play it only
+    after that table. So this check uses the reported starts.
+
+    Parameters
+    ----------
+    starts : iterable of bytes
+        Messages of cycle_started.
+    """
+    faults: list[str] = []
+    before: PlateCycle | None = None
+    end_ns = began_ns = 0
+    for data in starts:
+        msg = deserialize_message(data, JointTrajectory)
+        began = nanoseconds(msg.header.stamp)
+        if before is not None and began == began_ns:  # published again in lockstep
+            continue
+        try:
+            cycle = msg_to_cycle(msg)
+        except PlateError as error:
+            faults.append(f"cycle started at {1e-9 * began:.3f} s: {error}")
+            before = None
+            continue
+        in_turn = before is not None and abs(began - end_ns) <= 1e9 * GAP_S
+        if before is not None and in_turn and not cycle.follows(before):
+            gap = np.max(np.abs(cycle.state(0) - before.state(-1)), axis=1)
+            faults.append(
+                f"cycle started at {1e-9 * began:.3f} s: the plate jumps by {gap[0]:.3g} m or rad, "
+                f"{gap[1]:.3g} m/s or rad/s, {gap[2]:.3g} m/s2 or rad/s2"
+            )
+        before, began_ns, end_ns = cycle, began, began + round(1e9 * cycle.period)
+    return faults
 
 
 def judge(

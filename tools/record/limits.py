@@ -12,7 +12,11 @@ import numpy as np
 from plate_core import PlateCycle, Rig
 
 SAMPLES = 1000
-"""Number of samples per cycle."""
+"""Number of equally spaced samples per cycle."""
+
+PIECE_SAMPLES = 8
+"""Number of samples per piece between two knots. A piece may be shorter than the equally spaced
+samples: the motion can change its velocity within a nanosecond."""
 
 Motion = tuple[np.ndarray, np.ndarray, np.ndarray]
 """Pose, twist and acceleration of the plate (n, 3) at n instants."""
@@ -20,7 +24,7 @@ Motion = tuple[np.ndarray, np.ndarray, np.ndarray]
 
 def limit_shares(rig: Rig, cycle: PlateCycle) -> np.ndarray:
     """Return the maximum fractions (4,) of stroke, speed, acceleration and force in one cycle."""
-    motion, (point, way) = _motion(cycle), _motors(rig)
+    motion, (point, way) = _motion(cycle, _all_times(cycle)), _motors(rig)
     place, velocity, _ = _points(motion, point)
     most = [
         _along(way, place - point) / rig.limits.stroke_m,
@@ -33,7 +37,7 @@ def limit_shares(rig: Rig, cycle: PlateCycle) -> np.ndarray:
 
 def thermal_load(rig: Rig, cycle: PlateCycle) -> np.ndarray:
     """Return each motor's load (4,): mean(F^2) / F_continuous^2."""
-    force = motor_forces(rig, _motion(cycle))[:-1]
+    force = motor_forces(rig, _motion(cycle, np.linspace(0, cycle.period, SAMPLES)))[:-1]
     return np.asarray(np.mean(force**2, axis=0) / rig.limits.continuous_force**2)
 
 
@@ -65,9 +69,15 @@ def motor_forces(rig: Rig, motion: Motion) -> np.ndarray:
     return np.asarray(np.linalg.lstsq(pushes, wrench.T, rcond=None)[0].T)
 
 
-def _motion(cycle: PlateCycle) -> Motion:
-    """Return the plate's motion at `SAMPLES` equally spaced times, with start and end."""
-    t = np.linspace(0, cycle.period, SAMPLES)
+def _all_times(cycle: PlateCycle) -> np.ndarray:
+    """Return equally spaced times of a cycle, and `PIECE_SAMPLES` times of each piece [s]."""
+    parts = np.arange(PIECE_SAMPLES) / PIECE_SAMPLES
+    pieces = cycle.times[:-1, None] + np.diff(cycle.times)[:, None] * parts
+    return np.concatenate([np.linspace(0, cycle.period, SAMPLES), pieces.ravel()])
+
+
+def _motion(cycle: PlateCycle, t: np.ndarray) -> Motion:
+    """Return the plate's motion at times (n,) [s]."""
     return cycle.pose(t), cycle.twist(t), cycle.accel(t)
 
 
