@@ -153,6 +153,50 @@ def test_a_line_that_is_away_is_survived():
     assert bench.judge.verdict().kept
 
 
+def dense(pieces: int, period_s: float) -> MotorTable:
+    """`swing` with this number of pieces in this time."""
+    times, *states = swing(0.0004).cycle.knots
+    speed = PERIOD_S / period_s
+    slow = PlateCycle.from_knots(
+        times / speed, *(state * speed**order for order, state in enumerate(states))
+    )
+    t = np.linspace(0, period_s, pieces + 1)
+    return MotorTable.of(
+        RIG, PlateCycle.from_knots(t, slow.pose(t), slow.twist(t), slow.accel(t)), 1
+    )
+
+
+@pytest.mark.parametrize(
+    ("pieces", "period_s", "plays", "ahead"),
+    [
+        (600, 0.25, 1, 602),
+        (505, 0.25, 1, 0),
+        (600, 0.5, 1, 0),
+        (760, 0.5, 1, 517),
+        (160, 0.1, 4, 545),
+        (160, 0.1, 3, 0),
+    ],
+)
+def test_a_table_that_the_device_cannot_store_ahead_is_refused(pieces, period_s, plays, ahead):
+    """A stream begins only after its first setpoints were stored. Without the check, a dense one
+    would never begin, and the driver would report nothing."""
+    bench, table = Bench(LineFaults()), dense(pieces, period_s)
+    if ahead:
+        with pytest.raises(
+            CycleError, match=f"plate_cycle: {ahead} setpoints within 0.34 s, allow"
+        ):
+            bench.transport.send(table, plays)
+    else:
+        bench.transport.send(table, plays)
+        bench.run(0.6)
+        assert np.nanmax(np.abs(bench.travel)) > 1e-4
+    bench.run(1.0)
+    bench.transport.send(swing(0.004), 1)
+    bench.run(0.4)
+    assert np.nanmax(bench.travel) > 0.003
+    assert bench.judge.verdict().kept
+
+
 def test_a_stream_ends_at_rest_when_no_more_cycles_come():
     """The host has nothing more to say: no fault, and the next cycle needs no enable."""
     bench = Bench(LineFaults(baud=921_600.0))

@@ -8,15 +8,17 @@ statistics.
 from .guard import Guard, Statistics
 from .limits import Fit, fit
 from .motor_table import MAX_KNOTS, MotorTable, plays, prepare, unspliced
-from .setpoint_stream import SetpointStream, knots, refined
+from .setpoint_stream import MAX_S, SetpointStream, densest, knots, refined
 
 __all__ = [
     "MAX_KNOTS",
+    "MAX_S",
     "Fit",
     "Guard",
     "MotorTable",
     "SetpointStream",
     "Statistics",
+    "densest",
     "fit",
     "knots",
     "plays",

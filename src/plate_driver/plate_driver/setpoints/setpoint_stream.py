@@ -148,6 +148,26 @@ def knots(table: MotorTable) -> tuple[Knot, ...]:
     return _rounded(table.cycle.knots[0], table.q, table.qd, table.qdd)
 
 
+def densest(table: MotorTable, repeats: int, window_s: float) -> int:
+    """Return the maximum number of setpoints within `window_s` [s] of the stream that plays a table
+    `repeats` times, with its tail or the rest at its end."""
+    window = round(window_s / TICK_S)
+    parts = [np.array([knot.ticks for knot in refined(part)]) for part in _parts(table)]
+    if table.tail is None:
+        parts *= min(repeats, window // int(parts[0][-1]) + 2)  # more plays repeat the same counts
+    times = np.array([0])
+    for part in parts:
+        times = np.append(times, times[-1] + part[1:])
+    times = np.append(times, times[-1] + np.array(_rests(int(times[-1]))))
+    counts = np.searchsorted(times, times + window, side="right") - np.arange(len(times))
+    return int(np.max(counts))
+
+
+def _parts(table: MotorTable) -> tuple[MotorTable, ...]:
+    """Return a table and, if it has one, its tail."""
+    return (table,) if table.tail is None else (table, table.tail)
+
+
 def _rests(end: int) -> list[int]:
     """Return the times of the setpoints at rest [TICK_S], relative to the end of the motion. `end`
     is relative to the start of the stream [TICK_S]."""

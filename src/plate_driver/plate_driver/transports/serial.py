@@ -36,7 +36,7 @@ from plate_core.serial_protocol import (
     parse,
 )
 
-from ..setpoints import MAX_KNOTS, MotorTable, SetpointStream, knots, plays
+from ..setpoints import MAX_KNOTS, MAX_S, MotorTable, SetpointStream, densest, knots, plays
 from .line import upload_s
 from .link import Link
 from .transport import Condition, Measured, Order, Report, TransportContext
@@ -315,11 +315,28 @@ class SerialTransport:
             self._sent[self._table] = table
             self._sent = dict(list(self._sent.items())[-SENT_KEPT:])
             self._link = self._link.uploading(self._table, sent, repeats, splice_ticks, follows)
-        elif self._streamed is not None and not self._streamed.ended:
+            self.poll()
+            return
+        self._check_density(table, repeats)
+        if self._streamed is not None and not self._streamed.ended:
             self._streamed = self._streamed.followed_by(table, repeats)
         else:
             self._next = SetpointStream.of(table, repeats)
         self.poll()
+
+    def _check_density(self, table: MotorTable, repeats: int) -> None:
+        """Refuse a table if the device cannot store all setpoints of a stream that are sent ahead.
+
+        A stream begins only after all its first setpoints were stored.
+        """
+        device = self._link.device
+        most = MAX_KNOTS if device is None else device.max_knots
+        ahead = densest(table, repeats, LEAD_S + MAX_S)
+        if ahead > most:
+            raise CycleError(
+                f"plate_cycle: {ahead} setpoints within {LEAD_S + MAX_S:g} s, allowed by the "
+                f"device: {most}"
+            )
 
     def poll(self) -> list[Measured]:
         """Read messages, send due packets, and return the new measurements. Call it every few
