@@ -1,4 +1,4 @@
-"""Actions of the launch files. They start the nodes of config/graph.yaml and, on request, a
+"""Actions of the launch files. The actions start the nodes of config/graph.yaml and, on request, a
 recorder."""
 
 from __future__ import annotations
@@ -146,7 +146,8 @@ def namespace_of(pushed: str, own: str) -> str:
     pushed : str
         Namespace pushed by actions PushRosNamespace around this launch file.
     own : str
-        Argument `namespace`. It is relative to the pushed namespace, unless it begins with a slash.
+        Argument `namespace`. The namespace is relative to the pushed namespace, unless it begins
+        with a slash.
     """
     return (own if own.startswith("/") else f"{pushed}/{own}").strip("/").replace("//", "/")
 

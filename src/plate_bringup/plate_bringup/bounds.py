@@ -96,8 +96,9 @@ def shift_accel(rig: Rig) -> float:
     """Return the maximum instantaneous acceleration of the plate along its most favourable line
     [m/s2].
 
-    It is limited by `accel_mps2` in the rig file and by the peak force of the motors. If the rig
-    has flexures, only `accel_mps2` is considered, because the flexures may support the motors.
+    The acceleration is limited by `accel_mps2` in the rig file and by the peak force of the motors.
+    If the rig has flexures, only `accel_mps2` is considered, because the flexures may support the
+    motors.
     """
     if rig.suspension is not None:
         return float(rig.limits.accel)
@@ -112,8 +113,8 @@ def _travel(rig: Rig) -> float:
 
 
 def _least(rows: np.ndarray) -> float:
-    """It is the minimum over all directions of the maximum magnitude of row . direction. The rows
-    (4, 3) have the columns x, y and theta."""
+    """The result is the minimum over all directions of the maximum magnitude of row . direction.
+    The rows (4, 3) have the columns x, y and theta."""
     angle = np.linspace(0, np.pi, 181)
     return float(np.min(np.max(np.abs(rows[:, :2] @ [np.cos(angle), np.sin(angle)]), axis=0)))
 

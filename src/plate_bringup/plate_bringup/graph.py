@@ -28,17 +28,17 @@ OWN = {
 """Options of a run. Each is a parameter with the same name of the listed node."""
 
 UNTIMED_S = 30.0
-"""Input timeout of these nodes if time is simulated [s, wall time]. It is long, because a step of
-simulated time may take any wall time."""
+"""Input timeout of these nodes if time is simulated [s, wall time]. The timeout is long, because a
+step of simulated time may take any wall time."""
 
 
 SERIAL_ANSWER_S = 0.14
-"""Parameter answer_s of the planner with a serial line [s]. It includes the transmission time of a
-table."""
+"""Parameter answer_s of the planner with a serial line [s]. The time includes the transmission time
+of a table."""
 
 SERIAL_HANDOVER_S = 0.08
-"""Parameter handover_s of the solver with a serial line [s]. It includes the transmission time of a
-table."""
+"""Parameter handover_s of the solver with a serial line [s]. The time includes the transmission
+time of a table."""
 
 
 class GraphError(PlateError):
@@ -80,7 +80,7 @@ class GraphNode:
 
 
 def load_graph(path: str | Path | None = None) -> tuple[GraphNode, ...]:
-    """Read the list of nodes. They are in the order in which they are started.
+    """Read the list of nodes. The nodes are in the order in which they are started.
 
     Parameters
     ----------
@@ -119,7 +119,7 @@ def _node(fields: Fields) -> GraphNode:
 
 @dataclass(frozen=True)
 class RunOptions:
-    """Options of one run. They determine the nodes and their parameters.
+    """Options of one run. The options determine the nodes and their parameters.
 
     Attributes
     ----------

@@ -1,4 +1,4 @@
-"""The closed loop without ROS. It runs the same cores as the nodes, in one process.
+"""The closed loop without ROS. The loop runs the same cores as the nodes, in one process.
 
 As in the graph, image k is taken at the start of cycle k. The cycle that is computed from this
 image is executed as cycle k + 1. A free-running camera takes images at any time. The loop then
@@ -129,7 +129,8 @@ class Setup:
     exposure_s, readout_s : float or None
         Values that replace those of the rig's camera [s]. If None, the values of the rig are used.
     camera_tilt_deg, camera_towards_deg, camera_focal_px, camera_distance_m : float or None
-        If one of them is given, `view_from` moves the camera. It uses its defaults for the others.
+        If one of them is given, `view_from` moves the camera. `view_from` uses its defaults for the
+        others.
     rig_height_m : float or None
         Height of all parts in the rig model that all stages use [m]. If None, the height in the rig
         file is used.
@@ -141,8 +142,8 @@ class Setup:
         `Controller`.
     own_planner : str
         Python file with a class `OwnPlanner`, which requests the forces. The project's planner then
-        only supervises the task. It decides whether the task is done, stuck or has lost a part, and
-        it requests rest for the image that confirms the result.
+        only supervises the task. The planner decides whether the task is done, stuck or has lost a
+        part, and it requests rest for the image that confirms the result.
     """
 
     scenario: str | Scenario
@@ -165,7 +166,7 @@ class Setup:
 
     @property
     def recipe(self) -> Scenario:
-        """The scenario. It is loaded if only its name or path is given."""
+        """The scenario. The scenario is loaded if only its name or path is given."""
         return (
             self.scenario if isinstance(self.scenario, Scenario) else load_scenario(self.scenario)
         )
@@ -247,7 +248,7 @@ class Moment:
     wanted : Wanted
         Request to the solver.
     answer : Answer
-        Result of the solver. It contains the cycle that is executed next.
+        Result of the solver. The result contains the cycle that is executed next.
     progress : Progress
     image : (H, W)
         Last camera image.
@@ -379,8 +380,8 @@ class Watched:
 
 
 class Cell(Protocol):
-    """The surroundings of the plate in a feed task, for example hopper and robot. They control the
-    task."""
+    """The surroundings of the plate in a feed task, for example hopper and robot. The surroundings
+    control the task."""
 
     def act(self, simulation: Simulation, now: float) -> None:
         """Perform all actions that are due at the time `now` [s]. This is done before an image is
@@ -392,8 +393,8 @@ class Cell(Protocol):
 
 
 class ControlLaw(Protocol):
-    """A planner that is provided by the user. It is created with the rig, and called once per
-    image."""
+    """A planner that is provided by the user. The planner is created with the rig, and called once
+    per image."""
 
     def plan(self, parts: Parts, t: float) -> Wanted:
         """Return the requested mean force on each part. `t` is the stamp of the image [s]."""
@@ -469,9 +470,9 @@ def run(
 ) -> Iterator[Moment]:
     """Run the loop until the task has ended. Yield a `Moment` for each computed cycle.
 
-    `drag` is a function of the time [s]. It returns new targets for a running move task. `cell` is
-    used in a feed task. `scene` provides the parts. By default, these are the parts of the
-    simulator.
+    `drag` is a function of the time [s]. The function returns new targets for a running move task.
+    `cell` is used in a feed task. `scene` provides the parts. By default, these are the parts of
+    the simulator.
     """
     line = transport or Direct()
     scenario = setup.recipe
@@ -513,8 +514,8 @@ def run(
                 planner = planner.order(state, cell.order(state.memory.report, now))
             state, wanted, progress = planner.answer(state)
             expected = predicted(wanted, state)
-            # Before the task is confirmed, the plate must rest for an image. This also applies to a
-            # user's planner.
+            # Before the task is confirmed, the plate must rest for an image. This requirement also
+            # applies to a user's planner.
             if own is not None and not state.task.held(state.estimator.stamp, planner.limits):
                 wanted = own.plan(parts, began)
                 if not isinstance(wanted, Wanted):
@@ -574,8 +575,8 @@ def _true_errors(
     t: float,
 ) -> tuple[np.ndarray, np.ndarray]:
     """Return the true position errors (P,) [m] of the parts relative to their references or
-    targets. In a pose task, also return their angle errors (P,) [rad]. Both are empty if no errors
-    are defined yet."""
+    targets. In a pose task, also return their angle errors (P,) [rad]. Both arrays are empty if no
+    errors are defined yet."""
     task, true, none = scenario.task, world.position, np.zeros(0)
     if not len(true):
         return none, none
@@ -605,8 +606,8 @@ def _true_errors(
 
 
 def _named(parts: Parts, wanted: tuple[str, ...], world: WorldState) -> Parts:
-    """Return the true parts that are nearest to the detected parts with the ids `wanted`. They get
-    these ids."""
+    """Return the true parts that are nearest to the detected parts with the ids `wanted`. The true
+    parts get these ids."""
     ids = [name for name in wanted if name in parts.ids]
     seen = parts.position[[parts.ids.index(name) for name in ids]]
     rows = [int(np.argmin(np.sum((world.position - place) ** 2, axis=1))) for place in seen]

@@ -1,5 +1,5 @@
-"""Runs all nodes of the loop in one process and one executor. This is useful on small computers and
-for debugging."""
+"""Runs all nodes of the loop in one process and one executor. One process is useful on small
+computers and for debugging."""
 
 from __future__ import annotations
 

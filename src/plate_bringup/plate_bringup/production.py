@@ -1,9 +1,9 @@
-"""Simulated production with a feeder and a robot that picks parts. It runs in simulated time and
-without ROS.
+"""Simulated production with a feeder and a robot that picks parts. The simulation runs in simulated
+time and without ROS.
 
-It uses the control loop of `loop`, the rules of the feeder, and the hopper and robot of the
-simulator. At the beginning the plate is almost empty. Therefore production starts with a heap of
-parts from the hopper. The result is a `Production` with the number of parts per minute and the
+The simulation uses the control loop of `loop`, the rules of the feeder, and the hopper and robot of
+the simulator. At the beginning the plate is almost empty. Therefore production starts with a heap
+of parts from the hopper. The result is a `Production` with the number of parts per minute and the
 robot's waiting time.
 """
 
@@ -61,11 +61,11 @@ class Act(Enum):
 class Robot:
     """A robot that picks one part per cycle. The length of the cycle is C.
 
-    The robot grips at time 0. It detects immediately whether it has the part. It hides a part of
-    the image until 0.15 C. Then it reports the result. At 0.6 C it requests the next part. If the
-    reply arrives in time, it enters the image at 0.85 C and grips at C. Otherwise it waits outside
-    the image for the reply, and grips 0.15 C after the reply. This wait is the measured waiting
-    time. A failed grip takes as long as a successful one.
+    The robot grips at time 0. The robot detects immediately whether it has the part. The robot
+    hides a part of the image until 0.15 C. Then it reports the result. At 0.6 C it requests the
+    next part. If the reply arrives in time, it enters the image at 0.85 C and grips at C. Otherwise
+    it waits outside the image for the reply, and grips 0.15 C after the reply. This wait is the
+    measured waiting time. A failed grip takes as long as a successful one.
 
     Attributes
     ----------

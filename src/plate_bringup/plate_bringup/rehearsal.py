@@ -1,4 +1,4 @@
-"""Rehearsal of a task by prediction. It shows whether a rig can perform the task.
+"""Rehearsal of a task by prediction. The rehearsal shows whether a rig can perform the task.
 
 A rehearsal runs the loop with the real planner and solver, and with the limits of the rig. The
 cycle map of the solver replaces plate and camera. Parts are observed without error, they never
@@ -45,14 +45,15 @@ REHEARSED = SortTask, FollowTask, AssembleTask
 """Kinds of tasks in which parts can be modelled as points."""
 
 ENDLESS_S = 1e5
-"""Time limit of a rehearsal [s]. It is long, because the rehearsal measures the required time."""
+"""Time limit of a rehearsal [s]. The limit is long, because the rehearsal measures the required
+time."""
 
 NOTHING_SEEN = np.zeros((0, 0))
 """Image of a scene that has no camera."""
 
 
 class Share(NamedTuple):
-    """Used fractions of the limits of the rig [-]. They are medians over the cycles."""
+    """Used fractions of the limits of the rig [-]. The fractions are medians over the cycles."""
 
     stroke: float = 0.0
     speed: float = 0.0
@@ -134,8 +135,8 @@ def judge_task(rig: Rig, scenario: Scenario, rehearsals: int = REHEARSALS) -> Ve
 
 
 class Predicted:
-    """A `Scene` that moves the parts by the cycle map of the solver. The parts start at rest. They
-    are observed without error.
+    """A `Scene` that moves the parts by the cycle map of the solver. The parts start at rest. The
+    parts are observed without error.
 
     Parameters
     ----------

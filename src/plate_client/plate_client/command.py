@@ -1,5 +1,5 @@
-"""The program `plate`: tasks, stops, states and parameters of a running graph. It does not need the
-program `ros2`.
+"""The program `plate`: tasks, stops, states and parameters of a running graph. The program does not
+need the program `ros2`.
 
 Modules that take long to import are imported only where they are needed. They must not delay a
 stop.

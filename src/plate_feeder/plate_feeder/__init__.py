@@ -1,4 +1,4 @@
-"""A feeder. It dispenses parts to a robot one by one, while the planner gets the next parts
+"""A feeder. The feeder dispenses parts to a robot one by one, while the planner gets the next parts
 ready."""
 
 from .codes import Code

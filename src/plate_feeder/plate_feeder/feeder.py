@@ -1,9 +1,9 @@
-"""The rules of the feeder, without ROS. They determine which part a robot gets, when the plate
+"""The rules of the feeder, without ROS. The rules determine which part a robot gets, when the plate
 rests, and when the hopper opens.
 
 A `Feeder` receives the statuses of the planner (`hear`) and the commands of the robots. After each
 of them, and about every 0.1 s, `step` returns the actions that the caller must take. All times are
-arguments. They are from one steady clock. A loop without ROS uses it like this::
+arguments. All times are from one steady clock. A loop without ROS uses it like this::
 
     feeder = Feeder(task, rig)
     reply = feeder.get_part("robot", now=t)  # None: the reply comes with a later `step`
@@ -36,9 +36,9 @@ The rules:
 - If several parts are ready, the part with the fewest failed picks is offered. Among parts with the
   same number, the one nearest to the centre of its pick window is offered.
 - The hopper is opened if there are fewer parts than `least`, or if a command waits for a class of
-  which no part is on the plate. It is opened for the number of parts that are missing to `fill`. It
-  is not opened while a part is reserved, while the plate is purged, or while messages of the
-  planner are missing.
+  which no part is on the plate. The hopper is opened for the number of parts that are missing to
+  `fill`. The hopper is not opened while a part is reserved, while the plate is purged, or while
+  messages of the planner are missing.
 - After an opening, it is not opened again until `FALLEN_S` after it closed, and until an image
   without a reservation arrives. The planner counts no new parts while a robot hides some parts.
   Until then, parts within `SPREADS` spreads of the place where parts fall are not offered, and the
@@ -79,7 +79,7 @@ no longer shows parts that are gone at present [s]. The tracker keeps a missing 
 images."""
 
 SILENT_S = 1.0
-"""Maximum time between two statuses of a running task [s]. It is about ten cycles of usual
+"""Maximum time between two statuses of a running task [s]. This time is about ten cycles of usual
 length."""
 
 START_S = 10.0
@@ -100,8 +100,8 @@ MAX_FAILURES = 3
 """Number of failed picks at one place after which a part is no longer offered."""
 
 MOVED_M = 0.002
-"""Distance from the place of a failed pick above which the part counts as moved [m]. It is larger
-than the error of the camera."""
+"""Distance from the place of a failed pick above which the part counts as moved [m]. This distance
+is larger than the error of the camera."""
 
 SPREADS = 2.0
 """Maximum distance of a falling part from the hopper's place [spread of the hopper]."""

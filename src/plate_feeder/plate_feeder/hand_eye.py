@@ -1,5 +1,5 @@
-"""The pose of the plate in the frame of the robot. It is fitted to points that the robot's tool has
-touched."""
+"""The pose of the plate in the frame of the robot. The pose is fitted to points that the robot's
+tool has touched."""
 
 from __future__ import annotations
 

@@ -56,7 +56,8 @@ class FeedStatus:
     Attributes
     ----------
     stamp : float
-        Stamp of the image by the clock of the camera [s]. It is compared only with other stamps.
+        Stamp of the image by the clock of the camera [s]. The stamp is compared only with other
+        stamps.
     mode : FeedMode
         Current mode of the planner.
     at_rest : bool

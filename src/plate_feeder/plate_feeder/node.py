@@ -1,4 +1,4 @@
-"""The node `feeder`. It dispenses parts to a robot, by actions and services or over TCP."""
+"""The node `feeder`. The node dispenses parts to a robot, by actions and services or over TCP."""
 
 from __future__ import annotations
 
@@ -102,14 +102,14 @@ class Options(NodeOptions):
 
 
 class FeederNode(SafeLifecycleNode[Options]):
-    """Node `feeder`. It dispenses parts to a robot one by one, while the planner gets the next
-    parts ready.
+    """Node `feeder`. The node dispenses parts to a robot one by one, while the planner gets the
+    next parts ready.
 
     Actions: get_part and purge_plate. Services: part_taken, prepare_part, part_quantity, and
     resume_feeding, which a person calls after a stop. A TCP server serves robots that do not use
-    ROS. The node subscribes to feed_status, task_status and driver_status. It publishes feed_orders
-    and diagnostics. It sends feed_parts to the planner when a command needs it, and it calls
-    hopper/open.
+    ROS. The node subscribes to feed_status, task_status and driver_status. The node publishes
+    feed_orders and diagnostics. The node sends feed_parts to the planner when a command needs it,
+    and it calls hopper/open.
     """
 
     def __init__(self) -> None:

@@ -1,4 +1,5 @@
-"""The TCP server for robots. It runs on a separate thread, so that it cannot delay the graph.
+"""The TCP server for robots. The server runs on a separate thread, so that it cannot delay the
+graph.
 
 The commands of a client are executed one after the other. The replies are sent in the same order.
 The number of clients, the number of waiting commands and the length of lines are limited. If a
@@ -48,11 +49,11 @@ ANSWER_S = 5.0
 """Maximum time for the reply to a command that does not wait [s]."""
 
 PAUSE_S = 0.01
-"""Pause between two commands of a client [s]. It prevents continuous commands from occupying the
-graph's thread."""
+"""Pause between two commands of a client [s]. The pause prevents continuous commands from occupying
+the graph's thread."""
 
 KEEPALIVE = {socket.TCP_KEEPIDLE: 30, socket.TCP_KEEPINTVL: 10, socket.TCP_KEEPCNT: 3}
-"""TCP keepalive. It disconnects a robot within a minute after the robot was switched off or
+"""TCP keepalive. Keepalive disconnects a robot within a minute after the robot was switched off or
 unplugged."""
 
 CHUNK = 4096
@@ -67,7 +68,7 @@ Ask = Callable[[int, Command, Answer], None]
 
 
 class RobotServer:
-    """TCP server for robots. It is created and closed on the graph's thread.
+    """TCP server for robots. The server is created and closed on the graph's thread.
 
     Parameters
     ----------

@@ -1,4 +1,5 @@
-"""The plate as a benchmark: Gymnasium environments of one or many plates. They do not need ROS.
+"""The plate as a benchmark: Gymnasium environments of one or many plates. The environments do not
+need ROS.
 
 `import plate_gym` registers `plate/Sort10-v1` and all other tasks in `TASKS`. `plate_gym.bench`
 evaluates agents.

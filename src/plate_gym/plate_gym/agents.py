@@ -35,8 +35,8 @@ references of paths, which are given too."""
 
 @dataclass(frozen=True)
 class Brief:
-    """Information about the environment for an agent. It contains copies, which the agent may
-    change.
+    """Information about the environment for an agent. The information contains copies, which the
+    agent may change.
 
     Attributes
     ----------

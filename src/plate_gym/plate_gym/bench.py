@@ -47,13 +47,13 @@ PACKAGES = (
 """Packages `plate_*`. A digest of their sources is recorded in a result."""
 
 TIMES = ("start_ms", "decision_ms", "decision_ms_p99", "wall_ms", "wall_ms_p99")
-"""Keys of computing times. They differ between runs."""
+"""Keys of computing times. Computing times differ between runs."""
 
 NUMBERS = ("time_s", "return", "error_mm", "turn_error_deg", "limit_share", *TIMES)
 ROW: dict[str, type] = dict.fromkeys(NUMBERS, float) | {
     "seed": int, "steps": int, "there": int, "dropped": int, "success": bool, "places": str
 }  # fmt: skip
-"""Names of the numbers in a row."""
+"""Keys and types of a row."""
 
 RESULT: dict[str, type] = {
     "agent": str, "world": str, "commit": str, "sources": str, "versions": dict, "tasks": dict
@@ -175,8 +175,8 @@ def episode(agent: str, world: str, task: str, seed: int) -> dict[str, Any]:
 
 
 def seed_of_agent(seed: int) -> int:
-    """Return the seed of an agent's random numbers. It differs from the seed of the world.
-    Otherwise an agent could compute where the parts are."""
+    """Return the seed of an agent's random numbers. The agent's seed differs from the seed of the
+    world. Otherwise an agent could compute where the parts are."""
     return drawn(np.random.default_rng((seed, AGENT)))
 
 
@@ -207,7 +207,7 @@ def evaluate(
     Returns
     -------
     dict
-        Result for JSON. It contains what was run (`agent`, `world`, `commit`, digest of the
+        Result for JSON. The result contains what was run (`agent`, `world`, `commit`, digest of the
         `sources`, `versions`), and for each task the `rows` of `episode` with their summary. The
         summary contains `success`, `time_s` and `decision_ms` (medians; times of successful
         episodes), each with an interval of 95 % (Wilson's, bootstrap).

@@ -43,8 +43,8 @@ its start. Its mean force results from the difference of both speeds."""
 
 
 class Classic:
-    """Agent for tasks without angles. It sorts parts to sides, assembles them, and moves them along
-    paths."""
+    """Agent for tasks without angles. The agent sorts parts to sides, assembles them, and moves
+    them along paths."""
 
     action, observation = "cycle", "parts"
 

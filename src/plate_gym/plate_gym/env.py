@@ -309,8 +309,8 @@ def first(info: dict[str, np.ndarray]) -> dict[str, Any]:
 
 
 class Film:
-    """Pictures of plates, taken by a separate camera in a world without disturbances. They are
-    optionally shown in a window."""
+    """Pictures of plates, taken by a separate camera in a world without disturbances. The pictures
+    are optionally shown in a window."""
 
     def __init__(self, plates: Plates, window: bool) -> None:
         self._plates = plates

@@ -57,8 +57,8 @@ class Followed:
     Attributes
     ----------
     memory : FollowMemory
-        The references on the paths. They wait for parts that are behind, as in the loop of this
-        project.
+        The references on the paths. The references wait for parts that are behind, as in the loop
+        of this project.
     time : float
         Time of the last evaluation [s].
     square_m2 : (M,)
@@ -234,8 +234,8 @@ class Judge:
         return Followed(follow, time, memory.square_m2 + error**2)
 
     def agent_info(self, memory: Memory) -> dict[str, Any]:
-        """Return the information for an agent. It contains `path_s` and `pace` for paths, and
-        `Feeding.agent_info` for feeding."""
+        """Return the information for an agent. The information contains `path_s` and `pace` for
+        paths, and `Feeding.agent_info` for feeding."""
         if isinstance(memory, Feeding):
             return memory.agent_info()
         if not isinstance(memory, Followed):
@@ -315,9 +315,9 @@ def _fed(rules: Feeder, memories: list[Memory]) -> Score:
 
 
 def _situation(parts: Parts, time: float, period: float, tail: float = 0.0) -> Situation:
-    """Return the input of the planner's rules. It contains the parts at a time [s] at which a cycle
-    begins. The cycle lasts for a period. If the plate then stops, it rests after a tail of further
-    `tail` [s]."""
+    """Return the input of the planner's rules. The input contains the parts at a time [s] at which
+    a cycle begins. The cycle lasts for a period. If the plate then stops, it rests after a tail of
+    further `tail` [s]."""
     return Situation(
         parts=parts, stamp=time, start=time + period, rests=time + period + tail, period=period,
         motion_known=True, latency_known=True, predicted=parts.position,

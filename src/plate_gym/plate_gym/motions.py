@@ -1,5 +1,5 @@
-"""The action `motion`. It represents a plate motion within the rig's limits by coefficients of
-sinusoids."""
+"""The action `motion`. The action represents a plate motion within the rig's limits by coefficients
+of sinusoids."""
 
 from __future__ import annotations
 
@@ -17,13 +17,13 @@ PERIOD_S = 0.1
 """Period of each motion [s]."""
 
 CERTAIN = 0.999
-"""Maximum fraction of the limits that a motion uses. It is computed from upper bounds of the
-peaks."""
+"""Maximum fraction of the limits that a motion uses. The fraction is computed from upper bounds of
+the peaks."""
 
 
 class Motions:
-    """Equation (13) of the paper for motions that begin and end at rest. It has 6 functions of time
-    for each of x, y and theta.
+    """Equation (13) of the paper for motions that begin and end at rest. The equation has 6
+    functions of time for each of x, y and theta.
 
     Attributes
     ----------

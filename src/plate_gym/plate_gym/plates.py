@@ -27,11 +27,11 @@ ACTIONS = ("motion", "forces", "progress", "cycle")
 OBSERVATIONS = ("parts", "image")
 
 CENTRE_NOISE_M = 3e-5
-"""Standard deviation of the positions in `parts` [m]. It was measured for this project's vision in
-noisy images (sort_10 and align_6, 30 images each)."""
+"""Standard deviation of the positions in `parts` [m]. This noise was measured for this project's
+vision in noisy images (sort_10 and align_6, 30 images each)."""
 
 ANGLE_NOISE = 3.5e-3
-"""Standard deviation of the angles in `parts` [rad]. It was measured in the same images."""
+"""Standard deviation of the angles in `parts` [rad]. This noise was measured in the same images."""
 
 REST = PlateCycle.rest(IDLE_S)
 """Cycle at rest that all plates share. If each plate had a cycle object of its own, the `info` of
@@ -70,9 +70,9 @@ class Step(NamedTuple):
     Attributes
     ----------
     reward : (N,)
-        Reward. It is the reduction of the remaining distance as a fraction of the initial distance
-        or, for feeding, the picked parts as a fraction of the maximum. 1 is added if the task is
-        done, and 1 is subtracted for each lost part.
+        Reward. The reward is the reduction of the remaining distance as a fraction of the initial
+        distance or, for feeding, the picked parts as a fraction of the maximum. 1 is added if the
+        task is done, and 1 is subtracted for each lost part.
     ended, over : (N,) bool
         Whether the task is done or a part is lost. Whether the time is over.
     info : dict of arrays (N, ...)
@@ -113,7 +113,7 @@ class Plate:
 
     @property
     def running(self) -> PlateCycle:
-        """The running cycle. It began at the time of the last observation."""
+        """The running cycle. The cycle began at the time of the last observation."""
         return self.timeline.cycle
 
     @property
@@ -135,7 +135,7 @@ class Plate:
 
     @cached_property
     def controller(self) -> Controller:
-        """This project's solver. It is used for actions that need it."""
+        """This project's solver. The solver is used for actions that need it."""
         return Controller(self._shared.rig, seed=self._seed % SEEDS)
 
     def begin(self, cycle: PlateCycle) -> None:
@@ -159,8 +159,8 @@ class Plate:
 
     def sighted(self) -> tuple[np.ndarray, np.ndarray, np.ndarray] | None:
         """Return the positions (M, 2) [m] and angles (M,) [rad] of the parts in an image, and
-        whether the image shows each part (M,). They are ordered by row. Return None if the image is
-        missed."""
+        whether the image shows each part (M,). The arrays are ordered by row. Return None if the
+        image is missed."""
         sight, state = self.simulation.sight(), self.simulation.state
         if sight is None:
             return None
@@ -190,8 +190,8 @@ class Plate:
 
     @property
     def _rows(self) -> np.ndarray:
-        """Indices (n,) of the rows to which actions apply. They are all rows or, if parts come and
-        go, the rows of parts that were detected."""
+        """Indices (n,) of the rows to which actions apply. The rows are all rows or, if parts come
+        and go, the rows of parts that were detected."""
         return np.flatnonzero(np.isfinite(self.seen[:, 5]) | (not self._shared.judge.feeds))
 
     def _parts(self) -> Parts:

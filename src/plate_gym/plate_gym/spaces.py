@@ -67,12 +67,13 @@ def action_space(plates: Plates) -> spaces.Space:
 def observation_space(plates: Plates) -> spaces.Space:
     """Return the space of observations.
 
-    `parts` (M, 6): one fixed row for each part. It contains x, y [m, plate_home], drift along x and
-    y [m/s], angle [rad], and the time since the part was last detected [s]. A part that was never
-    detected has the position 0. For paths, it is (M, 10). Then follow the references of the part, x
-    and y [m, plate_home], at the start of the next cycle and 0.1 s later. If parts come and go, it
-    is (M, 7). The last number is 1 for a part that must be picked, -1 for a part that must not, and
-    0 for an empty row. An empty row is otherwise the same as a part that was never detected.
+    `parts` (M, 6): one fixed row for each part. A row contains x, y [m, plate_home], drift along x
+    and y [m/s], angle [rad], and the time since the part was last detected [s]. A part that was
+    never detected has the position 0. For paths, it is (M, 10). Then follow the references of the
+    part, x and y [m, plate_home], at the start of the next cycle and 0.1 s later. If parts come and
+    go, it is (M, 7). The last number is 1 for a part that must be picked, -1 for a part that must
+    not, and 0 for an empty row. An empty row is otherwise the same as a part that was never
+    detected.
     `image`: grey levels (height, width), or colours (height, width, 3), of the rig's camera.
     """
     if plates.observation == "image":

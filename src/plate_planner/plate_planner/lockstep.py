@@ -41,9 +41,9 @@ class Lockstep(Generic[Image, Start]):
     unanswered : bool
         Whether the plate_cycle for the last request has not arrived yet.
     starts_required : bool
-        Whether an image waits for the report of its cycle's start. It becomes False if no start is
-        reported within the timeout. It becomes True again when the start of an image's cycle is
-        reported.
+        Whether an image waits for the report of its cycle's start. The value becomes False if no
+        start is reported within the timeout. The value becomes True again when the start of an
+        image's cycle is reported.
     """
 
     def __init__(self, enabled: bool) -> None:

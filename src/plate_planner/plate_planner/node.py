@@ -1,10 +1,10 @@
 """ROS node of the planner.
 
-It receives the detected parts. It publishes the mean force that the next cycle should exert on each
-part. Goals of its actions start tasks. It also receives plate_cycle and cycle_started, because the
-plate moves the parts between images and the next cycle continues this motion. `TaskRunner` runs a
-task. `InputMonitor` ends it if an input is missing. `Lockstep` and `AnswerSchedule` decide when to
-plan.
+The node receives the detected parts. The node publishes the mean force that the next cycle should
+exert on each part. Goals of its actions start tasks. The node also receives plate_cycle and
+cycle_started, because the plate moves the parts between images and the next cycle continues this
+motion. `TaskRunner` runs a task. `InputMonitor` ends it if an input is missing. `Lockstep` and
+`AnswerSchedule` decide when to plan.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""Planner of a task. It computes the request to the solver once per plate cycle.
+"""Planner of a task. The planner computes the request to the solver once per plate cycle.
 
 The inputs are the parts in the images, the cycles that were sent and started, and the scenario. The
 estimator predicts the parts. The task rules return drifts or targets. The supervision decides
@@ -57,9 +57,9 @@ NOTHING = Wanted.make(Parts.make((), np.zeros((0, 2))))
 """Empty request: the plate rests."""
 
 TAKEN_COAST = Coast(parts=1, unknown=1)
-"""Maximum number of images without a detection for which the state of a part is propagated. It
-applies to tasks in which parts are added and removed. The number is small, because the part may
-have been picked."""
+"""Maximum number of images without a detection for which the state of a part is propagated. This
+number applies to tasks in which parts are added and removed. The number is small, because the part
+may have been picked."""
 
 IN_MOTION_S = 0.1
 """Length of cycles that start from a moving plate [s]. If the solver takes as long as this, cycles
@@ -85,8 +85,9 @@ class PlannerOptions(TaskOptions):
     stuck_timeout_s : float
         Maximum time without progress before the task counts as stuck [s].
     answer_s : float
-        Time before the next cycle start at which the request is sent [s]. It is used if cycle
-        starts are reported. It covers the computing times of solver and driver, and the connection.
+        Time before the next cycle start at which the request is sent [s]. This time is used if
+        cycle starts are reported. This time covers the computing times of solver and driver, and
+        the connection.
     image_age_s : float or None
         Age of an image at its stamp [s]. If None, the age is estimated from the motion of the
         parts.
@@ -115,7 +116,7 @@ class PlannerState:
     last : mapping of str to LastSeen
         Last detected position of each part on the plate. Empty if parts are added and removed.
     answer : (Wanted, Progress) or None
-        The last result. It is returned again if the same image arrives again.
+        The last result. The result is returned again if the same image arrives again.
     due : float
         Time of the next request [s]. Infinite until a cycle start is reported.
     kept : bool
@@ -153,12 +154,13 @@ class Planner:
 
     @cached_property
     def rules(self) -> TaskRules:
-        """Rules of the task. They are cached, because they contain tables of paths and bins."""
+        """Rules of the task. The rules are cached, because they contain tables of paths and
+        bins."""
         return rules_for(self.scenario.task, self.rig, self.options)
 
     def warnings(self) -> tuple[str, ...]:
-        """Return warnings on requests that are infeasible on this rig, with remedies. They are
-        shown before the start."""
+        """Return warnings on requests that are infeasible on this rig, with remedies. The warnings
+        are shown before the start."""
         slow = outlook(self.rig, self.scenario.count, self.scenario.time_limit_s)
         warnings = (*self.rules.warnings(), *edge_doubts(self.scenario, self.rig))
         return (*warnings, slow) if slow else warnings
@@ -202,7 +204,7 @@ class Planner:
         Returns
         -------
         planner : Planner
-            Planner with the new targets. It replaces this planner.
+            Planner with the new targets. The new planner replaces this planner.
         state : PlannerState
         refused : tuple of str
             Reasons why targets were refused. The other targets are accepted.
@@ -233,7 +235,8 @@ class Planner:
         return replace(self, scenario=scenario), replace(state, task=task_state), tuple(refused)
 
     def order(self, state: PlannerState, order: FeedOrder) -> Planner:
-        """Return a planner with another order for a running `feed` task. It replaces this planner.
+        """Return a planner with another order for a running `feed` task. The new planner replaces
+        this planner.
 
         Raises
         ------
@@ -313,7 +316,7 @@ class Planner:
         -------
         state : PlannerState
         wanted : Wanted
-            Request for these parts. It is `NOTHING` if the plate should rest.
+            Request for these parts. The request is `NOTHING` if the plate should rest.
         progress : Progress
         """
         if state.answer is not None and t == state.estimator.clock.stamp:
@@ -414,8 +417,8 @@ class Planner:
         ), assessment
 
     def others(self, parts: Parts) -> str:
-        """Return a text on unknown objects on the plate. It is empty for tasks in which parts are
-        added and removed, because these tasks count unknown objects themselves."""
+        """Return a text on unknown objects on the plate. The text is empty for tasks in which parts
+        are added and removed, because these tasks count unknown objects themselves."""
         return "" if self.rules.open_ended else bystanders_text(parts, self._labels)
 
     def _observe(self, state: PlannerState, parts: Parts, begins: bool) -> Estimator:

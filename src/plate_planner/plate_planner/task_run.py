@@ -153,8 +153,8 @@ class TaskRunner:
             self.run.state = self.run.planner.started(self.run.state, cycle, begin, triggered)
 
     def record_cycle(self, cycle: PlateCycle, arrival: float, requested: float) -> None:
-        """Record a cycle from the solver that arrived at `arrival`. It results from the request
-        with the stamp `requested` [s]."""
+        """Record a cycle from the solver that arrived at `arrival`. The cycle results from the
+        request with the stamp `requested` [s]."""
         if self.run is None:
             self._idle = self._idle.record_cycle(cycle, arrival, requested)
         else:

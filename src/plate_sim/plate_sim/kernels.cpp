@@ -1,4 +1,4 @@
-// Python module `_kernels`. It contains the bindings of all compiled kernels.
+// Python module `_kernels`. The module contains the bindings of all compiled kernels.
 #include <plate/bind.hpp>
 
 namespace plate {

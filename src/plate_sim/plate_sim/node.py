@@ -1,6 +1,6 @@
-"""ROS node of the simulator. It simulates the plate and the parts for received motor tables, or for
-the motion of the simulated device. It publishes camera images and the ground truth.
-`world.Simulation` is the model."""
+"""ROS node of the simulator. The simulator simulates the plate and the parts for received motor
+tables, or for the motion of the simulated device. The simulator publishes camera images and the
+ground truth. `world.Simulation` is the model."""
 
 from __future__ import annotations
 
@@ -48,7 +48,8 @@ from .plate import PlateMotion, check_table
 from .world import RANGES, WORLD_RANGES, Disturbances, Simulation, run_cycle
 
 START_NS = 1_000_000_000
-"""Simulated time of the first image [ns]. It is not 0, because a stamp of 0 means "no time"."""
+"""Simulated time of the first image [ns]. The time is not 0, because a stamp of 0 means "no
+time"."""
 
 CLOCK_PERIOD_S = 0.01
 """Interval between two messages on /clock [s, wall]."""
@@ -196,18 +197,18 @@ class Tally:
 
 
 class SimulatorNode(SafeLifecycleNode[Options]):
-    """Lifecycle node `simulator`. It executes motor tables, simulates the parts and publishes
+    """Lifecycle node `simulator`. The node executes motor tables, simulates the parts and publishes
     images.
 
     The node subscribes to motor_setpoints. If the device drives the plate, it subscribes to
     motor_motion instead, and to camera_trigger if the rig's motor controller triggers the camera.
-    It publishes image_raw, camera_info, cycle_started, diagnostics, ground_truth and, if time is
-    simulated, /clock.
+    The node publishes image_raw, camera_info, cycle_started, diagnostics, ground_truth and, if time
+    is simulated, /clock.
     Services: ~/reset restarts the scenario, with the seed that was set or, if none was set, with
     the next seed. ~/place_part and ~/remove_part place and remove a part as if by hand. hopper/open
     drops parts. ~/move_robot picks a part. After one of these calls, or after a change of a live
     parameter, a seed no longer reproduces the run. `ground_truth` contains the true names, angles,
-    velocities and spins. It must be used only for the evaluation of a run.
+    velocities and spins. The topic must be used only for the evaluation of a run.
 
     Cycle k begins at t_k with the newest table. `cycle_started` publishes it with the stamp t_k.
     Then image k is taken, and the parts are simulated until t_k+1. In real time, the next cycle
@@ -558,7 +559,7 @@ class SimulatorNode(SafeLifecycleNode[Options]):
     def _on_place(
         self, request: PlacePart.Request, response: PlacePart.Response
     ) -> PlacePart.Response:
-        """Place a part by hand. It is visible from the next image on."""
+        """Place a part by hand. The part is visible from the next image on."""
         place = np.array([request.x, request.y])
         self._ahead = []
         try:

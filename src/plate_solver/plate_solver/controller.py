@@ -51,14 +51,14 @@ GOOD_MISS = 0.15
 error is larger, the solver searches from further starts."""
 
 EXACT_MISS = 0.02
-"""Maximum acceptable error (root mean square), as a fraction of the requested displacement. It
-applies to force requests in which a part has zero tolerance on both axes."""
+"""Maximum acceptable error (root mean square), as a fraction of the requested displacement. This
+fraction applies to force requests in which a part has zero tolerance on both axes."""
 
 COAST_S = 0.03
 """Time by which the parts are extrapolated with their final velocities at the end of a cycle [s].
-The extrapolation rewards a motion after which a part moves towards its target. It is used only if a
-part is far from its target. Parts near their targets would otherwise keep oscillating. If forces
-are requested, it is not used."""
+The extrapolation rewards a motion after which a part moves towards its target. The extrapolation is
+used only if a part is far from its target. Parts near their targets would otherwise keep
+oscillating. If forces are requested, it is not used."""
 
 
 EFFORT: dict[str, dict[str, Any]] = {
@@ -85,8 +85,9 @@ class Answer:
     message : str
         Text for the log.
     error_m, asked_m : float
-        Displacement error and requested displacement [m]. Both are root mean squares over parts and
-        axes. Rotations count as arc lengths at the edge of the part. Both are 0 with targets.
+        Displacement error and requested displacement [m]. Both values are root mean squares over
+        parts and axes. Rotations count as arc lengths at the edge of the part. With targets, both
+        values are 0.
     fraction : float
         Fraction of the goal that the search used: one of `FRACTIONS`. 0 if the plate rests because
         a part would leave it.
@@ -155,8 +156,9 @@ class Controller:
             solver.reset()
 
     def warm_up(self) -> None:
-        """Solve test requests with each method. They load the force tables and all libraries, so
-        that the first real request is not delayed. Forget all parts and solutions afterwards."""
+        """Solve test requests with each method. The test requests load the force tables and all
+        libraries, so that the first real request is not delayed. Forget all parts and solutions
+        afterwards."""
         rest = PlateCycle.rest(IDLE_S)
         rotated = Parts.make(("part_0",), np.zeros((1, 2)))
         requests = [Wanted.make(rotated, torque=np.array([1e-6]))]

@@ -1,8 +1,8 @@
 """Limit utilisation of a sampled motion, as a fraction of the rig's limits.
 
-Both methods use this module. It checks the motors' stroke, speed, force and heat, and the
-acceleration of the plate's corners. It is implemented in C++, because a search calls it at every
-step. `plate_core.motion.usage` does the same check for a whole cycle. A test compares both.
+Both methods use this module. The module checks the motors' stroke, speed, force and heat, and the
+acceleration of the plate's corners. The check is implemented in C++, because a search calls it at
+every step. `plate_core.motion.usage` does the same check for a whole cycle. A test compares both.
 """
 
 from __future__ import annotations
@@ -19,8 +19,8 @@ from plate_core.rig import motor_levers, motor_reach
 from . import _kernels
 
 MARGIN: float = _kernels.MARGIN
-"""Fraction of the limits that a search may use. It is below 1 because the samples of a search may
-slightly miss a peak."""
+"""Fraction of the limits that a search may use. The fraction is below 1 because the samples of a
+search may slightly miss a peak."""
 
 HEADROOM = 1.1
 """If the motors can accelerate the plate by at least this factor times the acceleration limit in

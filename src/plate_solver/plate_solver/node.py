@@ -113,10 +113,10 @@ class Tally:
 
 
 class SolverNode(SafeLifecycleNode[Options]):
-    """Lifecycle node `solver`. It computes the next plate cycle for each request.
+    """Lifecycle node `solver`. The node computes the next plate cycle for each request.
 
-    The node subscribes to part_forces. It publishes plate_cycle (one per request), markers and
-    diagnostics.
+    The node subscribes to part_forces. The node publishes plate_cycle (one per request), markers
+    and diagnostics.
     """
 
     def __init__(self) -> None:
@@ -238,8 +238,8 @@ class SolverNode(SafeLifecycleNode[Options]):
         return PlateCycle.rest(IDLE_S)
 
     def _running(self, stamp_ns: int) -> PlateCycle | None:
-        """Return the cycle that began when the image was taken. It is the last cycle that was
-        published early enough."""
+        """Return the cycle that began when the image was taken. This cycle is the last cycle that
+        was published early enough."""
         for number, sent in enumerate(reversed(self._sent)):
             if in_time(1e-9 * sent.sent_ns, 1e-9 * stamp_ns):
                 self._count["late_answers"] += number > 0
@@ -253,7 +253,8 @@ class SolverNode(SafeLifecycleNode[Options]):
         return now_ns if abs(now_ns - stamp_ns) < RESTART_NS else stamp_ns
 
     def _plate_condition(self) -> float:
-        """Return the condition number of the last part positions. It is 0 if there are no parts."""
+        """Return the condition number of the last part positions. The condition number is 0 if
+        there are no parts."""
         return condition_number(self._rig, self._parts, self._library) if len(self._parts) else 0.0
 
     def _find(self, now: float) -> Finding:

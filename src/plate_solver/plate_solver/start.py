@@ -83,9 +83,9 @@ def predict_start(
 ) -> StartState:
     """Predict the state when the requested cycle begins.
 
-    The stick-slip motion of the parts is integrated over the running cycle. It starts at the
-    positions in the image, with the velocities of `memory`. If the request contains predicted
-    positions and velocities (`Wanted.start`), they are used instead.
+    The stick-slip motion of the parts is integrated over the running cycle. The integration starts
+    at the positions in the image, with the velocities of `memory`. If the request contains
+    predicted positions and velocities (`Wanted.start`), they are used instead.
 
     Parameters
     ----------

@@ -1,5 +1,5 @@
-"""Access rules of the page. They decide by address, origin and token who may open the page and who
-may send commands."""
+"""Access rules of the page. The rules decide by address, origin and token who may open the page and
+who may send commands."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Commands of browsers. They are parsed and checked before they are executed."""
+"""Commands of browsers. The commands are parsed and checked before they are executed."""
 
 from __future__ import annotations
 
@@ -79,7 +79,7 @@ def read_command(text: str | bytes, role: Role) -> Command:
 
 
 def number_of(data: Any) -> int:
-    """Return the number of a command. It is -1 if the command has none."""
+    """Return the number of a command. The number is -1 if the command has none."""
     number = data.get("number") if isinstance(data, dict) else None
     if isinstance(number, int) and not isinstance(number, bool) and 0 <= number <= LARGEST:
         return number
@@ -204,5 +204,5 @@ FOR_ALL = ("watch", "parameters", "replay")
 """Commands that change nothing in the graph. Viewers may send them."""
 
 URGENT = ("emergency_stop", "cut_power", "stop")
-"""Commands that stop the plate. They are executed before all other commands, and their number is
-not limited."""
+"""Commands that stop the plate. Such commands are executed before all other commands, and their
+number is not limited."""

@@ -51,8 +51,8 @@ def mean_force(cycle: PlateCycle, point: np.ndarray) -> np.ndarray:
 def drift(cycle: PlateCycle, point: np.ndarray, accel: float) -> np.ndarray:
     """Mean velocity over one cycle of parts that rest at the given points when the cycle begins.
 
-    Parts are points that slide or stick. They are integrated in steps of 1/200 of the cycle. This
-    accuracy is sufficient for display, but not for planning.
+    Parts are points that slide or stick. The parts are integrated in steps of 1/200 of the cycle.
+    This accuracy is sufficient for display, but not for planning.
 
     Parameters
     ----------

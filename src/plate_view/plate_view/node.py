@@ -1,4 +1,4 @@
-"""The node `page`. It serves a live web page of the graph, and executes the commands of this
+"""The node `page`. The node serves a live web page of the graph, and executes the commands of this
 page."""
 
 from __future__ import annotations
@@ -32,14 +32,14 @@ SLOW_S = 0.5
 
 
 SWITCH_S = 0.0005
-"""Interval at which Python switches between threads [s]. It is the maximum wait of the thread that
-stops the plate."""
+"""Interval at which Python switches between threads [s]. The interval is the maximum wait of the
+thread that stops the plate."""
 
 ALWAYS_THERE = ("black", "grey")
 """Types of parts that every rig has."""
 
 REPLAY = ("begin", "end", "now", "playing", "rate", "problem")
-"""State of a replay. It is sent to browsers."""
+"""State of a replay. The state is sent to browsers."""
 
 
 @dataclass(frozen=True)
@@ -60,13 +60,13 @@ class Options(NodeOptions):
 
 
 class PageNode(SafeLifecycleNode[Options]):
-    """Node `page`. It serves a live web page of the graph. It executes the commands of the page
-    with the public actions, topics, services and parameters of the graph.
+    """Node `page`. The node serves a live web page of the graph. The node executes the commands of
+    the page with the public actions, topics, services and parameters of the graph.
 
     While a browser is connected, it subscribes to parts, part_forces, part_targets, cycle_started,
-    motor_setpoints, task_status, driver_status, friction, diagnostics and /rosout. It subscribes to
-    image_raw if a browser shows the image. It publishes targets. Without a browser there are no
-    subscriptions.
+    motor_setpoints, task_status, driver_status, friction, diagnostics and /rosout. The node
+    subscribes to image_raw if a browser shows the image. The node publishes targets. Without a
+    browser there are no subscriptions.
     """
 
     def __init__(self) -> None:
@@ -164,7 +164,8 @@ class PageNode(SafeLifecycleNode[Options]):
             self._listener.tick_slowly()
         self._publish_replay()
 
-    # These functions are called on the server's thread. They pass commands to the graph's thread.
+    # These functions are called on the server's thread. The functions pass commands to the graph's
+    # thread.
 
     def _take(self, browser: Socket, command: Command) -> None:
         if command.name in URGENT and self._replay is None:

@@ -1,5 +1,5 @@
-"""The server of the page: HTTP and a websocket. It runs on a separate thread, so that it cannot
-delay the graph.
+"""The server of the page: HTTP and a websocket. The server runs on a separate thread, so that it
+cannot delay the graph.
 
 Each browser has an outgoing queue. If data are sent repeatedly, the queue contains only the newest
 message. Of all other messages, it contains the last `MAX_QUEUE`. A slow browser therefore misses
@@ -44,7 +44,7 @@ MAX_BROWSERS = 32
 """Maximum number of browsers."""
 
 MAX_VIEWERS = 24
-"""Maximum number of viewers. It is smaller, so that an operator can always connect."""
+"""Maximum number of viewers. This number is smaller, so that an operator can always connect."""
 
 MAX_REQUESTS = 100
 """Maximum number of open HTTP connections. Further connections are closed at once."""
@@ -72,7 +72,7 @@ STILL_S = 2.0
 """Duration of a stall of the server after which only stops are accepted for a moment [s]."""
 
 KEPT = ("log", "call")
-"""Kinds of messages that must not be skipped. Replies must not be skipped either. They are sent
+"""Kinds of messages that must not be skipped. Replies must not be skipped either. Replies are sent
 first."""
 
 NEW_PORTS = 20
@@ -243,7 +243,7 @@ class File(tornado.web.StaticFileHandler):
         super().initialize(path, default_filename)
 
     def prepare(self) -> None:
-        """A file of the page."""
+        """Refuse requests to other host names, and requests of the page without a valid token."""
         if not self._access.allows_host(self.request.host):
             raise tornado.web.HTTPError(403)
         page = self.request.path in ("/", "/index.html")
@@ -261,7 +261,7 @@ class File(tornado.web.StaticFileHandler):
 
 
 class Door(tornado.httpserver.HTTPServer):
-    """Store the access rules."""
+    """HTTP server that limits the number of connections and the idle time of each connection."""
 
     def handle_stream(self, stream: tornado.iostream.IOStream, address: tuple[str, int]) -> None:
         """Accept a connection unless there are too many."""
@@ -272,7 +272,7 @@ class Door(tornado.httpserver.HTTPServer):
 
 
 class PageServer:
-    """Server of the page. It is created and closed on the graph's thread.
+    """Server of the page. The server is created and closed on the graph's thread.
 
     Parameters
     ----------

@@ -1,5 +1,5 @@
-"""Client of the planner's actions. It sends goals, follows their progress and waits for their
-results.
+"""Client of the planner's actions. The client sends goals, follows their progress and waits for
+their results.
 
 with PlateClient.connect() as plate:
     status = plate.run(load_scenario("sort_4"))
@@ -54,8 +54,8 @@ planner that was just discovered."""
 Callback = Callable[[Any], None]
 
 Until = Callable[[Callable[[], bool], float], bool]
-"""Function that processes messages until a condition is true or until a timeout [s]. It returns
-whether the condition is true."""
+"""Function that processes messages until a condition is true or until a timeout [s]. The function
+returns whether the condition is true."""
 
 
 class TaskError(PlateError):

@@ -1,4 +1,4 @@
-"""Calls of the services of running nodes. It imports only the modules that a stop needs."""
+"""Calls of the services of running nodes. This file imports only the modules that a stop needs."""
 
 from __future__ import annotations
 
@@ -45,8 +45,8 @@ SERVICE = re.compile(r"/?([A-Za-z_]\w*/)*[A-Za-z_]\w*", re.ASCII)
 """Valid names of services."""
 
 CALLS = QoSProfile(depth=1000)
-"""The same profile as in plate_core.ros. It is repeated here because the import of plate_core.ros
-takes too long."""
+"""The same profile as in plate_core.ros. The profile is repeated here because the import of
+plate_core.ros takes too long."""
 
 NAME = "plate_command"
 
@@ -220,8 +220,8 @@ class Services:
 
 
 def no_graph_text() -> str:
-    """Return an error text that no graph is running. It lists the ROS domains that are in use on
-    this machine."""
+    """Return an error text that no graph is running. The text lists the ROS domains that are in use
+    on this machine."""
     ours = ros_domain(os.environ)
     others = sorted(domains_in_use() - {ours})
     text = f"no graph runs in ROS domain {ours}"
@@ -234,8 +234,8 @@ def no_graph_text() -> str:
 
 
 def domains_in_use() -> set[int]:
-    """Return the ROS domains of the processes on this machine. They are derived from the UDP ports
-    of the processes."""
+    """Return the ROS domains of the processes on this machine. The domains are derived from the UDP
+    ports of the processes."""
     found = set()
     for table in ("/proc/net/udp", "/proc/net/udp6"):
         path = Path(table)

@@ -1,4 +1,4 @@
-"""The planner's feeding task. It is started when requested, and canceled when no longer
+"""The planner's feeding task. The task is started when requested, and canceled when no longer
 requested."""
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ stalled, or the reply was lost. The goal has the same id, so the planner execute
 
 
 class FeedGoal:
-    """The goal of `feed_parts`. It is started and canceled as requested.
+    """The goal of `feed_parts`. The goal is started and canceled as requested.
 
     Parameters
     ----------

@@ -22,8 +22,8 @@ SNAP = 0.25
 """Tolerance of an image's stamp around the expected end of a cycle, as a fraction of the cycle."""
 
 MEMORY_S = 1.5
-"""Time for which executed cycles are kept [s]. It is longer than the maximum image latency and the
-longest usual cycle."""
+"""Time for which executed cycles are kept [s]. This time is longer than the maximum image latency
+and the longest usual cycle."""
 
 MIN_S = 0.005
 """Minimum length of a cycle or tail that the log accepts [s]."""
@@ -32,12 +32,12 @@ MAX_S = 10.0
 """Maximum length of a cycle or tail that the log accepts [s]."""
 
 PERIOD_RANGE_S = (0.005, 1.0)
-"""Range of periods that the log accepts [s]. It applies to intervals between stamps and to reported
-periods. The solver's default periods are 0.1 to 0.4."""
+"""Range of periods that the log accepts [s]. The range applies to intervals between stamps and to
+reported periods. The solver's default periods are 0.1 to 0.4."""
 
 SAME_TIME_S = 3.0
-"""Maximum difference between the stamps of an image and of a cycle start [s]. It is longer than the
-longest permitted interruption of images."""
+"""Maximum difference between the stamps of an image and of a cycle start [s]. This difference is
+longer than the longest permitted interruption of images."""
 
 INTERVALS_KEPT = 3
 """Number of stamp intervals that are kept. The median of three is not affected by one lost
@@ -162,8 +162,8 @@ class CycleLog:
 
     @property
     def delay(self) -> int:
-        """Delay of the results [cycles]. It is above 0 if the computer or the connection is too
-        slow."""
+        """Delay of the results [cycles]. The delay is above 0 if the computer or the connection is
+        too slow."""
         return min(median_low(self.delays), LATEST) if self.delays else 0
 
     @property
@@ -324,8 +324,8 @@ class CycleLog:
         if not (self.runs or waiting):
             return self
         cycle = self.next(waiting) if self.runs else waiting[-1]
-        # Keep the sent cycles. They are needed if their start is reported later, and when a tail
-        # ends.
+        # Keep the sent cycles. The sent cycles are needed if their start is reported later, and
+        # when a tail ends.
         keeps = math.isfinite(self.last_report) or not any(cycle is each for each in waiting)
         awaited = self.awaited if keeps else self._awaited_after(cycle)
         runs = (*self.runs, (t, cycle))
@@ -339,7 +339,7 @@ class CycleLog:
     def may_move(self, t: float) -> bool:
         """Whether the awaited cycle may still begin after time t [s].
 
-        The driver may have accepted the cycle. It starts at the end of the running cycle.
+        The driver may have accepted the cycle. The cycle starts at the end of the running cycle.
         """
         one = self.awaited
         if one is None or one.requested > t + MEMORY_S:  # the clock was set back
@@ -432,7 +432,8 @@ class CycleClock:
 
     @property
     def interval(self) -> float:
-        """Interval between the last two images [s]. It is `period` until the interval is known."""
+        """Interval between the last two images [s]. The interval is `period` until the interval is
+        known."""
         return self.intervals[-1] if self.intervals else self.period
 
     def went_back(self, t: float) -> bool:

@@ -65,7 +65,8 @@ NOBODY = Parts.make((), np.zeros((0, 2)))
 
 
 def rows_of(ids: tuple[str, ...], among: tuple[str, ...]) -> np.ndarray:
-    """Return the index (K,) of each id in `among`. It is -1 for an id that is not in `among`."""
+    """Return the index (K,) of each id in `among`. The index is -1 for an id that is not in
+    `among`."""
     row = {name: i for i, name in enumerate(among)}
     return np.array([row.get(name, -1) for name in ids], dtype=int)
 
@@ -194,10 +195,11 @@ class DriftBias:
 
 @dataclass(frozen=True)
 class Turning:
-    """Orientation and angular velocity of the parts. They are known only if cycle starts are
+    """Orientation and angular velocity of the parts. The values are known only if cycle starts are
     reported.
 
-    They are measured in the image closest to each cycle start, because the plate hardly moves then.
+    The values are measured in the image closest to each cycle start, because the plate hardly moves
+    then.
 
     Attributes
     ----------
@@ -239,7 +241,7 @@ class Turning:
     def of(self, ids: tuple[str, ...], t: float) -> tuple[np.ndarray, np.ndarray]:
         """Return the angles (K,) [rad] of parts at time t [s], and their spins (K,) [rad/s].
 
-        Both are 0 for parts that are not known.
+        Angle and spin are 0 for parts that are not known.
         """
         row = rows_of(ids, self.ids)
         spin = np.append(self.spin, 0.0)[row]
@@ -262,12 +264,13 @@ class Estimator:
     seen : Parts
         Parts detected in the last image.
     request : LastRequest
-        Requested drift. It is the motion model as long as the plate's motion is not known.
+        Requested drift. The requested drift is the motion model as long as the plate's motion is
+        not known.
     odd : int
         Number of consecutive images whose interval to the previous image is not a whole number of
         cycles.
     turning : Turning
-        Orientations of the parts. They are known only if cycle starts are reported.
+        Orientations of the parts. The orientations are known only if cycle starts are reported.
     before, before_stamp : Parts, float
         Parts at the last call of `observe`, and their stamp [s].
     bias : DriftBias
@@ -433,7 +436,7 @@ class Estimator:
 
     @property
     def _known_rest(self) -> float:
-        """Start of the plate's rest [s]. It is derived from reported cycles, sent cycles or
+        """Start of the plate's rest [s]. The time is derived from reported cycles, sent cycles or
         requests."""
         if self.log.known:
             return self.log.resting_since
@@ -444,8 +447,8 @@ class Estimator:
     def resting_since(self) -> float:
         """Start of the plate's rest [s], if the plate remains at rest until the next request.
 
-        It is infinite if the plate moves or may move. The plate may move if the cycle of the last
-        image has not been reported, or if the last request may still begin.
+        The time is infinite if the plate moves or may move. The plate may move if the cycle of the
+        last image has not been reported, or if the last request may still begin.
         """
         log, requested = self.log, self.request.stamp
         if not log.known:
@@ -507,7 +510,7 @@ class Estimator:
     def _angles(self, ids: tuple[str, ...]) -> tuple[np.ndarray, np.ndarray]:
         """Return the angles (K,) [rad] and the spins (K,) [rad/s] of parts at the time `stamp`.
 
-        Both are 0 for parts without a measurement.
+        Angle and spin are 0 for parts without a measurement.
         """
         if self.log.reported:
             return self.turning.of(ids, self.stamp)

@@ -1,7 +1,7 @@
 """Kalman filter of the parts' positions, velocities and friction on the stick-slip motion.
 
-A camera measures only positions. It takes an image at any time in a cycle, and delivers it with a
-latency. From image to image, the motion model propagates each part by the cycles that were
+A camera measures only positions. A camera takes an image at any time in a cycle, and delivers it
+with a latency. From image to image, the motion model propagates each part by the cycles that were
 executed. The friction of a part is estimated from the differences between the images and the model.
 The state of a part is x, y [m], vx, vy [m/s] in plate_home, and the logarithm of its friction
 relative to the friction in the rig. Each part has its own filter, but an error in the stamp of an
@@ -26,8 +26,8 @@ STEP_S = 0.25e-3
 """Step of the motion model [s]. Its error over a cycle is below the camera's noise."""
 
 DIFFERENCE = np.array([1e-4, 1e-4, 5e-3, 5e-3, 0.03])
-"""Step sizes of the finite differences of the motion model [m, m, m/s, m/s, -]. They are as large
-as the uncertainty of the state, because the model has kinks where parts stick."""
+"""Step sizes of the finite differences of the motion model [m, m, m/s, m/s, -]. The step sizes are
+as large as the uncertainty of the state, because the model has kinks where parts stick."""
 
 CAMERA_M = 0.02e-3
 """Standard deviation of a measured position [m]. Its causes are camera noise and motion blur."""
@@ -248,7 +248,7 @@ class Fit:
     ----------
     log_likelihood : (A,)
     lateness : (A,)
-        Error of the exposure time, estimated from this image only [s]. It is positive if the
+        Error of the exposure time, estimated from this image only [s]. The error is positive if the
         exposure was later than assumed.
     square : (A,)
         Mean square of the normalised innovations. The expected value is 1.

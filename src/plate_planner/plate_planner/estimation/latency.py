@@ -116,8 +116,8 @@ class LatencyHypotheses:
         1.
     jitter : Jitter
     trusting : bool
-        Whether zero latency is accepted if the stamps coincide with cycle starts (`none_old`). It
-        becomes False if the motion of the parts contradicts zero latency.
+        Whether zero latency is accepted if the stamps coincide with cycle starts (`none_old`). The
+        value becomes False if the motion of the parts contradicts zero latency.
     """
 
     latencies: np.ndarray

@@ -1,7 +1,7 @@
 """Action servers of the planner.
 
 One server per action passes each goal to the node. A goal has the state accepted while its task
-runs. It is executed when the task ends.
+runs. The goal is executed when the task ends.
 """
 
 from __future__ import annotations

@@ -18,7 +18,7 @@ from .phase import LOOK, Failure, Reason
 
 NEAR_EDGE = 3.0
 """Maximum distance from an edge at which a lost part counts as having left the plate [part radii].
-It is measured from the part's last position."""
+The distance is measured from the part's last position."""
 
 SAME_PLACE = 3.0
 """Maximum distance of an unknown object from a part's last position at which the object counts as
@@ -73,8 +73,8 @@ def loss_of(
 def shortfall_text(
     request: LastRequest, rig: Rig, parts: Parts, distance: np.ndarray, count: int
 ) -> str:
-    """Return a text on the part with the largest `distance` (M,) [m] from its goal. It states the
-    requested and the actual drift, and a remedy."""
+    """Return a text on the part with the largest `distance` (M,) [m] from its goal. The text states
+    the requested and the actual drift, and a remedy."""
     if not len(distance):
         return ""
     worst = int(np.argmax(distance))

@@ -1,4 +1,4 @@
-"""Monitor of the planner's inputs. It decides whether a task can start, and whether it can
+"""Monitor of the planner's inputs. The monitor decides whether a task can start, and whether it can
 continue.
 
 `InputMonitor` combines four checks: timeouts of inputs, the driver's state, a second publisher of a

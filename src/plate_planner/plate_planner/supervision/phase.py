@@ -1,8 +1,7 @@
 """State machine of a task: its phase, and the time and the reason of its end.
 
 Done, stuck, lost part and aborted are final phases. Only a new start leaves a final phase. All
-functions are pure: they take a state and return the new state. They take a state and return the new
-one.
+functions are pure: they take a state and return the new state.
 """
 
 from __future__ import annotations
@@ -114,7 +113,7 @@ class TaskLimits:
 
 @dataclass(frozen=True)
 class TaskState:
-    """State of the supervision. Times are stamps [s]. They are None if the event has not happened.
+    """State of the supervision. Times are stamps [s]. Times are None if the event has not happened.
 
     Attributes
     ----------
@@ -174,8 +173,8 @@ class TaskState:
         return met and t - (self.met_since or 0.0) >= limits.hold_s - TIME_TOLERANCE_S
 
     def elapsed(self, t: float) -> float:
-        """Time from the start of the task to `t` or to its end [s]. It is 0 if a clock was set
-        back."""
+        """Time from the start of the task to `t` or to its end [s]. The time is 0 if a clock was
+        set back."""
         if self.began is None:
             return 0.0
         return max(0.0, (t if self.ended is None else self.ended) - self.began)

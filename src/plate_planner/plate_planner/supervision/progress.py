@@ -1,5 +1,5 @@
-"""Progress of a task. It is published in task_status, action feedback and diagnostics. It is
-computed once per image or cycle."""
+"""Progress of a task. The progress is published in task_status, action feedback and diagnostics.
+The progress is computed once per image or cycle."""
 
 from __future__ import annotations
 

@@ -20,7 +20,7 @@ BAND = 0.3
 
 @dataclass(frozen=True)
 class Assembler(TaskRules):
-    """Rules of an assembling task on one rig. They have no memory."""
+    """Rules of an assembling task on one rig. The rules have no memory."""
 
     task: AssembleTask
     rig: Rig

@@ -54,9 +54,9 @@ GAP_MARGIN_M = 2e-3
 """Margin added to the gripper's clearance [m]."""
 
 STOCK = 0.03
-"""Weight of the distance to the window or to the chute, for parts that are not needed yet. It is
-relative to the weight of other parts [-]. With a larger weight, many such parts would push the
-others against the wall, and no part would move."""
+"""Weight of the distance to the window or to the chute, for parts that are not needed yet. The
+weight is relative to the weight of other parts [-]. With a larger weight, many such parts would
+push the others against the wall, and no part would move."""
 
 MANY_UNWANTED = 5
 """Number of unwanted parts from which all of them move to the chute, even if enough other parts are
@@ -87,7 +87,7 @@ FAR_M = 0.1
 
 NEAR_EDGE = 1.5
 """Maximum distance from an edge at which a vanished part counts as having left over this edge [its
-reach]. It is measured from the part's last position."""
+reach]. The distance is measured from the part's last position."""
 
 NEAR_CHUTE = 4.0
 """The same distance for the chute's edge [its reach]."""
@@ -230,8 +230,8 @@ class Feeder(TaskRules):
         return self.task.order.picks or self.task.picks
 
     def _report(self, memory: FeedMemory, now: Situation, rest_from: float) -> FeedReport:
-        """Return the report of this image. It counts the parts that left since the last report. The
-        plate rests from `rest_from` [s] on."""
+        """Return the report of this image. The report counts the parts that left since the last
+        report. The plate rests from `rest_from` [s] on."""
         seen, before = now.seen, memory.report
         hidden = [i for i, name in enumerate(now.parts.ids) if name not in seen.ids]
         every = _join(seen, now.parts.take(hidden))  # hidden parts also need clearance

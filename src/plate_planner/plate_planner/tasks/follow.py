@@ -1,7 +1,7 @@
 """Rules of a path-following task. Once per cycle, a PD controller computes the drift of each part.
 
 The request for image k acts during cycle k+1. Therefore the controller uses the error that is
-predicted for the start of cycle k+1. It requests the mean drift over this cycle:
+predicted for the start of cycle k+1. The controller requests the mean drift over this cycle:
 
     v_des = (x_ref(t + 2T) - x_ref(t + T))/T + kp (x_ref(t + T) - x_pred)/T
 
@@ -9,8 +9,8 @@ kp = 1 corrects the whole predicted error in one cycle. If one of the last resul
 late, kp is divided by 1 + n. The reason is that the plate may repeat a cycle n times before the
 next one begins, and all repetitions together must correct the error once. The solver changes the
 drift of a part from the present drift to the requested drift. This is the D term, with a gain of 1.
-The drift bias is the observed difference between the motion of the parts and the model. It is added
-in the prediction, and the planner subtracts it from the request.
+The drift bias is the observed difference between the motion of the parts and the model. The bias is
+added in the prediction, and the planner subtracts it from the request.
 """
 
 from __future__ import annotations
@@ -260,8 +260,8 @@ class Follower(TaskRules):
         )
 
     def _begun(self, memory: FollowMemory | None, now: Situation) -> FollowMemory:
-        """Begin the task. It begins again as long as parts move to the starts of their paths, and
-        until the length of a cycle is known."""
+        """Begin the task. The task begins again as long as parts move to the starts of their paths,
+        and until the length of a cycle is known."""
         early = memory is None or now.stamp < memory.began - now.period / 2
         if memory is not None and not memory.leading and not (early and now.motion_known):
             return memory
@@ -399,8 +399,8 @@ class Follower(TaskRules):
         return max(max(path.duration - time, 0) * path.speed for path in self.paths)
 
     def errors(self, memory: FollowMemory, parts: Parts, t: float) -> np.ndarray:
-        """Return the distance of each part (M,) from its reference [m]. It is 0 for a part without
-        a path."""
+        """Return the distance of each part (M,) from its reference [m]. The distance is 0 for a
+        part without a path."""
         result = np.zeros(len(parts))
         path, part = matched_rows(memory.match, parts)
         result[part] = np.hypot(*(parts.position[part] - self.reference(memory, t)[path]).T)
@@ -411,8 +411,8 @@ class Follower(TaskRules):
         return memory.path_time(t) >= max(path.duration for path in self.paths) - 1e-6
 
     def problem(self, memory: FollowMemory, parts: Parts, t: float) -> str:
-        """Return a text on the part that is farthest from its path, with a remedy. It is empty if
-        all errors are allowed."""
+        """Return a text on the part that is farthest from its path, with a remedy. The text is
+        empty if all errors are allowed."""
         error = self.errors(memory, parts, t)
         if not len(error) or np.max(error) <= self.task.max_error_m:
             return ""
@@ -452,7 +452,7 @@ class Follower(TaskRules):
         return axes
 
     def bias_limit(self, memory: FollowMemory | None, parts: Parts, period: float) -> np.ndarray:
-        """Return the maximum drift bias (M,) [m/s]. It is 0 for parts without a path."""
+        """Return the maximum drift bias (M,) [m/s]. The bias is 0 for parts without a path."""
         limit = np.zeros(len(parts))
         if memory is not None:
             path, part = matched_rows(memory.match, parts)

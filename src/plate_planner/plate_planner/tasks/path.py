@@ -1,5 +1,5 @@
-"""Polygonal paths with a speed profile. They give the reference position of a part as a function of
-time.
+"""Polygonal paths with a speed profile. The paths give the reference position of a part as a
+function of time.
 
 The input is a `PathTask` with corners, laps, and speeds at fractions of the length. Between two
 entries of the speed profile, the speed is linear in the arc length. Therefore time and arc length
@@ -68,7 +68,7 @@ class PolygonPath:
     def position(self, t: np.ndarray | float) -> np.ndarray:
         """Return the reference position (..., 2) [m, plate_home] at times t (...) [s].
 
-        It is the first corner for t < 0, and the end of the path after the last lap.
+        The position is the first corner for t < 0, and the end of the path after the last lap.
         """
         along = self._along(t)
         return np.stack([np.interp(along, self.arc, axis) for axis in self.corner.T], axis=-1)

@@ -96,7 +96,7 @@ class Poser(TaskRules):
 
     def errors(self, memory: PoseMemory, parts: Parts) -> tuple[np.ndarray, np.ndarray]:
         """Return the distance from its place [m] and the remaining rotation [rad] of each part
-        (M,). Both are 0 for a part without a pose."""
+        (M,). Both values are 0 for a part without a pose."""
         distance, angle = np.zeros(len(parts)), np.zeros(len(parts))
         pose, part = matched_rows(memory.match, parts)
         away = np.hypot(*(memory.place[pose] - parts.position[part]).T)
@@ -113,8 +113,8 @@ class Poser(TaskRules):
         return int(np.count_nonzero(there[matched_rows(memory.match, parts)[1]]))
 
     def problem(self, memory: PoseMemory, parts: Parts) -> str:
-        """Return a text on the part farthest from the position at which it must stay. It is empty
-        if all such parts are within the tolerance."""
+        """Return a text on the part farthest from the position at which it must stay. The text is
+        empty if all such parts are within the tolerance."""
         distance, _ = self.errors(memory, parts)
         pose, part = matched_rows(memory.match, parts)
         stays = np.array([self.task.poses[row].place is None for row in pose], dtype=bool)

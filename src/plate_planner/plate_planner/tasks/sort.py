@@ -129,8 +129,8 @@ class Sorter(TaskRules):
         )
 
     def to_go(self, parts: Parts) -> np.ndarray:
-        """Return the distance of each part (M,) from its region [m]. It is 0 inside, and NaN for a
-        class without a region."""
+        """Return the distance of each part (M,) from its region [m]. The distance is 0 inside, and
+        NaN for a class without a region."""
         sign, goal = self._signs(parts), self.task.goal_fraction * self.rig.plate.half
         short = np.where(sign != 0, np.maximum(goal - parts.position * sign, 0), 0)
         # A part on the goal line is not in its region yet.
@@ -142,10 +142,10 @@ class Sorter(TaskRules):
         return result
 
     def hand(self, before: float | None, parts: Parts) -> float:
-        """Return the direction of the swirl. It is 1 if parts to the right pass above parts to the
-        left, and -1 if they pass below. If the regions are opposite corners, they determine the
-        direction. Otherwise the direction changes only if the other one is much closer to the
-        present positions."""
+        """Return the direction of the swirl. The direction is 1 if parts to the right pass above
+        parts to the left, and -1 if they pass below. If the regions are opposite corners, they
+        determine the direction. Otherwise the direction changes only if the other one is much
+        closer to the present positions."""
         sign = self._signs(parts)
         if diagonal := _diagonal(sign):
             return diagonal

@@ -20,8 +20,8 @@ UNMATCHED = ""
 """Id that is returned for a target without a part."""
 
 WRONG_CLASS_M = 1e3
-"""Cost of a part of the wrong class [m]. It exceeds any sum of distances on a plate, so such a pair
-is never chosen."""
+"""Cost of a part of the wrong class [m]. This cost exceeds any sum of distances on a plate, so such
+a pair is never chosen."""
 
 FULL_DISTANCE_M = 0.006
 """Length to which the weights scale the longest distance of a part from its target [m]. With this
@@ -163,6 +163,6 @@ def stay_within(
 def nearness(
     coordinate: np.ndarray, half: float | np.ndarray, inner: float, outer: float
 ) -> np.ndarray:
-    """Return the proximity to an edge. It is 0 up to `inner` and 1 from `outer` on (fractions of
-    `half`), and linear in between."""
+    """Return the proximity to an edge. The proximity is 0 up to `inner` and 1 from `outer` on
+    (fractions of `half`), and linear in between."""
     return np.clip((np.abs(coordinate) / half - inner) / (outer - inner), 0, 1)

@@ -99,8 +99,8 @@ class Assessment:
     count : int
         Number of parts at their goals.
     total : int
-        Number of parts that the task counts. It is set only if it may exceed the number in the
-        scenario.
+        Number of parts that the task counts. The number is set only if it may exceed the number in
+        the scenario.
     distance : (M,)
         Distance of each part from its goal [m].
     to_go_m : float
@@ -140,7 +140,7 @@ class Assessment:
 
 
 class TaskRules(Protocol):
-    """Rules of one task on one rig. They are pure: the memory is an argument and a result.
+    """Rules of one task on one rig. The rules are pure: the memory is an argument and a result.
 
     A new task must implement `hold_s` and `assess`. For the other methods, the defaults are
     suitable for most tasks.
@@ -152,7 +152,8 @@ class TaskRules(Protocol):
         ...
 
     def assess(self, memory: Any, now: Situation) -> tuple[Any, Assessment]:
-        """Evaluate one image and return the request. It is also called while the task is inactive.
+        """Evaluate one image and return the request. The function is also called while the task is
+        inactive.
 
         Parameters
         ----------

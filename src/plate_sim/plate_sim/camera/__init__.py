@@ -1,5 +1,5 @@
-"""Simulated camera above the plate. It renders images of the parts with lens distortion, part
-heights, light, blur and noise.
+"""Simulated camera above the plate. The camera renders images of the parts with lens distortion,
+part heights, light, blur and noise.
 
 `Camera` renders an image in a given `Lighting`. `part_colours` and `part_greys` return the grey
 values of parts. The constants are default grey values, the default noise, and properties of

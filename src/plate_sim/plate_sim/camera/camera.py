@@ -1,4 +1,4 @@
-"""Synthetic images of the plate and its parts. They show the parts' heights, lens distortion,
+"""Synthetic images of the plate and its parts. The images show the parts' heights, lens distortion,
 light, shadows, motion blur and noise. The inputs are the poses of the parts and the plate, and the
 types or grey values of the parts. The output is a grey or colour image."""
 
@@ -37,17 +37,17 @@ NOISE = 2.0
 """Default standard deviation of the noise of a pixel [grey values]."""
 
 NOISE_BANK = 1 << 20
-"""Number of precomputed noise values. They are precomputed because drawing 307200 new values takes
-3 ms per image."""
+"""Number of precomputed noise values. The values are precomputed because drawing 307200 new values
+takes 3 ms per image."""
 
 BLUR_STEP_PX = 0.1
 """Distance between two positions whose images are averaged over the exposure [px]. A smaller
 distance makes no visible difference."""
 
 EDGE_STEP_PX = 0.25
-"""Distance between two positions of the plate's edges whose images are averaged [px]. It is a
-quarter of the width of an edge. It is larger than `BLUR_PX`, because the plate's edges have many
-pixels."""
+"""Distance between two positions of the plate's edges whose images are averaged [px]. This distance
+is a quarter of the width of an edge. This distance is larger than `BLUR_PX`, because the plate's
+edges have many pixels."""
 
 BLUR_MOST = 16
 """Maximum number of positions whose images are averaged over one exposure."""
@@ -60,7 +60,7 @@ MARK_RADIUS = 0.3
 
 MARK_OF_DARK = 130.0
 """Grey value of the mark on a part that is darker than `LIGHT`. The mark contrasts with the part.
-It is darker than the plate, so that the part remains one dark disc."""
+The mark is darker than the plate, so that the part remains one dark disc."""
 
 MARK_OF_LIGHT = 40.0
 """Grey value of the mark on any other part."""
@@ -73,7 +73,8 @@ STRIP_STEP = 0.002
 width is cached."""
 
 FAR = 1e6
-"""Coordinate for pixels that show no point of the plate's plane [m]. It is far off the plate."""
+"""Coordinate for pixels that show no point of the plate's plane [m]. The coordinate is far off the
+plate."""
 
 SHADOW_M = 2.5e-3
 """Default length of a shadow beyond the part [m]."""
@@ -96,8 +97,9 @@ EDGE_PX = 0.7
 are one pixel wide. Edges that coincide would be drawn twice."""
 
 GLOSS_PLACE = 0.35
-"""Displacement of the lamp's image on a glossy part, towards the lamp. It starts at the point
-farthest from the outline, and it is relative to the distance of this point from the outline."""
+"""Displacement of the lamp's image on a glossy part, towards the lamp. The displacement starts at
+the point farthest from the outline, and it is relative to the distance of this point from the
+outline."""
 
 HIGHLIGHT_OPACITY = 0.9
 """Opacity of a highlight, which is a white disc."""
@@ -150,9 +152,9 @@ class Lighting:
     penumbra_m : float
         Width of the shadows' soft edge at the far end [m]. At the part they are sharp.
     gloss : float
-        Radius of the lamp's image on each part. It is relative to the radius of a disc or, for
-        other parts, to the maximum distance of a point from the outline. 0 means no image of the
-        lamp.
+        Radius of the lamp's image on each part. The radius is relative to the radius of a disc or,
+        for other parts, to the maximum distance of a point from the outline. 0 means no image of
+        the lamp.
     side_shade : float
         Brightness of side faces relative to top faces.
     level : float
@@ -239,9 +241,9 @@ class _Solids(NamedTuple):
 
 
 class _Layer(NamedTuple):
-    """Layer of the drawing. It has one shape for each of M parts, for example all side faces. The
-    fields are the kind of grey (see `Camera._sprites`), positions (s, M, 2) [m], outlines, opacity,
-    and cosine and sine of the angles (M, 2) or (2,)."""
+    """Layer of the drawing. The layer has one shape for each of M parts, for example all side
+    faces. The fields are the kind of grey (see `Camera._sprites`), positions (s, M, 2) [m],
+    outlines, opacity, and cosine and sine of the angles (M, 2) or (2,)."""
 
     kind: int
     path: np.ndarray
@@ -317,20 +319,20 @@ class Camera:
         Parameters
         ----------
         position : (M, 2) or (s, M, 2)
-            Positions of the parts [m], plate_home. They are positions at the start of the exposure,
-            or s samples at equal intervals from the start to the end of the exposure.
+            Positions of the parts [m], plate_home. These are positions at the start of the
+            exposure, or s samples at equal intervals from the start to the end of the exposure.
         grey : (M,) or (M, 3)
             Grey values of the parts at full light, or blue, green and red for a colour image.
         rng : numpy.random.Generator
-            Generator for the noise. It draws one number per image: the offset in the bank of noise
-            values.
+            Generator for the noise. The generator draws one number per image: the offset in the
+            bank of noise values.
         velocity : (M, 2), optional
-            Velocities of the parts for motion blur [m/s]. They require positions (M, 2). Default:
-            0.
+            Velocities of the parts for motion blur [m/s]. Velocities require positions (M, 2).
+            Default: 0.
         pose : (3,), (s, 3) or (b, s, 3), optional
-            Pose of the plate [m, m, rad], plate_home. It is constant, or it has s samples over the
-            exposure, or s samples for each of b equal bands of image rows. Default: home, which is
-            correct at each start of a cycle if the plate is rigid.
+            Pose of the plate [m, m, rad], plate_home. The pose is constant, or it has s samples
+            over the exposure, or s samples for each of b equal bands of image rows. Default: home,
+            which is correct at each start of a cycle if the plate is rigid.
         angle : (M,), optional
             Angles of the parts [rad], counter-clockwise. Without `types`, each part has a mark in
             this direction. The mark is grey on a black part and black on a grey part.
@@ -343,8 +345,8 @@ class Camera:
             hide everything below them. The arm extends from the gripper along +y.
         height : (M,), optional
             Heights of the parts' top faces above the plate [m]. Default: flat. The camera sees the
-            top face of a high part displaced outwards and enlarged. It also sees the side face of
-            this part.
+            top face of a high part displaced outwards and enlarged. The camera also sees the side
+            face of this part.
         size : (M,), optional
             Sizes of the parts relative to their types. Default: 1.
 
@@ -462,10 +464,10 @@ class Camera:
         """Return the shapes to draw in this order: shadows, side faces, top faces, marks on discs,
         and highlights. Their grey value is still `WHITE`.
 
-        The third result is the index (n,) of each shape's grey value. It refers to an array with
-        five rows of M parts: black, the grey value of the part, the grey value of its mark, white,
-        and the grey value of its side face. If parts have heights, all shapes except shadows are
-        drawn part by part instead of layer by layer. The part farthest from the point below the
+        The third result is the index (n,) of each shape's grey value. The index refers to an array
+        with five rows of M parts: black, the grey value of the part, the grey value of its mark,
+        white, and the grey value of its side face. If parts have heights, all shapes except shadows
+        are drawn part by part instead of layer by layer. The part farthest from the point below the
         camera is first.
         """
         own, path, count = scene.top, scene.seen, scene.seen.shape[1]
@@ -550,8 +552,9 @@ class Camera:
         """Return three values for each shape: its window in the image (rows and columns, (n, 4)),
         its scale [px/m] (n,), and the number of positions that are averaged (n,).
 
-        The half size of a window covers the shape and its path. It is multiplied by the largest
-        singular value of the image's Jacobian at the middle of the path, and margins are added.
+        The half size of a window covers the shape and its path. The half size is multiplied by the
+        largest singular value of the image's Jacobian at the middle of the path, and margins are
+        added.
         """
         middle = 0.5 * (path[0] + path[-1])
         seen = project(self._to_image, middle)
@@ -643,8 +646,9 @@ def _pixel_places(rig: Rig) -> np.ndarray:
 
 
 def _light(width: int, height: int) -> np.ndarray:
-    """Return the fraction of full light in each pixel, (height, width), float32. It decreases
-    quadratically with the distance from the image's centre, by `SHADING` in the corners."""
+    """Return the fraction of full light in each pixel, (height, width), float32. The fraction
+    decreases quadratically with the distance from the image's centre, by `SHADING` in the
+    corners."""
     x = np.linspace(-1, 1, width, dtype=np.float32)
     y = np.linspace(-1, 1, height, dtype=np.float32)[:, None]
     return 1 - np.float32(SHADING) * (x * x + y * y) / 2
@@ -657,7 +661,7 @@ def _robot_outlines() -> Outlines:
 
 @lru_cache(maxsize=4)
 def _noise_bank(pixels: int) -> np.ndarray:
-    """Return standard normal numbers (`NOISE_BANK` + pixels,), float32. They are the bank, repeated
-    cyclically. The numbers are the same in every run."""
+    """Return standard normal numbers (`NOISE_BANK` + pixels,), float32. The numbers are the bank,
+    repeated cyclically. The numbers are the same in every run."""
     bank = np.random.default_rng(0).standard_normal(NOISE_BANK, dtype=np.float32)
     return np.resize(bank, NOISE_BANK + pixels)

@@ -88,8 +88,8 @@ struct Along {
     return std::min(std::max(inside + 0.5, 0.0), 1.0);
 }
 
-// Distances [m] of a point from the nearer edge of the plate along each axis. They are positive
-// inside the plate.
+// Distances [m] of a point from the nearer edge of the plate along each axis. The distances are
+// positive inside the plate.
 [[gnu::always_inline]] inline Vec depths(const Pose& pose, const double half[2], double x,
                                         double y) {
     const double dx = x - pose.x, dy = y - pose.y;

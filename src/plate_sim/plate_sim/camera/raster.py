@@ -2,8 +2,8 @@
 
 A table contains for each pixel the point of the plate's plane that it shows. The table includes the
 lens distortion and the perspective. The intensity of a pixel at an edge is the covered fraction of
-the pixel. It is approximated as a linear function of the distance between the pixel's centre and
-the edge.
+the pixel. The covered fraction is approximated as a linear function of the distance between the
+pixel's centre and the edge.
 """
 
 from __future__ import annotations
@@ -34,8 +34,8 @@ class Outlines(NamedTuple):
     pieces : (p + 1,)
         Index of the first edge of every polygon, and the total number of edges.
     first, hole : (M,)
-        Index of the first polygon of each part, and index of its first hole. Both are equal for a
-        disc.
+        Index of the first polygon of each part, and index of its first hole. Both indices are equal
+        for a disc.
     end : (M,)
         Index of the last polygon of each part, plus 1.
     reach : (M,)
@@ -177,7 +177,7 @@ def draw_plate(canvas, light, places, pixels, poses, copies, travel, half, scale
     Parameters
     ----------
     canvas : (n,)
-        Grey values. They are modified.
+        Grey values. The grey values are modified.
     light : (n,)
         Fraction of full light in each pixel.
     places : (n, 2)
@@ -206,7 +206,7 @@ def draw_parts(canvas, light, places, sprites, outlines):
     Parameters
     ----------
     canvas : (height, width)
-        Grey values. They are modified.
+        Grey values. The grey values are modified.
     light : (height, width)
         Fraction of full light in each pixel.
     places : (height, width, 2)

@@ -30,8 +30,8 @@ STRAIGHT = 1e-9
 
 
 class _Contour(NamedTuple):
-    """A convex piece of a part or of a hole, in the part's frame. It has corners (m, 2) [m] and
-    edges (m, 3) as in `Outlines`. `radius` is the radius of a disc [m], or 0 for a polygon."""
+    """A convex piece of a part or of a hole, in the part's frame. The piece has corners (m, 2) [m]
+    and edges (m, 3) as in `Outlines`. `radius` is the radius of a disc [m], or 0 for a polygon."""
 
     corners: np.ndarray
     edges: np.ndarray

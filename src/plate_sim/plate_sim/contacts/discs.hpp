@@ -1,5 +1,5 @@
-// Collisions of two discs, and of a disc with a wall. They are the closed form of the method in
-// impulses.hpp.
+// Collisions of two discs, and of a disc with a wall. The formulae are the closed form of the
+// method in impulses.hpp.
 //
 // The normal impulse passes through the centre of a disc, so it does not rotate the disc. Friction
 // between the edges does not change the closing speed. Therefore one normal and one tangential
@@ -33,7 +33,7 @@ inline void turn(const State& state, int i, double spin, double ago) {
     state(ANGLE, i) += ago * spin;
 }
 
-// Depth [m] of the overlap of two discs. It is 0 if they do not overlap.
+// Depth [m] of the overlap of two discs. The depth is 0 if they do not overlap.
 inline double overlap(const State& state, Bodies bodies, int i, int j) {
     const double dx = state(X, i) - state(X, j), dy = state(Y, i) - state(Y, j);
     const double size = bodies[i].radius + bodies[j].radius;

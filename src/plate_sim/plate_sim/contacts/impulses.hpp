@@ -7,8 +7,8 @@
 // each point. An impulse of up to mu_c times the normal impulse reduces the tangential speed, but
 // never reverses it. Both parts receive their impulses at the same place and at the same time.
 // Therefore momentum and angular momentum are conserved. This time is the time of the contact,
-// which is within the step. In a crowd an overlap may remain. It is removed by a displacement that
-// does not change the velocities.
+// which is within the step. In a crowd an overlap may remain. The overlap is removed by a
+// displacement that does not change the velocities.
 //
 // discs.hpp contains a simpler method for two discs.
 #pragma once
@@ -23,8 +23,8 @@
 
 namespace plate::contacts {
 
-// Overlap [m] that is not removed. It disappears when the parts separate. Because the parts are not
-// displaced, their angular momentum is not disturbed.
+// Overlap [m] that is not removed. The overlap disappears when the parts separate. Because the
+// parts are not displaced, their angular momentum is not disturbed.
 constexpr double KEPT = 5e-6;
 
 // Maximum number of impulse iterations of a collision. More than one iteration can be necessary if
@@ -117,9 +117,9 @@ inline double speed(const State& state, int i, int j, const Arm& arm, Vec n) {
     return n.x * (a.x - b.x) + n.y * (a.y - b.y);
 }
 
-// Compliance [1/kg]: change of that speed at `arm` by an impulse of 1 N s along n at `other`. It is
-// 1/m1 + 1/m2 + (a x n)(c x n)/I1 + (b x n)(d x n)/I2, where a, b are the vectors of `arm` and c, d
-// are the vectors of `other`.
+// Compliance [1/kg]: change of that speed at `arm` by an impulse of 1 N s along n at `other`. The
+// compliance is 1/m1 + 1/m2 + (a x n)(c x n)/I1 + (b x n)(d x n)/I2, where a, b are the vectors of
+// `arm` and c, d are the vectors of `other`.
 inline double compliance(const Arm& arm, const Arm& other, Vec n, const Inertia& inertia) {
     const double a = arm.first.x * n.y - arm.first.y * n.x;
     const double b = arm.second.x * n.y - arm.second.y * n.x;
@@ -129,8 +129,8 @@ inline double compliance(const Arm& arm, const Arm& other, Vec n, const Inertia&
            inertia.second_turn * b * d;
 }
 
-// Apply an impulse along n to both parts. It changes their velocities (row VX) or their positions
-// (row X).
+// Apply an impulse along n to both parts. The impulse changes their velocities (row VX) or their
+// positions (row X).
 inline void push(const State& state, int i, int j, const Arm& arm, Vec n, double impulse,
                  const Inertia& inertia, int row) {
     const auto [a, b] = arm;
@@ -197,8 +197,8 @@ inline void bounce(const State& state, int i, int j, const Arm arms[2], Vec n,
 // Collide two parts, or a part and a wall, at their contact points. The state is changed in place.
 //
 // i, j: two parts, at least one of which is not a disc; or a part that is not a disc, and a wall. A
-// disc is the first of the two. A wall is the second one. It is the last column of the state and
-// the last body. Its state is the pose and twist of the plate. step [s].
+// disc is the first of the two. A wall is the second one. The wall is the last column of the state
+// and the last body. Its state is the pose and twist of the plate. step [s].
 inline void collide(const State& state, Bodies bodies, int i, int j, Manifold contact,
                     const Rules& rules, double step) {
     const Body &a = bodies[i], &b = bodies[j];

@@ -21,7 +21,7 @@ class Contacts:
     friction : float
         Coulomb friction coefficient between the edges of two parts, at least 0.
     walls : bool
-        Whether walls around the plate keep parts on it. They have the same restitution and
+        Whether walls around the plate keep parts on it. The walls have the same restitution and
         friction.
 
     Raises

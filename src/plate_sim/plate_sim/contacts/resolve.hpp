@@ -1,8 +1,8 @@
 // Contacts between parts and with walls in one step.
 //
 // The input are the near pairs of the broad phase. Each Gauss-Seidel pass collides each touching
-// pair, and each part at a wall. The passes end when the maximum overlap is small enough. They
-// change velocities and positions in place.
+// pair, and each part at a wall. The passes end when the maximum overlap is small enough. The
+// passes change velocities and positions in place.
 #pragma once
 #include <algorithm>
 #include <cmath>

@@ -1,5 +1,5 @@
-"""Simulated motor controller with the protocol of docs/protocol.md. It runs the real firmware, and
-simulates the serial line and the plate.
+"""Simulated motor controller with the protocol of docs/protocol.md. The simulated controller runs
+the real firmware, and simulates the serial line and the plate.
 
 `Emulator` simulates controller, line and plate with the faults of a `FaultSchedule`. `Device` is
 only the controller.

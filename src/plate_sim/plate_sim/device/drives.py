@@ -1,5 +1,5 @@
-"""Simulation of four CiA 402 drives or ODrives on a CAN bus. It is limited to the functions that
-the firmware uses. The setpoints of the firmware are also checked.
+"""Simulation of four CiA 402 drives or ODrives on a CAN bus. The simulation is limited to the
+functions that the firmware uses. The setpoints of the firmware are also checked.
 
 A frame is an identifier and its data. The tests `test/test_cia402.py` and `test/test_odrive.py` use
 simulated drives of their own.

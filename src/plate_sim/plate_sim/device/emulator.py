@@ -29,7 +29,8 @@ BROWN_OUT_S = 0.3
 
 
 class Emulator:
-    """Motor controller with plate and serial line. It is the firmware on a simulated board.
+    """Motor controller with plate and serial line. The controller is the firmware on a simulated
+    board.
 
     Parameters
     ----------
@@ -119,7 +120,8 @@ class Emulator:
         self._cut()
 
     def reset(self) -> None:
-        """Restart the device. It loses its state, and the motors lose their current at once."""
+        """Restart the device. The device loses its state, and the motors lose their current at
+        once."""
         self.device = Device(self._limits, (self.device.boot + 1) % 2**32, self.now_us)
         self._booting_until = self.now + BOOT_S
         self._cut()

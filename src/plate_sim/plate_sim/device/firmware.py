@@ -20,8 +20,8 @@ from .serial_line import Line
 
 
 class FirmwareOnDesk:
-    """The firmware with drives on a CAN bus, in steps of one tick. It replaces `Emulator` if the
-    rig has drives.
+    """The firmware with drives on a CAN bus, in steps of one tick. This firmware replaces
+    `Emulator` if the rig has drives.
 
     The motors follow the simulated drives, which differ slightly from the setpoints.
 

@@ -20,7 +20,7 @@ from plate_core.rig import Drive, motor_levers, plate_mass
 
 @dataclass(frozen=True)
 class DeviceLimits:
-    """Limits of the motors. They have single precision, as in the protocol and the firmware.
+    """Limits of the motors. The limits have single precision, as in the protocol and the firmware.
 
     Attributes
     ----------
@@ -70,7 +70,8 @@ class DeviceLimits:
         """Coefficients (4,) of the sum of travels that is 0 for a rigid plate; float32, each at
         most 1.
 
-        They are the null vector of `load`, because four travels depend on only three coordinates.
+        The coefficients are the null vector of `load`, because four travels depend on only three
+        coordinates.
         """
         fit = np.linalg.eigh(self.load)[1][:, 0]
         return (fit / np.max(np.abs(fit))).astype(np.float32)
@@ -90,8 +91,8 @@ def rig_header(path: str) -> str:
 
 
 def c_header(limits: DeviceLimits, name: str, drives: Sequence[Drive] = ()) -> str:
-    """Return the C header for the firmware. It defines `LIMITS` in single precision. If the motors
-    have drives, it also defines `DRIVES`.
+    """Return the C header for the firmware. The header defines `LIMITS` in single precision. If the
+    motors have drives, it also defines `DRIVES`.
 
     Parameters
     ----------
@@ -129,8 +130,8 @@ def _drive(drive: Drive, fit: float) -> str:
 
 
 def _literal(value: np.ndarray) -> str:
-    """Return C code for an array or a number. It contains the shortest decimals that give the same
-    float."""
+    """Return C code for an array or a number. The code contains the shortest decimals that give the
+    same float."""
     if value.ndim == 0:
         return f"{value[()]!s}f"
     inner = [_literal(part) for part in value]

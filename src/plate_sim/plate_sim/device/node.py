@@ -77,16 +77,17 @@ class Options(NodeOptions):
 
 
 class DeviceNode(SafeLifecycleNode[Options]):
-    """Lifecycle node `device`. It emulates a motor controller on a pseudo-terminal in real time.
+    """Lifecycle node `device`. The node emulates a motor controller on a pseudo-terminal in real
+    time.
 
-    The node publishes motor_motion, camera_trigger and diagnostics. It uses the serial protocol on
-    the port `link`.
+    The node publishes motor_motion, camera_trigger and diagnostics. The node uses the serial
+    protocol on the port `link`.
 
     motor_motion contains the executed motion of the motors in segments. Each segment is stamped
     with its start. The simulated plate follows this motion. camera_trigger is stamped with the time
     of each trigger pulse. A segment ends at the pulse, and is published before camera_trigger. The
     port exists when the node is configured. While the node is not active, the device has no power.
-    It restarts on activation.
+    The device restarts on activation.
     """
 
     def __init__(self) -> None:
@@ -125,7 +126,7 @@ class DeviceNode(SafeLifecycleNode[Options]):
         self._terminal.read()  # a device without power loses received bytes
 
     def rest(self) -> None:
-        """Switch the device off. It loses its state."""
+        """Switch the device off. The device loses its state."""
         self._emulator.reset()
 
     def retune(self) -> None:

@@ -31,7 +31,7 @@ INPUT = 9
 """Size of a setpoint: pose, twist, acceleration."""
 
 SCALE = 1e-6
-"""Scale of the unit motions [m, m/s, ...]. It is far within the limits of any plate."""
+"""Scale of the unit motions [m, m/s, ...]. The scale is far within the limits of any plate."""
 
 
 @dataclass(frozen=True)
@@ -71,7 +71,7 @@ class Recorder:
     def __init__(self, now: float = 0.0) -> None:
         self._start = now
         self._ticks: list[tuple[float, np.ndarray]] = [(now, np.zeros((3, MOTORS)))]
-        # The whole table is a segment. It starts with the play of the table.
+        # The whole table is a segment. The segment starts with the play of the table.
         self._whole: Segment | None = None
         self._play: tuple[int, int] | None = None
 
@@ -93,8 +93,8 @@ class Recorder:
     ) -> list[Segment]:
         """Return the segments that have ended by `now` [s].
 
-        `at` is the setpoint at `now`. It is None without current. `triggered` states whether the
-        camera was triggered. If `device` is None, `Segment.table` is 0.
+        `at` is the setpoint at `now`. The setpoint is None without current. `triggered` states
+        whether the camera was triggered. If `device` is None, `Segment.table` is 0.
         """
         done = []
         play = None if device is None else device.play

@@ -1,5 +1,5 @@
 """Pseudo-terminal that acts as a serial port for the driver. A symbolic link gives it a fixed name.
-It can be unplugged and plugged in again, as with a USB adapter."""
+The port can be unplugged and plugged in again, as with a USB adapter."""
 
 from __future__ import annotations
 

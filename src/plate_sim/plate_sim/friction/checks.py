@@ -1,5 +1,5 @@
-"""Checks of the integrators' arguments. They return arrays of the expected shape, or raise errors
-that contain the name, the value and the allowed range."""
+"""Checks of the integrators' arguments. The checks return arrays of the expected shape, or raise
+errors that contain the name, the value and the allowed range."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from plate_core.motion import REST_TOLERANCE
 from ..plate.motion import PlateMotion
 
 LARGEST = 1e60
-"""Maximum magnitude of a state or coefficient. It ensures that products are finite."""
+"""Maximum magnitude of a state or coefficient. The limit ensures that products are finite."""
 
 
 def whole(name: str, value: int) -> int:

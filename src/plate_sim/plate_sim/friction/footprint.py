@@ -52,8 +52,8 @@ CELL = 0.2
 `Footprint.blur`."""
 
 ON_EDGE = 1e-9
-"""Maximum distance at which a point counts as on the edge of a piece [size of the piece]. It allows
-for rounding."""
+"""Maximum distance at which a point counts as on the edge of a piece [size of the piece]. The
+distance allows for rounding."""
 
 CORNERS_OF_DISC = 96
 """Number of corners of the polygon with which a disc is drawn."""
@@ -81,7 +81,7 @@ class Footprint:
         Corners of the convex polygons [m], counter-clockwise. For a disc, they are used only for
         drawing.
     radius : float
-        Radius of a disc [m]. It is 0 for other shapes.
+        Radius of a disc [m]. The radius is 0 for other shapes.
     """
 
     mass: float
@@ -109,8 +109,8 @@ class Footprint:
 
     @cached_property
     def slim(self) -> float:
-        """About half the minimum width [m]. It is twice the area of the slimmest piece divided by
-        its perimeter."""
+        """About half the minimum width [m]. The width is twice the area of the slimmest piece
+        divided by its perimeter."""
         return self.radius or min(
             2 * quadrature.area(piece) / np.linalg.norm(piece - np.roll(piece, 1, 0), axis=1).sum()
             for piece in self.outline

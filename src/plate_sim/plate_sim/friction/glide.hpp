@@ -1,6 +1,6 @@
 // Steps of discs that slide steadily, which is the most frequent case. The method is the explicit
-// midpoint rule of `stepping::midpoint` with `disc::series`. It processes several discs at once and
-// has no branches. If a step does not meet the conditions, `advance` computes it.
+// midpoint rule of `stepping::midpoint` with `disc::series`. The method processes several discs at
+// once and has no branches. If a step does not meet the conditions, `advance` computes it.
 #pragma once
 #include <algorithm>
 #include <cmath>

@@ -15,12 +15,12 @@ from . import quadrature
 from .footprint import CELL, MASS, POINTS, Footprint, disc, union
 
 GRID = 4
-"""Number of grid points per cell along each axis. They determine the fraction of a cell that is
-inside the part."""
+"""Number of grid points per cell along each axis. The grid points determine the fraction of a cell
+that is inside the part."""
 
 STRAIGHT = 1e-9
-"""Relative cross product below which a corner is ignored. It is relative to the square of the
-part's size."""
+"""Relative cross product below which a corner is ignored. The cross product is relative to the
+square of the part's size."""
 
 
 def footprint_of(part: PartType) -> Footprint:
@@ -151,5 +151,6 @@ def _is_convex(corner: np.ndarray) -> bool:
 
 
 def _turn(a: np.ndarray, b: np.ndarray, c: np.ndarray) -> float:
-    """Return twice the area of a triangle. It is positive if the corners are counter-clockwise."""
+    """Return twice the area of a triangle. The area is positive if the corners are
+    counter-clockwise."""
     return float((b[0] - a[0]) * (c[1] - a[1]) - (b[1] - a[1]) * (c[0] - a[0]))

@@ -1,4 +1,5 @@
-// Implicit Coulomb friction step of a rigid footprint. It is a convex problem with three unknowns.
+// Implicit Coulomb friction step of a rigid footprint. The step is a convex problem with three
+// unknowns.
 //
 // The slip d = (u, v, c) [m/s, m/s, rad/s] of a part is the twist of the plate at the part minus
 // the twist of the part. Without friction, the slip after a step would be `free`. With friction
@@ -12,8 +13,8 @@
 // part slips, rotates and sticks without overshooting, for any length of the step.
 //
 // A primal-dual Newton method solves the problem. Its unknowns are slips and forces (Andersen,
-// Christiansen, Conn and Overton 2000). It converges, although the norms are not smooth at 0. The
-// iteration ends when the duality gap guarantees the accuracy.
+// Christiansen, Conn and Overton 2000). The method converges, although the norms are not smooth at
+// 0. The iteration ends when the duality gap guarantees the accuracy.
 //
 // The terms of a sum are computed for several points at once, and then added point by point.
 // Therefore sums do not depend on the processor's vector width.

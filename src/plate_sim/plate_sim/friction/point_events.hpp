@@ -1,5 +1,5 @@
 // Event-driven simulation of point parts on the exact motion of the plate, with a given accuracy.
-// It is the reference for all other integrators. point_events.py describes the method.
+// This simulation is the reference for all other integrators. point_events.py describes the method.
 #pragma once
 #include <algorithm>
 #include <cmath>
@@ -17,7 +17,7 @@ constexpr double STEP_SHARE = 0.05;
 // error of a step.
 constexpr double SNAP_SHARE = 0.1;
 // Maximum velocity change by friction [m/s] while a slip vanishes at which the slip counts as zero.
-// It is relative to the allowed error of a step, per period.
+// The velocity change is relative to the allowed error of a step, per period.
 constexpr double ZERO_SHARE = 0.2;
 // Time as a fraction of a period. A part is set to stick only if friction can still hold it after
 // this time.
@@ -30,8 +30,8 @@ constexpr double FLOOR = 1e-13;
 constexpr std::int64_t BUDGET = 50'000;
 // Number of equal steps per cycle for the rest of such a motion.
 constexpr int COARSE = 2000;
-// Tolerance of roots in time, and of motion on a line. It is relative to a slip that counts as
-// zero.
+// Tolerance of roots in time, and of motion on a line. The tolerance is relative to a slip that
+// counts as zero.
 constexpr double FINE = 1e-3;
 // Friction [m/s2] below which it is neglected, because its direction would be a rounding error.
 constexpr double LEAST = 1e-60;
@@ -152,7 +152,8 @@ struct Slid {
     double hint;
 };
 
-// Compute one step of a sliding part. Its length is at most h [s]. It ends where the slip vanishes.
+// Compute one step of a sliding part. Its length is at most h [s]. The step ends where the slip
+// vanishes.
 inline Slid slide(Table table, double t, int k, double h, double hint, const Point& part, Vec force,
                   const Slide& now, const Bounds& bounds) {
     const double limit = bounds.limit, period = bounds.period, first = h;
@@ -208,7 +209,7 @@ inline double first_free(Table table, double low, double high, int k, Vec q, dou
     return c > most ? high : -1;
 }
 
-// Time [s] until which friction holds a part at q [m, plate frame]. It is at most the period.
+// Time [s] until which friction holds a part at q [m, plate frame]. The time is at most the period.
 inline double release(Table table, double t, int k, Vec q, double limit) {
     const double period = table.back().end, radius = std::sqrt(dot(q, q));
     for (int piece = k; piece < static_cast<int>(table.size()); piece++) {
@@ -249,8 +250,8 @@ inline int emit_held(Table table, double until, int k, Vec q, const Grid& grid, 
     return j;
 }
 
-// Write the samples of a sliding step. They are taken from the quintic through p, v and v' at both
-// ends. Return the next sample.
+// Write the samples of a sliding step. The samples are taken from the quintic through p, v and v'
+// at both ends. Return the next sample.
 inline int emit(double t, double h, const Point& start, Vec before, const Point& end, Vec after,
                 const Grid& grid, int j, const Track& track) {
     if (j >= track.count - 1 || grid.time(j) > t + h) return j;

@@ -1,5 +1,5 @@
 """Event-driven simulation of point parts on the exact motion of the plate, with a given accuracy.
-It is the reference for all other integrators.
+This simulation is the reference for all other integrators.
 
 A sliding part is integrated by Runge-Kutta 5(4) with error control. A sticking part keeps its exact
 place on the plate until the acceleration of the surface there exceeds the limit of static friction.
@@ -30,8 +30,8 @@ TOLERANCE = 1e-7
 """Default error of the displacement in one cycle [m]: a ten-thousandth of a pixel."""
 
 SAMPLES = 64
-"""Default number of output samples per cycle. It gives eight samples per period of the highest
-harmonic of a usual motion."""
+"""Default number of output samples per cycle. This number gives eight samples per period of the
+highest harmonic of a usual motion."""
 
 
 @dataclass(frozen=True)

@@ -1,6 +1,6 @@
 """Quadrature rules for convex polygons, exact for polynomials of degree 2 or more.
 
-`polygon_rule` returns points and areas for a polygon. It uses Gauss's product rule for a
+`polygon_rule` returns points and areas for a polygon. The rule uses Gauss's product rule for a
 parallelogram, and three points per triangle for other polygons. The other functions compute areas
 and intersections.
 """
@@ -57,7 +57,7 @@ def _parallelogram(corners: np.ndarray, count: int) -> tuple[np.ndarray, np.ndar
 
 
 def area(corners: np.ndarray) -> float:
-    """Return the area [m2] of a polygon (k, 2). It is positive if the corners are
+    """Return the area [m2] of a polygon (k, 2). The area is positive if the corners are
     counter-clockwise."""
     if len(corners) < 3:
         return 0.0

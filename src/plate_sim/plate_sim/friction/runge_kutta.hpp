@@ -169,8 +169,8 @@ inline Landing landing(Table table, double t, int k, double h, const Point& part
     return {tau, rest, limit * tau * share};
 }
 
-// Unit vector of the acceleration of the plate's point q [m, plate frame]. It is 0 if the point
-// does not accelerate.
+// Unit vector of the acceleration of the plate's point q [m, plate frame]. The vector is 0 if the
+// point does not accelerate.
 inline Vec heading(Table table, double t, int k, Vec q) {
     const Vec accel = riding(table, t, k, q).accel;
     const double a = std::sqrt(dot(accel, accel));

@@ -31,7 +31,7 @@ constexpr int X = 0, Y = 1, ANGLE = 2, VX = 3, VY = 4, SPIN = 5;
 // Number of parts in an SIMD vector.
 constexpr int LANES = 4;
 
-// Constants of a part: a record of BODY in step.py. It has the same bytes as ten numbers.
+// Constants of a part: a record of BODY in step.py. The record has the same bytes as ten numbers.
 struct Body {
     double mu_g, gyration2, radius, reach, slim, mass_inverse;
     std::int64_t first_point, end_point, first_piece, end_piece;
@@ -208,9 +208,10 @@ inline Attempt ride(const PlateSample* plate, Vec fall, double static_dv, const 
                        end.vx - end.spin * qy, end.vy + end.spin * qx, end.spin};
     const Slip gain{after.vx - m.vx, after.vy - m.vy, after.spin - m.spin}, pull{fall.x, fall.y, 0};
     if (!holds(gain - pull, m.angle, static_dv, body, mesh)) return {false, after};
-    // Also check the rate at the end, because the part may begin to slide there. Consider the
-    // parabola a s + b s^2 that is 0 at s = 0, half at s = 1/2 and gain at s = 1. It has a = 4 half
-    // - gain and b = 2 gain - 4 half. Its rate at s = 1 is a + 2 b = 3 gain - 4 half.
+    // Also check the rate at the end, because the part may begin to slide there. The change of the
+    // slip is approximated by a parabola a s + b s^2. With its values at s = 1/2 (`half`) and at
+    // s = 1 (`gain`), a = 4 half - gain and b = 2 gain - 4 half. The rate of the parabola at s = 1
+    // is a + 2 b = 3 gain - 4 half.
     turn = middle.theta - start.theta;
     const Slip half =
         slip(middle, middle.x + rx - turn * ry, middle.y + ry + turn * rx, m.vx, m.vy, m.spin);

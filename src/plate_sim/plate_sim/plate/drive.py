@@ -143,7 +143,7 @@ class Plant:
 
     @cached_property
     def servo(self) -> np.ndarray:
-        """Servo forces (4, 6) per deviation of pose and twist. They include the gains of the
+        """Servo forces (4, 6) per deviation of pose and twist. The forces include the gains of the
         motors."""
         stiff, damped = (s * self.push.T for s in self.suspension.servo)
         return np.asarray(-self.gain[:, None] * np.concatenate([stiff, damped], axis=1))
@@ -177,8 +177,8 @@ class Plant:
 
 @dataclass(frozen=True)
 class Command:
-    """A commanded cycle and the errors of its feedforward. Both are given by their derivatives at
-    the starts of the pieces.
+    """A commanded cycle and the errors of its feedforward. The command and the errors are given by
+    their derivatives at the starts of the pieces.
 
     Attributes
     ----------

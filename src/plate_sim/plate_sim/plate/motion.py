@@ -18,8 +18,8 @@ ROUNDING_S = 1e-12
 class PlateMotion:
     """Actual motion of the plate over one cycle in plate_home, described by quintic pieces.
 
-    Integrators accept it instead of a `PlateCycle` for one cycle. Both have `period`, `times`,
-    `coefficients`, `pose`, `twist` and `accel`.
+    Integrators accept it instead of a `PlateCycle` for one cycle. Both classes have `period`,
+    `times`, `coefficients`, `pose`, `twist` and `accel`.
 
     Attributes
     ----------

@@ -11,8 +11,8 @@ namespace plate {
 
 // A piece between two knots: times of its start and end [s]; coefficients of the six powers of the
 // time since its start, for x, y [m] and theta [rad]; bounds of the acceleration of a part that
-// sticks (see `ride_bound`); whether theta changes at any time; and whether the cycle is closed. It
-// is one row of a table (K, 24).
+// sticks (see `ride_bound`); whether theta changes at any time; and whether the cycle is closed. A
+// piece is one row of a table (K, 24).
 struct Piece {
     double start, end, x[6], y[6], theta[6], line, push, turns, wraps;
 };

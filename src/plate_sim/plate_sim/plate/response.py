@@ -32,8 +32,8 @@ TWIST_ERROR = 1e-6
 per second."""
 
 ACCEL_ERROR = 1e-2
-"""Maximum error of the acceleration between knots [m/s2, rad/s2]. It affects only the time at which
-a part begins to slip."""
+"""Maximum error of the acceleration between knots [m/s2, rad/s2]. This error affects only the time
+at which a part begins to slip."""
 
 HALVINGS = 16
 """Maximum number of bisections of a piece. With it, a lag of 1 us is resolved in pieces of 10
@@ -49,8 +49,8 @@ def realise(
 ) -> tuple[PlateMotion, PlateState]:
     """Return the plate's motion during a commanded cycle, and its state at the end.
 
-    The motion follows the linear model in `drive`. It is exact at the knots and at the end. Between
-    the knots, the errors are about `POSE_ERROR`, `TWIST_ERROR` and `ACCEL_ERROR`. The model
+    The motion follows the linear model in `drive`. The motion is exact at the knots and at the end.
+    Between the knots, the errors are about `POSE_ERROR`, `TWIST_ERROR` and `ACCEL_ERROR`. The model
     neglects the friction of parts on the plate, and the change of the motors' levers with the
     rotation of the plate. Without a suspension, the motion is equal to the commanded motion.
 
@@ -84,8 +84,8 @@ def motor_record(
 
 
 def overtravel(rig: Rig, motion: PlateMotion) -> float:
-    """Return the maximum distance by which a motor exceeds its stroke [m]. It is checked at 4 times
-    per piece."""
+    """Return the maximum distance by which a motor exceeds its stroke [m]. The stroke is checked at
+    4 times per piece."""
     t = motion.times[:-1, None] + np.diff(motion.times)[:, None] * np.arange(4) / 4
     travel, _, _ = motor_record(rig, motion, np.append(t, motion.period))
     return max(0.0, float(np.max(np.abs(travel))) - rig.limits.stroke_m)
@@ -193,7 +193,8 @@ def _misses(
     middle.
 
     The error of a quintic is proportional to (t (h - t))^3. Therefore the maximum error of the
-    twist is not in the middle. It is 3.4 times the maximum pose error divided by h.
+    twist is not in the middle. The maximum error of the twist is 3.4 times the maximum pose error
+    divided by h.
     """
     h = step[:, None]
     p, q = spans.before[:, :3], spans.after[:, :3]

@@ -32,8 +32,8 @@ STEP = 2e-4
 0.2 mm."""
 
 SAMPLES = 64
-"""Default number of output samples per cycle. It gives eight samples per period of the highest
-harmonic of a usual motion."""
+"""Default number of output samples per cycle. This number gives eight samples per period of the
+highest harmonic of a usual motion."""
 
 START_OVERLAP = 0.1
 """Maximum overlap of two parts at the start, as a fraction of half the slimmer part's width."""
@@ -242,10 +242,10 @@ def run_plates(
         Motion, number of equal steps per cycle, and ground of each plate.
     shapes : Shapes
     states : (N, M, 6)
-        x, y, angle and their rates. They are modified.
+        x, y, angle and their rates. The states are modified.
     here : (N, M) bool
-        Whether each part is on the plate. It is modified. A removed part stays at its place, at
-        rest, and does not touch other parts.
+        Whether each part is on the plate. The mask is modified. A removed part stays at its place,
+        at rest, and does not touch other parts.
     limit : (N, M)
         mu g of each part [m/s2].
     contacts, half
@@ -290,8 +290,8 @@ def run_plates(
 
 
 def columns(starts: Sequence[tuple[Any, Any, Any, Any]]) -> np.ndarray:
-    """Check and combine position, angle, velocity and spin of the parts on N plates. They are given
-    as in `simulate_bodies`. Return states (N, M, 6)."""
+    """Check and combine position, angle, velocity and spin of the parts on N plates. The arguments
+    are given as in `simulate_bodies`. Return states (N, M, 6)."""
     count = len(starts[0][0])
     if {tuple(map(np.shape, s)) for s in starts} == {((count, 2), (count,), (count, 2), (count,))}:
         states = np.empty((len(starts), count, 6))

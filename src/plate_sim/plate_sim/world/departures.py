@@ -12,8 +12,8 @@ from plate_core.tasks import Side
 from .state import WorldState
 
 OVER_EDGE_M = 0.03
-"""Maximum distance inside a side at which a part counts as having left over this side [m]. It is
-measured from the part's last position. It covers the motion of the plate."""
+"""Maximum distance inside a side at which a part counts as having left over this side [m]. The
+distance is measured from the part's last position. The distance covers the motion of the plate."""
 
 
 def went_over(side: Side, position: np.ndarray, rig: Rig) -> np.ndarray:

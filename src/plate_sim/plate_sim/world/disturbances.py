@@ -59,8 +59,8 @@ RANGES: dict[str, tuple[float, float]] = {
 """Allowed range of each disturbance."""
 
 FLICKER_HZ = 97.0
-"""Default frequency of flicker [Hz]. It is close to the frequency of lamps on mains power, but it
-is not a multiple of the image rate."""
+"""Default frequency of flicker [Hz]. The frequency is close to the frequency of lamps on mains
+power, but it is not a multiple of the image rate."""
 
 SLOWEST_RATE = 1.0
 """Minimum image rate of a free-running camera [1/s]. At a lower rate, the next image would count as

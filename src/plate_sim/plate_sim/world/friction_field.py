@@ -1,12 +1,12 @@
 """Variation of friction between parts and over the plate.
 
-Friction varies from part to part. It also varies over the plate, as a smooth field that is fixed to
-the plate. The field is evaluated only once per cycle at the position of each part, although the
-plate moves by up to 1 cm under the part. This was compared with 200 evaluations per cycle. The part
-with the largest difference in a cycle ends 0.02 mm (4 parts) to 0.08 mm (10 parts) away (medians of
-34 cycles of sort_4 and sort_10, +-10 %). The maximum is 0.2 mm, or 0.3 mm in random cycles that use
-the whole stroke. An error of mu of 1 to 3 % has the same effect. The field itself displaces the
-most affected part by 0.1 to 0.2 mm.
+Friction varies from part to part. Friction also varies over the plate, as a smooth field that is
+fixed to the plate. The field is evaluated only once per cycle at the position of each part,
+although the plate moves by up to 1 cm under the part. This was compared with 200 evaluations per
+cycle. The part with the largest difference in a cycle ends 0.02 mm (4 parts) to 0.08 mm (10 parts)
+away (medians of 34 cycles of sort_4 and sort_10, +-10 %). The maximum is 0.2 mm, or 0.3 mm in
+random cycles that use the whole stroke. An error of mu of 1 to 3 % has the same effect. The field
+itself displaces the most affected part by 0.1 to 0.2 mm.
 """
 
 from __future__ import annotations
@@ -24,13 +24,13 @@ WAVELENGTH = 0.1
 """Wavelength of the variation of friction over the plate [m]. A few waves fit along the plate."""
 
 WAVES = 32
-"""Number of waves in the field. It is large enough for a field that is isotropic and
+"""Number of waves in the field. The number is large enough for a field that is isotropic and
 homogeneous."""
 
 
 @dataclass(frozen=True)
 class FrictionField:
-    """Friction field of a run. It is drawn once.
+    """Friction field of a run. The field is drawn once.
 
     Attributes
     ----------

@@ -1,6 +1,6 @@
 """Simulated hand that places and removes parts.
 
-It checks the id, class, position and angle of a part, and returns the new state of all parts.
+The hand checks the id, class, position and angle of a part, and returns the new state of all parts.
 `Simulation.place` checks for overlaps.
 """
 

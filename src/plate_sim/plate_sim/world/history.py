@@ -1,4 +1,4 @@
-"""Recent motion of parts and plate. It is needed for images of a camera with latency.
+"""Recent motion of parts and plate. The history is needed for images of a camera with latency.
 
 `History` stores the motions of the last cycles. `History.ago` interpolates the positions and angles
 of the parts and the pose of the plate at an earlier time.
@@ -57,7 +57,7 @@ class View:
 
 @dataclass(frozen=True)
 class History:
-    """The last cycles, oldest first. They cover at least the requested time."""
+    """The last cycles, oldest first. The cycles cover at least the requested time."""
 
     passages: tuple[Passage, ...] = ()
 
@@ -134,7 +134,7 @@ class History:
         position, velocity = _between(run.time, run.position, run.velocity, inside)
         angle, spin = _between(run.time, run.angle, run.spin, inside)
         pose, twist = passage.motion.pose(inside)[0], passage.motion.twist(inside)[0]
-        # A part that left the plate keeps the position at which it left. It left at the first
+        # A part that left the plate keeps the position at which it left. The part left at the first
         # sample with this position.
         left = ~passage.on_plate & np.all(position == run.position[-1], axis=1)
         return View(

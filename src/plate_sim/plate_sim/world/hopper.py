@@ -19,7 +19,8 @@ from plate_core.tasks import MAX_OPEN_S, Hopper
 from .state import WorldState
 
 WHOLE = 1e-6
-"""Tolerance for a whole part [parts]. It is needed because times are sums of rounded times."""
+"""Tolerance for a whole part [parts]. The tolerance is needed because times are sums of rounded
+times."""
 
 TRIES = 20
 """Maximum number of places that are tried for a dropped part."""

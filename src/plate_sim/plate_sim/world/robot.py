@@ -47,7 +47,7 @@ class Grip:
         Id of the gripped part or of the part that slipped. Empty if no part was found.
     error_m : float
         True distance of the centre of this part from the gripper [m]. If no part was found, it is
-        the distance of the nearest part. It is infinite if there is no part.
+        the distance of the nearest part. The distance is infinite if there is no part.
     error_rad : float
         True angle from the gripper to the part [rad], reduced by the symmetry of the part to the
         range -pi to pi. 0 if no part was found.
@@ -109,8 +109,9 @@ def grip(state: WorldState, rig: Rig, gripper: Sequence[float], slips: bool, mar
 def nudged(
     state: WorldState, rig: Rig, part_id: str, rng: np.random.Generator
 ) -> tuple[np.ndarray, float]:
-    """Return the position (2,) [m, plate_home] and angle [rad] of a part after a failed grip. They
-    are unchanged if the random displacement would lead to an overlap or off the plate."""
+    """Return the position (2,) [m, plate_home] and angle [rad] of a part after a failed grip.
+    Position and angle are unchanged if the random displacement would lead to an overlap or off the
+    plate."""
     row = state.ids.index(part_id)
     place, angle = state.position[row], float(state.angle[row])
     radius, way = NUDGE_M * np.sqrt(rng.random()), rng.uniform(-np.pi, np.pi)
@@ -137,7 +138,7 @@ class Robot:
     Attributes
     ----------
     taken : frozenset of str
-        Ids of the parts that the robot has taken. They are kept until these parts are forgotten.
+        Ids of the parts that the robot has taken. The ids are kept until these parts are forgotten.
     stations : list of (float, (2,) or None)
         Start times [s] and positions [m, plate_home]. A position is None while the robot is away.
         Images may still show the oldest position.

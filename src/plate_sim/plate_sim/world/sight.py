@@ -60,7 +60,7 @@ class Sight:
 
 
 class CameraView:
-    """Camera of a simulation. It also stores the appearance and the history of the parts.
+    """Camera of a simulation. The object also stores the appearance and the history of the parts.
 
     Parameters
     ----------
@@ -79,7 +79,7 @@ class CameraView:
     Attributes
     ----------
     history : History
-        Past motion of parts and plate. It covers the time that an image may show.
+        Past motion of parts and plate. The history covers the time that an image may show.
     """
 
     def __init__(
@@ -123,8 +123,8 @@ class CameraView:
 
     @cached_property
     def _camera(self) -> Camera:
-        """Camera. It is created for the first image, because its creation takes as long as a
-        hundred cycles."""
+        """Camera. The camera is created for the first image, because its creation takes as long as
+        a hundred cycles."""
         world = self._disturbances
         return Camera(
             self._rig, self._noise, plate=world.plate_grey, room=world.room_grey,
@@ -289,7 +289,7 @@ def check_height(rig: Rig, disturbances: Disturbances) -> None:
 
 
 def _own_number(seed: int, part_id: str) -> float:
-    """Return a number for a part, uniform in -1 to 1. It depends only on the seed and on the part's
-    id."""
+    """Return a number for a part, uniform in -1 to 1. The number depends only on the seed and on
+    the part's id."""
     rng = np.random.default_rng([seed, zlib.crc32(part_id.encode())])
     return float(rng.uniform(-1, 1))

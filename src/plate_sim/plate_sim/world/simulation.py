@@ -33,7 +33,7 @@ WORLD_RANGES = {"noise": (0.0, 50.0), "mu_scale": (0.1, 10.0)}
 """Allowed ranges of a simulation's parameters."""
 
 TRIAL_S = 1e-3
-"""Length of a simulated rest [s]. It checks whether a placed part overlaps other parts."""
+"""Length of a simulated rest [s]. This rest checks whether a placed part overlaps other parts."""
 
 MIN_S = 1e-6
 """Minimum length of a piece of a cycle that is simulated separately [s]."""
@@ -258,7 +258,8 @@ class Simulation:
             the nearest part from the plate. With the probability `pick_failure` the part slips and
             may be displaced slightly.
         x, y, angle : float
-            Pose of the gripper [m, m, rad, plate_home]. It is not used if the robot moves away.
+            Pose of the gripper [m, m, rad, plate_home]. The pose is not used if the robot moves
+            away.
 
         Raises
         ------

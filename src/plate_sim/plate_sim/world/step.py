@@ -1,4 +1,4 @@
-"""Steps of the state of the parts from one plate cycle to the next. They are pure functions.
+"""Steps of the state of the parts from one plate cycle to the next. The steps are pure functions.
 
 The inputs are the state, the motion of the plate, the rig and the contact parameters. `run_cycle`
 returns the next state, `record_cycle` also returns the motion, and `run_together` returns the
@@ -44,7 +44,8 @@ def run_cycle(
     step : float
         Maximum integration step [s].
     contacts : Contacts
-        Contact parameters of the parts. They state whether walls keep the parts on the plate.
+        Contact parameters of the parts. The parameters state whether walls keep the parts on the
+        plate.
     cycles : int
         Number of cycles.
     ground : Ground

@@ -31,8 +31,8 @@ from .request import Request
 
 
 class ForceSolver(MotionSolver):
-    """Solver that finds closed plate motions with requested average forces. It inherits `steer` for
-    goals on the cycle map.
+    """Solver that finds closed plate motions with requested average forces. The solver inherits
+    `steer` for goals on the cycle map.
 
     Attributes
     ----------

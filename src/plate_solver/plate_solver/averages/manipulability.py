@@ -29,8 +29,8 @@ from ..library import Library, least_time
 from ..library.condition import columns_of, second_moment, unit
 
 DEAR = 1e6
-"""Price of a unit of unmet force [cycles / (mu m g)]. It is higher than the cost of any feasible
-force, so that no feasible force is left unmet."""
+"""Price of a unit of unmet force [cycles / (mu m g)]. The price is higher than the cost of any
+feasible force, so that no feasible force is left unmet."""
 
 DESCENTS = 12
 """Maximum number of steps of a search from one face of the hull to a nearer one."""
@@ -53,13 +53,14 @@ class Manipulability:
         Ratio of the forces in the easiest and in the most difficult direction, at least 1. Infinite
         if no force is possible in some direction.
     worst_direction : (2 M,)
-        Most difficult direction by the second moment of the forces. It is a unit of force.
+        Most difficult direction by the second moment of the forces. The direction is a unit of
+        force.
     weakest_force : float
-        Maximum force of the library in its weakest direction [mu m g]. It is a local minimum: the
-        search may miss a smaller one. Ramps between rotations, the closure of the motion, and the
-        limits are neglected.
+        Maximum force of the library in its weakest direction [mu m g]. The force is a local
+        minimum: the search may miss a smaller one. Ramps between rotations, the closure of the
+        motion, and the limits are neglected.
     weakest_direction : (2 M,)
-        Direction of `weakest_force`. It is a unit of force.
+        Direction of `weakest_force`. The direction is a unit of force.
     """
 
     condition: float

@@ -22,7 +22,7 @@ constexpr double STEP = 0.55;
 // even.
 constexpr double WEIGHT = 2 / PI * STEP;
 
-// Number of nodes of the integral. It is sufficient for the narrowest dip.
+// Number of nodes of the integral. The number is sufficient for the narrowest dip.
 constexpr int PLACES = 44;
 
 // Minimum distance b of a branch point from the real axis [rad]. A narrower dip has the same effect
@@ -35,8 +35,8 @@ constexpr double FADED = 17.0;
 // Value of n b above which a dip needs no correction: the error of equal steps is exp(-n b).
 constexpr double NEAR = 14.0;
 
-// Value of b^2/2 at n b = NEAR, with b in steps. It is estimated from three squared samples, as the
-// minimum of the parabola through them divided by its second difference.
+// Value of b^2/2 at n b = NEAR, with b in steps. The value is estimated from three squared samples,
+// as the minimum of the parabola through them divided by its second difference.
 constexpr double STEPS_NEAR = (NEAR / (2 * PI)) * (NEAR / (2 * PI)) / 2;
 
 // Distance [steps] between two dips below which one of them may not appear as a minimum of the
@@ -199,7 +199,7 @@ inline ComplexSlip complex_slip(const std::vector<Turned>& turned, double depth,
     return {x, y, power};
 }
 
-// Returns -q / (1 + q), which is the sum of (-q)^m over all m from 1. It contains all aliasing
+// Returns -q / (1 + q), which is the sum of (-q)^m over all m from 1. The sum contains all aliasing
 // errors of n equal steps.
 inline Complex aliases(Complex q) {
     const double scale = -1 / square(Complex{1 + q.real, q.imag});
@@ -263,8 +263,8 @@ struct Excess {
 };
 
 // Computes the error of the mean over n steps [mu m g] that is caused by the dip near a time t with
-// exp(i t) = `start`. It is the integral in near_zero_slip.py. n is N times a power of 2. Unless
-// `gradient` is empty, the error of the derivatives is subtracted from it.
+// exp(i t) = `start`. The error is the integral in near_zero_slip.py. n is N times a power of 2.
+// Unless `gradient` is empty, the error of the derivatives is subtracted from it.
 inline Excess excess(View<const double, 2> slip, Complex start, int n, View<double, 2> gradient) {
     const BranchPoint point = branch_point(slip, start, CLOSE * 2 * PI / n);
     const double b = point.b, farthest = 1.5 * 2 * PI / n;

@@ -2,8 +2,8 @@
 vanishes.
 
 The slip's direction w/|w| is an analytic function of time, except at branch points with wx^2 + wy^2
-= 0. A dip is a time at which the slip nearly vanishes. It corresponds to a pair of branch points a
-+ i b and a - i b near the real axis. The mean over n equal steps minus the true mean is exactly a
+= 0. A dip is a time at which the slip nearly vanishes. A dip corresponds to a pair of branch points
+a + i b and a - i b near the real axis. The mean over n equal steps minus the true mean is exactly a
 sum of integrals along the cuts that go up from the branch points. With t = a + i b cosh u the
 integral of a dip is
 

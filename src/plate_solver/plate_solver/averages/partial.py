@@ -1,7 +1,8 @@
 """Search for the feasible part of a request.
 
-`easiest_force` is a linear programme. It selects the forces within the tolerance that take the
-minimum time. `largest_fraction` finds the largest fraction of an infeasible request by bisection.
+`easiest_force` is a linear programme. The programme selects the forces within the tolerance that
+take the minimum time. `largest_fraction` finds the largest fraction of an infeasible request by
+bisection.
 """
 
 from __future__ import annotations
@@ -22,8 +23,8 @@ tried. The factor is above 1 because the finite number of rotations makes the bo
 cent too low."""
 
 BISECTIONS = 5
-"""Maximum number of bisections. They determine the largest fraction to within 1/32 of the upper
-bound."""
+"""Maximum number of bisections. The bisections determine the largest fraction to within 1/32 of the
+upper bound."""
 
 CAUTION = 0.95
 """First fraction to try, relative to the fraction that the solution for the whole request
@@ -75,7 +76,8 @@ def largest_fraction(
     library : Library
         Library that gives an upper bound of the fraction.
     attempt : function
-        Solver of a request. It returns the best motion found, even if the request is infeasible.
+        Solver of a request. The function returns the best motion found, even if the request is
+        infeasible.
     nothing : function
         Returns the solution at rest, which is used if no fraction is met.
     least : float
@@ -83,9 +85,9 @@ def largest_fraction(
     most : float
         Maximum force that a motion can exert on a part [mu m g].
     prove : function, optional
-        Returns whether a request is proven infeasible. It is slow and called at most once. If it is
-        None, the solution for the whole request is returned if its error for the whole request is
-        smaller.
+        Returns whether a request is proven infeasible. The function is slow and called at most
+        once. If it is None, the solution for the whole request is returned if its error for the
+        whole request is smaller.
     """
     fits = min(1.0, most / max(request.flags.loaded, 1e-300))
     whole = attempt(request if fits == 1 else request.times(fits))

@@ -27,7 +27,7 @@ with finer steps."""
 
 VELOCITY_CORRECTIONS = 20
 """Maximum number of corrections on the map `velocity`. Each correction uses the mean velocities of
-the parts under the last motion. It approximately halves the error."""
+the parts under the last motion. A correction approximately halves the error."""
 
 REFINED_TOLERANCE = 1e-3
 """Maximum force error that counts as success on a refined map [mu m g]. If the solver's tolerance
@@ -73,8 +73,8 @@ def force_solution(
 
 
 def judged(request: Request, solution: Solution, error: np.ndarray, bound: float) -> Solution:
-    """Return the solution with given force errors (M, 2) [mu m g]. It is a success if no error
-    exceeds the request's tolerance by more than `bound` [mu m g]."""
+    """Return the solution with given force errors (M, 2) [mu m g]. The solution is a success if no
+    error exceeds the request's tolerance by more than `bound` [mu m g]."""
     worst = float(np.max(np.abs(error) - request.tolerance))
     success = worst <= bound
     message = f"force error {np.max(np.abs(error)):.2g} mu m g"
@@ -91,8 +91,9 @@ def judged(request: Request, solution: Solution, error: np.ndarray, bound: float
 
 
 def refined(request: Request, solution: Solution, error: np.ndarray, bound: float) -> Solution:
-    """Return the solution with given force errors (M, 2) [mu m g] on a refined map. It is a success
-    as in `judged`, or if the root mean square error is at most `MISSED` times the request."""
+    """Return the solution with given force errors (M, 2) [mu m g] on a refined map. The solution is
+    a success as in `judged`, or if the root mean square error is at most `MISSED` times the
+    request."""
     allowed = MISSED * float(np.sqrt(np.mean(request.force**2)))
     enough = _spill(request, error) <= allowed
     return judged(

@@ -22,8 +22,8 @@ FASTEST_MPS: float = _kernels.FASTEST_MPS
 
 
 class RequestFlags(NamedTuple):
-    """Properties of a request. They are computed in one pass in C++, because the same checks in
-    numpy would take longer than a search from a good start.
+    """Properties of a request. The properties are computed in one pass in C++, because the same
+    checks in numpy would take longer than a search from a good start.
 
     Attributes
     ----------

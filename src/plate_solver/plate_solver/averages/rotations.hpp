@@ -50,9 +50,9 @@ struct Parts {
     }
 };
 
-// Rows of `value` in `directions`. They are the derivatives of force x with respect to u and v, of
-// force y with respect to v, of both forces with respect to the spin, and of the curl with respect
-// to u, v and the spin. The rows of the curl are used only if curls are requested.
+// Rows of `value` in `directions`. The rows are the derivatives of force x with respect to u and v,
+// of force y with respect to v, of both forces with respect to the spin, and of the curl with
+// respect to u, v and the spin. The rows of the curl are used only if curls are requested.
 enum Row { XX, XY, YY, X_SPIN, Y_SPIN, CURL_U, CURL_V, CURL_SPIN };
 
 // Writes the derivatives (8, M) of each part's force and curl with respect to the twist, for a step

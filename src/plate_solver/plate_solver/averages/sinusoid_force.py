@@ -5,7 +5,7 @@ distance of its nearest singularity from the real axis. Here the singularities a
 at which the slip of the part is zero. At a dip, the slip nearly vanishes and b is small. Therefore
 dips are detected in the samples, and the error that each dip causes is subtracted
 (`near_zero_slip`). If two dips are too close to be separated, the adaptive quadrature of
-`mean_force` is used instead. It represents the slip by Taylor polynomials.
+`mean_force` is used instead. The quadrature represents the slip by Taylor polynomials.
 
 The slip of a part is an array `slip` (2 N + 1, 2): rows sin 1..N, cos 1..N, constant; columns x, y
 [m/s].
@@ -107,7 +107,7 @@ def force_of(
     grid : int
         `FEW`, `USUAL`, `ADAPTIVE` or `PANELS`.
     work : (5, K)
-        Buffer for samples. It is overwritten.
+        Buffer for samples. The buffer is overwritten.
     gradient : (3, 2 N) or (0, 0)
         Output: derivatives with respect to the slip's rows, d f_x / d slip_x, d f_x / d slip_y = d
         f_y / d slip_x, d f_y / d slip_y [s/m]. An empty array disables it.

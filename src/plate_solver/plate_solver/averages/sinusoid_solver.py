@@ -33,8 +33,8 @@ CURL_SAMPLES = 8192
 which the slip nearly vanishes affect it more than a force."""
 
 SPREAD = 0.7
-"""Size of a perturbation of the best motion, relative to a random motion. It applies only if curls
-are requested."""
+"""Size of a perturbation of the best motion, relative to a random motion. The size applies only if
+curls are requested."""
 
 STARTS = 3
 """Number of starts of the averaged search per restart. One start takes a tenth of a millisecond."""

@@ -1,5 +1,6 @@
-"""Order of the rotations of a plan for averaged forces. It is a short closed tour through the
-twists by the nearest-neighbour and 2-opt methods, so that the ramps between rotations are short."""
+"""Order of the rotations of a plan for averaged forces. The order is a short closed tour through
+the twists by the nearest-neighbour and 2-opt methods, so that the ramps between rotations are
+short."""
 
 from __future__ import annotations
 

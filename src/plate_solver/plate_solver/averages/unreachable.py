@@ -10,16 +10,16 @@ where the vector n(s) contains the unit vectors of all parts' slips. These force
 A request is infeasible if a vector lambda separates it from this set: lambda . force > h(lambda),
 where h is the support function. Let g(s) = lambda . n(s). g is an odd function, and it does not
 depend on the magnitude of s. Consider two twists s_1 and s_2, and a twist m between them on a great
-circle. Let T be the maximum of g(s_1) + g(s_2) - g(m) over all such twists. It is the value of
-three twists that add up to zero. By Caratheodory's theorem, zero is a mean of at most four of the
-twists. Four twists are equivalent to two triples with a common m, so
+circle. Let T be the maximum of g(s_1) + g(s_2) - g(m) over all such twists. T is the value of three
+twists that add up to zero. By Caratheodory's theorem, zero is a mean of at most four of the twists.
+Four twists are equivalent to two triples with a common m, so
 
     h(lambda) <= (N - 1)/(N + 1) T(lambda).
 
 For one part T is 1, which gives the known bound (N - 1)/(N + 1). The search for lambda uses a
-coarse grid of twists, but the proof does not rely on samples. It bounds T over whole cells of great
-circles, which are subdivided until the bound is below the request. If there is no proof, the
-request may still be infeasible, because the convex set is larger than the set of forces of N
+coarse grid of twists, but the proof does not rely on samples. The proof bounds T over whole cells
+of great circles, which are subdivided until the bound is below the request. If there is no proof,
+the request may still be infeasible, because the convex set is larger than the set of forces of N
 harmonics.
 """
 

@@ -1,4 +1,5 @@
-"""The cycle map for searches. It processes parts in blocks and sums derivatives over bins of steps.
+"""The cycle map for searches. This version processes parts in blocks and sums derivatives over bins
+of steps.
 
 The map is the same as in `stick_slip`, but in single precision and with equal steps. The rounding
 error of a position is below 1e-7 m. The innermost loop runs over the `LANES` parts of a block and

@@ -21,8 +21,8 @@ import numpy as np
 from .. import _kernels
 
 PREDICTION_STEP = 0.1e-3
-"""Time step for the evaluation of a finished cycle [s]. It may be small, because there is only one
-evaluation per cycle."""
+"""Time step for the evaluation of a finished cycle [s]. The step may be small, because there is
+only one evaluation per cycle."""
 
 
 class Motion(Protocol):

@@ -231,7 +231,7 @@ PLATE_WIDE inline void end_turning_gradient(Matrix& parts, int count, Samples po
     }
     for (int axis = 0; axis < 3; axis++) {
         // Adjoints of position and angle (a), and of velocity and spin (b), at the end of step k.
-        // They are stored in the rows of `parts`.
+        // The adjoints are stored in the rows of `parts`.
         double *__restrict ax = px, *__restrict ay = py, *__restrict aw = angle;
         double *__restrict bx = vx, *__restrict by = vy, *__restrict bw = w;
         std::fill_n(ax, wide, axis == 0 ? 1.0 : 0.0), std::fill_n(bx, wide, coast * ax[0]);

@@ -73,8 +73,9 @@ def end_turning_gradient(
     pose: np.ndarray, twist: np.ndarray, dt: np.ndarray, friction_accel: np.ndarray,
     coast: float = 0.0,
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:  # fmt: skip
-    """Return the derivatives of the final positions and rotations. Both are extrapolated with the
-    final velocity and spin by `coast` [s]. The derivatives are exact for the discrete map.
+    """Return the derivatives of the final positions and rotations. Positions and rotations are
+    extrapolated with the final velocity and spin by `coast` [s]. The derivatives are exact for the
+    discrete map.
 
     Returns
     -------

@@ -25,8 +25,8 @@ def basin_hopping(
         Function that returns a start. Its arguments are the number of the start, the best result,
         and whether to return a fresh start instead of a perturbation of this result.
     attempt : function
-        Local search. Its arguments are a start and the number of the start. It returns the result,
-        its cost, the number of steps, and whether the result is good enough.
+        Local search. Its arguments are a start and the number of the start. The search returns the
+        result, its cost, the number of steps, and whether the result is good enough.
     begin : object
         First start.
     tries : int

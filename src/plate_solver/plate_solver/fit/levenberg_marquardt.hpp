@@ -89,7 +89,7 @@ FitOf<Number> levenberg_marquardt(const Evaluate& evaluate, const Slopes<Number>
                                   std::vector<double> start, const Damping& damping,
                                   double tolerance, int iterations);
 
-// Returns the condition number of the Jacobian. It is infinite if it exceeds 1e7.
+// Returns the condition number of the Jacobian. The condition number is infinite if it exceeds 1e7.
 double condition_of(const Matrix& jacobian);
 
 }  // namespace plate

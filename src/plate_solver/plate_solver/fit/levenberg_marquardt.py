@@ -72,5 +72,6 @@ def least_norm_step(jacobian: np.ndarray, error: np.ndarray, damping: float) -> 
 
 
 def condition_of(jacobian: np.ndarray) -> float:
-    """Return the condition number of the Jacobian. It is infinite if it exceeds 1e7."""
+    """Return the condition number of the Jacobian. The condition number is infinite if it exceeds
+    1e7."""
     return _kernels.condition_of(jacobian)

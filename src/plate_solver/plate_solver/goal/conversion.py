@@ -18,8 +18,8 @@ from ..start import StartState, contact_spread, part_types
 from .goal import Goal, Turns
 
 MAX_REQUEST = 1e9
-"""Maximum value in a request, in SI units. It is larger than all practical values, and small enough
-that its square does not overflow."""
+"""Maximum value in a request, in SI units. This value is larger than all practical values, and
+small enough that its square does not overflow."""
 
 NEAR_M = 0.006
 """Distance within which a part counts as near its target [m]. If all parts are near, every cycle

@@ -199,7 +199,7 @@ class Goal:
         """Return displacements (M, 2) [m] in the direction of steepest descent of the squared
         errors.
 
-        They are scaled so that the longest displacement is `most` [m].
+        The displacements are scaled so that the longest displacement is `most` [m].
         """
         place = (self.position + self.coast * self.velocity).T.ravel()
         if self.turns is not None:

@@ -35,15 +35,16 @@ class Solution:
     message : str
         Accuracy of the result, or the reason of a failure.
     cycle : PlateCycle
-        The motion found. It is closed and within the limits of the rig, even if `success` is False.
+        The motion found. The motion is closed and within the limits of the rig, even if `success`
+        is False.
     residual : (M, 2)
-        Request minus predicted result [mu m g]. It refers to the whole request, even if only a
-        fraction is met.
+        Request minus predicted result [mu m g]. The residual refers to the whole request, even if
+        only a fraction is met.
     iterations : int
         Number of iterations, summed over all starts.
     condition : float
-        Condition number of the last linear system. It is large if it is hard to move the parts
-        independently.
+        Condition number of the last linear system. The condition number is large if it is hard to
+        move the parts independently.
     status : Status
         Outcome of the request.
     fraction : float

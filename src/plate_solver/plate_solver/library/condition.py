@@ -1,5 +1,5 @@
-"""Condition number of a set of part positions. It measures how independently the parts can be
-pushed.
+"""Condition number of a set of part positions. The number measures how independently the parts can
+be pushed.
 
 The columns of A are the library's unit forces. The second moment A A' describes the forces of
 random motions. The condition number is the square root of the ratio of its maximum and minimum
@@ -20,10 +20,10 @@ SAME = 1e-9
 
 
 def condition_number(rig: Rig, position: np.ndarray, library: Library | None = None) -> float:
-    """Return the ratio of the forces in the easiest and in the most difficult direction. It is at
-    least 1.
+    """Return the ratio of the forces in the easiest and in the most difficult direction. The ratio
+    is at least 1.
 
-    It is infinite if no force is possible in some direction.
+    The ratio is infinite if no force is possible in some direction.
 
     Parameters
     ----------

@@ -1,10 +1,10 @@
 """A library of rotations: unit twists about many centres on and around the plate.
 
 The average force on a part at rest is the mean of unit vectors. Each twist of the plate's motion
-contributes one unit vector. This force does not depend on the speed. Therefore the forces of any
-motion are a mean of the library's columns (equations (5), (9)), if the library's twists are dense
-enough. With N rotations of weight k_j and their unit tangents t_j at a part, the average force on
-it is
+contributes one unit vector. The force does not depend on the plate's speed. Therefore the forces of
+any motion are a mean of the library's columns (equations (5), (9)), if the library's twists are
+dense enough. With N rotations of weight k_j and their unit tangents t_j at a part, the average
+force on it is
 
     F = mu m g / N  sum_j k_j t_j.
 
@@ -35,7 +35,7 @@ CURL_LENGTH_M = 0.05
 """Length that converts a curl error [mu m g / m] to a force error [mu m g]."""
 
 OUT_OF_REACH = 1e4
-"""Price of a unit of force error [cycles / (mu m g)]. It is so high that force errors are 0
+"""Price of a unit of force error [cycles / (mu m g)]. The price is so high that force errors are 0
 whenever that is feasible."""
 
 
@@ -87,7 +87,7 @@ class Library:
     def clearance(self, position: np.ndarray) -> np.ndarray:
         """Return the distance (C + D,) [m] of each centre from the nearest part.
 
-        It is infinite for translations.
+        The distance is infinite for translations.
         """
         arm = position[:, None] - self.centre
         nearest = np.hypot(arm[..., 0], arm[..., 1]).min(axis=0)

@@ -14,8 +14,8 @@ namespace plate::library {
 // Minimum gain per unit that a column needs to enter the basis, in units of cost.
 constexpr double OPTIMAL = 1e-9;
 
-// Minimum absolute value of a pivot. It is also the minimum reciprocal of the largest entry of an
-// inverse.
+// Minimum absolute value of a pivot. This value is also the minimum reciprocal of the largest entry
+// of an inverse.
 constexpr double PIVOT = 1e-9;
 
 // Number of pivots after which the inverse of the basis is recomputed.

@@ -4,12 +4,12 @@
     subject to  A w + s - r = b,    s, r >= 0
 
 The columns of A are rotations, and the rows are requested quantities. A negative weight w reverses
-the rotation. s and r are the unmet and the exceeded amounts, each with a price. s and r are the
-unmet and the exceeded amounts of the rows. Each has a price. If all costs are one, abs(w) is time,
-and the solution is the plan of minimum time. The solver is a revised simplex method that stores the
-inverse of the basis. The solver is a revised simplex method. It stores the inverse of the basis.
-Because the signs of w are free, any basis is a feasible start, for example the basis of the last
-cycle.
+the rotation. The amounts s and r of the rows are unmet and exceeded, and each has a price. If all
+costs are one, abs(w) is time, and the solution is the plan of minimum time. The solution uses at
+most as many rotations as there are rows.
+
+The solver is a revised simplex method that stores the inverse of the basis. Because the signs of w
+are free, any basis is a feasible start, for example the basis of the last cycle.
 """
 
 from __future__ import annotations
@@ -39,10 +39,10 @@ class TimeFractions:
         Dual solution y: the additional cost per unit of each row's right-hand side. The product y .
         b is a lower bound of the cost of b for any motion that is composed of these columns.
     cost : float
-        Value of the objective. It equals y . b.
+        Value of the objective. The value equals y . b.
     basis : (R,)
-        Columns of the solution. They are a start for the next problem. The indices K + r and K + R
-        + r are the slack variables of row r.
+        Columns of the solution. The columns are a start for the next problem. The indices K + r and
+        K + R + r are the slack variables of row r.
     pivots : int
     optimal : bool
         False if the number of pivots reached its maximum. The solution is feasible in both cases.

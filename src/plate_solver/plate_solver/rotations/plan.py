@@ -19,8 +19,8 @@ SPEEDS = (1.0, 0.5)
 not depend on the speed, but the closure of the motion does."""
 
 CLOSURE_PRICE = 1e4
-"""Price of a gap between the start and the end of the sequence. It is so high that the gap becomes
-0."""
+"""Price of a gap between the start and the end of the sequence. The price is so high that the gap
+becomes 0."""
 
 RETURN = 2.5
 """Speed of a return stroke divided by the speed of the stroke before it."""
@@ -87,7 +87,7 @@ def plan_rotations(
     price : float
         Maximum time per unit of force [cycles / (mu m g)]. Forces that cost more are not met.
     start : optional
-        Basis of the last plan. It is the initial basis of the simplex method.
+        Basis of the last plan. This basis is the initial basis of the simplex method.
     cost : (K,), optional
         Cost of each rotation of the library per unit of time. Default: 1.
     """
@@ -120,8 +120,8 @@ def with_return_strokes(plan: RotationPlan) -> RotationPlan:
     closes.
 
     Let r be the ratio of the two speeds. A stroke and its return stroke take 1 + 1/r times the
-    duration of the stroke. They produce 1 - 1/r times its force. Therefore the total time is (r +
-    1)/(r - 1) times the time of the plan: 2.3 times for r = 2.5.
+    duration of the stroke. Both strokes produce 1 - 1/r times its force. Therefore the total time
+    is (r + 1)/(r - 1) times the time of the plan: 2.3 times for r = 2.5.
     """
     longer = (RETURN + 1) / (RETURN - 1)
     fraction = plan.fraction * longer

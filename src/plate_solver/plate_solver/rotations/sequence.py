@@ -54,8 +54,8 @@ def timeline(
 ) -> tuple[np.ndarray, np.ndarray]:
     """Return the knot times (2 J + 3,) [s] and the twists at the knots (2 J + 3, 3).
 
-    `holds` (J + 1,) are the relative durations of the J rotations and of the rest at the end. They
-    are scaled to fill the part of the period that the ramps do not use.
+    `holds` (J + 1,) are the relative durations of the J rotations and of the rest at the end. The
+    durations are scaled to fill the part of the period that the ramps do not use.
     """
     return _kernels.timeline(holds, twists, ramp, period)
 

@@ -188,9 +188,9 @@ class RotationCycles(MotionSolver):
     def planned(self, goal: Goal, spread: bool = False) -> Start:
         """Return a start for the search. Its plan uses averaged forces.
 
-        The requested force F on a part of mass m is constant. It moves the part by the displacement
-        d from rest in the period T: F = 2 m d / T^2. If targets are requested, d is in the
-        direction of steepest descent.
+        The requested force F on a part of mass m is constant. The force moves the part by the
+        displacement d from rest in the period T: F = 2 m d / T^2. If targets are requested, d is in
+        the direction of steepest descent.
         """
         period = self.steering_period(len(goal.position))
         unit = 0.5 * period**2 * goal.friction_accel[:, None]

@@ -7,9 +7,9 @@ A free family has 2 N parameters per degree of freedom. A family that starts at 
 Therefore the plate is at home, at rest and without acceleration at both ends of a cycle. Any cycle
 may follow any other cycle.
 
-A family with a free end has three more functions per degree of freedom. They describe the final
-state of the cycle and the tail, which leads from this state to rest. A cycle that begins in motion
-is the sum of two motions: the tail of the previous cycle and the motion of the basis.
+A family with a free end has three more functions per degree of freedom. The functions describe the
+final state of the cycle and the tail, which leads from this state to rest. A cycle that begins in
+motion is the sum of two motions: the tail of the previous cycle and the motion of the basis.
 
 The same coefficients may be executed several times in succession. Each execution is a play. B is
 the basis, and E a is the state at the end of a play. S is the motion from a state to rest. With
@@ -44,11 +44,11 @@ TAIL_S = 0.05
 [s]."""
 
 TAIL_PERIOD_S = 0.1
-"""Length of a tail, including the rest after it [s]. It is long enough for the solver to reply to
-the image that is taken at the start of the tail."""
+"""Length of a tail, including the rest after it [s]. The tail is long enough for the solver to
+reply to the image that is taken at the start of the tail."""
 
 END_UNITS = np.array([TAIL_S / 1.875, 1.0, 5.0625 / TAIL_S])
-"""Units of the final state in a search: pose [m], velocity [m/s], acceleration [m/s2]. They
+"""Units of the final state in a search: pose [m], velocity [m/s], acceleration [m/s2]. The units
 determine only the relative size of the steps of the search. The quintic to one unit of pose,
 velocity and acceleration has a maximum speed of 1, 1 and 0.34 m/s (15/8 pose/TAIL_S, velocity,
 0.068 acceleration TAIL_S). Its maximum acceleration is 3.1, 3.9 and 5.1 m/s divided by TAIL_S."""
@@ -127,7 +127,7 @@ class SinusoidBasis:
 
     @cached_property
     def inverse(self) -> np.ndarray:
-        """Least squares matrix (h, n). It converts twists at the middles of the steps to
+        """Least squares matrix (h, n). The matrix converts twists at the middles of the steps to
         coefficients."""
         return np.linalg.pinv(self.twist)
 
@@ -214,7 +214,7 @@ def sinusoid_basis(
         accel = np.hstack([cos * j, -sin * j]) * omega
         inside = (t <= period)[:, None]
         matrices = [matrix @ span * inside for matrix in (pose, twist, accel)]
-        if free_end:  # the end and the tail mirror each other
+        if free_end:  # the last TAIL_S of the motion are a time-reversed tail
             before = (t < period)[:, None]
             sign, back = np.where(before, [1.0, -1.0, 1.0], 1.0), np.where(before, -1.0, 1.0)
             way = settling(np.abs(period - t))

@@ -26,7 +26,7 @@ static MatrixOf<Number> transposed(const Table& array) {
 }
 
 // Converts the bases (n, h) at the instants where limits are checked. The last `tail` instants
-// belong to the tail. They do not count for the heat of the motors.
+// belong to the tail. The tail's instants do not count for the heat of the motors.
 static Looks looks_of(const Table& pose, const Table& twist, const Table& accel, int tail) {
     check("twist", twist, {pose.shape(0), pose.shape(1)});
     check("accel", accel, {pose.shape(0), pose.shape(1)});

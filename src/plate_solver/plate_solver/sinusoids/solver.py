@@ -16,7 +16,8 @@ from ..motion_solver import MotionSolver, check_options, make_options
 from .steer import SinusoidSteering
 
 HARMONIC_S = 0.025
-"""Length of a cycle per harmonic [s]. It is used if the number of harmonics is set by an option."""
+"""Length of a cycle per harmonic [s]. This length is used if the number of harmonics is set by an
+option."""
 
 EXACT_CYCLES = (8, 8, 0.1), (16, 8, 0.15), (24, 12, 0.3), (math.inf, 16, 0.4)
 """Cycles from rest to rest for force requests (rank 6 N - 7). Each entry is the maximum number of
@@ -54,7 +55,7 @@ class SinusoidOptions:
         Maximum number of further starts if the first one fails. If two plays are evaluated, this
         number is halved.
     threads : int
-        Number of threads of `steer`. It does not change the results.
+        Number of threads of `steer`. The number does not change the results.
     seed : int
         Random seed of the further starts.
     """

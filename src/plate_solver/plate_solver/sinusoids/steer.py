@@ -45,7 +45,7 @@ ms, their error would be 10 % of a drift. The final corrections compensate the e
 grid."""
 
 ROUGH: Grid = (0.8e-3, 16, 5)
-"""Grid for lasting goals. It has fewer knots, so that the cycle is transmitted faster."""
+"""Grid for lasting goals. This grid has fewer knots, so that the cycle is transmitted faster."""
 
 FINE: Grid = (PREDICTION_STEP, 1, 5)
 """Grid on which the finished motion is evaluated."""
@@ -54,7 +54,7 @@ BEYOND = 1.3
 """Maximum limit utilisation during the search, as a fraction of the limits."""
 
 FRESH = 3
-"""Number of additional random starts. They are used if there is no last motion."""
+"""Number of additional random starts. Random starts are used if there is no last motion."""
 
 AT_ONCE = 4
 """Number of descents that run at the same time. A new descent starts near the best result of all
@@ -70,8 +70,8 @@ PLAYS = 2
 brings no improvement: see docs/results.md."""
 
 AIMS = 2
-"""Number of final corrections of the best motion. They keep the limits and compensate the
-difference between fine and coarse steps."""
+"""Number of final corrections of the best motion. The corrections keep the limits and compensate
+the difference between fine and coarse steps."""
 
 CORRECTIONS = 8
 """Maximum number of iterations of each final correction."""

@@ -1,5 +1,5 @@
-"""Subscriber that passes messages of the graph to the browsers. It subscribes only while a browser
-is connected."""
+"""Subscriber that passes messages of the graph to the browsers. The object subscribes only while a
+browser is connected."""
 
 from __future__ import annotations
 

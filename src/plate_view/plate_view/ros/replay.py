@@ -21,10 +21,11 @@ topics are shown at any age."""
 LATCHED_TOPICS = ("task_status", "driver_status", "part_targets")
 
 BAG_BYTES = 10**12
-"""Maximum total size of the data files of a bag [bytes]. They are read message by message."""
+"""Maximum total size of the data files of a bag [bytes]. The data files are read message by
+message."""
 
 METADATA_BYTES = 10**6
-"""Maximum size of metadata.yaml [bytes]. It is read as a whole."""
+"""Maximum size of metadata.yaml [bytes]. The file is read as a whole."""
 
 RATES = 0.05, 20.0
 """Allowed range of the rate, in recorded seconds per second."""

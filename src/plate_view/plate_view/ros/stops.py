@@ -19,7 +19,7 @@ END_S = 2.0
 
 
 class Stops:
-    """Calls the services that stop the plate. It uses a separate node on a separate thread.
+    """Calls the services that stop the plate. The object uses a separate node on a separate thread.
 
     Parameters
     ----------

@@ -1,5 +1,5 @@
-// The camera's picture with the detector's measurements. It is used to aim, focus and light the
-// camera.
+// The camera's picture with the detector's measurements. The view is used to aim, focus and light
+// the camera.
 
 import { known, on } from "./bus.js";
 import { Chart } from "./charts.js";

@@ -1,4 +1,4 @@
-// The emergency stop. It is sent at once, and the button shows whether it is confirmed.
+// The emergency stop. The command is sent at once, and the button shows whether it is confirmed.
 
 import { byId } from "./dom.js";
 import { on } from "./bus.js";

@@ -1,4 +1,4 @@
-// The camera panel. It shows the steps that make a newly mounted camera ready.
+// The camera panel. The panel shows the steps that make a newly mounted camera ready.
 
 import { on } from "../bus.js";
 import { byId, el, tell } from "../dom.js";

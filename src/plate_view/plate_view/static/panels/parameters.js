@@ -1,4 +1,4 @@
-// Controls for the parameters of a node. They are made from the node's descriptions.
+// Controls for the parameters of a node. The controls are made from the node's descriptions.
 
 import { known, on } from "../bus.js";
 import { el } from "../dom.js";
