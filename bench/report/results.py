@@ -103,12 +103,11 @@ def demos(folder: Path) -> str:
     runs: Mapping[str, Mapping[str, Any]] = json.loads(path.read_text(encoding="utf-8"))
     lines = [
         "## Demos\n",
-        "Each demo is one run of the real graph in five processes. The command is `make demo "
-        "SCENARIO=NAME ARGS=--lockstep`, unless another is given; `python tools/demos.py` runs "
-        "all. With `--lockstep`, simulated time waits for the results. Unless stated otherwise, "
-        "the task succeeded, no part was dropped, and all motor tables were within the limits. "
-        "Arrows show the mean friction force of the running cycle. A click on a film opens a "
-        "picture strip with the forces on the whole plate.\n",
+        "Each demo is one run of the real graph by `make demo SCENARIO=NAME ARGS=--lockstep`, "
+        "unless another command is given; `python tools/demos.py` runs all. Unless stated "
+        "otherwise, the task succeeded, no part was dropped, and all motor tables were within the "
+        "limits. Arrows show the mean friction force of the running cycle. A click on a film opens "
+        "a picture strip.\n",
     ]
     for name, run in runs.items():
         text = f"{run['description']} {AS_USUAL.sub('', run['outcome'])}"
