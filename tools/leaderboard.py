@@ -84,12 +84,13 @@ def row(file: str, result: dict[str, Any], task: str, errors: list[str]) -> tupl
     found = summary(result["tasks"][task]["rows"])  # the file's own summary may be wrong
     low, high = (100 * share for share in found["success_interval"])
     share, took, count = found["success"], found.get("time_s", np.inf), len(found["rows"])
+    ended = [own for own in found["rows"] if "failure" not in own] or found["rows"]
     link = f"[{result['agent']}](../../benchmarks/{file})"
     cells = [
         link if world == "nominal" else f"{link}, {world}",
         f"{share * count:.0f}/{count} ({low:.0f}-{high:.0f})",
         f"{took:.1f}" if np.isfinite(took) else "-",
-        *(f"{np.median([own[key] for own in found['rows']]):.3g}" for key in errors),
+        *(f"{np.median([own[key] for own in ended]):.3g}" for key in errors),
         str(found["dropped"]),
         f"{found['decision_ms']:.3g}",
     ]

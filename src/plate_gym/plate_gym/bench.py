@@ -10,15 +10,16 @@ import importlib
 import json
 import operator
 import os
+import re
+import reprlib
 import signal
 import subprocess
 import sys
 from collections.abc import Callable, Iterable, Iterator
-from concurrent.futures import BrokenExecutor, ProcessPoolExecutor
+from concurrent.futures import ThreadPoolExecutor, wait
 from functools import partial
 from importlib.metadata import PackageNotFoundError, version
 from importlib.util import find_spec
-from multiprocessing import active_children, get_context
 from pathlib import Path
 from typing import Any
 
@@ -26,16 +27,19 @@ import numpy as np
 
 from plate_bringup.loop import ALIKE
 from plate_core import PlateError, did_you_mean, piped
+from plate_core.files import read_file
 from plate_core.intervals import of_median, of_share
 
+from . import isolation
 from .agents import AGENTS, KNOWN, Agent, Brief
 from .env import PlateEnv, drawn
+from .isolation import LIMITS, Limits
 from .plates import clocks
 from .tasks import TASKS, WORLDS, chosen, digest
 
 __all__ = [
-    "ROW", "agent_class", "check", "episode", "evaluate", "ranges", "read", "seed_range", "summary",
-    "validate",
+    "ROW", "Limits", "agent_class", "check", "episode", "evaluate", "ranges", "read", "seed_range",
+    "summary", "validate",
 ]  # fmt: skip
 
 LIBRARIES = ("vibrating-plate", "plate_gym", "gymnasium", "numpy", "scipy")
@@ -50,10 +54,13 @@ TIMES = ("start_ms", "decision_ms", "decision_ms_p99", "wall_ms", "wall_ms_p99")
 """Keys of computing times. Computing times differ between runs."""
 
 NUMBERS = ("time_s", "return", "error_mm", "turn_error_deg", "limit_share", *TIMES)
+"""Names of the numbers in a row."""
+
 ROW: dict[str, type] = dict.fromkeys(NUMBERS, float) | {
     "seed": int, "steps": int, "there": int, "dropped": int, "success": bool, "places": str
 }  # fmt: skip
-"""Keys and types of a row."""
+"""Keys and types of a row. The row of an episode in which a limit was exceeded has zeros, and also
+`failure`, which names the limit."""
 
 RESULT: dict[str, type] = {
     "agent": str, "world": str, "commit": str, "sources": str, "versions": dict, "tasks": dict
@@ -70,6 +77,12 @@ AGENT = 2
 
 HUGE = 1e9
 """Upper bound of the numbers in a result."""
+
+RESULT_BYTES = 64_000_000
+"""Maximum size of a result's file [bytes]: 100,000 episodes, of 500 bytes each."""
+
+TEXT = 300
+"""Maximum length of texts in results, and of error messages of agents [characters]."""
 
 
 def agent_class(name: str) -> type[Agent]:
@@ -91,7 +104,9 @@ def agent_class(name: str) -> type[Agent]:
         )
     try:
         found: type[Agent] = getattr(importlib.import_module(module), label)
-    except (Exception, SystemExit) as problem:
+    except KeyboardInterrupt:
+        raise
+    except BaseException as problem:
         absent = isinstance(problem, ModuleNotFoundError) and problem.name == module
         where = f"; is {module}.py in this folder, {Path.cwd()}?" if absent else ""
         raise PlateError(f"agent {name} cannot be loaded: {one_line(problem)}{where}") from problem
@@ -109,11 +124,31 @@ def agent_class(name: str) -> type[Agent]:
 
 def one_line(problem: BaseException) -> str:
     """Return an exception as one line of text."""
-    return " ".join(f"{type(problem).__name__}: {problem}".split())
+    try:
+        text = str(problem)
+    except BaseException as other:
+        text = f"(its text cannot be read: {type(other).__name__})"
+    return shortened(f"{type(problem).__name__}: {text}" if text else type(problem).__name__)
 
 
-def episode(agent: str, world: str, task: str, seed: int) -> dict[str, Any]:
-    """Run one episode in the world of a seed.
+def shortened(text: str) -> str:
+    """Return a text of others as one line of at most `TEXT` printable characters. Control
+    characters could hide other lines of a terminal."""
+    line = " ".join(text[: 2 * TEXT].split())
+    line = line if len(line) <= TEXT else f"{line[:TEXT]}..."
+    return "".join(letter if letter.isprintable() else "?" for letter in line)
+
+
+def named(agent: str, task: str, seed: int, step: int) -> str:
+    """Return the place of an agent's problem, for messages."""
+    return f"agent {agent}, {task}, seed {seed}, step {step}"
+
+
+def episode(
+    agent: str, world: str, task: str, seed: int, begin: Callable[[], object] = lambda: None
+) -> dict[str, Any]:
+    """Run one episode in the world of a seed, in this process. `begin` is called before each
+    decision.
 
     Returns
     -------
@@ -143,6 +178,7 @@ def episode(agent: str, world: str, task: str, seed: int) -> dict[str, Any]:
         start = clocks() - began
         while not (ended or over):
             known = {name: info[name] for name in KNOWN if name in info}
+            begin()
             before, began = plate.solving_s.copy(), clocks()
             action = mind.act(seen, known)
             passed = clocks() - began
@@ -150,8 +186,13 @@ def episode(agent: str, world: str, task: str, seed: int) -> dict[str, Any]:
             spent.append(passed + plate.solving_s - before)
             total, used = total + reward, max(used, float(info["limit_share"]))
             places.update(plate.simulation.state.position.tobytes())
-    except (Exception, SystemExit) as problem:
-        where = f"agent {agent}, {task}, seed {seed}, step {len(spent)}"
+    except KeyboardInterrupt as problem:
+        # By Ctrl-C, which the processes of `isolation` ignore, or by the agent.
+        if signal.getsignal(signal.SIGINT) is not signal.SIG_IGN:
+            raise
+        raise PlateError(f"{named(agent, task, seed, len(spent))}: KeyboardInterrupt") from problem
+    except BaseException as problem:
+        where = named(agent, task, seed, len(spent))
         raise PlateError(f"{where}: {one_line(problem)}") from problem
     own, wall = 1e3 * np.array(spent).T
     return {
@@ -188,6 +229,7 @@ def evaluate(
     workers: int = 0,
     tell: Callable[[str], None] = lambda text: None,
     keep: Callable[[dict[str, Any]], None] = lambda result: None,
+    limits: Limits = LIMITS,
 ) -> dict[str, Any]:
     """Run an agent on tasks. Each task is run in the worlds of several seeds.
 
@@ -198,11 +240,15 @@ def evaluate(
     tasks, seeds, world
         Names of tasks (or one name); seeds from 0, without repetition; a key of `WORLDS`.
     workers : int
-        Number of parallel processes. 0 runs all episodes in this process.
+        Number of episodes that run at once, each in a process of its own; 0: run in this process,
+        without limits.
     tell : callable
-        Function that is called with a line of text after each task.
+        Called with a line of text after each task, and after each episode in which a limit was
+        exceeded.
     keep : callable
-        Function that is called with the result so far after each task.
+        Called with the result so far after each task.
+    limits : Limits
+        Limits of the agent. An episode in which one is exceeded counts as failed.
 
     Returns
     -------
@@ -231,7 +277,7 @@ def evaluate(
         "versions": versions(), "tasks": {},
     }  # fmt: skip
     for task in tasks:
-        rows = list(episodes(agent, world, task, seeds, workers))
+        rows = list(episodes(agent, world, task, seeds, workers, tell, limits))
         result["tasks"][task] = summary(rows)
         tell(line(task, result["tasks"][task]))
         keep(result)
@@ -239,35 +285,62 @@ def evaluate(
 
 
 def episodes(
-    agent: str, world: str, task: str, seeds: list[int], workers: int
+    agent: str,
+    world: str,
+    task: str,
+    seeds: list[int],
+    workers: int,
+    tell: Callable[[str], None] = lambda text: None,
+    limits: Limits = LIMITS,
 ) -> Iterator[dict[str, Any]]:
-    """Run episodes in several processes. Yield their rows in the order of the seeds."""
-    run = partial(episode, agent, world, task)
+    """Run episodes, `workers` at once. Yield them in the order of seeds. Tell which failed."""
     if not workers:
-        yield from map(run, seeds)
+        yield from map(partial(episode, agent, world, task), seeds)
         return
-    others = active_children()
-    error = partial(os.dup2, 2, 1)  # redirect an agent's output to stderr
-    try:
-        with ProcessPoolExecutor(workers, get_context("spawn"), error) as pool:
-            try:
-                # Block SIGINT while the workers start, so that they do not receive it.
-                signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
-                found = [pool.submit(run, seed) for seed in seeds]
-                signal.pthread_sigmask(signal.SIG_UNBLOCK, {signal.SIGINT})
-                for number, row in enumerate(found):
-                    show(f"{task}: {number} of {len(seeds)}")
-                    yield row.result()
-            except BaseException:
-                for child in set(active_children()) - set(others):
-                    child.kill()
-                raise
-            finally:
-                show("")
-    except BrokenExecutor as problem:
-        raise PlateError(
-            f"agent {agent}, {task}: its process died: {one_line(problem)}"
-        ) from problem
+    with ThreadPoolExecutor(workers) as pool:  # threads, because they only wait for processes
+        found = [pool.submit(isolated, agent, world, task, seed, limits) for seed in seeds]
+        try:
+            for number, row in enumerate(found):
+                show(f"{task}: {number} of {len(seeds)}")
+                done = row.result()
+                if failure := done.get("failure"):
+                    show("")
+                    tell(f"failed: {named(agent, task, done['seed'], done['steps'])}: {failure}")
+                yield done
+        except BaseException:
+            for own in found:
+                own.cancel()
+            while wait(found, 0.1).not_done:
+                isolation.stop()
+            raise
+        finally:
+            show("")
+
+
+def isolated(agent: str, world: str, task: str, seed: int, limits: Limits) -> dict[str, Any]:
+    """Run one episode in a process of its own.
+
+    Returns
+    -------
+    dict
+        As from `episode`. If the agent exceeds a limit: zeros, and the limit as `failure`.
+
+    Raises
+    ------
+    PlateError
+        If the agent fails otherwise; the message names agent, task and seed.
+    """
+    request = {"agent": agent, "world": world, "task": task, "seed": seed}
+    reply = isolation.play(request, limits)
+    where = f"agent {agent}, {task}, seed {seed}"
+    if "row" in reply:
+        check_fields(where, reply["row"], ROW)
+        return dict(reply["row"])
+    if "failure" in reply:
+        failed = {"seed": seed, "steps": reply["steps"], "failure": shortened(reply["failure"])}
+        return {key: kind() for key, kind in ROW.items()} | failed
+    error = shortened(reply["error"])
+    raise PlateError(error if error.startswith("agent ") else f"{where}: {error}")
 
 
 def show(text: str) -> None:
@@ -279,7 +352,8 @@ def show(text: str) -> None:
 def summary(rows: list[dict[str, Any]]) -> dict[str, Any]:
     """Summarise the episodes of a task."""
     good = [row["time_s"] for row in rows if row["success"]]
-    spent = [row["decision_ms"] for row in rows]
+    ended = [row for row in rows if "failure" not in row] or rows
+    spent = [row["decision_ms"] for row in ended]
     found = {
         "episodes": len(rows),
         "success": len(good) / len(rows),
@@ -288,7 +362,7 @@ def summary(rows: list[dict[str, Any]]) -> dict[str, Any]:
         "dropped": sum(row["dropped"] for row in rows),
         "decision_ms": float(np.median(spent)),
         "decision_ms_interval": of_median(spent),
-        "wall_ms": float(np.median([row["wall_ms"] for row in rows])),
+        "wall_ms": float(np.median([row["wall_ms"] for row in ended])),
     }
     if good:
         found |= {"time_s": float(np.median(good)), "time_s_interval": of_median(good)}
@@ -311,6 +385,8 @@ def check(
     workers: int = 0,
     fresh: int = 0,
     world: str | None = None,
+    trusted: str = "",
+    limits: Limits = LIMITS,
 ) -> list[str]:
     """Repeat up to `CHECKED` seeds of each task of a result, and recompute its summary.
 
@@ -326,7 +402,11 @@ def check(
     fresh : int
         Number of additional random seeds of each task.
     world : str, optional
-        World of the additional seeds. Default: the world of the result.
+        World of the additional seeds. Default: that of the result.
+    trusted : str
+        The result's agent, if it is `MODULE:CLASS`: only then its code is imported and run.
+    limits : Limits
+        As in `evaluate`.
 
     Returns
     -------
@@ -339,9 +419,16 @@ def check(
     Raises
     ------
     PlateError
-        If it is not a result of `evaluate`, or if its agent is missing or fails.
+        If it is not a result of `evaluate`, or its agent is missing, fails, or is not trusted.
     """
     validate(result)
+    agent = result["agent"]
+    if agent not in AGENTS and agent != trusted:
+        other = f", not {trusted}" if trusted else ""
+        raise PlateError(
+            f"the check runs the code of agent {agent}{other}: read the code first, then allow it "
+            f"with --trust {agent}"
+        )
     world = result["world"] if world is None else world
     chosen("world", world, WORLDS)
     tell(f"agent {result['agent']}, commit {result['commit'] or 'unknown'}")
@@ -357,14 +444,13 @@ def check(
         again = summary(claimed["rows"])
         if {k: list(v) if isinstance(v, tuple) else v for k, v in again.items()} != claimed:
             wrong.append(f"{task}: the summary does not match its rows")
-        run = partial(episodes, result["agent"], task=task, workers=workers)
+        run = partial(episodes, agent, task=task, workers=workers, tell=tell, limits=limits)
         picks = sorted(chance.permutation(np.array(list(rows), object))[:CHECKED].tolist())
         played = list(run(world=result["world"], seeds=picks))
         for seed, true in zip(picks, played, strict=True):
             wrong += [
-                f"{task}, seed {seed}: {key} is {rows[seed][key]!r}, repeated: {value!r}"
-                for key, value in true.items()
-                if key not in TIMES and rows[seed][key] != value
+                f"{task}, seed {seed}: {key} is {rows[seed].get(key)!r}, repeated: {value!r}"
+                for key, value in differing(rows[seed], true)
             ]
         took, took_here = again["decision_ms"], summary(played)["decision_ms"]
         tell(
@@ -383,17 +469,29 @@ def check(
     return wrong
 
 
+def differing(claimed: dict[str, Any], true: dict[str, Any]) -> Iterator[tuple[str, Any]]:
+    """Yield key and true value of each difference between two rows, except in computing times. If
+    both episodes failed, they are equal, because the step of the failure depends on the
+    computer."""
+    keys = ["failure"] if "failure" in true or "failure" in claimed else [*ROW]
+    for key in keys:
+        same = key in claimed and key in true if key == "failure" else claimed[key] == true[key]
+        if key not in TIMES and not same:
+            yield key, true.get(key)
+
+
 def read(path: Path) -> Any:
-    """Return the content of a JSON file.
+    """Return the content of a JSON file of at most `RESULT_BYTES`.
 
     Raises
     ------
     PlateError
-        If it is not valid JSON. The message contains the name of the file.
+        If it cannot be read or is not valid; the message names the file.
     """
+    content = read_file(path, RESULT_BYTES)
     try:
-        return json.loads(path.read_text("utf-8"))
-    except (ValueError, RecursionError) as problem:  # also raised for huge numbers or deep nesting
+        return json.loads(content.decode())
+    except (ValueError, RecursionError) as problem:  # raised also for huge numbers or deep nesting
         raise PlateError(f"{path} is not JSON: {problem}") from problem
 
 
@@ -407,17 +505,24 @@ def validate(result: Any) -> None:
         If it is not. The message contains the place, the value and what is allowed.
     """
     check_fields("result", result, RESULT)
+    check_fields("result: versions", result["versions"], dict.fromkeys(result["versions"], str))
+    for key, form in (("agent", r"[\w.]+(:\w+)?"), ("commit", r"[\w.-]*")):
+        if not re.fullmatch(form, result[key]):
+            raise PlateError(f"result: {key} is {result[key]!r}, allowed: the form {form}")
     chosen("result: world", result["world"], WORLDS)
     if not result["tasks"]:
         raise PlateError("result: tasks is {}, allowed: one task or more")
     for task, found in result["tasks"].items():
-        chosen("result: task", task, TASKS)
+        chosen("result: task", shortened(task), TASKS)
         rows = found.get("rows") if isinstance(found, dict) else None
         if not isinstance(rows, list) or not rows:
-            raise PlateError(f"result: {task}: rows is {rows!r}, allowed: a list with entries")
+            raise PlateError(f"result: {task}: rows is {brief(rows)}, allowed: a list with entries")
         for k, row in enumerate(rows):
             where = f"result: {task}: rows[{k}]"
-            check_fields(where, row, ROW)
+            failed = isinstance(row, dict) and "failure" in row
+            check_fields(where, row, ROW | {"failure": str} if failed else ROW)
+            if failed and row["success"]:
+                raise PlateError(f"{where}: success is True, allowed with a failure: False")
             for key in ("seed", *TIMES):
                 if row[key] < 0:
                     raise PlateError(f"{where}: {key} is {row[key]}, allowed: 0 or more")
@@ -426,17 +531,26 @@ def validate(result: Any) -> None:
 
 
 def check_fields(where: str, found: Any, kinds: dict[str, type]) -> None:
-    """Raise an error unless data is a dict of exactly these keys and types, with finite numbers."""
+    """Refuse data that is not a dict of exactly these keys and types, with finite numbers and
+    printable texts."""
     if not isinstance(found, dict) or set(found) != set(kinds):
-        has = ", ".join(map(str, found)) if isinstance(found, dict) else repr(found)
+        has = shortened(", ".join(map(str, found))) if isinstance(found, dict) else brief(found)
         raise PlateError(f"{where} has {has}, allowed: {', '.join(kinds)}")
     for key, kind in kinds.items():
         value = found[key]
         # This condition is False for NaN.
         number = type(value) in (int, float) and abs(value) < HUGE
-        if not (number if kind is float else type(value) is kind):
-            allowed = f"a number below {HUGE:g}" if kind is float else kind.__name__
-            raise PlateError(f"{where}: {key} is {value!r}, allowed: {allowed}")
+        fits = number if kind is float else type(value) is kind
+        allowed = f"a number below {HUGE:g}" if kind is float else kind.__name__
+        if fits and kind is str and not (len(value) <= TEXT and value.isprintable()):
+            fits, allowed = False, f"up to {TEXT} printable characters"
+        if not fits:
+            raise PlateError(f"{where}: {key} is {brief(value)}, allowed: {allowed}")
+
+
+def brief(value: Any) -> str:
+    """Return a value of others for a message."""
+    return shortened(reprlib.repr(value))
 
 
 def ranges(seeds: list[int]) -> str:
@@ -509,22 +623,40 @@ def main() -> int:
     parser.add_argument(
         "--fresh", type=int, metavar="N", help="with --check: also run N random seeds"
     )
+    parser.add_argument(
+        "--trust", metavar="MODULE:CLASS",
+        help="with --check: allow to run the code of the result's agent; read it first",
+    )  # fmt: skip
+    parser.add_argument(
+        "--decision-limit", type=float, metavar="S", default=LIMITS.decision_s,
+        help="maximum time of a decision, and of the agent's start (default: %(default)g s)",
+    )  # fmt: skip
+    parser.add_argument(
+        "--memory-limit", type=float, metavar="GB", default=LIMITS.memory_gb,
+        help="maximum memory of an episode's processes (default: %(default)g GB)",
+    )  # fmt: skip
     args = parser.parse_args()
     own = ("agent", "task", "seeds", "json", *(() if args.fresh else ("world",)))
     given = [f"--{name}" for name in own if getattr(args, name) is not None]
     if args.check and given:
         parser.error(
-            f"--check allows only --workers, --fresh and, with --fresh, --world, not "
-            f"{', '.join(given)}"
+            "--check allows only --workers, --trust, limits, --fresh and, with --fresh, --world, "
+            f"not {', '.join(given)}"
         )
+    if args.trust and not args.check:
+        parser.error("--trust requires --check")
     if args.fresh is not None and not (args.check and 0 < args.fresh <= MAX_SEEDS):
         parser.error(f"--fresh requires --check, allowed: 1 to {MAX_SEEDS}")
     if args.workers < 1:  # in this process, an agent could exit or falsify results
         parser.error(f"--workers is {args.workers}, allowed: 1 or more")
     tell = partial(print, flush=True)
     try:
+        limits = Limits(args.decision_limit, args.memory_limit)
         if args.check:
-            wrong = check(read(args.check), tell, args.workers, args.fresh or 0, args.world)
+            wrong = check(
+                read(args.check), tell, args.workers, args.fresh or 0, args.world,
+                args.trust or "", limits,
+            )  # fmt: skip
             print("\n".join(wrong) or "the repeated seeds give the same result")
             return bool(wrong)
 
@@ -533,11 +665,11 @@ def main() -> int:
                 args.json.write_text(json.dumps(result, indent=1) + "\n", encoding="utf-8")
 
         if args.json:
-            # If the file cannot be written, fail now and not after hours of computing.
-            args.json.open("a").close()
+            # If the file cannot be written, fail now and not after hours.
+            os.close(os.open(args.json, os.O_WRONLY | os.O_CREAT | os.O_NONBLOCK, 0o666))
         evaluate(
             args.agent or "B", args.task or list(TASKS), args.seeds or range(100),
-            args.world or "nominal", args.workers, tell, keep,
+            args.world or "nominal", args.workers, tell, keep, limits,
         )  # fmt: skip
     except BrokenPipeError:
         raise

@@ -4,10 +4,12 @@ import copy
 import json
 import os
 import signal
+import socket
 import subprocess
 import sys
 import time
 from functools import partial
+from pathlib import Path
 from types import SimpleNamespace
 
 import numpy as np
@@ -82,6 +84,12 @@ def test_what_was_changed_is_noticed(bench, result, key, value, words, monkeypat
         ([], "text", "result has 'text', allowed: agent, "),
         (["more"], 1, "result has agent, world, commit, sources, versions, tasks, more, allowed: "),
         (["agent"], 3, "result: agent is 3, allowed: str"),
+        (["agent"], "a\x1b[2J", "result: agent is 'a\\x1b[2J', allowed: up to 300 printable "),
+        (["agent"], "B](https://example.org)", "agent is 'B](https://example.org)', allowed: "),
+        (["commit"], "a b", "commit is 'a b', allowed: the form "),
+        (["agent"], "a" * 10**7, "aaa', allowed: up to 300 printable characters"),
+        (["versions"], {"numpy": ["2"]}, "result: versions: numpy is ['2'], allowed: str"),
+        (["tasks"], ["x" * 10**6] * 10**3, "...], allowed: dict"),
         (["tasks"], {}, "result: tasks is {}, allowed: one task or more"),
         (["tasks"], [1], "result: tasks is [1], allowed: dict"),
         (["tasks", "Sort4-v1"], {}, "result: Sort4-v1: rows is None, allowed: a list"),
@@ -236,8 +244,245 @@ def test_an_agent_that_kills_its_process_is_named(bench, tmp_path, monkeypatch):
     text = LAZY.replace("return", "__import__('os')._exit(0)  #")
     (tmp_path / "deadly.py").write_text(text, encoding="utf-8")
     monkeypatch.syspath_prepend(tmp_path)
-    with pytest.raises(PlateError, match="agent deadly:Lazy, Sort4-v1: its process died: Broken"):
+    with pytest.raises(
+        PlateError, match="agent deadly:Lazy, Sort4-v1, seed 0, step 0: its process di"
+    ):
         bench.evaluate("deadly:Lazy", "Sort4-v1", [0], workers=1)
+
+
+HOSTILE = """
+import ctypes, os, signal, subprocess, sys, time
+from pathlib import Path
+
+class Base:
+    action, observation = "motion", "parts"
+    def __init__(self, brief, seed): self.space = brief.action_space
+    def act(self, seen, info):
+        self.do()
+        return 0 * self.space.sample()
+
+def noted(process):
+    with open("pids", "a") as file:
+        print(process, file=file)
+
+class Unreadable(Exception):
+    def __str__(self): raise RuntimeError
+
+class Generator(Base):
+    def do(self): raise GeneratorExit
+class Any(Base):
+    def do(self): raise BaseException("\\x1b[2Jgone")
+class Interrupt(Base):
+    def do(self): raise KeyboardInterrupt
+class NoText(Base):
+    def do(self): raise Unreadable
+class LongText(Base):
+    def do(self): raise ValueError("x" * 10**8)
+class Fault(Base):
+    def do(self): ctypes.string_at(0)
+class Parent(Base):
+    def do(self): os.kill(os.getppid(), signal.SIGKILL); time.sleep(1e6)
+class Group(Base):
+    def do(self): os.kill(0, signal.SIGKILL); time.sleep(1e6)
+class Closes(Base):
+    def do(self): os.closerange(0, 1000)
+class Forges(Base):
+    def do(self): os.write(3, b'{"row": {}}\\n'); time.sleep(1e6)
+class Fills(Base):
+    def do(self): os.write(3, b"{" * 10**6)
+class Never(Base):
+    def do(self): signal.pthread_sigmask(signal.SIG_BLOCK, range(1, 64)); time.sleep(1e6)
+class Stops(Base):
+    def do(self): os.kill(os.getpid(), signal.SIGSTOP)
+class Large(Base):
+    def do(self): self.kept = b"x" * 2_000_000_000
+class LargeTogether(Base):
+    def do(self):
+        for _ in range(3):
+            if not os.fork():
+                kept = b"x" * 600_000_000
+                time.sleep(1e6)
+        time.sleep(1e6)
+class Many(Base):
+    def do(self):
+        for _ in range(300):
+            if not os.fork(): time.sleep(1e6)
+        time.sleep(1e6)
+class Daemon(Base):
+    def do(self):
+        noted(subprocess.Popen(["sleep", "1000"], start_new_session=True, env={}).pid)
+        if not os.fork():
+            os.setsid()
+            if not os.fork():
+                noted(os.getpid())
+                os.closerange(0, 1000)
+                time.sleep(1e6)
+            os._exit(0)
+        raise RuntimeError("done")
+class DaemonOfKiller(Base):
+    def do(self):
+        if not os.fork():
+            os.setsid()
+            if os.fork(): os._exit(0)
+            noted(os.getpid())
+            time.sleep(1e6)
+        while not Path("pids").exists(): time.sleep(0.01)
+        os.kill(os.getppid(), signal.SIGKILL)
+        time.sleep(1e6)
+class Prints(Base):
+    def do(self):
+        for _ in range(100): print("x" * 10**6)
+        raise RuntimeError("done")
+"""
+
+
+@pytest.fixture
+def hostile(bench, tmp_path, monkeypatch):
+    """A function that runs a hostile agent, with low limits."""
+    (tmp_path / "hostile.py").write_text(HOSTILE, encoding="utf-8")
+    monkeypatch.syspath_prepend(tmp_path)
+    monkeypatch.chdir(tmp_path)
+    bench.isolation.stop()
+
+    def run(name):
+        limits = bench.Limits(decision_s=10, memory_gb=1)
+        told = []
+        found = bench.evaluate(
+            f"hostile:{name}", "Sort4-v1", [3], workers=1, tell=told.append, limits=limits
+        )
+        return found, told
+
+    yield run
+    bench.isolation.stop()
+
+
+@pytest.mark.parametrize(
+    ("name", "words"),
+    [
+        ("Generator", "step 0: GeneratorExit$"),
+        ("Any", r"step 0: BaseException: \?\[2Jgone$"),
+        ("Interrupt", "step 0: KeyboardInterrupt$"),
+        ("NoText", r"step 0: Unreadable: \(its text cannot be read: RuntimeError\)$"),
+        ("LongText", r"step 0: ValueError: x{200,300}\.\.\.$"),
+        ("Fault", "step 0: its process died: it was ended by SIGSEGV$"),
+        ("Parent", "its supervisor failed: it has ended$"),
+        ("Group", "step 0: its process died: it was ended by SIGKILL$"),
+        ("Closes", "step 0: its process died: it exited with code 0 before its last step$"),
+        ("Forges", " has , allowed: time_s, "),
+        ("Fills", "step 0: its process closed its pipe, or sent no valid reply$"),
+    ],
+)
+def test_any_end_of_an_agent_is_named_as_its_own(bench, hostile, name, words):
+    with pytest.raises(PlateError, match=f"^agent hostile:{name}, Sort4-v1, seed 3.*{words}"):
+        hostile(name)
+
+
+@pytest.mark.parametrize(
+    ("name", "failure"),
+    [
+        ("Never", "no decision within 10 s"),
+        ("Stops", "no decision within 10 s"),
+        ("Large", "more than 1 GB of memory"),
+        ("LargeTogether", "more than 1 GB of memory"),
+        ("Many", "more than 256 processes"),
+    ],
+)
+def test_an_episode_in_which_a_limit_is_exceeded_counts_as_failed(bench, hostile, name, failure):
+    found, told = hostile(name)
+    found = json.loads(json.dumps(found))
+    assert told[0] == f"failed: agent hostile:{name}, Sort4-v1, seed 3, step 0: {failure}"
+    (row,) = found["tasks"]["Sort4-v1"]["rows"]
+    assert (row["success"], row["failure"]) == (False, failure)
+    assert found["tasks"]["Sort4-v1"]["success"] == 0
+    bench.validate(found)
+    row["success"] = True
+    with pytest.raises(PlateError, match="success is True, allowed with a failure: False"):
+        bench.validate(found)
+
+
+@pytest.mark.parametrize("name", ["Daemon", "DaemonOfKiller"])
+def test_no_process_of_an_agent_outlives_its_episode(hostile, tmp_path, name):
+    with pytest.raises(PlateError, match=r"RuntimeError: done|its supervisor failed"):
+        hostile(name)
+    pids = (tmp_path / "pids").read_text().split()
+    assert len(pids) == (2 if name == "Daemon" else 1)
+    for pid in pids:
+        try:
+            status = Path(f"/proc/{pid}/status").read_text()
+        except OSError:
+            continue
+        assert "State:\tZ" in status  # ended, but not yet noticed by the process with id 1
+
+
+def test_most_of_a_long_output_is_omitted(hostile, capfd):
+    with pytest.raises(PlateError, match="RuntimeError: done"):
+        hostile("Prints")
+    said = capfd.readouterr().err
+    assert said.count("x") < 101_000
+    assert "seed 3, step 0: omitted the agent's output after 100,000 bytes\n" in said
+
+
+def test_failed_episodes_have_no_share_in_medians_and_may_fail_at_another_step(bench, result):
+    good = result["tasks"]["Sort4-v1"]["rows"][0]
+    failed = {key: kind() for key, kind in bench.ROW.items()} | {"seed": 7, "failure": "slow"}
+    assert bench.summary([good, failed])["decision_ms"] == good["decision_ms"]
+    assert bench.summary([good, failed])["success"] == 0.5
+    assert bench.summary([failed])["decision_ms"] == 0
+    assert list(bench.differing(failed, failed | {"steps": 9, "failure": "large"})) == []
+    assert list(bench.differing(failed, good)) == [("failure", None)]
+    assert list(bench.differing(good, failed)) == [("failure", "slow")]
+
+
+def test_an_agent_is_imported_only_if_the_reviewer_trusts_it(bench, result, tmp_path, monkeypatch):
+    text = "from pathlib import Path\nPath('imported').touch()\n" + LAZY
+    (tmp_path / "stranger.py").write_text(text, encoding="utf-8")
+    monkeypatch.syspath_prepend(tmp_path)
+    monkeypatch.chdir(tmp_path)
+    claimed = result | {"agent": "stranger:Lazy"}
+    for trusted in ("", "other:Agent"):
+        with pytest.raises(PlateError, match=r"agent stranger:Lazy.*--trust stranger:Lazy"):
+            bench.check(claimed, trusted=trusted)
+    assert not (tmp_path / "imported").exists()
+    wrong = bench.check(claimed, trusted="stranger:Lazy")
+    assert (tmp_path / "imported").exists()
+    assert any("success is True, repeated: False" in text for text in wrong)
+
+
+@pytest.mark.parametrize(
+    ("kind", "words"),
+    [
+        ("fifo", "is a FIFO"), ("folder", "is a folder"), ("device", "is a device"),
+        ("socket", "is a socket"), ("large", "has 3000 MB"),
+    ],
+)  # fmt: skip
+def test_a_result_is_a_regular_file_of_limited_size(bench, tmp_path, kind, words):
+    path = tmp_path / "result"
+    if kind == "fifo":
+        os.mkfifo(path)
+    elif kind == "folder":
+        path.mkdir()
+    elif kind == "device":
+        path.symlink_to("/dev/zero")
+    elif kind == "socket":
+        with socket.socket(socket.AF_UNIX) as own:
+            own.bind(str(path))
+    else:
+        with path.open("wb") as file:
+            file.truncate(3_000_000_000)
+    with pytest.raises(PlateError, match=f"{words}, allowed: a regular file up to 64 MB"):
+        bench.read(path)
+
+
+@pytest.mark.parametrize(
+    ("limits", "words"),
+    [
+        ({"decision_s": 0}, "decision_s is 0, allowed: 0.1 to 1e[+]06"),
+        ({"memory_gb": float("nan")}, "memory_gb is nan, allowed: 0.5 to 1e[+]06"),
+    ],
+)
+def test_wrong_limits_are_refused(bench, limits, words):
+    with pytest.raises(PlateError, match=words):
+        bench.Limits(**limits)
 
 
 @pytest.mark.parametrize(
@@ -310,7 +555,7 @@ def in_this_process(bench, monkeypatch):
     """The command's workers know nothing of what a test has changed."""
     episodes = bench.episodes
 
-    def here(agent, world, task, seeds, workers):
+    def here(agent, world, task, seeds, workers, *args, **settings):
         return episodes(agent, world, task, seeds, 0)
 
     monkeypatch.setattr(bench, "episodes", here)
@@ -461,7 +706,10 @@ def ended(main):
     ("words", "code", "told"),
     [
         (["--agent", "C"], 2, "error: agent is 'C', allowed: B, A, "),
-        (["--check", "nowhere.json"], 2, "error: [Errno 2] No such file"),
+        (["--check", "nowhere.json"], 2, "error: nowhere.json: no such file"),
+        (["--trust", "a:B"], 2, "--trust requires --check"),
+        (["--decision-limit", "0"], 2, "decision_s is 0, allowed: 0.1 to 1e+06"),
+        (["--json", "fifo"], 2, "error: [Errno 6] No such device or address: 'fifo'"),
         (["--check", "text.json"], 2, "error: text.json is not JSON: "),
         (["--check", "deep.json"], 2, "error: deep.json is not JSON: "),
         (["--check", "long.json"], 2, "error: long.json is not JSON: "),
@@ -493,6 +741,7 @@ def test_the_command_says_what_is_wrong(
     files = {"text": "...", "empty": "{}", "deep": "[" * 100_000, "long": "9" * 5000}
     for name, text in (files | {"false": json.dumps(false)}).items():
         (tmp_path / f"{name}.json").write_text(text, encoding="utf-8")
+    os.mkfifo(tmp_path / "fifo")
     monkeypatch.chdir(tmp_path)
     monkeypatch.setattr(sys, "argv", ["bench", *words])
     assert ended(bench.main) == code

@@ -1,0 +1,205 @@
+"""Processes for agents: each episode runs in a process of its own, with limits of time and memory.
+
+`play` asks a supervisor, a process that runs `plate_gym.supervisor`, to run an episode. Idle
+supervisors are used again. An agent cannot block, stop or fill the process that calls `play`, and
+leaves no processes behind. This is no sandbox: an agent can do anything that its user can do.
+"""
+
+from __future__ import annotations
+
+import atexit
+import contextlib
+import json
+import os
+import secrets
+import select
+import signal
+import subprocess
+import sys
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+
+from plate_bringup.loop import ALIKE
+from plate_core import PlateError
+
+__all__ = ["ALIVE", "LIMITS", "REPLY_BYTES", "Limits", "play", "stop"]
+
+REPLY_BYTES = 100_000
+"""Maximum size of a reply [bytes]. A row has 500."""
+
+ALIVE = b".\n"
+"""Line that a supervisor sends when it begins, and about every second during an episode."""
+
+START_S, SILENT_S = 300.0, 60.0
+"""Maximum time until a supervisor has begun, and between two of its lines [s]. On a busy computer,
+loading the libraries takes half a minute."""
+
+ENDING_S = 15.0
+"""Maximum time until a supervisor has ended its processes and itself [s]."""
+
+MARK = "PLATE_GYM_SUPERVISOR"
+"""Environment variable with a random text, by which the processes of a supervisor are found if the
+agent has killed it."""
+
+
+@dataclass(frozen=True)
+class Limits:
+    """Limits of an agent. An episode in which one is exceeded counts as failed.
+
+    Attributes
+    ----------
+    decision_s : float
+        Maximum time of a decision and of the simulation of its step, and of the agent's import and
+        creation [s].
+    memory_gb : float
+        Maximum memory of the agent's processes, including the simulation [GB].
+
+    Raises
+    ------
+    PlateError
+        If a limit is not allowed.
+    """
+
+    decision_s: float = 60.0
+    memory_gb: float = 4.0
+
+    def __post_init__(self) -> None:
+        for name, low, high in (("decision_s", 0.1, 1e6), ("memory_gb", 0.5, 1e6)):
+            value = getattr(self, name)
+            if not low <= value <= high:
+                raise PlateError(f"{name} is {value:g}, allowed: {low:g} to {high:g}")
+
+
+LIMITS = Limits()
+"""Default limits."""
+
+
+class Supervisor:
+    """A supervisor's process, in a session of its own, so that signals of a terminal do not reach
+    it. It ends if this process ends for any reason, because then its standard input ends."""
+
+    def __init__(self) -> None:
+        self._mark = secrets.token_hex(16)
+        self._begun, self.ended = False, False
+        # -P: files in the current folder must not replace libraries.
+        self._process = subprocess.Popen(
+            [sys.executable, "-P", "-m", "plate_gym.supervisor"],
+            stdin=subprocess.PIPE, stdout=subprocess.PIPE, bufsize=0, start_new_session=True,
+            env=os.environ | ALIKE | {MARK: self._mark},
+        )  # fmt: skip
+
+    def ask(self, request: dict[str, Any]) -> dict[str, Any]:
+        """Send a request, and return the reply. It contains an `error` if the supervisor ended."""
+        assert self._process.stdin is not None
+        try:
+            self._process.stdin.write(json.dumps(request).encode() + b"\n")
+            reply = json.loads(self._reply())
+        except (OSError, ValueError, RecursionError) as problem:
+            self.ended = True
+            return {"error": f"its supervisor failed: {problem}"}
+        return reply if isinstance(reply, dict) else {"error": "its supervisor failed"}
+
+    def _reply(self) -> bytes:
+        assert self._process.stdout is not None
+        received = b""
+        while len(received) < REPLY_BYTES:
+            wait_s = SILENT_S if self._begun else START_S
+            if not select.select([self._process.stdout], [], [], wait_s)[0]:
+                raise OSError(f"no sign of life within {wait_s:g} s")
+            data = self._process.stdout.read(REPLY_BYTES)
+            if not data:
+                raise OSError("it has ended")
+            self._begun = True
+            *lines, received = (received + data).split(b"\n")
+            for line in lines:
+                if line + b"\n" != ALIVE:
+                    return line
+        raise OSError("its reply is too long")
+
+    def end(self) -> None:
+        """End the supervisor and its processes. A call of `ask` in another thread then returns."""
+        process = self._process
+        assert process.stdin is not None
+        process.stdin.close()
+        try:
+            process.wait(ENDING_S)
+        except subprocess.TimeoutExpired:
+            process.kill()
+            process.wait()
+        if process.returncode != 0:
+            _kill_marked(self._mark)
+
+    def close(self) -> None:
+        """End the supervisor, and close its pipes."""
+        self.end()
+        assert self._process.stdout is not None
+        self._process.stdout.close()
+
+
+def _kill_marked(mark: str) -> None:
+    """End the processes that have inherited a mark, and wait for their end, until there are
+    none."""
+    entry = f"{MARK}={mark}".encode()
+    found = True
+    while found:
+        found = False
+        for folder in Path("/proc").iterdir():
+            if folder.name.isdigit():
+                try:
+                    if entry not in (folder / "environ").read_bytes():
+                        continue
+                    process = os.pidfd_open(int(folder.name))
+                except OSError:  # it has ended, or belongs to another user
+                    continue
+                found = True
+                with contextlib.suppress(ProcessLookupError):
+                    signal.pidfd_send_signal(process, signal.SIGKILL)
+                select.select([process], [], [], ENDING_S)
+                os.close(process)
+
+
+_idle: list[Supervisor] = []
+_all: list[Supervisor] = []
+
+
+def play(request: dict[str, Any], limits: Limits) -> dict[str, Any]:
+    """Run an episode in a process of its own. Several threads may call this at once.
+
+    Parameters
+    ----------
+    request : dict
+        `agent`, `world`, `task` and `seed`, as for `plate_gym.bench.episode`.
+    limits : Limits
+
+    Returns
+    -------
+    dict
+        `row`, the row of the episode; or `failure`, the limit that was exceeded, with the number of
+        completed `steps`; or `error`, a text. An agent can falsify it.
+    """
+    try:
+        supervisor = _idle.pop()
+    except IndexError:
+        supervisor = Supervisor()
+        _all.append(supervisor)
+    place = {"path": sys.path, "folder": os.getcwd(), "limits": asdict(limits)}
+    reply = supervisor.ask(request | place)
+    if supervisor.ended:
+        supervisor.close()
+        _all.remove(supervisor)
+    else:
+        _idle.append(supervisor)
+    return reply
+
+
+@atexit.register
+def stop() -> None:
+    """End all supervisors. Calls of `play` that still run then return an error."""
+    idle = [_idle.pop() for _ in range(len(_idle))]
+    for supervisor in list(_all):
+        if supervisor in idle:
+            supervisor.close()
+            _all.remove(supervisor)
+        else:
+            supervisor.end()

@@ -1,0 +1,325 @@
+"""Supervisor of agents, a program that `plate_gym.isolation` starts.
+
+It reads requests from its standard input and writes replies to its standard output, one JSON object
+per line. For each request it forks a process that runs `plate_gym.bench.episode`. It ends this
+process, and everything that the agent has started, at the end of the episode or at a limit. It
+needs Linux, but no root.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import ctypes
+import json
+import os
+import resource
+import select
+import signal
+import sys
+import time
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any, NoReturn
+
+from plate_core import PlateError
+
+from .bench import episode, named, one_line
+from .isolation import ALIVE, REPLY_BYTES, Limits
+
+__all__ = ["main"]
+
+OUTPUT_BYTES = 100_000
+"""Maximum output of an agent that is forwarded, per episode [bytes]."""
+
+MAX_PROCESSES = 256
+"""Maximum number of processes of an agent."""
+
+POLL_S = 0.2
+"""Period of the checks of time, memory and number of processes [s]."""
+
+ALIVE_S = 1.0
+"""Period of the lines `ALIVE` [s]."""
+
+ENDING_S = 10.0
+"""Maximum time for ending an agent's processes [s]. Each pass takes some milliseconds."""
+
+PR_SET_PDEATHSIG, PR_SET_CHILD_SUBREAPER = 1, 36
+"""From linux/prctl.h: the signal that a process receives when its parent ends; and that orphaned
+descendants become children of this process."""
+
+CONTROL = bytes(set(range(32)) - set(b"\t\n\r"))
+"""Control characters, which could hide other lines of a terminal."""
+
+BEAT = b"."
+"""Byte that an episode sends before each decision."""
+
+
+def main() -> None:
+    """Answer requests until the standard input ends."""
+    requests, replies = os.dup(0), os.dup(1)
+    os.dup2(os.open(os.devnull, os.O_RDONLY), 0)
+    os.dup2(2, 1)
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    ctypes.CDLL(None).prctl(PR_SET_CHILD_SUBREAPER, 1, 0, 0, 0)
+    os.write(replies, ALIVE)
+    with os.fdopen(requests, "rb", buffering=0) as lines:
+        while line := lines.readline():
+            reply = Episode(json.loads(line), requests, replies).run()
+            os.write(replies, json.dumps(reply).encode() + b"\n")
+
+
+class Episode:
+    """An episode in a process of its own. It is mutable: `run` can be called once.
+
+    Parameters
+    ----------
+    request : dict
+        As for `plate_gym.isolation.play`, with `limits`, `path` (for `sys.path`) and `folder` (the
+        working directory).
+    requests, replies : int
+        Pipes from and to the process that asks. The episode ends if `requests` is closed.
+    """
+
+    def __init__(self, request: dict[str, Any], requests: int, replies: int) -> None:
+        self._request, self._requests, self._replies = request, requests, replies
+        self._limits = Limits(**request["limits"])
+        self._decisions, self._reply, self._printed = 0, b"", 0
+
+    def run(self) -> dict[str, Any]:
+        """Return the reply, as `plate_gym.isolation.play` does."""
+        messages, to_messages = os.pipe()
+        output, to_output = os.pipe()
+        child = os.fork()
+        if not child:
+            self._play(to_messages, to_output)
+        os.close(to_messages)
+        os.close(to_output)
+        failure = self._watch(child, messages, output)
+        end = "" if failure else self._end_of(child)
+        left = _kill_all() - {child}
+        self._forward(output, wait=False)
+        os.close(messages)
+        os.close(output)
+        if left:
+            self._note(f"ended processes that the agent had left running: {len(left)}")
+        if self._printed > OUTPUT_BYTES:
+            self._note(f"omitted the agent's output after {OUTPUT_BYTES:,} bytes")
+        if failure:
+            return {"failure": failure, "steps": self._steps}
+        try:
+            reply: dict[str, Any] = json.loads(self._reply)
+            return reply | {"steps": self._steps}
+        except (TypeError, ValueError, RecursionError):
+            return {"error": f"{self._where()}: its process {end}"}
+
+    @property
+    def _steps(self) -> int:
+        """Number of completed steps."""
+        return max(0, self._decisions - 1)
+
+    def _where(self) -> str:
+        own = self._request
+        return named(own["agent"], own["task"], own["seed"], self._steps)
+
+    def _note(self, text: str) -> None:
+        _print(f"note: {self._where()}: {text}\n".encode())
+
+    def _play(self, messages: int, output: int) -> NoReturn:
+        """Run the episode in the forked process, and send the reply."""
+        reply: dict[str, Any] = {}
+        try:
+            ctypes.CDLL(None).prctl(PR_SET_PDEATHSIG, signal.SIGKILL, 0, 0, 0)
+            os.setsid()
+            for number, file in ((1, output), (2, output), (3, messages)):
+                os.dup2(file, number)
+            for name in os.listdir("/proc/self/fd"):
+                if int(name) > 3:
+                    os.closerange(int(name), int(name) + 1)
+            size = int(1e9 * self._limits.memory_gb)
+            resource.setrlimit(resource.RLIMIT_DATA, (size, size))
+            resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
+            sys.path[:] = self._request["path"]
+            os.chdir(self._request["folder"])
+            reply = self._result(lambda: os.write(3, BEAT))
+            sys.stdout.flush()
+        except BaseException as problem:
+            reply = reply or {"error": f"{self._where()}: {one_line(problem)}"}
+        finally:
+            try:
+                os.write(3, json.dumps(reply).encode() + b"\n")
+            finally:
+                os._exit(0)
+
+    def _result(self, beat: Callable[[], object]) -> dict[str, Any]:
+        own = self._request
+        try:
+            return {"row": episode(own["agent"], own["world"], own["task"], own["seed"], beat)}
+        except PlateError as problem:
+            if isinstance(problem.__cause__, MemoryError):
+                return {"failure": self._too_large()}
+            return {"error": str(problem)}
+
+    def _watch(self, child: int, messages: int, output: int) -> str:
+        """Wait for the reply or the end of the process. Return the limit that was exceeded, or an
+        empty text."""
+        poll = select.poll()
+        for file in (messages, output, self._requests):
+            poll.register(file, select.POLLIN)
+        waited, checked, sent, before = 0.0, 0.0, 0.0, time.monotonic()
+        while True:
+            events = dict(poll.poll(1e3 * POLL_S))
+            # This process may have been stopped meanwhile, and the episode with it.
+            passed = min(time.monotonic() - before, 2 * POLL_S)
+            before = time.monotonic()
+            waited, checked, sent = waited + passed, checked + passed, sent + passed
+            if self._requests in events:
+                _kill_all()
+                os._exit(0)
+            if output in events and not self._forward(output, wait=True):
+                poll.unregister(output)
+            if messages in events:
+                waited = 0.0
+                if not self._receive(os.read(messages, 65536)):
+                    return ""
+            if waited > self._limits.decision_s:
+                return f"no decision within {self._limits.decision_s:g} s"
+            if checked > POLL_S:
+                checked = 0.0
+                if failure := self._excess():
+                    return failure
+                if _has_ended(child):
+                    os.set_blocking(messages, False)
+                    while self._receive(_read(messages)):
+                        pass
+                    return ""
+            if sent > ALIVE_S:
+                sent = 0.0
+                os.write(self._replies, ALIVE)
+
+    def _receive(self, data: bytes) -> bool:
+        """Record a message of the episode. Return whether more is expected."""
+        beats = 0 if self._reply else len(data) - len(data.lstrip(BEAT))
+        self._decisions += beats
+        self._reply += data[beats:]
+        return bool(data) and b"\n" not in self._reply and len(self._reply) < REPLY_BYTES
+
+    def _end_of(self, child: int) -> str:
+        """Return how the process ended, or that it sent something else than a reply."""
+        for _ in range(10):  # the pipe is closed a little earlier than the process ends
+            if state := _has_ended(child):
+                if state.si_code == os.CLD_EXITED:
+                    return f"died: it exited with code {state.si_status} before its last step"
+                return f"died: it was ended by {signal.Signals(state.si_status).name}"
+            time.sleep(0.1)
+        return "closed its pipe, or sent no valid reply"
+
+    def _excess(self) -> str:
+        """Return the limit of memory or of the number of processes that is exceeded, or an empty
+        text."""
+        processes = list(_descendants())
+        if len(processes) > MAX_PROCESSES:
+            return f"more than {MAX_PROCESSES} processes"
+        limit = 1e9 * self._limits.memory_gb
+        if sum(map(_resident, processes)) > limit and sum(map(_proportional, processes)) > limit:
+            return self._too_large()
+        return ""
+
+    def _too_large(self) -> str:
+        return f"more than {self._limits.memory_gb:g} GB of memory"
+
+    def _forward(self, output: int, wait: bool) -> bool:
+        """Copy output of the agent to the standard error, up to `OUTPUT_BYTES`. Return whether more
+        may come. If `wait` is false, copy all that is there."""
+        os.set_blocking(output, wait)
+        while data := _read(output):
+            _print(data[: max(0, OUTPUT_BYTES - self._printed)].translate(None, CONTROL))
+            self._printed += len(data)
+            if wait:
+                return True
+        return False
+
+
+def _read(file: int) -> bytes:
+    """Read from a pipe. Return nothing if there is nothing."""
+    try:
+        return os.read(file, 65536)
+    except BlockingIOError:
+        return b""
+
+
+def _print(data: bytes) -> None:
+    """Write to the standard error, if somebody reads it."""
+    with contextlib.suppress(OSError):
+        os.write(2, data)
+
+
+def _has_ended(child: int) -> os.waitid_result | None:
+    """Return how a child has ended; None if it has not."""
+    return os.waitid(os.P_PID, child, os.WEXITED | os.WNOHANG | os.WNOWAIT)
+
+
+def _descendants() -> Iterator[int]:
+    """Yield the ids of all processes that this process and its descendants have started."""
+    children: dict[int, list[int]] = {}
+    for name in os.listdir("/proc"):
+        if name.isdigit():
+            with contextlib.suppress(OSError):  # it has ended meanwhile
+                fields = Path(f"/proc/{name}/stat").read_bytes().rpartition(b")")[2].split()
+                children.setdefault(int(fields[1]), []).append(int(name))
+    waiting = children.pop(os.getpid(), [])
+    while waiting:
+        process = waiting.pop()
+        yield process
+        waiting += children.pop(process, [])
+
+
+def _kill_all() -> set[int]:
+    """End all descendants. Return the ids of those that still ran.
+
+    Raises
+    ------
+    TimeoutError
+        If they cannot be ended.
+    """
+    ran: set[int] = set()
+    end = time.monotonic() + ENDING_S
+    while processes := list(_descendants()):
+        for process in processes:
+            with contextlib.suppress(OSError):
+                if b"Z" not in _field(process, "status", b"State:"):
+                    ran.add(process)
+                os.kill(process, signal.SIGKILL)
+        with contextlib.suppress(ChildProcessError):
+            while os.waitpid(-1, os.WNOHANG)[0]:
+                pass
+        if time.monotonic() > end:
+            raise TimeoutError(f"processes {processes} cannot be ended")
+    return ran
+
+
+def _resident(process: int) -> int:
+    """Return the memory of a process, with all that it shares with others [bytes]."""
+    return 1024 * _number(process, "status", b"VmRSS:")
+
+
+def _proportional(process: int) -> int:
+    """Return the memory of a process. Shared memory is divided by the number of its users
+    [bytes]."""
+    return 1024 * _number(process, "smaps_rollup", b"Pss:")
+
+
+def _number(process: int, file: str, name: bytes) -> int:
+    try:
+        return int(_field(process, file, name).split()[0])
+    except (OSError, IndexError, ValueError):  # it has ended meanwhile
+        return 0
+
+
+def _field(process: int, file: str, name: bytes) -> bytes:
+    """Return the text of a field of a file in /proc; empty if it has none."""
+    lines = Path(f"/proc/{process}/{file}").read_bytes().splitlines()
+    return next((line[len(name) :] for line in lines if line.startswith(name)), b"")
+
+
+if __name__ == "__main__":
+    main()
