@@ -1,7 +1,7 @@
 MODULE FeederClient
-  ! Takes parts from the feeder (docs/guide/feeder.md) with a robot of ABB. No robot has run it; a test plays its dialogue
-  ! with the feeder. Set the address, zPick (mm), pAbovePlate (its configuration and external axes), tGripper and wobjRobot
-  ! (the frame of the answers). Supply hasPart, CloseGripper, LeavePlate and Place.
+  ! Picks parts from the feeder (docs/guide/feeder.md) with a robot of ABB. No robot has run this program; a test sends its
+  ! commands to the feeder. Set the address, zPick [mm], pAbovePlate (its configuration and external axes), tGripper and
+  ! wobjRobot (the frame of the feeder's replies). Write the functions hasPart, CloseGripper, LeavePlate and Place.
 
   VAR socketdev feeder;
 
@@ -15,12 +15,12 @@ MODULE FeederClient
       SocketConnect feeder, "192.168.0.2", 7171;
     ENDIF
     SocketSend feeder \Str:=command + "\0A";
-    WHILE last <> 10 DO                            ! a line may come in pieces
+    WHILE last <> 10 DO                            ! a line may arrive in several pieces
       SocketReceive feeder \RawData:=data \Time:=longest;
       CopyRawBytes data, 1, answer, RawBytesLen(answer) + 1;
       UnpackRawBytes answer, RawBytesLen(answer), last \Hex1;
     ENDWHILE
-    IF RawBytesLen(answer) > 82 THEN               ! longest string, CR and LF; numbers come first
+    IF RawBytesLen(answer) > 82 THEN               ! maximum length of a string, plus CR and LF; the numbers are at the beginning
       UnpackRawBytes answer, 1, line \ASCII:=80;
     ELSE
       UnpackRawBytes answer, 1, line \ASCII:=RawBytesLen(answer) - 2;
