@@ -82,25 +82,26 @@ class PlannerParameters(NodeOptions):
     """Parameters of the node."""
 
     preempt: bool = parameter(
-        False, "A goal that arrives while a task runs: true cancels that task, false refuses it.",
+        False, "Whether a goal that arrives while a task runs cancels this task. If false, the goal is "
+        "refused.",
         live=True,
     )  # fmt: skip
     camera_triggered: bool = parameter(
-        True, "Whether images are taken at the starts of cycles; false: at any time, and "
-        "cycle_started reports the starts.",
+        True, "Whether images are taken at the starts of cycles. If false, they are taken at any "
+        "time, and cycle_started reports the starts.",
     )  # fmt: skip
     answer_s: float = parameter(
-        PlannerOptions.answer_s, "Without a triggered camera: time from a request to the next "
-        "cycle [s], for solver, driver and line; a serial line needs 0.14", 0.01, 1.0,
+        PlannerOptions.answer_s, "If the camera is not triggered: time from a request to the next "
+        "cycle [s]. It covers solver, driver and line. A serial line needs 0.14.", 0.01, 1.0,
     )  # fmt: skip
     lockstep: bool = parameter(
-        False, "For a simulator in lockstep: the planner waits for plate_cycle of the last image "
-        "and cycle_started of its cycle, and at the second image for a goal; so a seed repeats a "
-        "run",
+        False, "Whether the simulator runs in lockstep. If so, the planner waits for plate_cycle of "
+        "the last image and for cycle_started of its cycle. At the second image it also waits for "
+        "a goal. A seed then repeats a run.",
     )  # fmt: skip
     input_timeout_s: float = parameter(
         INPUT_TIMEOUT_S,
-        "Maximum time without parts, plate_cycle or driver_status during a task [s, wall]",
+        "Maximum time without parts, plate_cycle or driver_status during a task [s, wall time]",
         0.1,
         3600.0,
     )
@@ -108,16 +109,19 @@ class PlannerParameters(NodeOptions):
         PlannerOptions.start_timeout_s, "Maximum wait for all parts after a goal [s]", 0.0, 3600.0
     )
     unseen_timeout_s: float = parameter(
-        PlannerOptions.unseen_timeout_s, "Time after which an unseen part is lost [s]", 0.0, 60.0
+        PlannerOptions.unseen_timeout_s,
+        "Time without a detection after which a part counts as lost [s]",
+        0.0,
+        60.0,
     )
     stuck_timeout_s: float = parameter(
         PlannerOptions.stuck_timeout_s,
-        "Time without progress after which a task is stuck [s]",
+        "Time without progress after which a task counts as stuck [s]",
         1.0,
         3600.0,
     )
     image_age_s: float = parameter(
-        -1.0, "Age of an image at its stamp [s]; negative: estimated", -1.0, 0.5
+        -1.0, "Age of an image at its stamp [s]. A negative value: the age is estimated", -1.0, 0.5
     )
     kp: float = parameter(
         FollowOptions.kp,

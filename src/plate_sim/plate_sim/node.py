@@ -97,24 +97,29 @@ class Options(NodeOptions):
         "setpoints", "Source of the plate's motion: motor_setpoints or the simulated device.",
         choices=("setpoints", "device"),
     )  # fmt: skip
-    lockstep: bool = parameter(False, "Wait for the result of each image, instead of real time.")
+    lockstep: bool = parameter(
+        False, "Whether the simulator waits for the result of each image, instead of real time."
+    )
     rate: float = parameter(
-        1.0, "Simulated time per wall time; can change only in simulated time.", 0.01,
+        1.0, "Simulated time per wall time. It can change only in simulated time.", 0.01,
         100, live=True,
     )  # fmt: skip
     simulated_time: bool = parameter(
-        False, "Publish /clock also at rate 1, so that rate can change."
+        False, "Whether /clock is published even at rate 1, so that rate can change."
     )
     noise: float = parameter(
         NOISE, "Standard deviation of the image noise [grey values].", *WORLD_RANGES["noise"],
         live=True,
     )  # fmt: skip
     mu_scale: float = parameter(
-        1.0, "True friction divided by that of the rig file.", *WORLD_RANGES["mu_scale"], live=True
+        1.0,
+        "True friction divided by the friction in the rig file.",
+        *WORLD_RANGES["mu_scale"],
+        live=True,
     )
     hold_cycles: int = parameter(
         HOLD_CYCLES,
-        "Number of plays of a cycle from rest to rest if no new cycle arrives.",
+        "Number of times that a cycle from rest to rest is executed if no new cycle arrives.",
         1,
         1000,
     )
@@ -141,7 +146,7 @@ class Options(NodeOptions):
         "latency", "Age of an image when it is published and stamped [s].", live=False
     )
     image_rate: float = _disturbance(
-        "image_rate", "Images of a free-running camera [1/s]; 0: one at the start of each cycle.",
+        "image_rate", "Image rate of a free-running camera [1/s]. 0: an image per cycle start.",
         live=False,
     )  # fmt: skip
     stamp_jitter: float = _disturbance(
@@ -152,23 +157,23 @@ class Options(NodeOptions):
     missed_images: float = _disturbance(
         "missed_images", "Fraction of images that are never published."
     )
-    highlights: float = _drawn("highlights", "Fraction of each part that mirrors the light.")
+    highlights: float = _drawn("highlights", "Fraction of each part that reflects the light.")
     shadows: float = _drawn("shadows", "Darkening of the plate in parts' shadows [fraction].")
     missed_parts: float = _drawn("missed_parts", "Fraction of parts that an image does not show.")
-    false_parts: float = _drawn("false_parts", "False parts in an image [fraction of true ones].")
+    false_parts: float = _drawn("false_parts", "Number of false parts per true part in an image.")
     pick_failure: float = _disturbance("pick_failure", "Fraction of grips in which the part slips.")
 
     part_height_m: float = _drawn(
-        "part_height_m", "Height of parts in images [m]; 0: that of the rig file."
+        "part_height_m", "Height of parts in images [m]. 0 uses the height in the rig file."
     )
-    side_shade: float = _drawn("side_shade", "Brightness of side faces over that of tops [-].")
+    side_shade: float = _drawn("side_shade", "Brightness of side faces per brightness of tops.")
     size_spread: float = _drawn("size_spread", "Spread of the parts' sizes in images [fraction].")
     gloss: float = _drawn("gloss", "Radius of the lamp's image on a part [radii].")
     shadow_length_m: float = _drawn("shadow_length_m", "Length of the shadows [m].")
     shadow_deg: float = _drawn("shadow_deg", "Direction of the shadows from x [degrees].")
     penumbra_m: float = _drawn("penumbra_m", "Width of the shadows' soft edge [m].")
     light_step: float = _drawn("light_step", "Change of the light at light_step_s [fraction].")
-    light_step_s: float = _drawn("light_step_s", "Time of the light's change, from the start [s].")
+    light_step_s: float = _drawn("light_step_s", "Time from the start to the light's change [s].")
     flicker: float = _drawn("flicker", "Amplitude of the light's flicker [fraction].")
     flicker_hz: float = _drawn("flicker_hz", "Frequency of the flicker [Hz].")
     defocus_px: float = _drawn("defocus_px", "Gaussian blur of images [px].")

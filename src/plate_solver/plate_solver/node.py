@@ -66,18 +66,18 @@ class Options(NodeOptions):
     )
     seed: int = parameter(0, "Seed of the solver's restarts.", 0, 2**31 - 1)
     restarts: int = parameter(
-        0, "Maximum number of restarts of each search; 0: the default of the method (40 for "
-        "sinusoids). Half of it if the cycle may end in motion.", 0, 1000,
+        0, "Maximum number of restarts of each search. 0 means the default of the method (40 for "
+        "sinusoids). If the cycle may end in motion, half of this number is used.", 0, 1000,
     )  # fmt: skip
     threads: int = parameter(
-        0, "Number of cores for a search, without influence on the results; 0: all cores.",
+        0, "Number of cores for a search. It does not change the results. 0 means all cores.",
         0, 1024,
     )  # fmt: skip
     handover_s: float = parameter(
-        0.02, "Time before the start of the cycle at which a result must be ready, for driver and "
-        "line [s]; with a serial line 0.08. A search makes no further restart that would end "
-        "later. After late results, it is increased temporarily, up to 0.06. 0: no time limit, as "
-        "in simulated time, where a seed gives the same cycles on any computer.",
+        0.02, "Time before the start of the cycle at which a result must be ready [s]. It covers "
+        "driver and line. A serial line needs 0.08. A search makes no further restart that would "
+        "end later. After late results, the time is increased temporarily, up to 0.06. 0 means no "
+        "time limit, as in simulated time: a seed then gives the same cycles on any computer.",
         0.0, 1.0,
     )  # fmt: skip
     input_timeout_s: float = parameter(
@@ -175,7 +175,7 @@ class SolverNode(SafeLifecycleNode[Options]):
         newest = self._sent[-1].stamp_ns if self._sent else None
         if newest is not None and stamp_ns < newest:
             if stamp_ns > newest - RESTART_NS:
-                self._refuse("part_forces refused: older than the last")
+                self._refuse("part_forces refused: older than the last one")
                 return
             self._sent.clear()
             self._controller.reset()

@@ -47,14 +47,14 @@ class Options(NodeOptions):
     """Parameters of the page."""
 
     address: str = parameter(
-        "127.0.0.1", "IP address of the page's server; 0.0.0.0: all networks, requires a token"
+        "127.0.0.1", "IP address of the page's server. 0.0.0.0 means all networks, with a token."
     )
-    port: int = parameter(8080, "TCP port; if it is in use, the next free one", 1, 65000)
+    port: int = parameter(8080, "TCP port. If it is in use, the next free port is used.", 1, 65000)
     operator_token: str = parameter(
-        "", "Token of operators: commands require ?token=TOKEN at the end of the page's address; "
-        "empty: every browser of this machine may command",
+        "", "Token of operators: commands require ?token=TOKEN at the end of the page's address. If "
+        "it is empty, every browser on this machine may send commands.",
     )  # fmt: skip
-    viewer_token: str = parameter("", "Token of read-only browsers; empty: none")
+    viewer_token: str = parameter("", "Token of read-only browsers. Empty: no such token.")
     scenario: str = parameter("", "Scenario that is selected initially")
     bag: str = parameter("", "Folder of a bag to replay instead of showing the graph")
 

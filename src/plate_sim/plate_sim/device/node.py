@@ -55,18 +55,21 @@ class Options(NodeOptions):
     link: str = parameter("/tmp/plate_device", "Name of the serial port to create.")
     seed: int = parameter(0, "Seed of the random faults.", 0, 2**31 - 1)
     firmware: str = parameter(
-        "", "Firmware program for drives on a CAN bus, run with simulated drives; empty: no bus."
+        "",
+        "Firmware program for drives on a CAN bus. It runs with simulated drives. Empty: no bus.",
     )
-    baud: float = parameter(921_600.0, "Speed of the line [bit/s]; 0: none.", 0, 1e9, live=True)
-    dropped: float = _fraction("Lost bytes on the line [fraction].")
-    corrupted: float = _fraction("Changed bytes on the line [fraction].")
-    repeated: float = _fraction("Repeated bytes [fraction].")
-    split: float = _fraction("Transmissions that arrive in two parts [fraction].")
+    baud: float = parameter(
+        921_600.0, "Speed of the line [bit/s]. 0: transmissions take no time.", 0, 1e9, live=True
+    )
+    dropped: float = _fraction("Fraction of bytes that are lost on the line.")
+    corrupted: float = _fraction("Fraction of bytes that are changed on the line.")
+    repeated: float = _fraction("Fraction of bytes that are repeated on the line.")
+    split: float = _fraction("Fraction of transmissions that arrive in two parts.")
     delay: float = parameter(0.0, "Delay of the line in each direction [s].", 0.0, 1.0, live=True)
-    disconnect_every: float = _every("Time between disconnections [s]; 0: none.")
+    disconnect_every: float = _every("Time between two disconnections [s]. 0 disables them.")
     disconnect_s: float = parameter(2.0, "Duration of a disconnection [s].", 0.0, 1e3, live=True)
-    reset_every: float = _every("Time between resets of the device [s]; 0: none.")
-    brown_out_every: float = _every("Time between brown-outs [s]; 0: none.")
+    reset_every: float = _every("Time between two resets of the device [s]. 0 disables them.")
+    brown_out_every: float = _every("Time between two brown-outs [s]. 0 disables them.")
 
     @property
     def schedule(self) -> FaultSchedule:

@@ -27,8 +27,8 @@ def check_table(rig: Rig, cycle: PlateCycle, running: PlateCycle) -> CycleUsage:
         raise CycleError(f"period is {cycle.period:g} s, allowed: {PERIOD[0]:g} to {PERIOD[1]:g} s")
     if not (cycle.starts_at_rest or cycle.follows(running)):
         raise CycleError(
-            "table begins off home or moving, or came too late, allowed: at rest at home, or as "
-            "the running one ends"
+            "table begins away from home or in motion, or arrived too late, allowed: a start at "
+            "rest at home, or in the end state of the running table"
         )
     peaks = usage(rig, cycle)
     if not peaks.worst <= SLACK:
