@@ -230,7 +230,7 @@ class RunOptions:
         return str(yaml.safe_dump({name: v for name, v in values.items() if v["ros__parameters"]}))
 
     def parameters(self, node: GraphNode, given: Collection[str] | None = None) -> dict[str, Value]:
-        """Return the parameters of a node that override those in nodes.yaml.
+        """Return the parameters of a node that override the values in nodes.yaml.
 
         Parameters
         ----------

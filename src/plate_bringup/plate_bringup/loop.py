@@ -80,8 +80,9 @@ __all__ = [
 ALIKE = {
     "OPENBLAS_CORETYPE": "Haswell", "NPY_DISABLE_CPU_FEATURES": "X86_V4 AVX512_ICL AVX512_SPR",
 }  # fmt: skip
-"""Environment variables with which the run of a seed is identical to the last bit on every
-processor with AVX2 and FMA. Libraries read these variables when they are loaded."""
+"""Environment variables for reproducible runs. With them, the run of a seed is identical to the
+last bit on every processor with AVX2 and FMA. Libraries read these variables when they are
+loaded."""
 
 EFFORT = ("iterations", "restarts")
 """Options of the solvers. Larger values improve the result and increase the computing time."""
@@ -127,7 +128,8 @@ class Setup:
         Disturbances of the simulated world.
     planner : PlannerOptions
     exposure_s, readout_s : float or None
-        Values that replace those of the rig's camera [s]. If None, the values of the rig are used.
+        Values that replace the values of the rig's camera [s]. If None, the values of the rig are
+        used.
     camera_tilt_deg, camera_towards_deg, camera_focal_px, camera_distance_m : float or None
         If one of them is given, `view_from` moves the camera. `view_from` uses its defaults for the
         others.
@@ -334,7 +336,7 @@ class Scene(Protocol):
         """Return the parts detected in an image with this stamp [s]."""
 
     def run(self, motion: PlateCycle | PlateMotion) -> None:
-        """Move the plate. The parts move with it."""
+        """Move the plate. The parts move with the plate."""
 
 
 class Watched:

@@ -39,7 +39,8 @@ UNEVEN = 0.1
 """Standard deviation of the friction of the parts, relative to the friction in the rig [-]."""
 
 STILL = 0.5e-3
-"""Speed towards the targets below which parts count as not approaching them [m/s]."""
+"""Minimum speed towards the targets [m/s]. If parts are slower, they count as not approaching their
+targets."""
 
 REHEARSED = SortTask, FollowTask, AssembleTask
 """Kinds of tasks in which parts can be modelled as points."""

@@ -35,10 +35,10 @@ The rules:
   counts this part as ready.
 - If several parts are ready, the part with the fewest failed picks is offered. Among parts with the
   same number, the one nearest to the centre of its pick window is offered.
-- The hopper is opened if there are fewer parts than `least`, or if a command waits for a class of
-  which no part is on the plate. The hopper is opened for the number of parts that are missing to
-  `fill`. The hopper is not opened while a part is reserved, while the plate is purged, or while
-  messages of the planner are missing.
+- The hopper is opened if there are fewer parts than `least`. It is also opened if a command waits
+  for a class and no part of this class is on the plate. The hopper is opened for the number of
+  parts that are missing to `fill`. The hopper is not opened while a part is reserved, while the
+  plate is purged, or while messages of the planner are missing.
 - After an opening, it is not opened again until `FALLEN_S` after it closed, and until an image
   without a reservation arrives. The planner counts no new parts while a robot hides some parts.
   Until then, parts within `SPREADS` spreads of the place where parts fall are not offered, and the
@@ -69,14 +69,14 @@ from .codes import Code
 from .interface import FeedStatus, Output, Quantity, ReadyPart, Reply, Reserved, State
 
 LATE_S = 0.3
-"""Minimum difference between the stamp of an image and the newest known stamp at which the image
-was certainly taken after the present time [s]. Images arrive late, so a smaller difference is not
-certain."""
+"""Minimum difference between two stamps [s]. If the stamp of an image exceeds the newest known
+stamp by at least this, the image was certainly taken after the present time. Images arrive late, so
+a smaller difference is not certain."""
 
 SEEN_ANEW_S = 1.0
-"""Minimum difference between the stamp of an image and the newest known stamp at which the image
-no longer shows parts that are gone at present [s]. The tracker keeps a missing part for some
-images."""
+"""Minimum difference between two stamps [s]. If the stamp of an image exceeds the newest known
+stamp by at least this, the image no longer shows parts that have left. The tracker keeps a missing
+part for some images."""
 
 SILENT_S = 1.0
 """Maximum time between two statuses of a running task [s]. This time is about ten cycles of usual
@@ -94,14 +94,16 @@ FALLEN_S = 1.0
 """Time after the hopper closes until all dropped parts are visible [s]."""
 
 MAX_OPENINGS = 3
-"""Number of consecutive openings without a new part after which the hopper counts as empty."""
+"""Maximum number of consecutive openings without a new part. After that, the hopper counts as
+empty."""
 
 MAX_FAILURES = 3
-"""Number of failed picks at one place after which a part is no longer offered."""
+"""Maximum number of failed picks of a part at one place. After that, the part is no longer
+offered."""
 
 MOVED_M = 0.002
-"""Distance from the place of a failed pick above which the part counts as moved [m]. This distance
-is larger than the error of the camera."""
+"""Minimum distance from the place of a failed pick [m]. At this distance, the part counts as moved.
+This distance is larger than the error of the camera."""
 
 SPREADS = 2.0
 """Maximum distance of a falling part from the hopper's place [spread of the hopper]."""
@@ -237,8 +239,8 @@ class Feeder:
         ----------
         client : hashable
         label : str
-            Class of the part. If it is empty, the class is that of `pick`, that of `prepare_part`,
-            or any class of the recipe.
+            Class of the part. If it is empty, the class is taken from `pick`, or from
+            `prepare_part`. Otherwise it may be any class of the recipe.
         pick : Pick, optional
             Window, angle or number that replaces the values of the recipe for this command.
         timeout_s : float

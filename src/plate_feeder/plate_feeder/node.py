@@ -73,7 +73,7 @@ STOPPED = "the feeder was deactivated"
 NEED_A_PERSON = (
     TaskStatus.STOPPED, TaskStatus.CANCELED, TaskStatus.PREEMPTED, TaskStatus.DRIVER_STOPPED,
 )  # fmt: skip
-"""Reasons for the end of the planner's task after which a person must call resume_feeding. Either
+"""Reasons for the end of the planner's task that require a person to call resume_feeding. Either
 another client has requested the end, or a person must enable the motors anyway."""
 
 BY_PERSON = (

@@ -42,8 +42,8 @@ SENT_S = 5.0
 disconnected."""
 
 LAST_S = 0.5
-"""Time in which the last commands of a client are executed after the client has closed its side of
-the connection [s]."""
+"""Time for the last commands of a client after the client has closed its side of the connection
+[s]."""
 
 ANSWER_S = 5.0
 """Maximum time for the reply to a command that does not wait [s]."""

@@ -1,4 +1,4 @@
-"""Reference agents. Those of this project are Methods B and A on the cycle map, Method B with
+"""Reference agents. The agents of this project are Methods B and A on the cycle map, Method B with
 images, and Method B on the averaged map. The others are the paper's Method A and random motions."""
 
 from __future__ import annotations

@@ -73,7 +73,7 @@ CHECKED = 10
 MAX_SEEDS = 100_000
 
 AGENT = 2
-"""Number that separates the random numbers of an agent from those of its world."""
+"""Number that separates the random numbers of an agent from the random numbers of its world."""
 
 HUGE = 1e9
 """Upper bound of the numbers in a result."""

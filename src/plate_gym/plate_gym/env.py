@@ -115,7 +115,8 @@ class PlateEnv(gym.Env):
 
 
 class PlateVectorEnv(VectorEnv):
-    """N plates with one task each. The results are equal to those of N `PlateEnv`, to the last bit.
+    """N plates with one task each. The results of N plates are equal to the results of N
+    `PlateEnv`, to the last bit.
 
     If the episode of a plate has ended, the next step begins a new episode and ignores the action.
 

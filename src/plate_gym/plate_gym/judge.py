@@ -78,8 +78,8 @@ class Feeding:
     ----------
     ids : (M,) of str
         Id of the part in each row of observations and actions. Empty if there is no part. A new
-        part takes the first row that was empty before. If there is no such row, it takes one that
-        has just become empty.
+        part takes the first row that was empty before. Otherwise it takes a row that has just
+        become empty.
     rests : bool
         Whether the plate rests in the next cycle, because a robot picks or enough parts are ready.
     made : Production

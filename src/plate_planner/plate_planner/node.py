@@ -82,7 +82,7 @@ class PlannerParameters(NodeOptions):
     """Parameters of the node."""
 
     preempt: bool = parameter(
-        False, "Whether a goal that arrives while a task runs cancels this task. If false, the goal is "
+        False, "Whether a goal that arrives while a task runs cancels this task. If false, it is "
         "refused.",
         live=True,
     )  # fmt: skip
@@ -95,9 +95,9 @@ class PlannerParameters(NodeOptions):
         "cycle [s]. It covers solver, driver and line. A serial line needs 0.14.", 0.01, 1.0,
     )  # fmt: skip
     lockstep: bool = parameter(
-        False, "Whether the simulator runs in lockstep. If so, the planner waits for plate_cycle of "
-        "the last image and for cycle_started of its cycle. At the second image it also waits for "
-        "a goal. A seed then repeats a run.",
+        False, "Whether the simulator runs in lockstep. If so, the planner waits for plate_cycle "
+        "of the last image and for cycle_started of its cycle. At the second image it also waits "
+        "for a goal. A seed then repeats a run.",
     )  # fmt: skip
     input_timeout_s: float = parameter(
         INPUT_TIMEOUT_S,

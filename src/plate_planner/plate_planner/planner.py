@@ -57,9 +57,9 @@ NOTHING = Wanted.make(Parts.make((), np.zeros((0, 2))))
 """Empty request: the plate rests."""
 
 TAKEN_COAST = Coast(parts=1, unknown=1)
-"""Maximum number of images without a detection for which the state of a part is propagated. This
-number applies to tasks in which parts are added and removed. The number is small, because the part
-may have been picked."""
+"""Maximum number of consecutive images that do not show a part. Until then, the state of the part
+is propagated. The number applies to tasks in which parts are added and removed. The number
+is small, because the part may have been picked."""
 
 IN_MOTION_S = 0.1
 """Length of cycles that start from a moving plate [s]. If the solver takes as long as this, cycles
@@ -349,7 +349,7 @@ class Planner:
         return tuple(group.label for group in self.scenario.parts)
 
     def _mine(self, ids: Sequence[str]) -> set[str]:
-        """Return the ids, except those of objects that do not belong to the task."""
+        """Return the ids without the ids of objects that do not belong to the task."""
         return {name for name in ids if not is_bystander(name, self._labels)}
 
     def _on_plate(self, parts: Parts) -> Parts:

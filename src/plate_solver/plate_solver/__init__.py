@@ -1,7 +1,7 @@
 """Plate motions that produce requested forces or displacements of many parts at once.
 
-The public names are those listed below and those of the subpackages `averages`, `cycle_map`, `fit`,
-`goal`, `library`, `rotations` and `sinusoids`.
+The public names are the names listed below and the names of the subpackages `averages`,
+`cycle_map`, `fit`, `goal`, `library`, `rotations` and `sinusoids`.
 """
 
 from typing import TYPE_CHECKING, Any

@@ -47,7 +47,7 @@ inline double greatest(const Four& value) {
 }
 
 // Maximum utilisation of stroke, speed and acceleration. The values of the four motors are computed
-// in parallel, and then those of the four corners.
+// in parallel, and then the values of the four corners.
 PLATE_WIDE inline double motion_use(Samples pose, Samples twist, Samples accel,
                                     const Limits& limits, bool linear) {
     Four px, py, ex, ey, corner_x, corner_y, stroke{}, speed{}, peak{};

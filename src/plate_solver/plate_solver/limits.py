@@ -146,7 +146,7 @@ def _use(cycle: PlateCycle, full: Limits) -> float:
 
     The heat of the motors is computed for the cycle, for the cycle with its tail, and for the tail
     only. The largest value counts. The tail is computed separately because the next cycle may begin
-    with it.
+    with the tail.
     """
     used = 0.0
     both = cycle.parts

@@ -9,8 +9,8 @@ from typing import Any
 from .commands import Command
 
 OLD_S = 2.0
-"""Age above which a waiting command is refused [s]. The person who sent it may no longer want
-it."""
+"""Maximum age of a waiting command [s]. An older command is refused. The person who sent it may no
+longer want it."""
 
 
 class Inbox:

@@ -51,8 +51,8 @@ class Options(NodeOptions):
     )
     port: int = parameter(8080, "TCP port. If it is in use, the next free port is used.", 1, 65000)
     operator_token: str = parameter(
-        "", "Token of operators: commands require ?token=TOKEN at the end of the page's address. If "
-        "it is empty, every browser on this machine may send commands.",
+        "", "Token of operators: commands require ?token=TOKEN at the end of the page's address. "
+        "If it is empty, every browser on this machine may send commands.",
     )  # fmt: skip
     viewer_token: str = parameter("", "Token of read-only browsers. Empty: no such token.")
     scenario: str = parameter("", "Scenario that is selected initially")

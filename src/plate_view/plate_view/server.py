@@ -69,7 +69,8 @@ DEAR = 10.0
 """Cost of a command that another node must process."""
 
 STILL_S = 2.0
-"""Duration of a stall of the server after which only stops are accepted for a moment [s]."""
+"""Minimum duration of a stall of the server [s]. After a longer stall, only stops are accepted for
+a moment."""
 
 KEPT = ("log", "call")
 """Kinds of messages that must not be skipped. Replies must not be skipped either. Replies are sent

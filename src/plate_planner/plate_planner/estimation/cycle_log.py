@@ -99,8 +99,8 @@ class CycleLog:
     awaited : Sent or None
         The last sent cycle that moves the plate. None after it has begun.
     begun, unanswered : int
-        Number of reported cycles. Number of those that moved the plate without a new result, as a
-        repeated cycle or a tail.
+        Number of reported cycles. Number of reported cycles that moved the plate without a new
+        result. These are repeated cycles and tails.
     """
 
     runs: tuple[tuple[float, PlateCycle], ...] = ()

@@ -22,10 +22,10 @@ from .frame_clock import FrameClock
 from .latency import LatencyHypotheses
 
 COAST = Coast(parts=5, unknown=10)
-"""Maximum number of consecutive images without a detection for which the state of an object is
-propagated. After this number of images, vision no longer keeps the name of a part. Objects of the
-class `unknown` are often not detected although they are on the plate, so their number is larger. If
-images are taken at cycle starts, this number corresponds to `MEMORY_S`."""
+"""Maximum number of consecutive images that do not show an object. Until then, the state of the
+object is propagated. After this number of images, vision no longer keeps the name of a part.
+Objects of the class `unknown` are often not detected although they are on the plate, so their
+number is larger. If images are taken at cycle starts, this number corresponds to `MEMORY_S`."""
 
 FRESH = 1.5
 """Maximum age of a request [periods]. An older request does not describe the running cycle. This is
@@ -39,8 +39,9 @@ SAME_LATENCY_S = 2e-3
 this time."""
 
 STARTS_S = 1e-3
-"""Maximum difference between the stamp of an image and a reported cycle start at which the stamp
-counts as the time of the camera trigger [s]. The image was then taken at its stamp."""
+"""Maximum difference between the stamp of an image and a reported cycle start [s]. If it is
+smaller, the stamp counts as the time of the camera trigger. The image was then taken at its
+stamp."""
 
 LATE = 0.01
 """Maximum difference between `Estimator.stamp` and the time of a prediction, as a fraction of the
@@ -51,8 +52,8 @@ FEWER = 0.02
 """Tolerance of the image rate, as a fraction of the cycle rate."""
 
 ODD = 0.25
-"""Deviation of an image interval from a whole number of cycles at which the interval counts as odd
-[cycles]."""
+"""Minimum deviation of an image interval from a whole number of cycles [cycles]. At this deviation,
+the interval counts as odd."""
 
 ODD_IMAGES = 20
 """Number of consecutive odd intervals that prove that the camera is not triggered at cycle

@@ -40,8 +40,8 @@ FIRST_SEEN = np.array([0.02e-3, 0.02e-3, 0.02, 0.02, 0.15])
 """Standard deviations of the state of a part at its first detection (units as in DIFFERENCE)."""
 
 PUSHED_SIGMA = 6.0
-"""Number of standard deviations between a part and its prediction above which an external push is
-assumed. The filter is then reset to the measured position, with the initial covariance."""
+"""Number of standard deviations between a part and its prediction. If it is exceeded, an external
+push is assumed. The filter is then reset to the measured position, with the initial covariance."""
 
 FRICTION_RANGE = np.log(3.0)
 """Logarithm of the range of the estimated friction. The friction is limited to between 1/3 and 3
@@ -52,8 +52,9 @@ SAMPLES = np.vstack([np.zeros(5), np.diag(DIFFERENCE)])
 
 
 class Coast(NamedTuple):
-    """Maximum number of consecutive images without a detection for which the state of an object is
-    propagated. `parts` applies to parts, and `unknown` to objects of the class `unknown`."""
+    """Maximum number of consecutive images that do not show an object. Until then, the state of
+    the object is propagated. `parts` applies to parts, and `unknown` to objects of the
+    class `unknown`."""
 
     parts: int
     unknown: int

@@ -17,12 +17,12 @@ from ..estimation import LastRequest
 from .phase import LOOK, Failure, Reason
 
 NEAR_EDGE = 3.0
-"""Maximum distance from an edge at which a lost part counts as having left the plate [part radii].
-The distance is measured from the part's last position."""
+"""Maximum distance of a lost part from an edge [part radii]. Within it, the part counts as having
+left the plate. The distance is measured from the part's last position."""
 
 SAME_PLACE = 3.0
-"""Maximum distance of an unknown object from a part's last position at which the object counts as
-that part [part radii]."""
+"""Maximum distance of an unknown object from a part's last position [part radii]. Within it, the
+object counts as this part."""
 
 NOBODY = Parts.make((), np.zeros((0, 2)))
 
@@ -31,7 +31,7 @@ FEW = 5
 of them as requested."""
 
 AT_REST_MPS = 0.5e-3
-"""Requested drift below which a part is not expected to move [m/s]."""
+"""Minimum requested drift that is expected to move a part [m/s]."""
 
 
 class LastSeen(NamedTuple):

@@ -16,8 +16,8 @@ from .inputs import Inputs
 from .phase import Failure, Reason, TaskState
 
 STILL_S = 1.0
-"""Minimum duration of a stall after which the planner refuses goals that may have waited during it
-[s]."""
+"""Minimum duration of a stall [s]. After a longer stall, the planner refuses goals that may have
+waited during it."""
 
 SINGLE = ("parts", "part_forces", "plate_cycle", "driver_status", "cycle_started", "feed_orders")
 """Topics that only one node may publish."""

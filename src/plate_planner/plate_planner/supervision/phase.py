@@ -83,8 +83,8 @@ class Failure(NamedTuple):
 
 @dataclass(frozen=True)
 class TaskLimits:
-    """Time limits of a task. Times are differences of stamps [s]. The stamps are those of cycle
-    starts or, if images are taken at cycle starts, those of images.
+    """Time limits of a task. Times are differences of stamps [s]. They are stamps of cycle starts
+    or, if images are taken at cycle starts, stamps of images.
 
     Attributes
     ----------

@@ -38,8 +38,7 @@ from .targets import FULL_DISTANCE_M, distance_weight
 from .task import Assessment, Situation, TaskRules
 
 STILL_M = 1e-3
-"""Maximum displacement since the last image at which a part on a plate at rest counts as ready
-[m]."""
+"""Maximum displacement of a ready part since the last image, while the plate is at rest [m]."""
 
 MARGIN_M = 4e-3
 """Margin of the targets inside the window [m]."""
@@ -59,8 +58,8 @@ weight is relative to the weight of other parts [-]. With a larger weight, many 
 push the others against the wall, and no part would move."""
 
 MANY_UNWANTED = 5
-"""Number of unwanted parts from which all of them move to the chute, even if enough other parts are
-ready."""
+"""Number of unwanted parts. If there are at least so many, all of them move to the chute, even if
+enough other parts are ready."""
 
 PURGED = 6.0
 """In a purge: weight of the distance to the chute for the part nearest to it, relative to the
@@ -76,8 +75,8 @@ CHANGE_M = 0.02
 only if that part is nearer by this difference."""
 
 RENAMED_M = 0.02
-"""Maximum distance between a new part and a vanished part of its class at which they count as the
-same part [m]."""
+"""Maximum distance between a new part and a vanished part of its class [m]. Within it, they count
+as the same part."""
 
 BEYOND_M = 0.01
 """Minimum distance of targets beyond the chute's edge [m]."""
@@ -86,8 +85,8 @@ FAR_M = 0.1
 """Maximum distance of targets beyond the chute's edge [m]."""
 
 NEAR_EDGE = 1.5
-"""Maximum distance from an edge at which a vanished part counts as having left over this edge [its
-reach]. The distance is measured from the part's last position."""
+"""Maximum distance of a vanished part from an edge [its reach]. Within it, the part counts as
+having left over this edge. The distance is measured from the part's last position."""
 
 NEAR_CHUTE = 4.0
 """The same distance for the chute's edge [its reach]."""

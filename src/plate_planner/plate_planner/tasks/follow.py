@@ -35,7 +35,7 @@ EDGE = (0.70, 0.85)
 path are moved inwards, with a speed that increases towards the edge."""
 
 LACKING = 0.1
-"""Shortfall of drift in a cycle above which the references slow down [path's speed]."""
+"""Shortfall of drift in a cycle [path's speed]. If it is larger, the references slow down."""
 
 SLOW_DOWN = 0.7
 """Factor by which the speed scaling is then multiplied [-]."""
@@ -71,7 +71,7 @@ SPEED_RATIO_MAX = 3.0
 """Maximum requested drift [path's speed]."""
 
 SLOW_FROM = 0.15
-"""Error above which the references slow down [max_error_m]."""
+"""Error of a part [max_error_m]. If it is larger, the references slow down."""
 
 SLOW_TO = 0.5
 """Error at which the references stop [max_error_m]."""
@@ -88,10 +88,11 @@ REACHED = 0.3
 """Fraction of the bound a T/16 that two parts reached at shaking ratios of 3 and 5 [-]."""
 
 PERIOD_S = 0.1
-"""Length T of a cycle for a small number of parts [s]. The bound a T/16 is computed with it."""
+"""Length T of a cycle for a small number of parts [s]. The bound a T/16 is computed with this
+length."""
 
 SLOWED = 0.95
-"""Mean pace below which the text of the result states the pace [-]."""
+"""Mean pace [-]. If the mean is lower, the text of the result states it."""
 
 
 @dataclass(frozen=True)
@@ -369,8 +370,8 @@ class Follower(TaskRules):
         return float(np.clip(room, 0, min(1.0, most)))
 
     def _ahead(self, time: float, period: float) -> float:
-        """Return the maximum speed scaling at a path time [s]. With it, no corner ahead requires a
-        higher acceleration than `TURN`.
+        """Return the maximum speed scaling at a path time [s]. With this scaling, no corner ahead
+        requires a higher acceleration than `TURN`.
 
         With the scaling s, the path time advances by s dt. Let a be the deceleration and v the
         speed of the path. Then s ds/dtime = a/v. Therefore s^2 may be larger by 2 a/v for each

@@ -180,7 +180,7 @@ class Sorter(TaskRules):
         if not _diagonal(sign):
             lane[sign[:, 1] != 0] = 0
         if np.all(sign[:, 0] >= 0) or np.all(sign[:, 0] <= 0):
-            lane[:] = 0  # parts that all move one way need no lanes
+            lane[:] = 0  # parts that all move in one direction need no lanes
         # If the weight of the corner is higher, it replaces the weight of the lane.
         lane[lane <= np.where(sign[:, 1] != 0, weight[:, 1], 0)] = 0
         upper = hand * sign[:, 0] > 0

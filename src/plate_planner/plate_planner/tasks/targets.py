@@ -24,7 +24,7 @@ WRONG_CLASS_M = 1e3
 a pair is never chosen."""
 
 FULL_DISTANCE_M = 0.006
-"""Length to which the weights scale the longest distance of a part from its target [m]. With this
+"""Length that the weights give to the longest distance of a part from its target [m]. With this
 length, the distances are larger than errors at edges, and the parts with the longest distances move
 first."""
 

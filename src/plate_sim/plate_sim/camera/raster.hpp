@@ -152,8 +152,8 @@ inline void draw_plate(View<float, 1> canvas, View<const float, 1> light,
     paint_edge();
 }
 
-// Positions on a path over which a shape is averaged, middle of the path's ends, and maximum
-// distance of a position from this middle [m].
+// Positions on a path over which a shape is averaged, the middle of the path's ends, and the
+// maximum distance of a position from this middle [m].
 struct Positions {
     std::vector<Vec> centre;
     Vec middle;

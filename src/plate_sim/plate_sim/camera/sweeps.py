@@ -168,7 +168,8 @@ def _tangents(
     growth: np.ndarray,
     shift: np.ndarray,
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Return the same for convex polygons with corners (m, 2).
+    """Return normals and distances as `_disc_tangents` does, for convex polygons with corners (m,
+    2).
 
     Each corner moves along a straight line. This line is a common tangent if the whole polygon is
     on one side of it.

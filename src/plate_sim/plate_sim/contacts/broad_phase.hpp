@@ -24,7 +24,7 @@ struct Pair {
 // Pairs of parts with a small gap. Only parts on the plate (`here`, (M,)) are listed.
 struct NearPairs {
     std::vector<Pair> pairs;
-    double skin = INFINITE;  // approach [m] up to which the list is valid
+    double skin = INFINITE;  // maximum approach for a valid list [m]
     double gap = INFINITE;   // minimum gap [m] of any two parts, at most the skin
     std::vector<double> x, y;  // positions when the list was made (marks)
     std::vector<int> order;    // parts in order of x when the list was made

@@ -34,7 +34,7 @@ constexpr int REBOUNDS = 20;
 // Closing speed that counts as 0, as a fraction of the first closing speed.
 constexpr double ROUNDING = 1e-12;
 
-// Relative determinant of two contact points below which they count as one point.
+// Minimum relative determinant of two contact points. If it is smaller, they count as one point.
 constexpr double RANK = 1e-9;
 
 // Bodies of a state, one per part. The last body represents the walls.

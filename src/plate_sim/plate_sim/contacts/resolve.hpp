@@ -126,9 +126,9 @@ struct Contacts {
     std::vector<Pair> close{};  // work buffer
     std::vector<int> edge{};
 
-    // Remove closing speeds and overlaps after a step: those of near pairs, and those at the walls
-    // of the plate. The state is changed in place. The last entries of the state and of the bodies
-    // are the walls.
+    // Remove closing speeds and overlaps after a step, for near pairs and at the walls of the
+    // plate. The state is changed in place. The last entries of the state and of the bodies are the
+    // walls.
     void resolve(std::span<const Pair> pairs, const PlateSample& plate) {
         const int wall = state.walls();
         const double twist[] = {plate.x, plate.y, plate.theta, plate.vx, plate.vy, plate.spin};
@@ -175,7 +175,7 @@ struct Contacts {
         return count;
     }
 
-    // The same for `edge` and the parts whose distance from a wall is at most MARGIN.
+    // Fill `edge` in the same way with the parts whose distance from a wall is at most MARGIN.
     int near_walls(double c, double s, double& margin) {
         const int wall = state.walls();
         int count = 0;

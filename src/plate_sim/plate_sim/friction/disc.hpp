@@ -15,7 +15,7 @@
 
 namespace plate {
 
-// Twist of the plate minus that of a part, at the part's centre [m/s, m/s, rad/s].
+// Twist of the plate minus the twist of a part, at the part's centre [m/s, m/s, rad/s].
 struct Slip {
     double x, y, turn;
 };
@@ -28,8 +28,8 @@ namespace plate::disc {
 constexpr double SNAP = 1e-3;
 // Tolerance of the slip's component across the normal, relative to the velocity step.
 constexpr double CLOSE = 1e-9;
-// Relative difference below which the arithmetic and the geometric mean of two numbers are equal up
-// to rounding.
+// Maximum relative difference of two numbers whose arithmetic and geometric means are equal up to
+// rounding.
 constexpr double MEANS = 2e-8;
 // Maximum k^2 for the series. The omitted terms are below 2e-10 mu m g.
 constexpr double SERIES = 0.25;

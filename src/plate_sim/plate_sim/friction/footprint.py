@@ -17,8 +17,8 @@ gyration], for several numbers of points:
     triangle   0.106   0.057   0.031   0.014   0.008
 
 The reference has 2,500 points (`friction_gap` of the tests). The maximum is taken over 2,000 slips.
-Half of them are rotations about a point of the footprint, at which the direction of the slip is
-discontinuous.
+Half of them are rotations about a point of the footprint. At this point the direction of the slip
+is discontinuous.
 """
 
 from __future__ import annotations
@@ -38,8 +38,8 @@ from . import quadrature
 from .disc import disc_force
 
 POINTS = 48
-"""Approximate default number of quadrature points. With it, the friction error is at most 3 % of mu
-m g."""
+"""Approximate default number of quadrature points. With this number, the friction error is at most
+3 % of mu m g."""
 
 MASS = 0.02
 """Default mass [kg]. The motion on the plate does not depend on the mass."""
@@ -52,8 +52,8 @@ CELL = 0.2
 `Footprint.blur`."""
 
 ON_EDGE = 1e-9
-"""Maximum distance at which a point counts as on the edge of a piece [size of the piece]. The
-distance allows for rounding."""
+"""Maximum distance of a point from the edge of a piece [size of the piece]. Within it, the point
+counts as on the edge. The distance allows for rounding."""
 
 CORNERS_OF_DISC = 96
 """Number of corners of the polygon with which a disc is drawn."""

@@ -19,8 +19,8 @@ GRID = 4
 that is inside the part."""
 
 STRAIGHT = 1e-9
-"""Relative cross product below which a corner is ignored. The cross product is relative to the
-square of the part's size."""
+"""Minimum relative cross product of the sides at a corner. If it is smaller, the corner is ignored.
+The cross product is relative to the square of the part's size."""
 
 
 def footprint_of(part: PartType) -> Footprint:

@@ -51,8 +51,8 @@ constexpr double SNAP = 1e-3;
 constexpr int ITERATIONS = 30;
 // Value that is added to a squared slip [m2/s2], to avoid a division by 0.
 constexpr double TINY = 1e-200;
-// Slip of a point relative to dv below which the friction at the point is smoothed. Newton's method
-// then converges.
+// Slip of a point relative to dv. If the slip is smaller, the friction at the point is smoothed.
+// Newton's method then converges.
 constexpr double ROUND = 1e-4;
 // Number of points whose terms are computed before they are added.
 constexpr int BLOCK = 64;

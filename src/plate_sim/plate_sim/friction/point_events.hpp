@@ -16,8 +16,8 @@ constexpr double STEP_SHARE = 0.05;
 // Maximum distance [m] that a part may still slide when it is set to stick, relative to the allowed
 // error of a step.
 constexpr double SNAP_SHARE = 0.1;
-// Maximum velocity change by friction [m/s] while a slip vanishes at which the slip counts as zero.
-// The velocity change is relative to the allowed error of a step, per period.
+// Maximum velocity change by friction [m/s] while a slip vanishes. If it is smaller, the slip
+// counts as zero. The velocity change is relative to the allowed error of a step, per period.
 constexpr double ZERO_SHARE = 0.2;
 // Time as a fraction of a period. A part is set to stick only if friction can still hold it after
 // this time.
@@ -33,7 +33,8 @@ constexpr int COARSE = 2000;
 // Tolerance of roots in time, and of motion on a line. The tolerance is relative to a slip that
 // counts as zero.
 constexpr double FINE = 1e-3;
-// Friction [m/s2] below which it is neglected, because its direction would be a rounding error.
+// Minimum friction [m/s2]. Smaller friction is neglected, because its direction would be a rounding
+// error.
 constexpr double LEAST = 1e-60;
 // Minimum number of intervals per piece in the search for the time at which a stuck part slides.
 constexpr int SCAN = 3;
@@ -54,8 +55,8 @@ struct Slide {
     bool line, crude;
 };
 
-// Output samples: interval [s], number per cycle, number of completed cycles, and component of
-// gravity along the plate with which the frame falls [m/s2].
+// Output samples: interval [s], number per cycle, number of completed cycles, and gravity along the
+// plate [m/s2]. The frame falls with this gravity.
 struct Grid {
     double step;
     int per_cycle, done;

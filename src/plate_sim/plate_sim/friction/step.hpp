@@ -66,13 +66,14 @@ struct State {
 
 namespace plate::stepping {
 
-// Maximum number of bisections of a step. With it, times of reversals are exact to 1/512 of the
-// step.
+// Maximum number of bisections of a step. With this number, times of reversals are exact to 1/512
+// of the step.
 constexpr int HALVINGS = 9;
 // Minimum cosine of the angle between the slip at the start of a step and the slips in the middle
 // and at the end. If it is smaller, the step is bisected.
 constexpr double STEADY = 0.9;
-// Slip below which it counts as 0, as a fraction of mu g dt. A smaller slip is a rounding error.
+// Minimum slip, as a fraction of mu g dt. A smaller slip counts as 0. A smaller slip is a rounding
+// error.
 constexpr double STUCK = 1e-3;
 // If friction changes by less than this fraction of the slip in a step, the explicit rule is used.
 constexpr double GENTLE = 0.5;

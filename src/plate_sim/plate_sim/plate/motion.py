@@ -33,7 +33,7 @@ class PlateMotion:
     coefficients: np.ndarray
 
     def __post_init__(self) -> None:
-        # Make the arrays read-only, like those of a cycle.
+        # Make the arrays read-only, like the arrays of a cycle.
         times = np.array(self.times, dtype=float)
         times.setflags(write=False)
         object.__setattr__(self, "times", times)

@@ -1,4 +1,5 @@
-"""Table of a cycle's quintic pieces. Compiled code evaluates the exact motion of the plate with it.
+"""Table of a cycle's quintic pieces. Compiled code evaluates the exact motion of the plate from
+this table.
 
 `pieces.hpp` evaluates pose, twist and acceleration for the event-driven simulation of points. Steps
 of finite parts need only pose and twist, for all axes at once (`course.hpp`).

@@ -36,8 +36,8 @@ ACCEL_ERROR = 1e-2
 at which a part begins to slip."""
 
 HALVINGS = 16
-"""Maximum number of bisections of a piece. With it, a lag of 1 us is resolved in pieces of 10
-ms."""
+"""Maximum number of bisections of a piece. With this number, a lag of 1 us is resolved in pieces of
+10 ms."""
 
 STEP_DIGITS = 15
 """Number of decimals to which the lengths of pieces [s] are rounded. The response is computed only

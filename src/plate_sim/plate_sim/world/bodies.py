@@ -4,8 +4,8 @@ One model covers all scenes. Friction acts on the whole footprint of a part. The
 rotate and stick. The exact motion of the plate (equation (2) of the paper, with its pose) moves the
 surface under the parts. All steps have the same length. Within a step, the friction of each part is
 integrated in as many substeps as necessary (`friction.step`). At the end of the step, touching
-parts collide (`contacts`). Two parts are checked only if they may have come close to each other.
-Parts that slide steadily are advanced together.
+parts collide (`contacts`). Two parts are checked only if they may have approached each other. Parts
+that slide steadily are advanced together.
 """
 
 from __future__ import annotations

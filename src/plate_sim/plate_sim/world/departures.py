@@ -12,8 +12,9 @@ from plate_core.tasks import Side
 from .state import WorldState
 
 OVER_EDGE_M = 0.03
-"""Maximum distance inside a side at which a part counts as having left over this side [m]. The
-distance is measured from the part's last position. The distance covers the motion of the plate."""
+"""Maximum distance of a lost part from a side, inside the plate [m]. Within it, the part counts as
+having left over this side. The distance is measured from the part's last position. The distance
+covers the motion of the plate."""
 
 
 def went_over(side: Side, position: np.ndarray, rig: Rig) -> np.ndarray:
@@ -46,7 +47,7 @@ class Departures:
 
     def count(self, state: WorldState, left: np.ndarray) -> tuple[int, Counter[str]]:
         """Return the number of parts of `left` (M,) bool that did not leave over the chute. Also
-        return the numbers of those that did, by class."""
+        return the numbers of parts that left over the chute, by class."""
         if self._chute is None:
             return int(np.count_nonzero(left)), Counter()
         over = went_over(self._chute, state.position, self._rig)

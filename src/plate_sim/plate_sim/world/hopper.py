@@ -26,7 +26,7 @@ TRIES = 20
 """Maximum number of places that are tried for a dropped part."""
 
 SLIDE_STEP_M = 1e-3
-"""Step in which a part slides off another part [m]."""
+"""Step [m] in which a part slides off another part."""
 
 TOUCH_M = 1e-6
 """Maximum gap between the two parts at the end [m]."""

@@ -34,8 +34,8 @@ FINEST_STAMP_S = 1e-4
 """Minimum difference between two stamps [s]."""
 
 BANDS = 8
-"""Number of bands of image rows for which the pose of the plate is sampled, if the camera has a
-rolling shutter."""
+"""Number of bands of image rows. If the camera has a rolling shutter, the pose of the plate is
+sampled once per band."""
 
 
 @dataclass(frozen=True)

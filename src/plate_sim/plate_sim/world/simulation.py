@@ -74,9 +74,9 @@ class Simulation:
     plate : PlateState
     disturbances : Disturbances
     dropped, chuted : int
-        Number of parts that left the plate since the beginning. `chuted` counts those that left
-        over the side of the task's chute, and `dropped` all others. Parts that were removed by hand
-        or by the robot are not counted.
+        Number of parts that left the plate since the beginning. `chuted` counts the parts that left
+        over the side of the task's chute, and `dropped` all other parts. Parts that were removed by
+        hand or by the robot are not counted.
     chuted_classes : Counter of str
         Number `chuted`, by class.
     """
@@ -254,9 +254,9 @@ class Simulation:
         ----------
         to : int
             The requested `Move`. AWAY moves the robot away from the plate. OVER moves it over the
-            pose, where its arm hides the plate below. GRIP does the same and also grips: it removes
-            the nearest part from the plate. With the probability `pick_failure` the part slips and
-            may be displaced slightly.
+            pose, where its arm hides the plate below. GRIP moves it in the same way and grips: it
+            removes the nearest part from the plate. With the probability `pick_failure` the part
+            slips and may be displaced slightly.
         x, y, angle : float
             Pose of the gripper [m, m, rad, plate_home]. The pose is not used if the robot moves
             away.

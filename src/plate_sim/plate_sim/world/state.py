@@ -63,7 +63,7 @@ class WorldState:
     def of_scenario(cls, scenario: Scenario, rig: Rig, rng: np.random.Generator) -> WorldState:
         """Return the parts of a scenario at rest. Their names are black_1, black_2, ...
 
-        Their places are those of the scenario, or random if the scenario has none. Their angles are
+        The places are given by the scenario, or random if the scenario gives none. Their angles are
         random, unless all parts are round and have no marks.
         """
         labels, position = start_positions(scenario, rig, rng)

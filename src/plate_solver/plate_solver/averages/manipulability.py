@@ -13,8 +13,8 @@ two ways:
 
 A real cycle may produce less force, because the model neglects the ramps between rotations, the
 closure of the motion, the limits of stroke, speed and acceleration, and the displacement of parts
-within a cycle. A real cycle may also produce a few per cent more, because it may use rotations
-between those of the library.
+within a cycle. A real cycle may also produce a few per cent more, because its rotations may be
+between the rotations of the library.
 """
 
 from __future__ import annotations

@@ -79,7 +79,7 @@ def step_force_gradient(
 ) -> np.ndarray:
     """Return the derivatives (3, n, 3 M) of `step_forces` with respect to the twists.
 
-    The first axis is the component of the twist: x, y, theta. The last axis is force x, force y and
-    curl of part 1, then those of part 2, and so on.
+    The first axis is the component of the twist: x, y, theta. The last axis contains force x, force
+    y and curl of part 1, then of part 2, and so on.
     """
     return _kernels.step_force_gradient(position, velocity, twist, dt)

@@ -1,5 +1,5 @@
-// Quadrature error of the mean over equal steps, due to times at which the slip of a part nearly
-// vanishes: kernels of near_zero_slip.py.
+// Quadrature error of the mean over equal steps. It arises at times at which the slip of a part
+// nearly vanishes. Kernels of near_zero_slip.py.
 #pragma once
 #include <algorithm>
 #include <array>
@@ -29,18 +29,20 @@ constexpr int PLACES = 44;
 // as a jump.
 constexpr double NARROWEST = 1e-10;
 
-// Value of n b cosh u above which the integrand is neglected, because it is below 4e-8.
+// Maximum n b cosh u of the integral. For larger values the integrand is neglected, because it is
+// below 4e-8.
 constexpr double FADED = 17.0;
 
-// Value of n b above which a dip needs no correction: the error of equal steps is exp(-n b).
+// Maximum n b of a dip that needs a correction. For larger values, the error of equal steps is
+// exp(-n b) and negligible.
 constexpr double NEAR = 14.0;
 
 // Value of b^2/2 at n b = NEAR, with b in steps. The value is estimated from three squared samples,
 // as the minimum of the parabola through them divided by its second difference.
 constexpr double STEPS_NEAR = (NEAR / (2 * PI)) * (NEAR / (2 * PI)) / 2;
 
-// Distance [steps] between two dips below which one of them may not appear as a minimum of the
-// samples.
+// Minimum distance [steps] between two dips. If they are closer, one of them may not appear as a
+// minimum of the samples.
 constexpr double CLOSE = 4.0;
 
 // Maximum number of Newton steps to a zero of the slip. Three steps are usually enough, because the

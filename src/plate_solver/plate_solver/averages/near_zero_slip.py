@@ -1,5 +1,5 @@
-"""Quadrature error of the mean over equal steps, due to times at which the slip of a part nearly
-vanishes.
+"""Quadrature error of the mean over equal steps. It arises at times at which the slip of a part
+nearly vanishes.
 
 The slip's direction w/|w| is an analytic function of time, except at branch points with wx^2 + wy^2
 = 0. A dip is a time at which the slip nearly vanishes. A dip corresponds to a pair of branch points
@@ -38,7 +38,7 @@ def branch_point(slip: np.ndarray, start: complex, close: float) -> tuple[comple
     start : complex
         exp(i t) at a minimum of the samples.
     close : float
-        Maximum distance at which another zero counts as close [rad].
+        Maximum distance of another zero that counts as close [rad].
     """
     real, imag, b, alone = _kernels.branch_point(slip, start.real, start.imag, close)
     return complex(real, imag), b, alone

@@ -40,7 +40,7 @@ corrections, the error would be larger than the request: a motion solved on the 
 accurate on these maps."""
 
 STALE = 4
-"""Number of consecutive corrections without an improvement after which the search ends."""
+"""Maximum number of consecutive corrections without an improvement. After that, the search ends."""
 
 MAX_ON_CYCLE = 0.5
 """Maximum force on the map `cycle` [mu m g]. A part that starts at rest moves by at most half of mu
@@ -107,8 +107,8 @@ def on_mean_velocity(
     """Solve on the map `velocity`, with the parts' mean velocities over the cycle under the
     returned motion.
 
-    A fixed-point iteration computes the motion from the velocities and the velocities from the
-    motion, in turns.
+    A fixed-point iteration alternates between two computations: the motion from the velocities, and
+    the velocities from the motion.
     """
     velocity = request.velocity
 

@@ -1,8 +1,9 @@
 // Sequences of rotations on the averaged map: kernels of rotations.py.
 //
-// The derivatives combine two kinds of derivatives: those of the sampled motion with respect to the
-// parameters (sequence.hpp), and those of the mean forces with respect to the samples. The
-// contribution of each step to the forces is propagated directly to the two knots of its segment.
+// Two kinds of derivatives are combined: the derivatives of the sampled motion with respect to the
+// parameters (sequence.hpp), and the derivatives of the mean forces with respect to the samples.
+// The contribution of each step to the forces is propagated directly to the two knots of its
+// segment.
 #pragma once
 #include "averages/mean_force.hpp"
 #include "fit/levenberg_marquardt.hpp"

@@ -40,8 +40,8 @@ STARTS = 3
 """Number of starts of the averaged search per restart. One start takes a tenth of a millisecond."""
 
 MAX_STARTS = 200
-"""Maximum number of random starts that are drawn. If more are needed, the same ones are used
-again."""
+"""Maximum number of random starts that are drawn. If more starts are needed, the same starts are
+used again."""
 
 
 @dataclass(frozen=True)

@@ -29,7 +29,7 @@ constexpr Damping NEAR{.first = 1.25e-5, .least = 1e-9, .most = 1e2, .shrink = 8
 
 constexpr int FIRST = 0;  // number of the first start
 
-// Number of consecutive failed perturbations after which a round ends.
+// Maximum number of consecutive failed perturbations. After that, a round ends.
 constexpr int HOPS = 12;
 
 // Size of a perturbation relative to the best motion of the round.

@@ -3,7 +3,7 @@
 Triangular waves replace the sines of equation (13). Between their kinks the slip is linear in time,
 p + q s with s from 0 to 1, so the integral of its direction has a closed form. There are 8
 intervals between kinks for N = 2, 16 for N = 3, and so on. No solver uses this map. `bench`
-compares its error and its speed with those of the exact map.
+compares the error and the speed of this map with the error and the speed of the exact map.
 """
 
 from __future__ import annotations

@@ -25,8 +25,8 @@ constexpr int SXX = 7 * LANES, SXY = 8 * LANES, SYY = 9 * LANES;
 // [m].
 constexpr int ARM_X = 9 * LANES, ARM_Y = 10 * LANES;
 
-// Squared slip velocity [m2/s2] below which J tends to its mean over all directions. The direction
-// of a very slow slip is uncertain.
+// Minimum squared slip velocity [m2/s2]. For a slower slip, J tends to its mean over all
+// directions. The direction of a very slow slip is uncertain.
 constexpr double SLOW2 = 1e-4;
 
 // Prevents 0/0 if the slip is zero [m2/s2].

@@ -22,8 +22,8 @@ MAX_REQUEST = 1e9
 small enough that its square does not overflow."""
 
 NEAR_M = 0.006
-"""Distance within which a part counts as near its target [m]. If all parts are near, every cycle
-ends at rest so that they stay in place."""
+"""Maximum distance of a part from its target that counts as near [m]. If all parts are near, every
+cycle ends at rest so that they stay in place."""
 
 
 @dataclass(frozen=True)

@@ -65,9 +65,9 @@ class Turns:
         """Number of parts with a requested rotation."""
         return int(np.count_nonzero(self.weight))
 
-    def shifted(self, way: np.ndarray | float) -> Turns:
-        """Return the request with all intervals shifted by `way` (M,) [rad]."""
-        return replace(self, low=self.low + way, high=self.high + way)
+    def shifted(self, shift: np.ndarray | float) -> Turns:
+        """Return the request with all intervals shifted by `shift` (M,) [rad]."""
+        return replace(self, low=self.low + shift, high=self.high + shift)
 
 
 @dataclass(frozen=True)
@@ -222,12 +222,12 @@ class Goal:
         turns, turn = self.turns, end[self.position.size :]
         return (np.clip(turn, turns.low, turns.high) - turn)[turns.weight > 0]
 
-    def shifted(self, way: np.ndarray) -> Goal:
-        """Return the goal shifted by `way` (C,) [m, rad]. The order is the same as in `end`."""
+    def shifted(self, shift: np.ndarray) -> Goal:
+        """Return the goal shifted by `shift` (C,) [m, rad]. The order is the same as in `end`."""
         places = self.position.size
-        shift = way[:places].reshape(2, -1).T
-        turns = None if self.turns is None else self.turns.shifted(way[places:])
-        return replace(self, displacement=self.displacement + shift, turns=turns)
+        displacement = self.displacement + shift[:places].reshape(2, -1).T
+        turns = None if self.turns is None else self.turns.shifted(shift[places:])
+        return replace(self, displacement=displacement, turns=turns)
 
     def end(self, pose: np.ndarray, twist: np.ndarray, dt: np.ndarray) -> np.ndarray:
         """Predict the end (C,) of a sampled motion.

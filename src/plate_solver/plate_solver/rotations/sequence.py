@@ -10,7 +10,7 @@ period T removes the gap between end and start. Therefore every sequence closes 
 
 The derivatives are exact. One backward pass over the knots computes them (sequence.hpp).
 
-Knots of J rotations: knot 0 is the start at rest. Knots 2 j + 1 and 2 j + 2 are the begin and the
+Knots of J rotations: knot 0 is the start at rest. Knots 2 j + 1 and 2 j + 2 are the start and the
 end of rotation j (counted from 0). At knot 2 J + 1 the plate comes to rest. Knot 2 J + 2 is the end
 of the period.
 """

@@ -82,7 +82,8 @@ class SinusoidBasis:
         Basis of one degree of freedom. Coefficients are an array (h, 3) with columns x, y, theta
         [m/s, rad/s].
     span : (2 N, h)
-        Matrix from the family's coefficients to those of sin 1..N and cos 1..N in equation (13).
+        Matrix that converts the family's coefficients to the coefficients of sin 1..N and cos 1..N
+        in equation (13).
     times : (k + 1,)
         Knots of a finished cycle [s]. The finished cycle is the first play.
     knots : tuple of (k + 1, h)
@@ -101,7 +102,8 @@ class SinusoidBasis:
         three columns belong to an initial pose of 1 m, an initial velocity of 1 m/s and an initial
         acceleration of 1 m/s2.
     settling_knots, settling_looks : tuple of (k + 1, 3), (l, 3)
-        The same three columns at the knots, and at the instants where limits are checked.
+        Columns for the same three initial states, at the knots and at the instants where limits are
+        checked.
     """
 
     period: float

@@ -20,7 +20,7 @@ EXCESS_M: float = _kernels.EXCESS_M
 """Displacement error equivalent to a violation by 100 % of a limit [m]."""
 
 AIM: float = _kernels.AIM
-"""Fraction of a limit above which the search counts a violation. Solutions end slightly above
+"""Fraction of a limit that a motion may use without a violation. Solutions end slightly above
 it."""
 
 

@@ -66,8 +66,8 @@ SPREAD = 0.15
 squares."""
 
 PLAYS = 2
-"""Number of consecutive plays after which a motion with a free end is evaluated. A third play
-brings no improvement: see docs/results.md."""
+"""Number of consecutive plays of a motion with a free end. The motion is evaluated after them. A
+third play brings no improvement: see docs/results.md."""
 
 AIMS = 2
 """Number of final corrections of the best motion. The corrections keep the limits and compensate

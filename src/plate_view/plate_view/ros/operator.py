@@ -52,10 +52,10 @@ FOUND_S = 2.0
 """Maximum time for the discovery of an action server [s]."""
 
 MOVE_TOLERANCE_M = 0.001
-"""Distance at which a dragged part counts as at its target [m]."""
+"""Maximum distance of a dragged part from its target that counts as reached [m]."""
 
 MOVE_TOLERANCE_RAD = 0.05
-"""Angle error at which a dragged part counts as at its target [rad]."""
+"""Maximum angle error of a dragged part that counts as reached [rad]."""
 
 MAX_SQUARES = 255
 """Maximum number of squares along a side of a board in TakeLensPictures. The detector allows only

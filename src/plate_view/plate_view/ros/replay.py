@@ -189,5 +189,5 @@ def _damaged(error: Exception) -> PlateError:
 
 
 KEPT = ("rosout", "diagnostics")
-"""Topics of which every message is passed on. Of other topics, only the newest message is passed
+"""Topics whose messages are all passed on. For any other topic, only the newest message is passed
 on."""
