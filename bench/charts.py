@@ -2,7 +2,7 @@
 
 The tables are in README, docs/graph.md, docs/guide/rig.md and docs/guide/trust.md.
 
-python bench/charts.py [--quick] [--draw]
+python bench/charts.py [--quick] [--draw] [--cluster ADDRESS]
 
 Measurements are written to out/bench/*.json. An existing measurement is repeated only if its code
 has changed, or if it was quick and --quick is not given. The measurements of docs/results.md
@@ -17,8 +17,19 @@ import argparse
 import sys
 from pathlib import Path
 
-from harness import ROOT, commit, folder_made, is_done, optional, read, report_failures, run_all
-from plate_core import piped
+from harness import (
+    ROOT,
+    cluster_option,
+    commit,
+    folder_made,
+    is_done,
+    on_cluster,
+    optional,
+    read,
+    report_failures,
+    run_all,
+)
+from plate_core import PlateError, piped
 
 
 @piped()
@@ -46,7 +57,12 @@ def main() -> int:
             dirty = f"error: the commit is {commit()}, allowed: a clean tree (or --quick)"
             print(dirty, file=sys.stderr)
             return 1
-        failed = run_all(lacking, args.quick, folder, quiet=own)
+        try:
+            with on_cluster(args.cluster):
+                failed = run_all(lacking, args.quick, folder, quiet=own)
+        except PlateError as error:
+            print(f"error: {error}", file=sys.stderr)
+            return 1
     text = (ROOT if own else args.out) / "docs/results.md"
     data, results = read(folder), text.with_suffix("")
     for name in data:  # the current commit has the same code
@@ -76,6 +92,7 @@ def arguments() -> argparse.Namespace:
         default=ROOT / "out",
         help="folder of bench/ (measurements), report/ and, unless it is out, docs/results (out)",
     )
+    cluster_option(parser)
     return parser.parse_args()
 
 

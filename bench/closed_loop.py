@@ -1,19 +1,26 @@
 """Closed-loop runs without ROS, many seeds, one JSON row per run.
 
 python bench/closed_loop.py --scenario sort_10 --seeds 0:20 --json out/bench/sort_10.json
+
+A second call with the same file runs only the seeds that are missing in it.
 """
 
 from __future__ import annotations
 
 import argparse
-import json
+import hashlib
 import sys
 from collections.abc import Iterator
+from concurrent.futures import Executor
+from contextlib import AbstractContextManager, nullcontext
+from dataclasses import replace
 from pathlib import Path
+from tempfile import TemporaryDirectory
 
 import numpy as np
 
-from harness import executor, of_median, parallel, share
+from harness import Rows, cluster_option, executor, of_median, parallel, share
+from plate_bringup.cluster import Cluster, code_of_packages
 from plate_bringup.loop import Setup, load_planner, summary, with_settings
 from plate_core import PlateError, Rig, load_rig, piped
 from plate_core.tasks import load_scenario
@@ -40,45 +47,76 @@ def main() -> int:
         settings = dict(_pair(text) for text in args.set)
         if args.planner:
             load_planner(args.planner, rig)
-        if args.json:
-            args.json.parent.mkdir(parents=True, exist_ok=True)
-            args.json.open("a").close()  # fail before the first run if the file cannot be written
-        setups = [
-            with_settings(Setup(args.scenario, seed, own_planner=args.planner), settings)
-            for seed in args.seeds
-        ]
+        code = Path(args.planner).read_bytes() if args.planner else b""
+        setup = with_settings(Setup(scenario, own_planner=args.planner), settings)
+        rows = Rows(args.json, _marks(setup, rig, code))
+        there = [rows.by_seed[seed] for seed in args.seeds if seed in rows.by_seed]
+        missing = [seed for seed in args.seeds if seed not in rows.by_seed]
+        work = [(replace(setup, seed=seed), rig, code) for seed in missing]
+        pool = _pool(args) if work else nullcontext()
     except BrokenPipeError:
         raise
     except (PlateError, OSError) as error:
         print(f"error: {error}", file=sys.stderr)
         return 2
-    rows = []
-    print(f"{args.scenario}, Gamma = {rig.gamma:.1f}, {len(setups)} runs", flush=True)
+    print(f"{args.scenario}, Gamma = {rig.gamma:.1f}, {len(args.seeds)} runs", flush=True)
+    if there:
+        print(f"{len(there)} of them are in {args.json}", flush=True)
     for warning in planner.warnings():
         print(f"warning: {warning}", flush=True)
     try:
-        for row in _rows(setups, rig, args):
-            rows.append(row)
-            print(_line(row), flush=True)
-            if args.json:
-                args.json.write_text(json.dumps(rows, indent=1) + "\n", encoding="utf-8")
+        with rows, pool as workers:
+            for row in _results(workers, work):
+                rows.add({**row, "scenario": args.scenario})
+                print(_line(row), flush=True)
     except BrokenPipeError:
         raise
     except (PlateError, OSError) as error:
         print(f"error: {error}", file=sys.stderr)
         return 1
-    print(_conclusion(rows))
+    except KeyboardInterrupt:
+        done = sum(seed in rows.by_seed for seed in args.seeds)
+        kept = f" They are in {args.json}; the same command runs the others." if args.json else ""
+        print(f"stopped: {done} of {len(args.seeds)} runs are done.{kept}", file=sys.stderr)
+        return 130
+    print(_conclusion([rows.by_seed[seed] for seed in args.seeds]))
     return 0
 
 
-def _rows(setups: list[Setup], rig: Rig, args: argparse.Namespace) -> Iterator[dict[str, object]]:
-    """Yield a row per run, in the order of the seeds, with one or more workers."""
-    if args.workers == 1:
-        for setup in setups:
-            yield summary(setup, rig)
-        return
-    with executor(args.workers) as pool:
-        yield from parallel(pool, summary, [(setup, rig) for setup in setups], _note)
+def _pool(args: argparse.Namespace) -> AbstractContextManager[Executor | None]:
+    """Return where the runs are run: on a cluster, by processes, or, if None, in this process."""
+    if args.cluster:
+        return Cluster(args.cluster)
+    return executor(args.workers) if args.workers > 1 else nullcontext()
+
+
+def _results(workers: Executor | None, work: list[tuple[Setup, Rig, bytes]]) -> Iterator[dict]:
+    """Yield the row of each run when it is done."""
+    if workers is None:
+        yield from (_run(*item) for item in work)
+    else:
+        yield from (row for _, row in parallel(workers, _run, work, _note))
+
+
+def _run(setup: Setup, rig: Rig, code: bytes) -> dict[str, object]:
+    """Run the loop and return its row. `code` is the content of the planner's file, which need not
+    be on this computer."""
+    if not code:
+        return summary(setup, rig)
+    with TemporaryDirectory() as folder:
+        path = Path(folder, Path(setup.own_planner).name)
+        path.write_bytes(code)
+        return summary(replace(setup, own_planner=str(path)), rig)
+
+
+def _marks(setup: Setup, rig: Rig, code: bytes) -> dict[str, str]:
+    """Return digests of the code and of all settings except the seed, for `Rows`."""
+    planner = hashlib.sha256(code).hexdigest() if code else ""
+    setup = replace(setup, scenario=replace(setup.recipe, file=""), own_planner=planner)
+    with np.printoptions(threshold=sys.maxsize, precision=17):
+        text = repr((setup, rig))
+    settings = hashlib.sha256(text.encode()).hexdigest()[:16]
+    return {"code": code_of_packages(), "settings": settings}
 
 
 def _note(text: str) -> None:
@@ -157,7 +195,10 @@ def _arguments() -> argparse.Namespace:
     parser.add_argument("--rig", default="", help="name or file of a rig (that of the scenario)")
     parser.add_argument("--planner", default="", help="Python file with a class OwnPlanner")
     parser.add_argument("--workers", type=int, default=1, help="number of processes (1)")
+    cluster_option(parser)
     args = parser.parse_args()
+    if args.cluster and args.workers != 1:
+        parser.error("--cluster allows no --workers: the workers of the cluster run")
     if args.workers < 1:
         parser.error(f"--workers is {args.workers}, allowed: 1 or more")
     return args

@@ -1,6 +1,6 @@
 """Measure every stage and its best baseline: out/bench/NAME.json and a short table.
 
-python bench/run.py [NAME ...] [--quick]
+python bench/run.py [NAME ...] [--quick] [--cluster ADDRESS]
 """
 
 from __future__ import annotations
@@ -10,8 +10,18 @@ import json
 import sys
 from pathlib import Path
 
-from harness import LONG, MEASUREMENTS, ROOT, folder_made, report_failures, run_all, text_table
-from plate_core import did_you_mean, piped
+from harness import (
+    LONG,
+    MEASUREMENTS,
+    ROOT,
+    cluster_option,
+    folder_made,
+    on_cluster,
+    report_failures,
+    run_all,
+    text_table,
+)
+from plate_core import PlateError, did_you_mean, piped
 
 
 @piped()
@@ -27,7 +37,12 @@ def main() -> int:
     if not folder_made(args.out):
         return 2
     names = args.names or [name for name in MEASUREMENTS if args.quick or name not in LONG]
-    failed = run_all(names, args.quick, args.out)
+    try:
+        with on_cluster(args.cluster):
+            failed = run_all(names, args.quick, args.out)
+    except PlateError as error:
+        print(f"error: {error}", file=sys.stderr)
+        return 2
     for name in (name for name in names if name not in failed):
         data = json.loads((args.out / f"{name}.json").read_text(encoding="utf-8"))
         print(f"\n== {name}: {data['about']}")
@@ -44,6 +59,7 @@ def arguments() -> argparse.Namespace:
     parser.add_argument("names", nargs="*", metavar="NAME", help=", ".join(MEASUREMENTS))
     parser.add_argument("--quick", action="store_true", help="fewer cases: half a minute in total")
     parser.add_argument("--out", type=Path, default=ROOT / "out/bench", help="folder (out/bench)")
+    cluster_option(parser)
     return parser.parse_args()
 
 

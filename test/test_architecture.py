@@ -32,7 +32,7 @@ LIBRARIES = {
     "tornado": "python3-tornado",
     "yaml": "python3-yaml",
 }
-BY_PIP = {"gymnasium", "harvesters"}
+BY_PIP = {"distributed", "gymnasium", "harvesters"}
 """What pip alone installs, as package.xml says in a comment: by rosdep's key pip would change the
 system's Python, which refuses."""
 TESTED_WITH = {"hypothesis": "python3-hypothesis", "pytest": "python3-pytest"}

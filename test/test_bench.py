@@ -45,11 +45,12 @@ def bench(program, *arguments):
 def tiny(tmp_path_factory):
     """Run the same two seeds in a place given by arguments: returns the rows."""
     folder = tmp_path_factory.mktemp("bench")
-    scenario, file = folder / "tiny.yaml", folder / "rows.json"
+    scenario = folder / "tiny.yaml"
     scenario.write_text(yaml.safe_dump(TINY), encoding="utf-8")
 
-    def rows(*place):
-        words = [*map(str, ("--scenario", scenario, "--seeds", "3:5", *place, "--json", file))]
+    def rows(*place, file="", seeds="3:5"):
+        file = folder / (file or f"rows{len(list(folder.iterdir()))}.json")
+        words = [*map(str, ("--scenario", scenario, "--seeds", seeds, *place, "--json", file))]
         with pytest.MonkeyPatch.context() as patch:
             patch.setattr(sys, "argv", ["closed_loop", *words])
             assert closed_loop.main() == 0
@@ -84,6 +85,19 @@ def test_seeds_differ(runs):
 
 def test_the_same_seed_gives_the_same_row_whatever_the_workers(runs):
     assert without_timings(runs[1]) == without_timings(runs[0])
+
+
+def test_a_second_call_runs_only_the_missing_seeds(tiny, runs, capsys):
+    first = tiny(file="continued.json", seeds="3:4")
+    assert without_timings(first) == without_timings(runs[0][:1])
+    capsys.readouterr()
+    second = tiny(file="continued.json")
+    assert second[0] == first[0]  # with its computing times
+    assert without_timings(second) == without_timings(runs[0])
+    out = capsys.readouterr().out
+    assert "1 of them are in" in out
+    assert "seed    3" not in out
+    assert tiny(file="continued.json", seeds="4:5") == second
 
 
 @pytest.fixture

@@ -1,12 +1,16 @@
-"""Spreading runs: their order, what is said of them, and what is kept."""
+"""Parallel runs: their results, progress, and what is kept."""
 
+import json
 import time
 from concurrent.futures import ThreadPoolExecutor
+from contextlib import suppress
 from importlib.machinery import PathFinder
+from pathlib import Path
 
 import pytest
 
-from harness import Cache, cache, parallel, resumed
+from harness import Cache, Rows, cache, parallel, resumed
+from plate_bringup import cluster
 from plate_core import PlateError
 
 
@@ -19,29 +23,30 @@ def refuse(seconds, value):
     raise PlateError(f"run {value} refused")
 
 
-def test_results_come_in_order():
+def test_results_come_with_their_index_as_they_are_done():
     notes = []
-    work = [(0.2, "a"), (0.0, "b"), (0.1, "c"), (0.0, "d")]
+    work = [(0.4, "a"), (0.0, "b"), (0.2, "c"), (0.0, "d")]
     with ThreadPoolExecutor(4) as workers:
         results = list(parallel(workers, late, work, notes.append))
-    assert results == ["a", "b", "c", "d"]
+    assert sorted(results) == list(enumerate("abcd"))
+    assert results[-1] == (0, "a")
     assert [note.split(" in ")[0] for note in notes] == [f"{i} of 4 done" for i in (1, 2, 3, 4)]
     assert notes[-1].endswith("about 0 s left")
 
 
 def test_a_refused_run_is_told_and_ends_the_work():
     with ThreadPoolExecutor(1) as workers:
-        results = parallel(workers, late, [(0.0, 1)], [].append)
-        assert list(results) == [1]
+        results = parallel(workers, late, [(0.0, 1)])
+        assert list(results) == [(0, 1)]
         with pytest.raises(PlateError, match="run 0 refused"):
-            list(parallel(workers, refuse, [(0.0, i) for i in range(9)], [].append))
+            list(parallel(workers, refuse, [(0.0, i) for i in range(9)]))
 
 
 def test_what_is_left_is_not_started_when_nobody_wants_it():
     started = []
     with ThreadPoolExecutor(1) as workers:
         work = [(0.01, i) for i in range(50)]
-        results = parallel(workers, lambda s, i: started.append(late(s, i)), work, [].append)
+        results = parallel(workers, lambda s, i: started.append(late(s, i)), work)
         next(results)
         results.close()
     assert 1 <= len(started) < 50
@@ -58,35 +63,80 @@ def test_an_interrupted_measurement_goes_on(tmp_path):
 
     with ThreadPoolExecutor(1) as workers, pytest.raises(PlateError, match="interrupted"):
         resumed(workers, run, work, Cache(path, "code"))
-    assert len(path.read_text().splitlines()) == 3
+    done = started.copy()  # a run that has begun before the error is also kept
+    assert done in ([0, 1, 2], [0, 1, 2, 4])
+    assert len(path.read_text().splitlines()) == len(done)
     started[:] = [None] * 5
     with ThreadPoolExecutor(1) as workers:
         rows = resumed(workers, run, work, Cache(path, "code"))
-        assert started[5:] == [3, 4]
+        assert started[5:] == [i for i in range(5) if i not in done]
         assert rows == [{"value": i / 3} for i in range(5)]
         resumed(workers, run, {"0": (0,)}, Cache(path, "other code"))
-        assert started[5:] == [3, 4, 0]
+        assert started[-1] == 0
 
 
 def test_the_digest_is_that_of_the_sources(monkeypatch, tmp_path):
-    for name in cache.PACKAGES:
-        (tmp_path / name).mkdir()
-        (tmp_path / name / "__init__.py").write_text(f"NAME = {name!r}\n")
+    for name in cluster.PACKAGES:
+        (tmp_path / f"plate_{name}").mkdir()
+        (tmp_path / f"plate_{name}" / "__init__.py").write_text(f"NAME = {name!r}\n")
     # Also those that have been imported from elsewhere.
     found = lambda name: PathFinder.find_spec(name, [str(tmp_path)])  # noqa: E731
-    monkeypatch.setattr(cache, "find_spec", found)
+    monkeypatch.setattr(cluster, "find_spec", found)
     marks = []
-    for text in ("X = 1\n", "X = 1\n", "X = 2\n"):
-        (tmp_path / "plate_sim" / "part.py").write_text(text)
-        cache.code_of.cache_clear()
-        cache.code_of_packages.cache_clear()
-        marks.append(cache.code_of_packages())
-    cache.code_of.cache_clear()
-    cache.code_of_packages.cache_clear()
-    assert marks[0] == marks[1] != marks[2]
+    for file, text in (("a.py", "1"), ("a.py", "1"), ("a.py", "2"), ("b.hpp", "3")):
+        (tmp_path / "plate_sim" / file).write_text(text)
+        marks.append(cluster.code_of_packages.__wrapped__())
+    assert marks[0] == marks[1]
+    assert len(set(marks)) == 3
 
 
 def test_a_module_depends_on_what_it_imports():
     names = {"/".join(path.parts[-2:]) for path in cache.own_files("tasks.control")}
     assert {"tasks/control.py", "tasks/runs.py", "harness/cache.py"} <= names
     assert "tasks/serial.py" not in names
+
+
+MARKS = {"code": "c", "settings": "s"}
+
+
+def test_a_second_call_finds_the_rows_of_the_first(tmp_path):
+    path = tmp_path / "made" / "rows.json"
+    with suppress(KeyboardInterrupt), Rows(path, MARKS) as rows:
+        for seed in (7, 3):
+            rows.add({"seed": seed, "success": True})
+        raise KeyboardInterrupt
+    assert json.loads(path.read_text()) == [
+        {"seed": seed, "success": True, **MARKS} for seed in (3, 7)
+    ]
+    assert sorted(Rows(path, MARKS).by_seed) == [3, 7]
+    assert [file.name for file in path.parent.iterdir()] == ["rows.json"]
+
+
+@pytest.mark.parametrize(
+    ("content", "words"),
+    [
+        ('[{"seed": 3, "code": "other", "settings": "s"}]', ("seed 3", "code 'other'", "'c'")),
+        ('[{"seed": 3, "code": "c", "settings": "x"}]', ("seed 3", "settings 'x'", "'s'")),
+        ('[{"seed": 3}]', ("no rows with code, seed, settings",)),
+        ('[{"seed": "3", "code": "c", "settings": "s"}]', ("no rows with",)),
+        ('{"seed": 3}', ("no rows with",)),
+        ("[" * 100_000, ("is not JSON",)),
+        ("[{", ("is not JSON",)),
+    ],
+)
+def test_rows_of_another_code_and_other_files_are_refused_and_kept(tmp_path, content, words):
+    path = tmp_path / "rows.json"
+    path.write_text(content)
+    with pytest.raises(PlateError) as problem:
+        Rows(path, MARKS)
+    for word in (str(path), "allowed", *words):
+        assert word in str(problem.value)
+    assert path.read_text() == content
+
+
+def test_rows_also_go_to_a_pipe(tmp_path):
+    with Rows(Path("/dev/null"), MARKS) as rows:
+        rows.add({"seed": 1})
+    assert not Path("/dev/null").is_file()
+    with pytest.raises(OSError, match="null"):
+        Rows(Path("/dev/null/rows.json"), MARKS)

@@ -86,7 +86,7 @@ def test_wheels_of_tests_are_installed_once_and_their_size_is_given_before(
         (tmp_path / needs.WHEELS).write_text(f"{pin}\n")
         assert needs.install_wheels(needs.WHEELS)
         assert commands.pop()[1:] == ["tools/install.py", "-r", needs.WHEELS]
-        assert "180 MB to download" in capsys.readouterr().out
+        assert "190 MB to download" in capsys.readouterr().out
 
 
 def test_each_module_that_tests_need_is_of_a_pinned_wheel():

@@ -21,7 +21,7 @@ ROOT = Path(__file__).resolve().parents[1]
 WHEELS = "requirements-test.txt"
 BROWSER_WHEELS = "requirements-browser.txt"
 SIZES = {
-    WHEELS: "180 MB to download, 700 MB on disk",
+    WHEELS: "190 MB to download, 730 MB on disk",
     BROWSER_WHEELS: "54 MB to download, 175 MB on disk",
 }
 
@@ -35,8 +35,8 @@ PROGRAMS = {
 """For each tool, its alternative program names and the Debian packages that contain it."""
 
 MODULES = (
-    "plotly", "kaleido", "pandas", "tabulate", "numba", "skimage", "gymnasium", "playwright",
-    "axe_playwright_python", "can", "canopen", "cantools", "odrive_can",
+    "plotly", "kaleido", "pandas", "tabulate", "numba", "skimage", "gymnasium", "distributed",
+    "playwright", "axe_playwright_python", "can", "canopen", "cantools", "odrive_can",
 )  # fmt: skip
 """Modules of `WHEELS` and `BROWSER_WHEELS`."""
 

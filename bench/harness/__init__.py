@@ -12,7 +12,7 @@ sys.path.append(str(Path(__file__).resolve().parents[2] / "tools"))
 from harness.cache import Cache
 from harness.measurements import LONG, MEASUREMENTS, is_done, read, report_failures, run_all
 from harness.pairs import paired, places
-from harness.pool import by_case, executor, parallel, resumed
+from harness.pool import by_case, cluster_option, executor, on_cluster, parallel, resumed
 from harness.race import MIN_ROUNDS, Race, cpu_time, race, timed
 from harness.result import (
     ROOT,
@@ -27,6 +27,7 @@ from harness.result import (
     text_table,
     write,
 )
+from harness.rows import Rows
 from plate_core.intervals import of_median, of_share, share
 
 __all__ = [
@@ -37,8 +38,10 @@ __all__ = [
     "Cache",
     "Race",
     "Result",
+    "Rows",
     "Table",
     "by_case",
+    "cluster_option",
     "commit",
     "cpu_time",
     "executor",
@@ -47,6 +50,7 @@ __all__ = [
     "missing",
     "of_median",
     "of_share",
+    "on_cluster",
     "optional",
     "paired",
     "parallel",

@@ -6,17 +6,11 @@ import ast
 import hashlib
 import json
 from functools import lru_cache
-from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
 from harness.result import ROOT
-
-PACKAGES = (
-    "plate_bringup", "plate_core", "plate_driver", "plate_feeder", "plate_native", "plate_planner",
-    "plate_sim", "plate_solver", "plate_vision",
-)  # fmt: skip
-"""Installed packages on which every measurement depends."""
+from plate_bringup.cluster import code_of_packages
 
 FOLDERS = (ROOT / "bench", ROOT / "tools")
 """Folders with the modules of measurements."""
@@ -62,27 +56,12 @@ class Cache:
 def code_of(module: str) -> str:
     """Return a digest of all files on which a module of a measurement depends.
 
-    These are `config`, the installed packages, the sources of their kernels, and the module with
+    These are the installed packages with their kernels and the configuration, and the module with
     the files of `bench` and `tools` that it imports.
     """
     digest = hashlib.sha256(code_of_packages().encode())
     for path in sorted(own_files(module)):
         digest.update(path.read_bytes())
-    return digest.hexdigest()[:16]
-
-
-@lru_cache
-def code_of_packages() -> str:
-    """Return a digest of `config` and of the installed packages."""
-    digest = hashlib.sha256()
-    files = sorted([*(ROOT / "config").rglob("*.yaml"), *(ROOT / "src").rglob("*.[ch]pp")])
-    for name in PACKAGES:
-        spec = find_spec(name)
-        if spec is None or spec.origin is None:
-            raise ModuleNotFoundError(f"no module {name}")
-        files += sorted(Path(spec.origin).parent.rglob("*.py"))
-    for file in files:
-        digest.update(file.name.encode() + file.read_bytes())
     return digest.hexdigest()[:16]
 
 

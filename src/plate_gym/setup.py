@@ -19,7 +19,7 @@ setup(
     # pip installs the library of the other packages from this clone. colcon builds each package
     # separately.
     install_requires=["gymnasium>=1.0", f"vibrating-plate @ {CLONE.as_uri()}"],
-    extras_require={"test": ["pytest"]},
+    extras_require={"cluster": ["distributed==2026.8.0"], "test": ["pytest"]},
     zip_safe=False,
     maintainer="The plate developers",
     maintainer_email="plate@example.org",

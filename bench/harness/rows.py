@@ -1,0 +1,90 @@
+"""JSON file with a row per run, which a later call continues."""
+
+from __future__ import annotations
+
+import json
+import time
+from pathlib import Path
+from types import TracebackType
+from typing import Any
+
+from plate_core import PlateError
+
+WRITE_S = 1.0
+"""Minimum time between two writes of the file [s]."""
+
+
+class Rows:
+    """Rows by seed. As a context, it writes all rows to the file at the end.
+
+    Parameters
+    ----------
+    path : Path, optional
+        File of the rows. Default: none is read or written.
+    marks : mapping of str to str
+        Digests of the code and the settings of the runs. Each row contains them.
+
+    Raises
+    ------
+    PlateError
+        If the file contains anything else than rows with these marks.
+    OSError
+        If the file cannot be written.
+    """
+
+    def __init__(self, path: Path | None, marks: dict[str, str]) -> None:
+        self._path, self._marks, self._written = path, marks, 0.0
+        self.by_seed: dict[int, dict[str, Any]] = {}
+        if path is not None:
+            path.parent.mkdir(parents=True, exist_ok=True)
+            if path.is_file():
+                self.by_seed = {row["seed"]: row for row in self._read(path)}
+            self._write()  # fail before the first run if the file cannot be written
+
+    def __enter__(self) -> Rows:
+        return self
+
+    def __exit__(
+        self, kind: type | None, problem: BaseException | None, where: TracebackType | None
+    ) -> None:
+        self._write()
+
+    def add(self, row: dict[str, Any]) -> None:
+        """Add the row of a run."""
+        self.by_seed[row["seed"]] = {**row, **self._marks}
+        if time.monotonic() - self._written > WRITE_S:
+            self._write()
+
+    def _read(self, path: Path) -> list[dict[str, Any]]:
+        other = "allowed: another file, or one that this command has written"
+        try:
+            rows = json.loads(path.read_text(encoding="utf-8") or "[]")
+        except (ValueError, RecursionError) as problem:
+            raise PlateError(f"{path} is not JSON ({problem}), {other}") from problem
+        keys = {"seed", *self._marks}
+        if not isinstance(rows, list) or not all(
+            isinstance(row, dict) and keys <= row.keys() and type(row["seed"]) is int
+            for row in rows
+        ):
+            raise PlateError(f"{path} has no rows with {', '.join(sorted(keys))}, {other}")
+        for row in rows:
+            for name, mark in self._marks.items():
+                if row[name] != mark:
+                    raise PlateError(
+                        f"{path}: seed {row['seed']} was run with {name} {row[name]!r}, allowed: "
+                        f"{mark!r}, as in this call, or another file"
+                    )
+        return rows
+
+    def _write(self) -> None:
+        if self._path is None:
+            return
+        rows = [self.by_seed[seed] for seed in sorted(self.by_seed)]
+        text = json.dumps(rows, indent=1) + "\n"
+        if self._path.exists() and not self._path.is_file():  # such as /dev/stdout
+            self._path.write_text(text, encoding="utf-8")
+        else:  # the file is complete at any time
+            draft = self._path.with_name(f"{self._path.name}.draft")
+            draft.write_text(text, encoding="utf-8")
+            draft.replace(self._path)
+        self._written = time.monotonic()

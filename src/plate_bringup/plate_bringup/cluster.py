@@ -1,0 +1,433 @@
+"""Parallel runs on many machines, by a Dask scheduler and its workers.
+
+`Cluster` has the interface of a pool of processes. A worker receives runs only after it has been
+compared with this process: it must give the same results to the last bit.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import ctypes
+import hashlib
+import importlib
+import os
+import platform
+import sys
+import threading
+import uuid
+import warnings
+from collections.abc import Callable, Sequence
+from concurrent.futures import Executor, Future, InvalidStateError
+from contextlib import suppress
+from functools import lru_cache, partial
+from importlib.util import find_spec
+from itertools import islice
+from pathlib import Path
+from typing import Any
+
+from plate_core import PlateError, config_path
+from plate_solver import METHODS
+
+from .loop import ALIKE, Setup, run
+
+__all__ = ["Cluster", "code_of", "code_of_packages", "differences", "facts"]
+
+PACKAGES = (
+    "bringup", "core", "driver", "feeder", "native", "planner", "sim", "solver", "vision",
+)  # fmt: skip
+"""Packages `plate_*` on which every run depends."""
+
+LIBRARIES = ("numpy", "scipy", "cv2", "shapely")
+"""Modules whose versions can change a result."""
+
+INSTALL = "pip install 'distributed==2026.8.0'"
+"""Command that installs Dask, in the version of requirements-test.txt."""
+
+CONNECT_S = 5.0
+"""Maximum time for the connection to the scheduler [s]."""
+
+RETURN_S = 60.0
+"""Maximum time for which a lost scheduler may be away [s]."""
+
+POLL_S = 0.5
+"""Period of the search for new workers [s]."""
+
+FIRST_S = 60.0
+"""Maximum time for the comparison of the first workers [s]."""
+
+STOP_S = 5.0
+"""Maximum time for each step of the end [s]."""
+
+TRIAL, TRIAL_CYCLES = "sort_4", 4
+"""Scenario, and number of its cycles that each worker runs for the comparison."""
+
+REQUIRED = ("avx2", "fma")
+"""Features of a processor with which the variables `ALIKE` give the same results."""
+
+
+class Cluster(Executor):
+    """Executor that runs functions on the workers of a Dask scheduler.
+
+    Each worker process has one run at a time. If a worker dies, its runs are repeated by others. If
+    the scheduler restarts within `RETURN_S`, unfinished runs are sent to it again. Workers can join
+    at any time.
+
+    Parameters
+    ----------
+    address : str
+        Address of the scheduler, such as `tcp://192.168.0.10:8786`.
+    bench : bool
+        Whether the functions are in `bench` or `tools` of the clone. Each worker must then have a
+        clone with the same code there.
+    modules : sequence of str
+        Further modules and packages that each worker must have with the same code.
+    tell : callable
+        Receives lines about the cluster: its dashboard, and refused workers.
+
+    Raises
+    ------
+    PlateError
+        If Dask is missing, the scheduler does not answer or has another version, or all workers
+        would give other results.
+    """
+
+    def __init__(
+        self,
+        address: str,
+        bench: bool = False,
+        modules: Sequence[str] = (),
+        tell: Callable[[str], None] = lambda text: print(text, file=sys.stderr, flush=True),
+    ) -> None:
+        self._address, self._tell = address, tell
+        self._client = _connect(address)
+        self._terms = facts(bench, tuple(modules)), bench, tuple(modules)
+        # Only workers with this resource receive runs, and each has it once.
+        self._key = f"plate-{hashlib.sha256(repr(self._terms).encode()).hexdigest()[:16]}"
+        self._pool = self._client.get_executor(pure=False, resources={self._key: 1})
+        self._token = uuid.uuid4().hex
+        self._calls: dict[Future[Any], tuple[Any, ...]] = {}
+        self._lost: set[Future[Any]] = set()
+        self._asked: dict[str, str] = {}
+        self._admitted: list[str] = []
+        self._ending, self._waits = threading.Event(), False
+        served = "dashboard" in self._client.scheduler_info()["services"]
+        tell(f"cluster {address}, " + (self._client.dashboard_link if served else "no dashboard"))
+        try:
+            self._await_workers()
+        except BaseException:
+            self.shutdown()
+            raise
+        threading.Thread(target=self._watch, daemon=True).start()
+
+    def submit(self, fn: Callable[..., Any], /, *args: Any, **kwargs: Any) -> Future[Any]:
+        """See `Executor`. A run that has begun can also be canceled."""
+        result: Future[Any] = Future()
+        self._calls[result] = (_work, self._token, fn, args, kwargs)
+        result.add_done_callback(self._forget)
+        self._send(result)
+        return result
+
+    def shutdown(self, wait: bool = True, *, cancel_futures: bool = True) -> None:
+        """Cancel all unfinished runs, end those that workers have begun, and disconnect."""
+        if self._ending.is_set():
+            return
+        self._ending.set()
+        for result in list(self._calls):
+            result.cancel()
+        stopped = threading.Thread(target=self._stop_runs, daemon=True)
+        stopped.start()
+        stopped.join(STOP_S)
+        self._client.close(timeout=STOP_S)
+
+    def _stop_runs(self) -> None:
+        if self._admitted and self._client.status == "running":
+            self._client.run(_stop, self._token, workers=self._admitted, on_error="ignore")
+
+    def _send(self, result: Future[Any]) -> None:
+        """Give a run to the scheduler."""
+        if (call := self._calls.get(result)) is None:
+            return
+        try:
+            sent = self._pool.submit(*call)
+        except Exception as problem:
+            if not self._lose(result):
+                raise PlateError(f"cluster {self._address}: {_text(problem)}") from problem
+            return
+        sent.add_done_callback(partial(self._take, result))
+        result.add_done_callback(lambda _: sent.cancel())
+
+    def _take(self, result: Future[Any], sent: Future[Any]) -> None:
+        """Pass on the outcome of a run, unless it was lost with the scheduler."""
+        if sent.cancelled():
+            self._lose(result)
+            return
+        problem = sent.exception()
+        if type(problem).__name__ == "KilledWorker":
+            problem = PlateError(f"a run has ended several workers: {problem}")
+        with suppress(InvalidStateError):  # raised if it was canceled meanwhile
+            if problem is None:
+                result.set_result(sent.result())
+            else:
+                result.set_exception(problem)
+
+    def _lose(self, result: Future[Any]) -> bool:
+        """Note that a run must be sent again. Return whether it can be."""
+        if self._client.status == "closed":
+            return False
+        if not result.done():
+            self._lost.add(result)
+        return True
+
+    def _forget(self, result: Future[Any]) -> None:
+        del self._calls[result]
+        self._lost.discard(result)
+        if result.cancelled():
+            result.set_running_or_notify_cancel()
+
+    def _watch(self) -> None:
+        """Compare each new worker with this process, and send lost runs again."""
+        while not self._ending.wait(POLL_S):
+            if self._client.status == "closed":
+                away = f"cluster {self._address}: the scheduler was away for {RETURN_S:g} s"
+                for result in list(self._calls):
+                    with suppress(InvalidStateError):
+                        result.set_exception(PlateError(away))
+                return
+            with suppress(Exception):  # the connection is lost
+                if self._client.status == "running":
+                    self._ask_new()
+                    for result in list(self._lost):
+                        self._lost.discard(result)
+                        self._send(result)
+
+    def _await_workers(self) -> None:
+        """Wait until the first worker is admitted. Return if there are none.
+
+        Raises
+        ------
+        PlateError
+            If all workers are refused.
+        """
+        for _ in range(int(FIRST_S / POLL_S)):
+            count = self._ask_new()
+            if self._admitted:
+                return
+            if not count:
+                return
+            if self._waits:
+                raise PlateError(f"cluster {self._address}: all {count} workers are refused")
+            self._ending.wait(POLL_S)
+
+    def _ask_new(self) -> int:
+        """Start the comparison of each new worker. Report if none is left. Return their number."""
+        workers = self._client.scheduler_info()["workers"]
+        self._admitted = [name for name, one in workers.items() if self._key in one["resources"]]
+        for name in set(self._asked) - set(workers):
+            self._asked.pop(name, None)
+        for name in set(workers) - set(self._asked) - set(self._admitted):
+            self._asked[name] = ""
+            threading.Thread(target=self._ask, args=(name,), daemon=True).start()
+        if self._waits != (waits := not self._admitted and all(self._asked.values())):
+            self._waits = waits
+            if waits:
+                refused = f"; all {len(workers)} are refused" if workers else ""
+                self._tell(f"waiting for workers{refused}")
+        return len(workers)
+
+    def _ask(self, name: str) -> None:
+        """Compare a worker with this process. It then has the resource, or is refused."""
+        try:
+            call = (_admit, self._key, *self._terms)
+            found = self._client.run(*call, workers=[name], on_error="return")[name]
+        except Exception as problem:  # the worker or the scheduler is lost
+            found = OSError(problem)
+        if isinstance(found, OSError):
+            self._asked.pop(name, None)
+            return
+        if isinstance(found, BaseException):
+            found = [_text(found)]
+        if found:
+            self._asked[name] = "; ".join(found)
+            self._tell(f"worker {name} is refused: {self._asked[name]}")
+
+
+def _connect(address: str) -> Any:
+    """Return a client of Dask.
+
+    Raises
+    ------
+    PlateError
+        If Dask is missing, or if the scheduler does not answer or has another version.
+    """
+    try:
+        import distributed
+    except ImportError as problem:
+        raise PlateError(f"cluster is {address!r}, which requires Dask: {INSTALL}") from problem
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")  # Dask warns of other versions, which are refused here
+        try:
+            with distributed.Client(address, timeout=CONNECT_S, set_as_default=False) as client:
+                there = client.get_versions()["scheduler"]["packages"]["distributed"]
+        except Exception as problem:
+            raise PlateError(
+                f"cluster is {address!r}, where no Dask scheduler answers within {CONNECT_S:g} s "
+                f"({_text(problem)}), allowed: the address that `dask scheduler` prints"
+            ) from problem
+        if there != distributed.__version__:
+            raise PlateError(
+                f"cluster {address}: the scheduler has distributed {there}, allowed: "
+                f"{distributed.__version__}, as on this computer"
+            )
+        return distributed.Client(address, timeout=RETURN_S, set_as_default=False)
+
+
+def _text(problem: BaseException) -> str:
+    return " ".join(f"{type(problem).__name__}: {problem}".split())
+
+
+# On the workers
+
+
+_RUNNING: dict[str, int] = {}
+"""Threads of the present runs of this worker, by the token of their `Cluster`."""
+
+
+class _Stopped(Exception):
+    """Raised in a run that was canceled."""
+
+
+def _work(token: str, function: Callable[..., Any], args: Any, kwargs: Any) -> Any:
+    """Run a function in a way that `_stop` can end."""
+    _RUNNING[token] = threading.get_ident()
+    try:
+        return function(*args, **kwargs)
+    finally:
+        _RUNNING.pop(token, None)
+
+
+def _stop(token: str) -> None:
+    """End the present run of a `Cluster` on this worker."""
+    if thread := _RUNNING.get(token):
+        raised = ctypes.py_object(_Stopped)
+        ctypes.pythonapi.PyThreadState_SetAsyncExc(ctypes.c_ulong(thread), raised)
+
+
+async def _admit(
+    key: str, expected: dict[str, str], bench: bool, modules: Sequence[str], dask_worker: Any
+) -> list[str]:
+    """Compare this worker with another process. If it would give the same results, give it the
+    resource `key`. Return the differences."""
+    found = differences(expected, await asyncio.to_thread(facts, bench, modules))
+    if not found and key not in dask_worker.state.total_resources:
+        status = type(dask_worker.status)
+        running = dask_worker.status == status.running
+        if running:
+            dask_worker.status = status.paused
+        await dask_worker.set_resources(**{key: 1})
+        if running:  # the scheduler then assigns runs that waited for a worker
+            dask_worker.status = status.running
+    return found
+
+
+# On both sides
+
+
+def differences(expected: dict[str, str], found: dict[str, str]) -> list[str]:
+    """Return a text for each fact that differs."""
+    return [
+        f"{name} is {found.get(name)!r}, allowed: {expected.get(name)!r}"
+        for name in expected | found
+        if expected.get(name) != found.get(name)
+    ]
+
+
+@lru_cache
+def facts(bench: bool = False, modules: Sequence[str] = ()) -> dict[str, str]:
+    """Return facts about this process on which the results of a seed depend.
+
+    They are the versions of Python, C library and `LIBRARIES`, the environment variables of `ALIKE`
+    and the processor, digests of the code, and a digest of the first cycles of short runs. If
+    `bench`, the modules of the clone's `bench` can be imported afterwards.
+    """
+    found = {
+        "Python": ".".join(platform.python_version_tuple()[:2]),
+        "C library": " ".join(platform.libc_ver()),
+    }
+    for name in LIBRARIES:
+        found[name] = str(importlib.import_module(name).__version__)
+    found |= {name: os.environ.get(name, "") for name in ALIKE}
+    found["processor"] = _processor(ALIKE.items() <= os.environ.items())
+    found["code of the packages"] = code_of_packages()
+    found |= {f"code of {name}": code_of(name) for name in modules}
+    if bench:
+        found["code of bench"] = _code_of_bench()
+    found["first cycles"] = _first_cycles()
+    return found
+
+
+def _processor(alike: bool) -> str:
+    """Return the processor's model, or only its required features if they determine the
+    results."""
+    lines = [line.partition(":") for line in Path("/proc/cpuinfo").read_text().splitlines()]
+    about = {name.strip(): value.strip() for name, _, value in reversed(lines)}
+    if alike and set(REQUIRED) <= set(about.get("flags", "").split()):
+        return f"{platform.machine()} with {', '.join(REQUIRED)}"
+    return f"{platform.machine()} {about.get('model name', '')}".strip()
+
+
+@lru_cache
+def code_of_packages() -> str:
+    """Return a digest of `PACKAGES`, with their kernels and the configuration."""
+    return code_of(*(f"plate_{name}" for name in PACKAGES))
+
+
+def code_of(*modules: str) -> str:
+    """Return a digest of the sources of modules or packages, with those of their kernels. The one
+    of `plate_core` includes its configuration."""
+    mark = hashlib.sha256()
+    for name in modules:
+        spec = find_spec(name)
+        if spec is None or spec.origin is None:
+            return f"no module {name}"
+        origin = Path(spec.origin)
+        package = spec.submodule_search_locations is not None
+        _digest(mark, origin.parent if package else origin, name)
+        if name == "plate_core":
+            _digest(mark, config_path("rig.yaml").parent, "config")
+    return mark.hexdigest()[:16]
+
+
+def _digest(mark: Any, place: Path, name: str) -> None:
+    """Add a file, or the sources in a folder, to a digest."""
+    files = sorted(place.rglob("*")) if place.is_dir() else [place]
+    for path in files:
+        if path.suffix in (".py", ".hpp", ".cpp", ".yaml"):
+            mark.update(f"{name}/{path.relative_to(place).as_posix()}\n".encode())
+            mark.update(path.read_bytes())
+
+
+def _code_of_bench() -> str:
+    """Return a digest of `bench` and `tools` of the clone from which this package was installed.
+    Modules of `bench` can be imported afterwards."""
+    parents = Path(__file__).resolve().parents
+    clone = next((folder for folder in parents if (folder / "bench/harness").is_dir()), None)
+    if clone is None:
+        return "no clone"
+    if str(clone / "bench") not in sys.path:
+        sys.path.append(str(clone / "bench"))
+    mark = hashlib.sha256()
+    for name in ("bench", "tools"):
+        _digest(mark, clone / name, name)
+    return mark.hexdigest()[:16]
+
+
+def _first_cycles() -> str:
+    """Return a digest of the first cycles of the scenario `TRIAL` by each method."""
+    mark = hashlib.blake2b(digest_size=8)
+    for method in dict.fromkeys(METHODS.values()):
+        for moment in islice(run(Setup(TRIAL, method=method)), TRIAL_CYCLES):
+            cycle = moment.answer.cycle
+            for knots in (cycle.times, cycle.knot_pose, cycle.knot_twist, cycle.knot_accel):
+                mark.update(knots.tobytes())
+            mark.update(moment.world.position.tobytes())
+    return mark.hexdigest()

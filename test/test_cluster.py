@@ -1,0 +1,229 @@
+"""Runs on a Dask cluster: a real scheduler and real workers on the loopback."""
+
+import contextlib
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+from concurrent.futures import as_completed, wait
+from pathlib import Path
+
+import pytest
+import yaml
+from short_task import short_task
+
+from plate_bringup import cluster
+from plate_bringup.cluster import Cluster, differences, facts
+from plate_core import PlateError
+
+pytestmark = pytest.mark.needs("distributed")
+
+BENCH = Path(__file__).resolve().parents[1] / "bench"
+WAIT_S = 100.0
+"""Maximum time of each wait [s]."""
+
+PROCESS = "(__import__('time').sleep({s}), __import__('os').getpid(), {k})"
+"""A run: it takes `s` seconds and returns its process and its number."""
+
+TIMINGS = {
+    "solve_ms_median", "solve_ms_p99", "step_ms_median", "step_ms_p99", "late_cycles", "load",
+}  # fmt: skip
+
+
+class Processes:
+    """A scheduler and its workers, ended by their process ids."""
+
+    def __init__(self, folder):
+        self.folder, self.processes, self.address = folder, [], ""
+
+    def start(self, *words, **changed):
+        env = {**os.environ, **changed}
+        with open(self.folder / f"{len(self.processes)}.log", "w", encoding="utf-8") as log:
+            words = [sys.executable, "-m", "distributed.cli.dask_" + words[0], *words[1:]]
+            process = subprocess.Popen(words, cwd=self.folder, env=env, stdout=log, stderr=log)
+        self.processes.append(process)
+        return process
+
+    def scheduler(self):
+        """Start the scheduler, the first time on a free port."""
+        port = self.address.rpartition(":")[2] or "0"
+        file = self.folder / f"scheduler{len(self.processes)}.json"
+        place = ("--host", "127.0.0.1", "--port", port, "--no-dashboard")
+        process = self.start("scheduler", *place, "--scheduler-file", str(file))
+        until(lambda: file.exists() and file.read_text().strip())
+        self.address = json.loads(file.read_text())["address"]
+        return process
+
+    def worker(self, **changed):
+        return self.start(
+            "worker", self.address, "--nthreads", "1", "--no-nanny", "--no-dashboard",
+            "--local-directory", str(self.folder), **changed,
+        )  # fmt: skip
+
+    def end(self):
+        for process in self.processes:
+            with contextlib.suppress(ProcessLookupError):
+                process.send_signal(signal.SIGKILL)
+            process.wait(WAIT_S)
+
+
+def until(true):
+    end = time.monotonic() + WAIT_S
+    while not true():
+        assert time.monotonic() < end
+        time.sleep(0.05)
+
+
+@pytest.fixture
+def processes(tmp_path):
+    started = Processes(tmp_path)
+    try:
+        started.scheduler()
+        yield started
+    finally:
+        started.end()
+
+
+@pytest.fixture(name="told")
+def _told():
+    return []
+
+
+@pytest.fixture
+def pool(processes, told):
+    """A cluster of two workers."""
+    processes.workers = [processes.worker(), processes.worker()]
+    with Cluster(processes.address, tell=told.append) as pool:
+        yield pool
+
+
+def submitted(pool, count, s=0.2):
+    return [pool.submit(eval, PROCESS.format(s=s, k=k)) for k in range(count)]
+
+
+def numbers(runs):
+    return [run.result(WAIT_S)[2] for run in runs]
+
+
+def test_no_run_is_lost_with_a_killed_worker(processes, pool):
+    runs = submitted(pool, 20)
+    first = next(as_completed(runs, WAIT_S)).result()
+    os.kill(first[1], signal.SIGKILL)
+    assert numbers(runs) == list(range(20))
+    assert {run.result()[1] for run in runs} <= {worker.pid for worker in processes.workers}
+
+
+def test_a_late_worker_takes_over_from_all_that_have_died(processes, pool):
+    runs = submitted(pool, 10)
+    next(as_completed(runs, WAIT_S))
+    for worker in processes.workers:
+        worker.kill()
+    late = processes.worker()
+    assert numbers(runs) == list(range(10))
+    assert late.pid in {run.result()[1] for run in runs}
+
+
+def test_no_run_is_lost_with_a_scheduler_that_restarts(processes, pool):
+    runs = submitted(pool, 20)
+    next(as_completed(runs, WAIT_S))
+    processes.processes[0].kill()
+    processes.processes[0].wait(WAIT_S)
+    for worker in processes.workers:
+        worker.kill()
+    processes.scheduler()
+    processes.worker()
+    assert numbers(runs) == list(range(20))
+
+
+def test_a_worker_with_other_results_is_refused_by_name(processes, pool, told):
+    other = processes.worker(OPENBLAS_CORETYPE="Prescott")
+    until(lambda: any("is refused" in line for line in told))
+    (line,) = (line for line in told if "is refused" in line)
+    assert "tcp://127.0.0.1:" in line
+    assert "OPENBLAS_CORETYPE is 'Prescott', allowed: ''" in line
+    found = {run.result(WAIT_S)[1] for run in submitted(pool, 10)}
+    assert found
+    assert other.pid not in found
+
+
+def test_workers_without_the_packages_are_refused(processes, told):
+    processes.worker(PYTHONPATH="")
+    with contextlib.ExitStack() as stack:
+        while "is refused" not in "".join(told):  # until it has joined
+            try:
+                stack.enter_context(Cluster(processes.address, tell=told.append))
+            except PlateError as problem:
+                assert "all 1 workers are refused" in str(problem)  # noqa: PT017
+            stack.close()
+    assert any("No module named 'plate_bringup'" in line for line in told)
+
+
+def test_what_is_canceled_ends_on_the_workers(pool, processes, told):
+    run = "(open({!r}, 'w').close(), sum(0 for _ in iter(int, 1)))"
+    begun = [processes.folder / f"begun{k}" for k in range(2)]
+    endless = [pool.submit(eval, run.format(str(file))) for file in begun]
+    until(lambda: all(file.exists() for file in begun))
+    pool.shutdown()
+    assert not wait(endless, WAIT_S).not_done
+    assert all(run.cancelled() for run in endless)
+    with Cluster(processes.address, tell=told.append) as again:
+        assert len({run.result(WAIT_S)[1] for run in submitted(again, 8)}) == 2
+
+
+def test_an_error_of_a_run_is_raised_here(pool):
+    with pytest.raises(ZeroDivisionError):
+        pool.submit(eval, "1 / 0").result(WAIT_S)
+
+
+@pytest.mark.parametrize("address", ["tcp://127.0.0.1:1", "nowhere", "tcp://[", "udp://x:1"])
+def test_an_address_without_a_scheduler_is_refused(address):
+    with pytest.raises(PlateError, match="no Dask scheduler answers") as problem:
+        Cluster(address)
+    assert repr(address) in str(problem.value)
+
+
+def test_without_dask_the_command_is_named(monkeypatch):
+    monkeypatch.setitem(sys.modules, "distributed", None)
+    with pytest.raises(PlateError, match="pip install 'distributed=="):
+        Cluster("tcp://127.0.0.1:1")
+
+
+def test_the_command_is_that_of_the_pinned_version():
+    pin = cluster.INSTALL.split("'")[1]
+    assert pin in (BENCH.parent / "requirements-test.txt").read_text(encoding="utf-8")
+
+
+def test_facts_differ_by_name():
+    here = facts()
+    assert not differences(here, dict(here))
+    assert differences(here, here | {"numpy": "1.0"}) == [
+        f"numpy is '1.0', allowed: {here['numpy']!r}"
+    ]
+
+
+def test_a_sweep_has_the_rows_of_one_by_processes(processes, tmp_path):
+    """With a scenario and a planner that only this folder has, and one worker killed."""
+    (tmp_path / "tiny.yaml").write_text(yaml.safe_dump(short_task(0.01, 20)), encoding="utf-8")
+    planner = (BENCH.parent / "examples/own_planner.py").read_text(encoding="utf-8")
+    (tmp_path / "mine.py").write_text(planner, encoding="utf-8")
+    workers = [processes.worker(), processes.worker()]
+    words = [sys.executable, str(BENCH / "closed_loop.py"), "--scenario", "tiny.yaml"]
+    words += ["--planner", "mine.py"]
+    places = {"here": (), "there": ("--cluster", processes.address)}
+    rows = {}
+    for name, place in places.items():
+        command = [*words, "--seeds", "0:4", *place, "--json", f"{name}.json"]
+        with subprocess.Popen(command, cwd=tmp_path, stdout=subprocess.PIPE, text=True) as sweep:
+            for line in sweep.stdout:
+                if place and line.startswith("seed") and workers[0].poll() is None:
+                    workers[0].kill()
+        assert sweep.returncode == 0
+        rows[name] = json.loads((tmp_path / f"{name}.json").read_text(encoding="utf-8"))
+    assert [row["seed"] for row in rows["there"]] == list(range(4))
+    here, there = (
+        [{key: row[key] for key in row if key not in TIMINGS} for row in rows[name]]
+        for name in places
+    )
+    assert here == there
