@@ -92,7 +92,7 @@ class Ticks:
 
 
 class Host:
-    """Communicates with an emulated board. Times are the board's ticks.
+    """Host that communicates with an emulated board. Times are counted in ticks of the board.
 
     Parameters
     ----------

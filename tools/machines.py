@@ -5,10 +5,10 @@ python tools/machines.py [--reach named|subnet|nobody] [--scenario sort_4] [--js
 The machines are two network namespaces of this computer, connected by a pair of virtual network
 cards. This requires root.
 
-named    discovery stays on each machine, except that each names the other (ROS_STATIC_PEERS) subnet
-discovery includes the whole network nobody   default settings. The other machine is an intruder,
-which names this one or searches the whole network. It must not find a node, and its call of a stop
-must get no reply.
+named    discovery stays on each machine, except that each names the other (ROS_STATIC_PEERS)
+subnet   discovery includes the whole network
+nobody   default settings. The other machine is an intruder, which names this one or searches the
+         whole network. It must not find a node, and its call of a stop must get no reply.
 """
 
 from __future__ import annotations

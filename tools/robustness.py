@@ -2,11 +2,12 @@
 
 python tools/robustness.py --case NAME [OPTIONS] [--json FILE]
 
-faults kill, freeze and cut off each node during a task freezes     freeze and kill nodes at random,
-and evaluate the age of every motor table fuzz        malformed messages into every topic of each
-node goals       right and wrong goals, cancels, preemptions and stops at random page_flood
-commands from several sockets into the live page soak        task after task in real time: growth of
-memory, drift of latency
+faults      kill, freeze and cut off each node during a task
+freezes     freeze and kill nodes at random, and evaluate the age of every motor table
+fuzz        send malformed messages to every topic of each node
+goals       send valid and invalid goals, cancels, preemptions and stops at random
+page_flood  send commands from several sockets to the live page
+soak        run task after task in real time, and measure growth of memory and drift of latency
 
 The file of a case (tools/cases) describes its criteria. The exit code is 1 if a case fails.
 """

@@ -33,11 +33,11 @@ def least_separation(rig: Rig, centres: float) -> float:
     """Return the separation d [m] below which the force `LEVEL` cannot be guaranteed.
 
     A centre at the distance r from both parts moves them in directions that differ by the angle
-    between its arms, d sin(b)/r. Half of this difference separates them. Its component along the
-    line between the parts is d sin(2 b)/(4 r), at most d/(4 r). A centre on the other side cancels
-    the common force and adds the same separation. The nearest centres are at r = h, the distance
-    between centres. Hence force = d/(4 h) for d < h. Section 3.1.5 of the paper only states that
-    near parts are difficult.
+    between its arms, d sin(b)/r. Half of this difference separates the parts. The component of this
+    half along the line between the parts is d sin(2 b)/(4 r), at most d/(4 r). A centre on the
+    other side cancels the common force and adds the same separation. The nearest centres are at r =
+    h, the distance between centres. Hence force = d/(4 h) for d < h. Section 3.1.5 of the paper
+    only states that near parts are difficult.
     """
     return 4 * LEVEL * spacing(rig, int(centres))
 

@@ -37,9 +37,9 @@ Score = dict[str, list[Any]]
 """Results of one detector in several pictures.
 
 hit: Whether each part was detected.
-touching, fresh: The same for parts that touch others, and for parts that were not examples.
+touching, fresh: As `hit`, for parts that touch others, and for parts that were not examples.
 true: Whether each counted detection is a part.
-right: Whether the class of each detected part with a class is correct.
+right: Whether the class of each detected part is correct. Parts without a class are omitted.
 centre_px: Errors of centres.
 angle_deg: Errors of angles, modulo symmetry, relative to the mean error of a class in a picture.
 """

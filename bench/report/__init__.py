@@ -1,6 +1,7 @@
 """Charts of the measurements: as a page, as pictures and in `docs/results.md`.
 
-`CHARTS` lists all charts. `made` draws them, and `write_report` and `write_results` write them.
+`CHARTS` lists all charts. `made` draws the charts, and `write_report` and `write_results` write
+them to files.
 """
 
 from __future__ import annotations
@@ -89,7 +90,7 @@ WORDS: dict[str, dict[str, str]] = {
 
 
 def made(data: Data, folder: Path, columns: Mapping[str, dict[str, str]]) -> list[Chart]:
-    """Draw all charts from measurements. If these are missing, draw them from CSV files.
+    """Draw all charts from measurements, or from CSV files if measurements are missing.
 
     A chart with neither is omitted, with a message on stderr.
 

@@ -31,11 +31,9 @@ class Axis:
     ----------
     names : tuple of str
         Names instead of numbers, for the axis of a bar chart, from bottom to top.
-    ticks : tuple of float
-        Positions of numbers. If empty, they are chosen automatically.
-    limits : (low, high), optional
-    least : float, optional
-        Minimum number. Smaller ones are rounding errors, and are drawn at this number.
+    ticks : tuple of float Positions of numbers. If it is empty, the positions are chosen
+        automatically. limits : (low, high), optional least : float, optional Minimum number.
+        Smaller numbers are rounding errors, and are drawn at this number.
     """
 
     label: str
@@ -104,7 +102,8 @@ def log_ticks(low: float, high: float) -> list[float]:
 
 
 def numbers(ticks: Iterable[float]) -> list[str]:
-    """Return the texts for numbers on an axis. Very large and very small ones are powers of ten."""
+    """Return the texts for numbers on an axis. Very large and very small numbers become powers of
+    ten."""
     ticks = list(ticks)
     if all(tick == 0 or 9e-5 < abs(tick) < 2e5 for tick in ticks):
         return [f"{tick:g}" for tick in ticks]

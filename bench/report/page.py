@@ -109,13 +109,13 @@ def measured(facts: Mapping[str, Any] | None, common: str = "") -> str:
 
 
 def usual_commit(facts: Data) -> str:
-    """Return the commit of most measurements. Empty if there are none."""
+    """Return the commit of most measurements, or an empty text without measurements."""
     commits = Counter(item.get("commit") or "unknown" for item in facts.values())
     return commits.most_common(1)[0][0] if commits else ""
 
 
 def common_commit(facts: Data) -> str:
-    """Return the commit of all measurements. Empty if it is not the same for all."""
+    """Return the commit of all measurements, or an empty text if they have different commits."""
     commits = {item.get("commit") or "" for item in facts.values()}
     return commits.pop() if len(commits) == 1 else ""
 

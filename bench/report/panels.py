@@ -57,10 +57,8 @@ class Look(NamedTuple):
     name : str
         Name in the key.
     colour : str
-    marker : str
-        A key of `SYMBOLS`. Empty: only a line.
-    line : str
-        A key of `DASHES`. Empty: only points.
+    marker : str A key of `SYMBOLS`. If it is empty, only a line is drawn. line : str A key of
+        `DASHES`. Empty: only points.
     """
 
     name: str

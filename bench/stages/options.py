@@ -30,7 +30,7 @@ from plate_solver.sinusoids import Motions, Problem, descend, limited_sinusoids
 from stages.scenes import scatter
 
 SEED = 50_000
-"""First seed of the requests. The number of parts is added."""
+"""First seed of the requests. The number of parts is added to this seed."""
 
 DRIFT = 0.005
 """Maximum requested drift of a part along each axis [m/s]."""

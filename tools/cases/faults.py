@@ -61,11 +61,11 @@ TRIES = 3
 
 
 class Plate:
-    """Records until when the plate moved [s, system clock].
+    """Records the time until which the plate has moved [s, system clock].
 
-    With a serial line this follows from the motion that the device has played (`motor_motion`).
-    Otherwise it follows from the parts' velocities (`ground_truth`), or from the driver's tables
-    while the simulator is the node with the fault.
+    With a serial line, this time follows from the motion that the device has played
+    (`motor_motion`). Without one, it follows from the parts' velocities (`ground_truth`), or from
+    the driver's tables while the simulator is the node with the fault.
     """
 
     def __init__(self, observer: Observer, transport: str) -> None:

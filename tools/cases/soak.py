@@ -22,8 +22,8 @@ from cases import Outcome
 from plate_bringup import RunOptions
 
 SETTLED_S = 600.0
-"""Time before the first sample, because buffers and caches grow until then [s]. In a run shorter
-than three times this, a third of the run."""
+"""Time before the first sample, because buffers and caches grow until then [s]. If a run is shorter
+than three times this value, a third of the run is used instead."""
 
 MAX_MISSED = 1e-3
 """Maximum fraction of missed cycles."""

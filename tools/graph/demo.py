@@ -101,8 +101,7 @@ class Plan:
     rig : Rig
     out : path
         Folder of the results.
-    domain : int, optional
-        ROS domain. By default a free one.
+    domain : int, optional ROS domain. If it is None, a free domain is used.
     """
 
     args: argparse.Namespace
@@ -222,7 +221,7 @@ def checked(args: argparse.Namespace) -> Plan:
 
 
 def check_camera(camera: str, port: str) -> None:
-    """Raise PlateError if the camera or the port does not exist. Empty ones are not checked."""
+    """Raise PlateError if the camera or the port does not exist. Empty names are not checked."""
     if camera:
         check_device(camera)
     if port:
@@ -615,7 +614,7 @@ class StatusLine:
             print(f"  {text}", flush=True)
 
     def end(self, text: str = "") -> None:
-        """End the line with a last text. Without a text, erase the line."""
+        """End the line with a last text, or erase the line if the text is empty."""
         if text:
             print(f"\r\033[K  {text}" if self._terminal else f"  {text}", flush=True)
         elif self._open:

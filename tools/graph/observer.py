@@ -82,8 +82,8 @@ SETTLE_S = 0.5
 
 @dataclass
 class Thinned:
-    """A list of limited length. When it has `most` items, every second one is removed. From then
-    on only every second, fourth, ... new item is kept."""
+    """A list of limited length. When it has `most` items, every second item is removed. Of the
+    following items, only every second (later every fourth, ...) is kept."""
 
     most: int = MAX_IMAGES
     items: list[Any] = field(default_factory=list)
@@ -389,7 +389,7 @@ class Observer:
 
     def blame(self) -> str:
         """Return the reason why no cycle arrives: the message of the first node in the chain with
-        an error. If none has an error, the messages of all nodes."""
+        an error, or the messages of all nodes if no node has an error."""
         newest = {name: said[-1] for name, said in self.record.said.items()}
         for name in ("detector", "planner", "solver"):
             if name in newest and newest[name].level in (Level.ERROR, Level.STALE):
@@ -506,7 +506,8 @@ class Observer:
         return task
 
     def call(self, kind: Any, service: str, request: Any, again_s: float = CALL_S) -> Any:
-        """Call a service, and return its reply. If there is none for `again_s` [s], call it again.
+        """Call a service, and return its reply. If there is no reply for `again_s` [s], repeat the
+        call.
 
         Raises
         ------

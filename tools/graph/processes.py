@@ -128,7 +128,7 @@ ROS_ARGS = ("--ros-args", "--disable-external-lib-logs", "--params-file")
 class Processes:
     """Processes of all nodes of a run. Use it as a context manager, which stops them at its end.
 
-    If all nodes run in one process, its name is `ONE_PROCESS`. Use this name in all methods.
+    If all nodes run in one process, its name is `ONE_PROCESS` in all methods.
 
     Parameters
     ----------
@@ -141,10 +141,9 @@ class Processes:
         ROS domain.
     prefix : mapping of str to list, optional
         Words before the command line of a node.
-    environment : mapping, optional
-        Environment variables in addition to `ros_environment`. They override it.
-    remaps : mapping of str to (str, str), optional
-        For a node, a topic and the name to which only this node's topic is remapped.
+    environment : mapping, optional Additional environment variables, which override those of
+        `ros_environment`. remaps : mapping of str to (str, str), optional For a node, a topic and
+        the name to which only this node's topic is remapped.
 
     Attributes
     ----------

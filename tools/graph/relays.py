@@ -1,14 +1,16 @@
 #!/usr/bin/env python3
 """Nodes that only forward messages: the gate, and a graph that computes nothing.
 
-python tools/graph/relays.py gate TRANSPORT Forwards the main input of each node, except of the node
-    that its parameter `cut` names. For this node the effect is that of a cut cable, a wrong
-    remapping or a crashed filter: all processes run, but no message arrives.
+python tools/graph/relays.py gate TRANSPORT
+    Forwards the main input of each node, except of the node that its parameter `cut` names. For
+    this node the effect is that of a cut cable, a wrong remapping or a crashed filter: all
+    processes run, but no message arrives.
 
-python tools/graph/relays.py NODE FOLDER One node of a graph with the same topics, types, message
-    sizes and qualities of service as the real one, in the namespace `beside`. This graph shows the
-    time that the middleware and Python take. Its camera publishes an image half a cycle after the
-    real one, so that the two graphs alternate. The messages are files in FOLDER, serialised.
+python tools/graph/relays.py NODE FOLDER
+    One node of a graph with the same topics, types, message sizes and qualities of service as the
+    real one, in the namespace `beside`. This graph shows the time that the middleware and Python
+    take. Its camera publishes an image half a cycle after the real one, so that the two graphs
+    alternate. The serialised messages are files in FOLDER.
 """
 
 from __future__ import annotations

@@ -204,8 +204,8 @@ def there(task: Task) -> str:
 
 
 def typical(record: Record, key: str) -> float | None:
-    """Return the median of a value in the solver's diagnostics while it solved. None if it did
-    not."""
+    """Return the median of a value in the solver's diagnostics during its searches, or None if it
+    made no search."""
     reports = [said.values for said in record.reports("solver")]
     values = [float(v[key]) for v in reports if float(v["solve_ms_median"]) > 0]
     return round(float(np.median(values)), 4) if values else None
