@@ -1,9 +1,10 @@
 """Detection of parts in an image of the plate, or in a photograph.
 
-`detect` and `find_discs` fit the plate's brightness (`fit_light`), find seeds (first guesses of the
-parts' places), erase the parts' marks, measure each part by moments or by a fit of its contour, and
-accept or reject it. Input: an image (H, W) or (H, W, 3) uint8 and the plate's region. Output:
-`DETECTION` records in pixels. Parts without options are found by their outlines (`shapes`).
+`detect` and `find_discs` fit the plate's brightness (`fit_light`) and find seeds (first guesses of
+the parts' places). They erase the parts' marks and measure each part by moments or by a fit of its
+contour. Then they accept or reject it. Input: an image (H, W) or (H, W, 3) uint8 and the plate's
+region. Output: `DETECTION` records in pixels. If no options describe the parts, `detect` finds them
+by their outlines (`shapes`).
 """
 
 from __future__ import annotations
@@ -61,12 +62,13 @@ BRIGHT = "white"
 """Label of parts that are brighter than the plate."""
 
 METHODS = ("moments", "fit", "outline", "group")
-"""Methods that measure a part, cheapest first: moments, if it is isolated and uniformly dark; a
-fit of its contour; its outline, if the parts are not described; a group, if it seems to be several
-parts."""
+"""Methods that measure a part. "moments": the part is isolated and uniformly dark. "fit": its
+contour is fitted. "outline": no options describe the parts. "group": like "outline", but the
+outline seems to be that of several parts."""
 
 LABELS, MEASURED = np.array([*CLASSES, BRIGHT]), np.array([METHODS[1], METHODS[0]])
-"""Labels of parts; and names of the methods, indexed by whether a part was measured by moments."""
+"""Labels of parts, indexed by the labels that `judge` returns; and names of the methods, indexed by
+whether a part was measured by moments."""
 
 DETECTION = np.dtype(
     [
@@ -81,40 +83,41 @@ DETECTION = np.dtype(
         ("misfit", "f8"),
     ]
 )
-"""One part: centre [px]; radius of the disc of the same area [px]; angle [rad], counter-clockwise
-as seen; class; confidence, 0 to 1; method; standard deviation of the centre along each axis caused
-by noise and misfit [px]; misfit, the deviation from a part's silhouette (0: none).
+"""One detected part.
 
-The angle of an outline is the angle from x to its longest side, 0 to pi. The angle of a disc is the
-angle of its mark, 0 without a mark."""
+x_px, y_px: centre [px]. radius_px: radius of the disc of the same area [px]. angle_rad: angle
+[rad], counter-clockwise in the image. For an outline it is the angle from the x axis to the longest
+side, 0 to pi; for a disc it is the angle of its mark, or 0 without a mark. label: class.
+confidence: 0 to 1. method: one of `METHODS`. scatter_px: standard deviation of the centre along
+each axis, caused by noise and misfit [px]. misfit: deviation from a part's silhouette (0: none)."""
 
 APART = 1.4
-"""Minimum distance of the centres of two parts, in radii of the larger part. Touching parts have 2.
-If two parts are nearer, the part with the larger misfit is rejected."""
+"""Minimum distance between the centres of two parts, in radii of the larger part. For touching
+parts the distance is 2. If two parts are nearer than this minimum, the part with the larger misfit
+is rejected."""
 
 BETTER = 2.0
-"""If one of two overlapping discs has at least this multiple of the other's misfit, the other is
-surely the part."""
+"""Minimum ratio of the misfits of two overlapping discs. From this ratio on, the disc with the
+smaller misfit is certainly the part."""
 
 CLEARLY_DARK = 0.8
-"""Fraction of the plate's brightness below which pixels belong to parts in the first, fast
-search."""
+"""Maximum brightness of a part's pixels in the first, fast search, relative to the plate's
+brightness."""
 
 SIGMAS = 2.2
 """Minimum contrast of a part, relative to the standard deviation of a pixel's noise. The contrast
 is the mean of four pixels, whose noise is half as large."""
 
 ROUGH = 0.25
-"""Fraction of detected parts. If more objects than this are not shaped like a part, or only
-roughly, the search for shadows starts."""
+"""Maximum number of objects that are not shaped like a part, or only roughly, relative to the
+number of detected parts. If there are more such objects, the search for shadows starts."""
 
 FAINT = 2.0
-"""Minimum contrast of an object that is not too faint, relative to the minimum contrast of a
-part."""
+"""Minimum contrast of a rejected object, relative to the minimum contrast of a part. An object with
+less contrast is reported as too faint."""
 
 MIN_ALIKE = 3
-"""Minimum number of similar parts. If there are as many, their radius is used as the known
-radius."""
+"""Minimum number of similar parts from which their median radius is used as the known radius."""
 
 ALIKE = 0.12
 """Maximum relative deviation from the median radius of similar parts."""
@@ -131,19 +134,20 @@ class DetectorOptions:
     radius_tolerance : float
         Maximum relative deviation from `radius_px`, 0.05 to 0.6.
     threshold : float
-        Parts are darker than this fraction of the bare plate's brightness, or differ from it by as
-        much because they are brighter or of another colour, 0.1 to 0.97. In noisy images, parts
-        must differ by more.
+        Maximum brightness of a part, relative to the bare plate's brightness, 0.1 to 0.97. Parts
+        that are brighter than the plate or of another colour must differ from it by at least 1 -
+        threshold. In noisy images, the difference must be larger.
     class_threshold : float
-        Fraction of the bare plate's brightness below which a part is black, above which grey, 0.05
-        to 0.95.
+        Brightness of a part, relative to the bare plate's brightness, below which the part is black
+        and above which it is grey, 0.05 to 0.95.
     min_plate_grey : float
-        Minimum brightness of the plate [grey levels], 1 to 255. On a darker plate, the light counts
-        as off.
+        Minimum brightness of the plate [grey levels], 1 to 255. If the plate is darker, the light
+        counts as off.
     margin_px : float
-        Maximum distance of a part's centre outside the region [px], 0 to 10, for errors of the
-        calibration. Only pixels inside the region are evaluated. If a part is 2 px farther out, too
-        little of it is visible. A plate that is displaced by more needs another region.
+        Maximum distance of a part's centre outside the region [px], 0 to 10. It allows for errors
+        of the calibration. Only pixels inside the region are evaluated. If a part is 2 px farther
+        outside, too little of it is visible. If the plate is displaced by more, another region is
+        required.
     """
 
     RANGES: ClassVar[Mapping[str, tuple[float, float]]] = {
@@ -197,9 +201,10 @@ def detect(
 ) -> np.ndarray:
     """Find parts in one image.
 
-    With options: round parts of a known radius, darker than the plate. Without options: everything
-    that differs from the background, of any outline, size and colour (`plate_vision.shapes`). Round
-    objects of one size are then measured again as parts of a known radius.
+    With options, the function finds round parts of a known radius. Without options, it finds all
+    objects that differ from the background, of any outline, size and colour
+    (`plate_vision.shapes`). If all these objects are round and of one size, it measures them again
+    as parts of a known radius.
 
     Parameters
     ----------
@@ -208,8 +213,8 @@ def detect(
     options : DetectorOptions, optional
         Description of the parts; None if it is unknown.
     region : Region, or (4, 2) or (4, n, 2), optional
-        Region of the plate: the result of `make_region`, which takes longer than the detection, or
-        the argument of `make_region`. None: the whole image.
+        Region of the plate: either the result or the argument of `make_region`. `make_region` takes
+        longer than the detection. None: the whole image.
     view : PartView, optional
         Appearance of a part at each place; None: a disc of the options' radius everywhere.
 
@@ -221,7 +226,8 @@ def detect(
     Raises
     ------
     ImageError
-        If the image is not uint8, has another shape, or the region is not a quadrilateral in it.
+        If the image is not uint8 or has another shape, or if the region is not a quadrilateral in
+        the image.
     """
     grey = grey_levels(image)
     size_px = (grey.shape[1], grey.shape[0])
@@ -243,11 +249,11 @@ class Discs(NamedTuple):
     parts : (n,) SILHOUETTE
         Silhouettes of the parts `found`.
     overlooked : (m,) OVERLOOKED
-        Objects on the plate that are rejected as parts. Their x and y are not set.
+        Objects on the plate that are not accepted as parts. Their x and y are not set.
     shadow : Shadow, optional
         The shadow that every part casts; None if unknown.
     doubtful : bool
-        Whether many objects are not, or only roughly, shaped like a part.
+        Whether many objects are not shaped like a part, or only roughly.
     """
 
     found: np.ndarray
@@ -282,11 +288,12 @@ def find_discs(
 ) -> Discs:
     """Find parts of a known radius, as `detect` does, in an image (H, W) or (H, W, 3).
 
-    The first step finds, in grey levels, parts that are clearly darker than the plate. If anything
-    else is on the plate, the second step finds parts by `plate.contrast`: fainter or brighter ones,
-    parts of another colour, or with highlights or holes. If many objects are not shaped like a
-    part, the third step searches for a shadow that every part casts. `shadow` is the shadow in the
-    previous image. `search` permits the search for another shadow, which takes long.
+    The first step uses grey levels and finds parts that are clearly darker than the plate. If there
+    are other objects on the plate, the second step searches for parts among them by
+    `plate.contrast`. It finds fainter parts, brighter parts, parts of another colour, and parts
+    with highlights or holes. If many objects are not shaped like a part, the third step searches
+    for a shadow that every part casts. `shadow` is the shadow in the previous image. `search`
+    permits the search for another shadow, which takes long.
     """
     plate = fit_light(grey_levels(image), region, options.min_plate_grey)
     if plate is None:
@@ -338,8 +345,8 @@ class Scene:
 
 
 def _doubtful(discs: Discs) -> bool:
-    """Whether many objects are not, or only roughly, shaped like a part, as parts with unknown
-    shadows are."""
+    """Whether many objects are not shaped like a part, or only roughly. Parts with unknown shadows
+    are such objects."""
     good = GOOD_MISFIT if discs.shadow is None else GOOD_FIT
     doubtful = np.count_nonzero(discs.found["misfit"] > good)
     if len(discs.overlooked):
@@ -379,8 +386,8 @@ def _shadowed_discs(scene: Scene, shadow: Shadow) -> Discs:
 
 def _apart(discs: Discs) -> Discs:
     """Remove each disc that overlaps a disc with a smaller misfit. If the misfits are similar,
-    either disc may be the part. In this case, the uncertainty of the remaining disc is the distance
-    of both."""
+    either disc may be the part. In this case, the standard deviation of the remaining disc's place
+    becomes at least the distance between the two discs."""
     place, radius = discs.places, discs.parts["radius_px"]
     if not np.any(crowded(place, APART * float(np.max(radius, initial=0)))):
         return discs
@@ -399,7 +406,8 @@ def _apart(discs: Discs) -> Discs:
 
 
 def _dark_discs(plate: LitPlate, region: Region, options: DetectorOptions, view: PartView) -> Discs:
-    """Find parts that are clearly darker than the plate, each measured by the cheapest method."""
+    """Find parts that are clearly darker than the plate. Each part is measured by the fastest
+    method that is suitable."""
     threshold = min(options.threshold, CLEARLY_DARK)
     seeds, parts = find_seeds(plate, region, threshold, view.least_px, view.silhouettes)
     if not len(seeds):
@@ -413,7 +421,7 @@ def _other_discs(
     scene: Scene, contrast: LitPlate, remains: Remains, known: Discs, shadow: Shadow | None
 ) -> Discs:
     """Find parts other than the `known` ones by their contrast to the plate. If `shadow` is given,
-    every part casts it."""
+    it is the shadow of every part."""
     silhouettes = scene.view.silhouettes
 
     def dark_shapes(point_px: np.ndarray) -> np.ndarray:
@@ -443,8 +451,8 @@ def _other_discs(
 
 
 def _overlapping(discs: np.ndarray, parts: np.ndarray) -> np.ndarray:
-    """Return which discs (n,) DISC overlap one that fits better, for example two seeds in one part
-    with its shadow."""
+    """Return which discs (n,) DISC overlap a disc that fits better. This happens if, for example,
+    two seeds are in one part with its shadow."""
     place, reach = _places(discs), APART * parts["radius_px"]
     if not np.any(crowded(place, float(np.max(reach, initial=0)))):
         return np.zeros(len(discs), np.bool_)
@@ -491,11 +499,11 @@ def _accepted(
 
 
 def _detect_any(image: np.ndarray, region: Region) -> np.ndarray:
-    """Return the parts of an image (H, W) or (H, W, 3) without any description of them."""
+    """Return the parts of an image (H, W) or (H, W, 3) if no options describe them."""
     found = _outlines(image, region)
     options = _if_alike(found)
     if options is not None:
-        # All parts are brighter than the plate, or all are darker.
+        # Here all parts are brighter than the plate, or all parts are darker.
         bright = bool(np.any(found["contrast"] > 0))
         grey = grey_levels(image)
         view = PartView.even(options.radius_px)
@@ -525,7 +533,8 @@ def _outlines(image: np.ndarray, region: Region) -> np.ndarray:
 
 
 def _if_alike(outlines: np.ndarray) -> DetectorOptions | None:
-    """Return the description of round parts if all outlines have one size, else None."""
+    """Return the description of round parts if all outlines are round and of about one size and all
+    are brighter or all are darker than the plate. Otherwise, return None."""
     if len(outlines) < MIN_ALIKE or not np.all(outlines["round"] & ~outlines["group"]):
         return None
     if len(np.unique(outlines["contrast"] > 0)) > 1:

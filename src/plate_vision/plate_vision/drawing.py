@@ -20,7 +20,7 @@ COLOURS = ((0, 200, 255), (255, 120, 0), (80, 220, 80), (220, 80, 220), (80, 80,
 PLATE_COLOUR, ARROW_COLOUR = (200, 200, 0), (60, 60, 230)
 
 ARROW_S = 1.0
-"""A velocity arrow ends where the part will be after this time [s]."""
+"""Time after which a part is at the end of its velocity arrow [s]."""
 
 SHIFT = 4
 """Fractional bits of OpenCV's fixed-point coordinates: sixteenths of a pixel."""
@@ -89,8 +89,8 @@ def outlines_px(
     angle: np.ndarray,
     calibration: Calibration,
 ) -> list[np.ndarray]:
-    """Return the outlines (k, 2) [px] of parts at positions (M, 2) [m] and angles (M,) [rad],
-    plate_home; (0, 2) for parts without a type."""
+    """Return the outlines (k, 2) [px] of parts at positions (M, 2) [m] and angles (M,) [rad], both
+    in plate_home. The outline of a part without a type is (0, 2)."""
     outlines = []
     for name, place, turn in zip(ids, position, angle, strict=True):
         part = types.get(part_class(name))
@@ -102,7 +102,8 @@ def outlines_px(
 
 
 def draw_errors(fit: LensFit) -> np.ndarray:
-    """Return a picture (H, W, 3) of the enlarged errors of all corners, one colour per picture."""
+    """Return a picture (H, W, 3) that shows the enlarged errors of all corners, in one colour for
+    each calibration picture."""
     width, height = fit.size_px
     picture = np.full((height, width, 3), 255, np.uint8)
     for number, ((_, place), error) in enumerate(zip(fit.corners, fit.errors, strict=True)):

@@ -1,4 +1,4 @@
-"""Errors of this package that a user can act on."""
+"""Errors of this package whose cause the user can remove."""
 
 from collections.abc import Mapping
 
@@ -20,7 +20,8 @@ class OptionError(PlateError):
 
 
 class TrackError(PlateError):
-    """Measurements cannot be tracked: wrong shape, or values that are not finite."""
+    """Measurements cannot be tracked because they have a wrong shape or values that are not
+    finite."""
 
 
 class TeachError(PlateError):
@@ -42,8 +43,8 @@ def check_size(
     error: type[PlateError] = ImageError,
     why: str = "",
 ) -> None:
-    """Raise an error if an image has another width and height [px]. `what` begins the message,
-    `why` ends it."""
+    """Raise an error if an image has another width or height [px] than allowed. `what` begins the
+    message, and `why` ends it."""
     if size_px != allowed_px:
         seen, allowed = (" x ".join(map(str, size)) for size in (size_px, allowed_px))
         raise error(f"{what} {seen} px, allowed: {allowed} px{why}")

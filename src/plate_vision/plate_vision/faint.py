@@ -1,6 +1,6 @@
-"""Faint patches of a part's size that the detector misses, counted for the diagnostics.
+"""Faint patches of a part's size that the detector misses. They are counted for the diagnostics.
 
-The mean over the area of a part is compared with the mean over a ring around it. This average shows
+The mean over the area of a part is compared with the mean over a ring around it. These means show
 contrasts far below the noise of a single pixel.
 """
 
@@ -22,19 +22,19 @@ RING = (2.6, 4.6)
 """Sides of the squares that bound the ring outside the part [part radii]."""
 
 NOISE_FACTOR = 8.0
-"""Minimum contrast of a patch to the ring around it, in standard deviations of that contrast over
-the plate. This limit excludes texture."""
+"""Minimum contrast of a patch to the ring around it, relative to the standard deviation of this
+contrast over the plate [-]. This limit excludes texture."""
 
 MIN_CONTRAST = 2.0
 """Minimum contrast of a patch [grey levels]. This limit excludes stripes and spots of the light."""
 
 CLEAR = 3.4
-"""Distance from parts and other objects within which patches are ignored [part radii], because of
-shadows."""
+"""Minimum distance of a patch from parts and other objects [part radii]. Nearer patches are ignored
+because they may be shadows."""
 
 SPREAD = 0.6
 """Maximum contrast at 1.2 radii from a patch's centre, as a fraction of the contrast in the centre.
-A shade or a stripe is larger than a part and exceeds this limit."""
+Shadows of other objects and stripes exceed this limit, because they are larger than a part."""
 
 
 COARSE_PX = 4.0
@@ -57,8 +57,8 @@ def faint_patches(
     taken_px : (m, 2)
         Centres of detected parts and other objects [px].
     margin_px : float
-        Distance from the predicted edge of the plate within which patches are ignored [px], because
-        the plate may be away from home.
+        Minimum distance of a patch from the predicted edge of the plate [px]. Nearer patches are
+        ignored, because the plate may be away from home.
     """
     wide = 2 * round(margin_px) + 1
     free = cv2.erode(region.usable.astype(np.uint8), np.ones((wide, wide), np.uint8))
@@ -95,8 +95,8 @@ def faint_patches(
 
 
 def faint_finding(count: int, contrast: float, taken: int) -> Finding | None:
-    """Return a finding that faint patches are not detected; None if there are none. `taken` is the
-    number of parts."""
+    """Return a finding about faint patches that are not detected, or None if there are none.
+    `taken` is the number of detected parts."""
     if not count:
         return None
     is_ = "1 faint patch as large as a part is"
@@ -111,7 +111,8 @@ def faint_finding(count: int, contrast: float, taken: int) -> Finding | None:
 
 
 def _box(grey: np.ndarray, free: np.ndarray, side_px: float) -> tuple[np.ndarray, np.ndarray]:
-    """Return the sums of the free pixels' grey levels (H, W) and their counts (H, W) in squares."""
+    """Return, for a square around each pixel, the sum of the free pixels' grey levels (H, W) and
+    the number of free pixels (H, W)."""
     side = round(side_px) | 1
 
     def summed(values: np.ndarray) -> np.ndarray:

@@ -1,7 +1,7 @@
 """Pictures of a board, collected one by one until they suffice to fit the lens.
 
-`LensPictures.shown` keeps a picture if the board rests at a new place. `missing` gives instructions
-for the next pictures: image corners to cover and tilts. `fit` fits the lens.
+`LensPictures.shown` keeps a picture if the board is at rest at a new place. `missing` gives
+instructions for the next pictures: image corners to cover and tilts. `fit` fits the lens.
 """
 
 from __future__ import annotations
@@ -19,16 +19,17 @@ NEEDED = 10
 """Number of pictures requested. The standard deviation of the focal length is 1 % with five
 pictures and 0.4 % with ten."""
 
-MOST = 40
-"""Maximum number of pictures. More pictures would make the fit slow and improve it little."""
+MAX_PICTURES = 40
+"""Maximum number of pictures. With more pictures, the fit would be slow and hardly better."""
 
 DIFFERS = 0.06
-"""Minimum distance of a board from the boards of all kept pictures: root mean square over its four
-outer corners, relative to the image's width [-]."""
+"""Minimum distance between the board's place in a new picture and its places in all kept pictures
+[-]. The distance is the root mean square over the four outer corners, relative to the image's
+width."""
 
 STILL = 0.01
-"""Maximum distance between the boards in successive pictures, as for `DIFFERS` [-]. Up to this
-distance the board counts as at rest, and its image is not blurred."""
+"""Maximum distance between the board's places in two successive pictures, measured as for `DIFFERS`
+[-]. Up to this distance, the board counts as at rest, because its image is not blurred."""
 
 COLUMNS, ROWS = 4, 3
 """Cells of the grid over the image."""
@@ -39,19 +40,20 @@ CORNERS = {
     "bottom left": (ROWS - 1) * COLUMNS,
     "bottom right": ROWS * COLUMNS - 1,
 }
-"""Cells in which the board must be seen, because a lens distorts most there."""
+"""Cells of the image's corners. The board must be seen in each of them, because the distortion of a
+lens is largest there."""
 
 TILTED_RAD = np.radians(12.0)
 """Minimum tilt of a tilted board. With less tilt the fit cannot separate focal length from
 distance."""
 
 TILTS = ("left", "right", "top", "bottom")
-"""Sides of the board. Each side must be nearer to the camera in at least one picture."""
+"""Sides of the board. In at least one picture per side, this side must be nearest to the camera."""
 
 GUESSED_FOCAL = 1.2
-"""Focal length assumed in the estimate of the tilt, relative to the longer side of the image [-]: a
-lens of 45 degrees. For lenses of 30 to 70 degrees the side is right, and the tilt has an error of
-up to a third."""
+"""Focal length assumed in the estimate of the tilt, relative to the longer side of the image [-]. A
+lens with a field of view of 45 degrees has it. For fields of view of 30 to 70 degrees, the tilted
+side is correct, and the error of the tilt is up to a third."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -68,9 +70,10 @@ class LensPictures:
     places : tuple of (8,)
         Outer corners of the board in each kept picture, relative to the image's width [-].
     tilts : frozenset of str
-        Members of `TILTS` that the kept pictures show.
+        Tilts that the kept pictures show, each one of `TILTS`.
     last : (8,) or None
-        Outer corners in the last picture; None if the board was not seen.
+        Outer corners of the board in the last picture, as in `places`; None if the board was not
+        seen.
     """
 
     board: Board
@@ -83,8 +86,8 @@ class LensPictures:
     def shown(self, board: Board, corners: Corners | None) -> tuple[LensPictures, str]:
         """Return a copy with one more picture, and the outcome for this picture as text.
 
-        `board` is the board as printed. A picture is kept if the board rests and its place differs
-        from those in all kept pictures.
+        `board` is the board as printed. A picture is kept if the board is at rest and its place
+        differs from its places in all kept pictures.
         """
         if corners is None:
             return replace(self, last=None), "the board is not detected"
@@ -99,8 +102,8 @@ class LensPictures:
             return now, "hold the board still"
         if any(_away(place, one) < DIFFERS for one in self.places):
             return now, "similar to an earlier picture: hold the board differently"
-        if len(self.kept) >= MOST:
-            return now, f"{MOST} pictures are enough"
+        if len(self.kept) >= MAX_PICTURES:
+            return now, f"{MAX_PICTURES} pictures are enough"
         tilt = _tilt(board, corners, self.size_px)
         now = replace(
             now,
@@ -140,7 +143,8 @@ def _away(place: np.ndarray, other: np.ndarray) -> float:
 
 
 def _tilt(board: Board, corners: Corners, size_px: tuple[int, int]) -> str:
-    """Return the side of the board nearest to the camera, one of `TILTS`; "" without a tilt."""
+    """Return the side of the board that is nearest to the camera, one of `TILTS`. Return "" if the
+    board is not tilted."""
     which, place_px = corners
     focal = GUESSED_FOCAL * max(size_px)
     middle = (np.array(size_px) - 1) / 2

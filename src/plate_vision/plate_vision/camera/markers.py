@@ -1,9 +1,9 @@
 """ArUco markers in an image, and the corners of dark squares to hundredths of a pixel.
 
-Each corner is the intersection of two lines fitted to the square's edges. Blur rounds the corner
-itself: at a blur of 1 px OpenCV's corner refinement finds it a quarter of a pixel too far inside.
-The edges are not displaced. OpenCV 4.7 replaced marker functions by classes; only this file handles
-both."""
+Each corner is the intersection of two lines fitted to the square's edges, because blur does not
+displace the edges. It rounds the corner itself: at a blur of 1 px, OpenCV's corner refinement finds
+the corner a quarter of a pixel too far inside. OpenCV 4.7 replaced the functions for markers by
+classes. Only this file handles both."""
 
 from __future__ import annotations
 
@@ -26,19 +26,20 @@ SETTINGS = {
     "perspectiveRemoveIgnoredMarginPerCell": 0.3,
     "maxErroneousBitsInBorderRate": 0.5,
 }
-"""OpenCV's detector parameters that differ from its defaults. Only the centre of each module
-counts, so that markers of 30 px are read at a blur of 1.5 px."""
+"""Parameters of OpenCV's marker detector that differ from its defaults. Only the centre of each
+module (small square of a marker) is evaluated, so that markers of 30 px are read at a blur of 1.5
+px."""
 
 
 SAMPLES = 24
 """Number of profiles across each edge."""
 
 SPAN = (0.15, 0.85)
-"""Range of an edge that is sampled [sides]. The ends of an edge are rounded, so they are not
-sampled."""
+"""Range of an edge that is sampled, relative to its length [-]. The ends of an edge are not
+sampled, because blur rounds them."""
 
 REACH_PX = 4.0
-"""Maximum distance of an edge from its expected place, to both sides [px]."""
+"""Maximum distance of an edge from its expected place on both sides [px]."""
 
 STEP_PX = 0.5
 """Distance between two samples across an edge [px]."""
@@ -47,13 +48,14 @@ MIN_CONTRAST = 25.0
 """Minimum difference of grey levels across an edge."""
 
 OUTLIER_PX = 0.5
-"""Distance from the line beyond which a crossing is excluded, for example dirt or a part [px]."""
+"""Maximum distance of a crossing from the fitted line [px]. Crossings that are farther away are
+excluded, because they are caused by, for example, dirt or a part."""
 
 MIN_CROSSINGS = 6
-"""Minimum number of crossings for an edge."""
+"""Minimum number of profiles in which the edge is found."""
 
 ROUNDS = 2
-"""Number of refinements. Each searches around the edges of the previous one."""
+"""Number of refinements. Each refinement searches around the edges that the previous one found."""
 
 
 def find_markers(grey: np.ndarray, dictionary: str) -> dict[int, np.ndarray]:
@@ -70,7 +72,8 @@ def find_markers(grey: np.ndarray, dictionary: str) -> dict[int, np.ndarray]:
     -------
     dict of int to (4, 2)
         Corners [px] by number, to sub-pixels: top left, top right, bottom right, bottom left of the
-        printed marker. A number that is found twice is omitted, because one of them is wrong.
+        printed marker. A number that is found twice is omitted, because one of the two markers is
+        misread.
 
     Raises
     ------
@@ -136,8 +139,8 @@ def _dictionary(name: str) -> Any:
 def square_corners(grey: np.ndarray, corners_px: np.ndarray) -> np.ndarray:
     """Find dark squares on bright ground near their expected places.
 
-    Takes corners (n, 4, 2) [px] in order around each square, with errors of up to `REACH_PX`.
-    Returns refined corners; NaN for a square if one of its edges is not visible.
+    Input: corners (n, 4, 2) [px] in order around each square, with errors of up to `REACH_PX`.
+    Output: refined corners. All corners of a square are NaN if one of its edges is not visible.
     """
     corners = np.array(corners_px, dtype=float).reshape(-1, 4, 2)
     for _ in range(ROUNDS):
@@ -184,7 +187,7 @@ def _values(grey: np.ndarray, place: np.ndarray) -> np.ndarray:
 
 def _crossings(value: np.ndarray, across: np.ndarray) -> np.ndarray:
     """Return the places (n, 4, s) where profiles (n, 4, s, k) rise through the mean of an edge's
-    dark and bright level; NaN where they do not."""
+    dark and bright level. The place is NaN if a profile does not rise."""
     with np.errstate(all="ignore"):
         dark = np.median(value.min(axis=3), axis=2, keepdims=True)[..., None]
         bright = np.median(value.max(axis=3), axis=2, keepdims=True)[..., None]
@@ -199,8 +202,8 @@ def _crossings(value: np.ndarray, across: np.ndarray) -> np.ndarray:
 
 
 def _lines(at: np.ndarray, crossing: np.ndarray) -> np.ndarray:
-    """Fit a + b t to crossings (n, 4, s) at t = `at`, without outliers. Return a, b (n, 4, 2); NaN
-    if there are too few crossings."""
+    """Fit a + b t to crossings (n, 4, s) at t = `at`, without outliers. Return a, b (n, 4, 2). They
+    are NaN if there are too few crossings."""
     middle = np.nanmedian(np.where(np.isnan(crossing).all(axis=2, keepdims=True), 0, crossing), 2)
     weight = np.isfinite(crossing) & (np.abs(crossing - middle[..., None]) < 4 * OUTLIER_PX)
     line = _fit(at, crossing, weight)
@@ -220,8 +223,8 @@ def _fit(at: np.ndarray, crossing: np.ndarray, weight: np.ndarray) -> np.ndarray
 
 
 def _intersect(a: np.ndarray, b: np.ndarray, c: np.ndarray, d: np.ndarray) -> np.ndarray:
-    """Intersect lines through a, b with lines through c, d (n, 4, 2); NaN for the whole square if
-    one line is missing."""
+    """Intersect lines through a, b with lines through c, d (n, 4, 2). All points of a square are
+    NaN if one line is missing."""
     u, v, w = b - a, d - c, c - a
     cross = u[..., 0] * v[..., 1] - u[..., 1] * v[..., 0]
     with np.errstate(all="ignore"):

@@ -1,4 +1,5 @@
-// Parts that are clearly darker than the plate, each measured by the cheapest method: see dark.py.
+// Parts that are clearly darker than the plate. Each part is measured by the fastest method that is
+// suitable: see dark.py.
 #pragma once
 #include <algorithm>
 #include <cmath>
@@ -12,21 +13,23 @@
 
 namespace plate {
 
-// Width [px] of a part's blurred edge: a neighbour's pixels reach this far towards a window.
+// Width [px] of a part's blurred edge outside its contour. Up to this distance, a neighbouring part
+// affects the pixels of a window.
 constexpr double BLUR_PX = 1.5;
 
-// Maximum reach of a round silhouette, relative to its radius: a part seen at 34 degrees from above.
+// Maximum reach of a silhouette that counts as round, relative to its radius. A part that the
+// camera sees at 34 degrees from the vertical has this reach.
 constexpr double ROUND = 1.2;
 
-// Maximum dark area [px2] in the rim of a window with a single part. Twice this area would shift the
-// moments of a part of 8 px radius by 0.05 px.
+// Maximum dark area [px2] in the outer ring of a window with a single part. Twice this area would
+// shift the centre of a part with a radius of 8 px by 0.05 px.
 constexpr double RIM_DIRT_PX2 = 0.5;
 
 // Maximum misfit of a part that is measured by moments. With a larger misfit, the part is not
 // evenly dark.
 constexpr double EVEN_MISFIT = 0.06;
 
-// Distances (n,) [px] of places (n, >= 2) [px] from the plate's edge, negative outside.
+// Distances (n,) [px] of places (n, >= 2) [px] from the plate's edge; negative outside the plate.
 inline std::vector<double> depths(View<const double, 2> edges, View<const double, 2> bows,
                                   View<const double, 2> places) {
     const int count = places.size(0);
@@ -36,9 +39,9 @@ inline std::vector<double> depths(View<const double, 2> edges, View<const double
     return depth;
 }
 
-// Measure discs (n,) from first guesses of their places (n, 2) [px] and their silhouettes (n,)
-// there. Set `alone` (n,) for discs measured by moments, and the places of `marks` (n, 2) [px].
-// `noise` is the noise of the image, relative to the bare plate.
+// Measure discs (n,) at seeds (n, 2) [px], where they have the silhouettes `parts` (n,). `alone`
+// (n,) is set to true for discs that are measured by moments. `marks` (n, 2) is set to the places
+// of marks [px]. `noise` is the noise of the image, relative to the bare plate.
 inline void measure_dark(LitPlate plate, double noise, View<const double, 2> edges,
                          View<const double, 2> bows, View<const double, 2> seeds,
                          const Silhouette* parts, Disc* discs, View<double, 2> marks, bool* alone) {

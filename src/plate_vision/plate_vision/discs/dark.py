@@ -1,12 +1,14 @@
-"""Parts that are clearly darker than the plate, each measured by the cheapest method.
+"""Parts that are clearly darker than the plate.
 
-A part that stands alone is measured by the moments of its darkness, to a hundredth of a pixel. With
-the darkness m of a pixel and its distance d from the centre, an even disc of radius r has
+Each part is measured by the fastest method that is suitable. A part without neighbours is measured
+by the moments of its darkness, with an error of about a hundredth of a pixel. For an evenly dark
+disc of radius r, with the darkness m of a pixel and its distance d from the centre,
 
     sum(m d^2) / sum(m) = r^2 / 2.
 
-The misfit is the relative deviation from the radius by area, or from the silhouette's second
-moments, whichever is larger. The other parts are measured by `fit`, which models their neighbours.
+The misfit is the larger one of two deviations: the relative deviation of these moments from r^2 /
+2, with the radius r by area, and the deviation from the silhouette's second moments. The other
+parts are measured by `fit`, which models their neighbours.
 """
 
 from __future__ import annotations

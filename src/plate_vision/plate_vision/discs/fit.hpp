@@ -18,46 +18,48 @@
 namespace plate {
 
 // Minimum, initial and maximum half width [px] of a disc's edge. Across the edge, the cover rises
-// from 0 to 1 as a cubic. 0.5 stands for sharp pixels, 1.1 for a lens with a blur of 0.6 px
-// (standard deviation).
+// from 0 to 1 as a cubic. Without blur the half width is 0.5 px. With a blur of 0.6 px (standard
+// deviation) it is 1.1 px.
 constexpr double EDGE_PX[] = {0.4, 0.8, 4.5};
 
-// EDGE_SHARE: maximum half width of the edge, as a fraction of the radius. EDGE_PX[2] applies if it
-// is larger. RIM_SHARE: reach of a window beyond the contour, as a fraction of the radius. RIM_PX
-// applies if it is larger.
-constexpr double EDGE_SHARE = 0.6, RIM_SHARE = 0.3;
+// EDGE_FRACTION: maximum half width of the edge, as a fraction of the radius. If EDGE_PX[2] is
+// larger, it is the maximum. MARGIN_FRACTION: reach of a window beyond the contour, as a fraction
+// of the radius. If RIM_PX is larger, it is the reach.
+constexpr double EDGE_FRACTION = 0.6, MARGIN_FRACTION = 0.3;
 
 inline double rim_of(const Silhouette& part) {
-    return std::max(RIM_PX, RIM_SHARE * part.radius_px);
+    return std::max(RIM_PX, MARGIN_FRACTION * part.radius_px);
 }
 
-// Maximum change of a place or radius [px] in one iteration: the model is valid only near the edge.
+// Maximum change of a place or radius [px] in one iteration. It is limited because the model is
+// valid only near the edge.
 constexpr double MAX_STEP_PX = 1.0;
 
-// Change [px] of place and radius at which the fit has converged. The next change would be a tenth
-// of this one, and a tenth of the effect of the image's noise.
+// Change [px] of place and radius below which the fit has converged. The next change would be a
+// tenth of this change, which is a tenth of the effect of the image's noise.
 constexpr double SETTLED_PX = 0.01;
 
 constexpr int MAX_ITERATIONS = 25;
 
-// Absolute and relative values that are added to the diagonal of the normal equations. With them,
-// the equations are solvable even if hardly anything of a disc is visible.
+// Damping, added to the diagonal of the normal equations both as an absolute value and relative to
+// the diagonal. With it, the equations are solvable even if a disc is almost completely hidden.
 constexpr double FIT_DAMPING = 1e-3;
 
-// A pixel inside the contour has no weight if its darkness differs from the part's by more than
-// this fraction of it, and by more than this number of standard deviations of the image's noise. It
-// then shows a mark, a highlight or a hole.
+// Minimum deviation of an odd pixel's darkness from the part's darkness, as a fraction of the
+// part's darkness and in standard deviations of the image's noise. A pixel that exceeds both has no
+// weight, because it shows a mark, a highlight or a hole.
 constexpr double ODD_FRACTION = 0.25, ODD_SIGMAS = 4.0;
 
-// The misfit is measured within this distance [px] beyond the edge's own width, on both sides.
+// Distance [px] on both sides of the edge up to which pixels contribute to the misfit. It is added
+// to the half width of the edge.
 constexpr double CONTOUR_PX = 1.0;
 
-// Range of the side faces' darkness, relative to the darkness of the top. If the side faces are
-// hardly visible, the fit does not determine their darkness.
+// Range of the side faces' darkness, relative to the darkness of the top. The range is limited
+// because the fit cannot determine the darkness of side faces that are hardly visible.
 constexpr double SIDE_RANGE[] = {0.3, 3.0};
 
-// Maximum error of a pixel in the misfit, as a fraction of the darkness. A local defect of the edge
-// must not reject a disc.
+// Maximum error of a pixel in the misfit, as a fraction of the darkness. It is limited so that a
+// local defect of the edge does not cause the rejection of a disc.
 constexpr double WORST_FRACTION = 0.4;
 
 // Unknowns of a disc: x, y, radius, half width of the edge [px], darkness of the top and of the
@@ -67,8 +69,8 @@ enum Unknown { X, Y, RADIUS, EDGE, TOP, SIDE, UNKNOWNS };
 constexpr int FLAT_UNKNOWNS = SIDE;
 using DiscFit = std::array<double, UNKNOWNS>;
 
-// The usable pixels around a disc, row by row: their places [px], darkness, darkness minus that of
-// the neighbours, and the fraction of each pixel that no neighbour covers.
+// The usable pixels around a disc, row by row: their places [px], their darkness, their darkness
+// minus the neighbours' darkness, and the fraction of each pixel that no neighbour covers.
 struct DiscWindow {
     int size = 0, most;
     double all = 0;  // number of all pixels in the window, usable or not
@@ -102,7 +104,8 @@ struct DiscWindow {
         };
         float *xs = x(), *ys = y(), *levels = dark();
         for (int row = y0 - reach; row <= y0 + reach; row++) {
-            // The window is convex: a row has all pixels between its first and its last one.
+            // The window is convex, so it contains all pixels between the first and the last one in
+            // a row.
             int first = x0 - reach, last = x0 + reach;
             while (first <= last && !is_inside(first, row)) first++;
             while (last > first && !is_inside(last, row)) last--;
@@ -122,7 +125,7 @@ struct DiscWindow {
     // Convert grey levels to darkness.
     void to_darkness(const float* light);
 
-    // Range of pixels, half open, in the rows within a distance [px] of y_px.
+    // Range (half open) of the pixels whose rows are within a distance [px] of y_px.
     std::array<int, 2> rows(double y_px, double distance) {
         const float *begin = y(), *end = begin + size;
         const auto first = std::lower_bound(begin, end, static_cast<float>(y_px - distance));
@@ -141,9 +144,10 @@ inline void DiscWindow::to_darkness(const float* light) {
     levels_to_darkness(x(), y(), light, size, dark());
 }
 
-// Numbers of a pixel. The fit sums up their products. First come the derivatives of the disc's
-// darkness with respect to the unknowns. Then come the error, the squared error if the pixel is at
-// the contour, whether the pixel is near the contour, and the visible fraction of the pixel.
+// Numbers of a pixel that the fit sums up, directly or as products. First come the derivatives of
+// the disc's darkness with respect to the unknowns, then ERROR, the error of the darkness. The
+// others are 0 unless the pixel is near the contour: SQUARE, the squared error; NEAR, 1; and RIM,
+// the visible fraction of the pixel.
 enum Number { ERROR = UNKNOWNS, SQUARE, NEAR, RIM, NUMBERS };
 
 // These numbers for all pixels of a window, padded with zeros to a multiple of eight.
@@ -225,8 +229,9 @@ struct Contour {
           over(1 / std::max(lx * lx + ly * ly, 1e-9f)), radius(disc[RADIUS]),
           more(part.growth - 1), scale(1 / disc[EDGE]), growth(part.growth) {}
 
-    // Depth of a pixel inside the contour, relative to the edge's half width. Also sets the vector
-    // and distance to the pixel from the nearest point of the line of the lean [px, disc's frame].
+    // Depth of a pixel inside the contour, relative to the edge's half width. The function also
+    // sets the vector (wx, wy) to the pixel from the nearest point of the line from the base's
+    // centre to the top's centre, and its length `far` [px, disc's frame].
     template <bool LEANS>
     [[gnu::always_inline]] float depth(float x, float y, float& wx, float& wy, float& far) const {
         const float dx = x - cx, dy = y - cy;
@@ -252,14 +257,14 @@ struct Contour {
 [[gnu::always_inline]] inline float within(float u) { return std::min(std::max(u, -1.f), 1.f); }
 
 // The shadows from one lamp: displacement of each part's shadow (n, 2) [px, disc's frame], darkness
-// of the plate in it, and half the width of its edge [px].
+// of the plate in the shadow, and half the width of the shadow's edge [px].
 struct Shadows {
     const double* cast = nullptr;
     double darkness = 0, edge_px = 1;
 
     bool any() const { return darkness > 0; }
 
-    // Contour of a disc's shadow: the disc swept along its displacement.
+    // Contour of a disc's shadow, which is the disc swept along the shadow's displacement.
     Contour contour(const DiscFit& disc, const Silhouette& part, int k) const {
         DiscFit soft = disc;
         soft[EDGE] = edge_px;
@@ -317,12 +322,12 @@ PLATE_WIDE inline void without_others(DiscWindow& window, const std::vector<Disc
     }
 }
 
-// Sum up the lower half of the normal equations of one disc; set its misfit, and the visible
-// fraction of its contour.
+// Sum up the lower half of the normal equations of one disc. Set the misfit, the standard deviation
+// of the place, and the visible fraction of the contour in `out`.
 //
-// The misfit is the root mean square error at the contour, minus the noise (in squares), relative
-// to the darkness. `noise` is a standard deviation, as darkness. With SHADOW the plate beside the
-// disc is darker by `shade` within `cast`.
+// The misfit is the root mean square error at the contour, relative to the darkness. The square of
+// the noise is subtracted from the mean square. `noise` is a standard deviation, as darkness. With
+// SHADOW the plate beside the disc is darker by `shade` within the contour `cast`.
 template <bool SHADOW, bool HIGH>
 [[gnu::always_inline]] inline void sum_up(DiscWindow& window, const DiscFit& disc, const Silhouette& part,
                               const Contour& cast, float shade, double noise,
@@ -398,7 +403,7 @@ template <bool SHADOW, bool HIGH>
     out.misfit = std::sqrt(std::max(square - noise * noise, 0.0)) / dark;
     const double whole = std::max(count, 1.0) * std::max(window.all, 1.0) / window.size;
     out.seen = window.size ? std::min(weights / whole, 1.0) : 0;
-    // Half of the contour determines each coordinate.
+    // Each coordinate is determined by half of the contour.
     const double slopes_xy = 0.5 * (normal[X][X] + normal[Y][Y]);
     out.scatter_px = std::sqrt(std::max(square, noise * noise) / std::max(slopes_xy, 1e-9));
 }
@@ -431,14 +436,15 @@ inline double improve(DiscFit& disc, double (&normal)[UNKNOWNS][UNKNOWNS],
     const double step = std::min(1.0, MAX_STEP_PX / std::max(change, 1e-9));
     for (int i = 0; i < UNKNOWNS; i++) disc[i] += step * right[i];
     disc[RADIUS] = std::clamp(disc[RADIUS], 0.5 * first_radius, 1.5 * first_radius);
-    disc[EDGE] = std::clamp(disc[EDGE], EDGE_PX[0], std::max(EDGE_PX[2], EDGE_SHARE * first_radius));
+    const double max_edge = std::max(EDGE_PX[2], EDGE_FRACTION * first_radius);
+    disc[EDGE] = std::clamp(disc[EDGE], EDGE_PX[0], max_edge);
     const double top = std::max(disc[TOP], MIN_DARKNESS);
     disc[SIDE] = std::clamp(disc[SIDE], SIDE_RANGE[0] * top, SIDE_RANGE[1] * top);
     return change;
 }
 
-// Measure discs (n,), also among neighbours, from seeds (n, 2) [px] and the silhouettes (n,) there,
-// with the shadows that they cast. `noise` is a standard deviation, as darkness.
+// Measure discs (n,), also among neighbours. Input: seeds (n, 2) [px], the silhouettes (n,) of
+// parts there, and the shadows that the parts cast. `noise` is a standard deviation, as darkness.
 inline void fit_discs(const LitPlate& plate, View<const double, 2> seeds, const Silhouette* parts,
                       const Shadows& shadows, double noise, Disc* discs) {
     const int count = seeds.size(0);

@@ -12,26 +12,26 @@
 
 namespace plate {
 
-// Maximum misfit of a part: its deviation from its silhouette at the contour. Drawn parts have 0.02
-// to 0.05, parts with a height that is not in the rig file up to 0.2. The second factor, times the
-// image's noise over the part's contrast, is added to the maximum. It covers the noise that remains
-// after the mean noise of 50 pixels is subtracted.
+// MAX_MISFIT: maximum misfit of a part, which is its deviation from its silhouette at the contour.
+// Drawn parts have misfits of 0.02 to 0.05. Parts with a height that is not in the rig file have up
+// to 0.2. NOISE_MISFIT times the ratio of the image's noise to the part's contrast is added to the
+// maximum. It allows for the noise that remains after the mean noise of 50 pixels is subtracted.
 constexpr double MAX_MISFIT = 0.2, NOISE_MISFIT = 0.5;
 
-// Maximum noise, relative to the plate's brightness, for which the maximum misfit is raised.
+// Maximum noise in the calculation of the maximum misfit, relative to the plate's brightness.
 // Stronger noise is a texture of the plate.
 constexpr double WORST_NOISE = 0.12;
 
-// Maximum misfit that light, noise and the edges of pixels explain. The part of the misfit above
-// this is about the error of the place, in radii. For example, parts 10 mm high that are assumed
-// flat have a misfit of 0.18, and an error of 0.15 to 0.2 radii.
+// Maximum misfit that light, noise and the edges of pixels cause. The excess of the misfit over
+// this value is about the error of the place, in radii. For example, parts that are 10 mm high but
+// are assumed flat have a misfit of 0.18, and their places have errors of 0.15 to 0.2 radii.
 constexpr double GOOD_MISFIT = 0.06;
 
 // Minimum visible fraction of a part's contour. With a smaller fraction, the place is not reliable.
 constexpr double MIN_SEEN = 0.3;
 
-// Fraction by which a part must be brighter than the plate to get the label "bright". A part of
-// about the plate's brightness differs from it in colour only.
+// Minimum excess of a bright part's brightness over the plate's brightness, as a fraction of the
+// plate's brightness. A part that is about as bright as the plate differs from it in colour only.
 constexpr double EQUAL = 0.02;
 
 // Limits for the properties of a part: see `DetectorOptions`.
@@ -44,8 +44,8 @@ struct Judged {
     double x_px, y_px, radius_px, angle_rad, confidence, scatter_px, misfit;
 };
 
-// The parts among measured discs (n,): their indices (m,), properties (m,) and labels (m,): 0
-// black, 1 grey, 2 bright.
+// The parts among measured discs (n,): their indices (m,), their labels (m,) (0 black, 1 grey, 2
+// bright), and their properties (m,).
 struct Parts {
     std::vector<int64_t> rows, labels;
     std::vector<Judged> found;

@@ -1,4 +1,5 @@
-"""Selection of the parts among measured discs; angle, label, confidence and standard deviation."""
+"""Selection of the parts among measured discs, and calculation of their angles, labels, confidences
+and standard deviations."""
 
 from __future__ import annotations
 
@@ -10,8 +11,8 @@ from . import silhouette
 from .measure import numbers
 
 GOOD_MISFIT: float = _kernels.GOOD_MISFIT
-"""Maximum misfit that light, noise and the edges of pixels explain. The excess misfit times the
-radius is about the error of the place."""
+"""Maximum misfit that light, noise and the edges of pixels cause. The excess of the misfit over
+this value, times the radius, is about the error of the place."""
 
 NUMBERS = ("x_px", "y_px", "radius_px", "angle_rad", "confidence", "scatter_px", "misfit")
 """Properties of a part: see `detection.DETECTION`."""

@@ -145,7 +145,7 @@ void bind_discs(nb::module_& m) {
         require(same_pixels(dark, outside), "shapes: dark and outside (h, w)");
         require(grid.y + (rows - 1) * grid.step < plate.height() &&
                     grid.x + (columns - 1) * grid.step < plate.width(),
-                "the grid leaves the image");
+                "grid: allowed: inside the image");
         nb::gil_scoped_release others_may_run;
         find_dark(plate, threshold, grid, view(outside), view(dark));
     }, arg(), arg(), arg(), arg(), arg(), arg(), arg().noconvert());
@@ -187,7 +187,7 @@ void bind_discs(nb::module_& m) {
     }, arg(), arg(), arg(), arg(), arg(), arg(), arg().noconvert());
     m.def("find_peaks", [](In<float, 2> votes, int x0, int y0, In<bool, 2> merged,
                            std::array<int, 3> grid, double radius) {
-        require(radius > 0, "radius is not above 0");
+        require(radius > 0, "radius: allowed: above 0");
         std::vector<double> found;
         {
             nb::gil_scoped_release others_may_run;

@@ -1,4 +1,4 @@
-// Marks: spots off the centre of a part that show its angle; see marks.py.
+// Marks: spots beside the centre of a part that show the part's angle; see marks.py.
 #pragma once
 #include <algorithm>
 #include <cmath>
@@ -13,33 +13,35 @@ namespace plate {
 // Radius of a mark [part radii].
 constexpr double MARK_RADIUS = 0.3;
 
-// Range of the distance of a mark's centre from the seed [part radii]. A mark is half way out; the
-// range includes the seed's error.
+// Range of the distance between a mark's centre and the seed [part radii]. The nominal distance is
+// 0.5. The range includes the seed's error.
 constexpr double MARK_PLACE[] = {0.25, 0.75};
 
-// Range of a spot's area, relative to a mark's area. Smaller spots are noise, larger ones are not
-// marks.
+// Range of a mark's area, relative to the area of a disc with `MARK_RADIUS`. Smaller spots are
+// noise, and larger spots are other objects.
 constexpr double MARK_AREA[] = {0.5, 1.6};
 
-// Radius around the mark's centre within which deviating pixels belong to the mark [mark radii].
-// The radius includes the mark's blurred edge, but not the part's edge.
+// Maximum distance between a mark's centre and the pixels that belong to the mark [mark radii].
+// This distance includes the mark's blurred edge, but not the part's edge.
 constexpr double MARK_REACH = 1.5;
 
-// Minimum contrast of a mark, relative to the part's darkness. A grey mark on a black part has 0.5,
-// a black mark on a grey part 1.
+// Minimum contrast of a mark, relative to the part's darkness. The contrast of a grey mark on a
+// black part is 0.5. The contrast of a black mark on a grey part is 1.
 constexpr double CONTRAST = 0.3;
 
 // Minimum contrast of a mark, relative to the standard deviation of the image's noise.
 constexpr double MARK_SIGMAS = 6;
 
-// Fraction of the contrast below which a deviation counts as noise: five standard deviations of a
-// noise of 2 grey levels.
+// Minimum deviation of a mark's pixel from the part's grey level, as a fraction of the mark's
+// contrast. It is five standard deviations of a noise of 2 grey levels. Smaller deviations count as
+// noise.
 constexpr double MARK_NOISE = 0.25;
 
-// Brightness relative to the bare plate above which a spot is a highlight. Marks are darker.
+// Maximum brightness of a mark, relative to the bare plate. A brighter spot is a highlight.
 constexpr double SHINE = 0.85;
 
-// Number of centroid iterations, each in the window around the previous centre.
+// Number of iterations for the mark's centre. Each iteration computes the centroid of the pixels
+// around the previous centre.
 constexpr int ROUNDS = 4;
 
 // The pixels that a round spot may cover: ranges of rows and columns, half open.
@@ -53,7 +55,7 @@ struct Box {
           right(std::min(grey.size(1), static_cast<int>(x + reach) + 2)) {}
 };
 
-// Median of numbers. Their order is changed.
+// Median of numbers. The function changes their order.
 inline double median(std::vector<double>& numbers) {
     const auto middle = numbers.begin() + numbers.size() / 2;
     std::nth_element(numbers.begin(), middle, numbers.end());
@@ -61,7 +63,7 @@ inline double median(std::vector<double>& numbers) {
     return (*std::max_element(numbers.begin(), middle) + *middle) / 2;
 }
 
-// Find the places of marks (n, 2) [px], NaN for a part without a mark. `level` (n, 2) becomes the
+// Find the places of marks (n, 2) [px]; NaN for a part without a mark. `level` (n, 2) is set to the
 // part's grey level and the mark's contrast. `noise` is relative to the bare plate.
 inline void find_marks(const LitPlate& plate, View<const double, 2> seeds, const double* radii,
                        double noise, View<double, 2> found, View<double, 2> level) {
@@ -84,14 +86,15 @@ inline void find_marks(const LitPlate& plate, View<const double, 2> seeds, const
         const auto [darkest, lightest] = std::minmax_element(inner.begin(), inner.end());
         const double below = *darkest, above = *lightest;
         const double clear = MARK_SIGMAS * noise * empty;
-        // First a fast check, because it does not need the median.
+        // This check comes first because it is fast: it does not need the median.
         if (above - below < std::max(CONTRAST * (empty - above), clear)) continue;
         const double part = median(inner);
         const double contrast = above - part > part - below ? above - part : below - part;
         if (std::abs(contrast) < std::max(CONTRAST * std::abs(empty - part), clear)) continue;
         double x = u, y = v, mass = 0;
         for (int turn = 0; turn < ROUNDS; turn++) {
-            // First all deviating pixels of the inner part, then those around the last centre.
+            // The first iteration uses all deviating pixels of the inner part. The others use the
+            // deviating pixels around the last centre.
             const double reach = turn == 0 ? core : MARK_REACH * mark, at_x = x, at_y = y;
             const Box box(plate.grey, at_x, at_y, reach);
             x = y = 0, mass = 1e-9;
@@ -117,8 +120,8 @@ inline void find_marks(const LitPlate& plate, View<const double, 2> seeds, const
     }
 }
 
-// Paint the pixels of a mark around its place [px] with the grey of its part. `level` is this grey,
-// and the contrast of the mark.
+// Replace the pixels of a mark around its place [px] by the grey level of its part. `level` is this
+// grey level and the contrast of the mark.
 inline void paint_mark(View<uint8_t, 2> grey, double x, double y, const double* level,
                        double radius) {
     const double reach = MARK_REACH * MARK_RADIUS * radius;
@@ -132,8 +135,9 @@ inline void paint_mark(View<uint8_t, 2> grey, double x, double y, const double* 
 }
 
 // Find marks (n, 2) [px] on the tops of parts at seeds (n, 2) [px]. Return the image with the marks
-// painted over; empty if there are none. Highlights, as bright as the plate or brighter, are painted
-// over too, but do not count as marks: their place is NaN.
+// painted over. The result is empty if there are no marks. Highlights (spots that are about as
+// bright as the plate, or brighter) are painted over too, but their places are NaN because they are
+// not marks.
 inline std::vector<uint8_t> without_marks(const LitPlate& plate, double noise,
                                           View<const double, 2> seeds, const Silhouette* parts,
                                           View<double, 2> marks) {

@@ -1,8 +1,9 @@
-"""Marks: a spot off the centre of a part, darker or lighter than the part, shows its angle.
+"""Marks that show the angles of parts. A mark is a spot beside the centre of a part, darker or
+brighter than the part.
 
-The mark is the region around the pixel that differs most from the part's grey. The mark is painted
-over, so that the part is then measured like a part without a mark. Highlights, which are as bright
-as the plate or brighter, are painted over too, but do not count as marks.
+The mark consists of the pixels that differ from the part's grey level. They are painted over, so
+that the part is then measured like a part without a mark. Highlights (spots that are about as
+bright as the plate, or brighter) are painted over too, but do not count as marks.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-// Centres, radii and darkness of round parts that stand alone: see dark.py.
+// Centres, radii and darkness of round parts without neighbours: see dark.py.
 #pragma once
 #include <algorithm>
 #include <cmath>
@@ -13,23 +13,24 @@
 
 namespace plate {
 
-// Width [px] of the evaluated window beyond a part's radius: 0.7 px from rounding the window, 1 px
-// of seed error, and the blurred edge.
+// Width [px] of the evaluated window beyond a part's radius. It consists of 0.7 px because the
+// window is rounded, 1 px for the seed's error, and the blurred edge.
 constexpr double RIM_PX = 3.0;
 
-// Distance [px] from a part's radius beyond which its window must show bare plate.
+// Distance [px] beyond a part's radius from which on its window must show bare plate.
 constexpr double RIM_CLEAR_PX = 2.2;
 
-// Radius of the inner part of a disc, in radii, away from the blurred edge. The part's darkness is
-// its mean there, or its median if it may have a mark.
+// Radius of the inner part of a disc [part radii]. The inner part does not contain the blurred
+// edge. The disc's darkness is the mean over the inner part, or the median if there may be a mark.
 constexpr double CORE = 0.6;
 
-// Darkness below which moments ignore a pixel: 4 standard deviations of a noise of 2 in 200 grey
-// levels. Otherwise the empty border of the window would increase the centre's error by half.
+// Minimum darkness of a pixel that contributes to the moments. It is 4 standard deviations of a
+// noise of 2 grey levels on a plate of 200. Without this minimum, the noise in the window's border
+// would increase the centre's error by half.
 constexpr double MIN_DARKENING = 0.04;
 
-// Minimum darkness of a part; a fitted disc with less is a shadow. Divisors are at least this
-// value.
+// Minimum darkness of a part, also used as the minimum of divisors. A fitted disc with less
+// darkness is a shadow.
 constexpr double MIN_DARKNESS = 0.05;
 
 // A measured disc: see `DISC` of measure.py.
@@ -37,9 +38,9 @@ struct Disc {
     double x_px, y_px, radius_px, darkness, misfit, scatter_px, seen;
 };
 
-// The round window around a seed: places of its pixels from the centre [px].
+// The round window around a seed, with the places of its pixels relative to the centre [px].
 struct RoundWindow {
-    // Sums over the pixels, and the factors by which each pixel's darkness enters them.
+    // Sums over the pixels. Each pixel has one factor per sum, by which its darkness is multiplied.
     enum Sum { MASS, RIGHT, DOWN, WIDE, RIM, FLAT, ASKEW, SUMS = 8 };
 
     struct Pixel {
@@ -81,12 +82,12 @@ PLATE_WIDE inline void darkness_at(const LitPlate& plate, const RoundWindow& win
     for (int i = 0; i < count; i++) dark[i] = 1 - here[i] / bare(light, left + x[i], top + y[i]);
 }
 
-// Step to which radii [px] of windows for single discs are rounded, so that windows are reused.
+// Step to which the radii [px] of windows are rounded, so that several discs use the same window.
 constexpr double WINDOW_STEP_PX = 0.5;
 
-// Measure the discs (n,) that are `alone` from round windows at seeds (n, 2) with silhouettes (n,).
-// Also return the dark area (n,) [px2] in the outer rings of the windows. Discs at the image's
-// border are not changed.
+// Measure the discs (n,) that are `alone` in round windows at seeds (n, 2), where they have the
+// silhouettes `parts` (n,). `dirt` (n,) is set to the dark area [px2] in the outer ring of each
+// window. Discs at the image's border are not measured.
 inline void measure_alone(const LitPlate& plate, View<const double, 2> seeds,
                           const Silhouette* parts, const bool* alone, Disc* discs, double* dirt) {
     std::map<int, RoundWindow> windows;
@@ -112,14 +113,15 @@ inline void measure_alone(const LitPlate& plate, View<const double, 2> seeds,
         const float mass = std::max(sum[RoundWindow::MASS], 1e-6f);
         const float right = sum[RoundWindow::RIGHT] / mass, down = sum[RoundWindow::DOWN] / mass;
         const float wide = sum[RoundWindow::WIDE] / mass - right * right - down * down;
-        // Twice the moments of an ellipse with half axes a, b, over `wide`, are
-        // (a^2 - b^2) / (a^2 + b^2) in its direction. A deviation from the silhouette's values is a
-        // shadow or another object.
+        // For an ellipse with half axes a and b, `flat` and `askew`, divided by `wide`, are (a^2 -
+        // b^2) / (a^2 + b^2) times the cosine and the sine of twice its direction. A deviation from
+        // the silhouette's values is caused by a shadow or another object.
         const float flat = sum[RoundWindow::FLAT] / mass - right * right + down * down;
         const float askew = sum[RoundWindow::ASKEW] / mass - 2 * right * down;
         const auto [expected_flat, expected_askew] = parts[k].flatness();
         const double oblong = length_of(flat / wide - expected_flat, askew / wide - expected_askew);
-        // Mean over the inner part. The seed is near enough for all its pixels to be on the part.
+        // The darkness is the mean over the inner part. The seed's error is so small that all
+        // pixels of the inner part are on the disc.
         const float dark = std::max(inner / window.inner, static_cast<float>(MIN_DARKNESS));
         const double area = mass / (std::numbers::pi * dark);
         discs[k] = {x0 + static_cast<double>(right), y0 + static_cast<double>(down),
@@ -128,7 +130,8 @@ inline void measure_alone(const LitPlate& plate, View<const double, 2> seeds,
     }
 }
 
-// Set `near` (n,) for centres (n, 2) [px] that have another one nearer than a distance.
+// Set `near` (n,) to true for each of the centres (n, 2) [px] that is nearer than a distance to
+// another centre.
 inline void crowded(View<const double, 2> centre, double distance_px, bool* near) {
     std::fill_n(near, centre.size(0), false);
     for (int i = 0; i < centre.size(0); i++)

@@ -1,7 +1,8 @@
-"""The record of a measured disc, common to all methods; and which discs have near neighbours.
+"""The record of a measured disc, which all methods use; and a function that finds discs with near
+neighbours.
 
-Darkness is 1 - grey / bare plate. It is 0 on the plate and constant over a uniform part,
-independent of the shading of the light.
+Darkness is 1 - g / b, with the grey level g of a pixel and the grey level b of the bare plate
+there. It is 0 on the plate and constant over a uniform part, even if the light is uneven.
 """
 
 from __future__ import annotations
@@ -14,10 +15,12 @@ DISC = np.dtype(
     [(name, "f8") for name in ("x_px", "y_px", "radius_px", "darkness", "misfit")]
     + [("scatter_px", "f8"), ("seen", "f8")]
 )
-"""A measured disc: place; radius of a disc of the same darkness and area; mean darkness of its
-inner part; misfit, the deviation from an evenly dark disc (moments) or from its contour (fit): 0 if
-perfect, about 1 for another object; standard deviation of the place along each axis, caused by the
-image's noise and the misfit; visible fraction of the contour."""
+"""A measured disc.
+
+x_px, y_px: place [px]. radius_px: radius [px]. darkness: mean darkness of the inner part. misfit:
+deviation from an evenly dark disc (moments) or from the contour (fit); 0 for a perfect disc, about
+1 for another object. scatter_px: standard deviation of the place along each axis, caused by the
+image's noise and the misfit [px]. seen: visible fraction of the contour."""
 
 
 def numbers(discs: np.ndarray) -> np.ndarray:
@@ -26,7 +29,8 @@ def numbers(discs: np.ndarray) -> np.ndarray:
 
 
 def crowded(centre: np.ndarray, distance_px: float) -> np.ndarray:
-    """Return which centres (n, 2) [px] have another one nearer than a distance: (n,) bool."""
+    """Return whether each of the centres (n, 2) [px] is nearer than a distance to another one: (n,)
+    bool."""
     near = np.empty(len(centre), np.bool_)
     _kernels.crowded(centre, distance_px, near)
     return near

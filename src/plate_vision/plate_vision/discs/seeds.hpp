@@ -13,29 +13,32 @@
 
 namespace plate {
 
-// Minimum gradient of the darkness [1/px] at an edge, by Sobel. It is seven times the gradient of
-// noise.
+// Minimum gradient of the darkness [1/px] at an edge, by the Sobel operator. It is seven times the
+// gradient that noise causes.
 constexpr double MIN_SLOPE = 0.03;
 
-// Minimum number of votes for a part, relative to the votes of a whole contour; and this minimum if
-// no other centre is near. The second value finds the middle part of seven packed parts, although
-// only the gaps of its contour are visible, and blurred.
+// Minimum number of votes for a part, relative to the votes of a whole contour. The first value
+// applies near another centre, the second value elsewhere. With the second value, the middle part
+// of seven packed parts is found, although only short sections of its contour are visible and
+// blurred.
 constexpr double MIN_VOTES[] = {0.12, 0.02};
 
-// Minimum divisor of a vote, as darkness. It prevents bright places from collecting votes.
+// Minimum darkness by which a vote is divided. It prevents large votes for bright places.
 constexpr double MIN_TARGET = 0.1;
 
-// Minimum distance of two centres in part radii, for each entry of MIN_VOTES. Centres of touching
-// parts have a distance of 2. The middle between four parts in a square has 1.4.
+// Minimum distance between two centres [part radii]. The first value always applies. The second
+// value applies to centres with fewer votes than MIN_VOTES[0]. Centres of touching parts have a
+// distance of 2. The middle between four parts in a square has a distance of 1.4 from their
+// centres.
 constexpr double SEPARATION[] = {1.3, 1.6};
 
-// A coarse grid of pixels: its first pixel, and its step [px].
+// A coarse grid of pixels: the place of its first pixel, and its step [px].
 struct Grid {
     int x, y, step;
 };
 
-// Write 1 to a grid (h, w) where a pixel is darker than a fraction of the light, or outside the
-// plate.
+// Set `dark` (h, w) to 1 where a pixel of the grid is outside the plate or darker than the fraction
+// `threshold` of the bare plate's brightness. Set it to 0 elsewhere.
 PLATE_WIDE inline void find_dark(const LitPlate& plate, double threshold, Grid grid,
                                  View<const bool, 2> outside, View<uint8_t, 2> dark) {
     float light[9];
@@ -66,8 +69,8 @@ struct Blob {
     double x, y, size, x0, x1, y0, y1;
 };
 
-// Find the connected blobs in `core` (h, w). `number` (h, w), 0 before, becomes the number of each
-// pixel's blob, from 1 on. `core` is false everywhere afterwards.
+// Find the connected blobs of true pixels in `core` (h, w). `number` (h, w) must be 0. It is set to
+// the number of each pixel's blob, from 1 on. All pixels of `core` are set to false.
 inline std::vector<Blob> find_blobs(View<bool, 2> core, View<int32_t, 2> number) {
     const int height = core.size(0), width = core.size(1);
     struct Pixel {
@@ -108,11 +111,11 @@ inline std::vector<Blob> find_blobs(View<bool, 2> core, View<int32_t, 2> number)
     return found;
 }
 
-// Hough transform: each pixel of an edge votes for the place of the part whose silhouette has that
-// edge there. `votes` (h, w) begins at the pixel x0, y0.
+// Hough transform: each pixel at an edge votes for the place where a part must be if the edge
+// belongs to its silhouette. The first pixel of `votes` (h, w) is x0, y0 of the image.
 //
-// The weight of a vote is the edge's gradient relative to the darkness at the voted place. The
-// votes of a whole contour then sum up to its length [px], independent of its blur.
+// The weight of a vote is the gradient at the edge, divided by the darkness at the place that gets
+// the vote. The sum of the votes of a whole contour is then its length [px], independent of blur.
 inline void vote(const LitPlate& plate, int x0, int y0, const Silhouette& part,
                  View<float, 2> votes) {
     const int height = plate.height(), width = plate.width();
@@ -152,9 +155,9 @@ inline double nearest(const double* centres, int count, double x, double y) {
     return least;
 }
 
-// Centres x, y (n, 2) [px] in decreasing order of votes (h, w), each far enough from the previous
-// ones. The votes begin at the pixel x0, y0. Centres are restricted to where `merged` (h, w), on a
-// grid, is true.
+// Centres x, y (n, 2) [px] in decreasing order of votes (h, w). Each centre is far enough from the
+// previous ones. The first pixel of `votes` is x0, y0 of the image. Centres are only found where
+// `merged` (h, w) on the grid is true.
 inline std::vector<double> find_peaks(View<const float, 2> votes, int x0, int y0,
                                       View<const bool, 2> merged, const Grid& grid, double radius) {
     const double rim = 2 * std::numbers::pi * radius;
@@ -185,7 +188,8 @@ inline std::vector<double> find_peaks(View<const float, 2> votes, int x0, int y0
         if (count < MIN_VOTES[0] * rim &&
             nearest(found.data(), found.size() / 2, x + x0, y + y0) < far)
             continue;
-        // Centre of the peak: weighted mean of the pixels with more than half of its votes.
+        // The centre is the weighted mean of those pixels of the peak that have more than half of
+        // its votes.
         double weight = 0, sx = 0, sy = 0;
         for (int j = std::max(y - 1, 0); j < std::min(y + 2, rows); j++)
             for (int i = std::max(x - 1, 0); i < std::min(x + 2, columns); i++) {

@@ -1,8 +1,9 @@
-"""Seeds: first guesses of the parts' centres, computed fast, to about a pixel, even where parts
-touch.
+"""Seeds: first guesses of the parts' centres. They are computed fast, with errors of about a pixel,
+even where parts touch.
 
-Dark blobs are eroded. An eroded blob of the size of one part is one seed. In a larger one, each
-pixel of an edge votes for the point one radius inside it: a Hough transform for one radius.
+Dark blobs are eroded. The centre of an eroded blob of one part's size is one seed. In a larger
+blob, each pixel at an edge votes for the point one radius inside the edge. This is a Hough
+transform for one radius.
 """
 
 from __future__ import annotations
@@ -18,22 +19,24 @@ from ..plate.region import Region
 from .silhouette import SILHOUETTE, Silhouettes, longest, numbers, to_image
 
 COARSE_RADIUS_PX = 3.5
-"""Minimum radius of a part on the coarse grid, which skips rows and columns for speed [px]."""
+"""Minimum radius of a part on the coarse grid [grid steps]. The grid skips rows and columns to save
+time."""
 
 EROSION = 0.5
 """Width by which dark blobs are eroded [part radii]. The erosion separates parts that touch, and
 removes the thin dark line of a plate that is displaced a little."""
 
 MIN_CORE = 0.1
-"""Minimum size of an eroded blob, relative to the blob of a whole part. This limit accepts a part
-with almost half of its area on the plate, with a quarter in a corner, or with 0.8 of the expected
-radius."""
+"""Minimum size of an eroded blob, relative to the eroded blob of a whole part. With this limit, a
+part is found if almost half of its area is on the plate, or a quarter in a corner of the plate, or
+if it has 0.8 times the expected radius."""
 
 MAX_CORE = 1.5
 """Maximum size of an eroded blob that counts as one part, relative to the blob of a whole part."""
 
 SPREAD = 0.2
-"""Half width of the window over which votes are summed [part radii]: the error of the radius."""
+"""Half width of the window over which votes are summed [part radii]. It is the maximum error of the
+radius."""
 
 
 def find_seeds(
@@ -43,8 +46,8 @@ def find_seeds(
     radius_px: float,
     silhouettes: Silhouettes,
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Find the places (n, 2) [px] of dark blobs. Some of them are possibly not parts. Also return
-    the silhouettes (n,) SILHOUETTE of a part there.
+    """Return the places (n, 2) [px] of possible parts in dark blobs, and the silhouettes (n,)
+    SILHOUETTE of a part at these places.
 
     Parameters
     ----------
@@ -59,7 +62,7 @@ def find_seeds(
         Returns the silhouettes of a part at image points.
     """
     stride = max(1, int(radius_px / COARSE_RADIUS_PX))
-    # Pixels outside count as dark: a part is then not eroded from the plate's edge.
+    # Pixels outside the plate count as dark, so that a part is not eroded from the plate's edge.
     outside = region.outside(stride)
     if outside.size == 0:
         return np.empty((0, 2)), np.empty(0, SILHOUETTE)
@@ -79,8 +82,8 @@ def seeds_of(
 ) -> tuple[np.ndarray, np.ndarray]:
     """Find the places (n, 2) [px] of parts in dark pixels (h, w) uint8 of a coarse grid.
 
-    `outside` (h, w) bool marks pixels outside the plate, which are dark in `dark` too. `grid` is
-    the first x, the first y and the step [px]. Other parameters as in `find_seeds`.
+    `outside` (h, w) bool is true for pixels outside the plate. In `dark`, these pixels are dark
+    too. `grid` is the first x, the first y and the step [px]. Other parameters as in `find_seeds`.
     """
     x0, y0, stride = grid
     eroded = round(EROSION * radius_px / stride)
@@ -106,7 +109,7 @@ def seeds_of(
         seeds = seeds - 0.5 * to_image(parts[single], lean[single])
     if not np.any(large):
         return seeds, parts[single]
-    # Extend the boxes by the eroded width and the edges that vote.
+    # Extend the boxes so that they contain the eroded pixels and the edges that vote.
     pad = np.rint(longest(parts[large])).astype(int)[:, None] + stride
     low, size_px = np.repeat((x0, y0), 2), np.repeat(plate.grey.shape[::-1], 2)
     boxes = np.clip(blobs[large, 3:].astype(int) * stride + low + pad * (-1, 1, -1, 1), 0, size_px)
@@ -132,7 +135,7 @@ def _split(
 ) -> np.ndarray:
     """Return the places (n, 2) [px] of parts in dark areas that are too large for one part.
 
-    Places are restricted to where `merged` (h, w) is true on a grid (first x, first y, step [px]).
+    Places are only found where `merged` (h, w) is true on a grid (first x, first y, step [px]).
     `boxes` (m, 4) are the pixel ranges x0, x1, y0, y1, half open, around the areas. `parts` (m,)
     SILHOUETTE are the silhouettes of a part there.
     """

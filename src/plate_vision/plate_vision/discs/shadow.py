@@ -1,4 +1,4 @@
-"""The shadows from one lamp: the same direction, length and darkness for all parts."""
+"""The shadows from one lamp. They have the same direction, length and darkness for all parts."""
 
 from __future__ import annotations
 
@@ -44,7 +44,8 @@ class Shadow:
         shadows."""
         drawn = parts.copy()
         cast = self.cast(places_px, parts)
-        # Use the longer of shadow and lean: the side faces are mostly inside the longer one.
+        # Use the shadow or the lean, depending on which is longer. The longer one covers almost all
+        # of the other one.
         longer = np.hypot(*cast.T) > np.hypot(*parts["lean_px"].T)
         drawn["lean_px"][longer] = cast[longer]
         drawn["growth"][longer] = 1

@@ -24,10 +24,10 @@ struct Silhouette {
         const double area = across[0][0] * across[1][1] - across[0][1] * across[1][0];
         return std::abs(area) > 1e-6 && std::isfinite(reach());
     }
-    // For the image of a flat part, an ellipse with half axes a, b: (a^2 - b^2) / (a^2 + b^2) times
-    // the cosine and the sine of twice the direction of a.
+    // The image of a flat part is an ellipse with half axes a, b. The function returns (a^2 - b^2)
+    // / (a^2 + b^2) times the cosine and the sine of twice the direction of a.
     std::array<double, 2> flatness() const {
-        // The second moments of the ellipse are those of A^-1 A^-T with A = `across`.
+        // The second moments of the ellipse are proportional to A^-1 A^-T with A = `across`.
         const double a = across[0][0], b = across[0][1], c = across[1][0], d = across[1][1];
         const double xx = d * d + b * b, yy = a * a + c * c, xy = -(c * d + a * b);
         return {(xx - yy) / (xx + yy), 2 * xy / (xx + yy)};
@@ -44,7 +44,8 @@ struct Silhouette {
         return 1 / std::max(least, 1e-3);
     }
 
-    // Distance in the image [px] from the part's place within which the whole silhouette is.
+    // Upper limit for the distance between the part's place and any point of its silhouette in the
+    // image [px].
     double reach() const {
         return (std::max(growth, 1.0) * radius_px + lean_length()) * stretch();
     }

@@ -1,4 +1,5 @@
-"""The silhouette of a round part at a place of the image: its size, shape and lean.
+"""The silhouette of a round part at a place of the image: its size, its shape, and its lean, which
+is the displacement of its top.
 
 Near one place the mapping from the image to the plate is linear, so a part of radius r appears as
 an ellipse. A part of height h also shows its side faces. Its top appears at p + l, larger by the
@@ -21,9 +22,10 @@ from ..camera.lens import Calibration
 SILHOUETTE = np.dtype(
     [("across", "f8", (2, 2)), ("radius_px", "f8"), ("lean_px", "f8", (2,)), ("growth", "f8")]
 )
-"""The silhouette at one place. `across` transforms image offsets [px] to the disc's frame. There
-the contour at the plate is a circle of `radius_px`, the radius of the disc of the same area in the
-image. The top is a circle of `growth` times that radius around `lean_px` [px, disc's frame]."""
+"""The silhouette at one place. `across` transforms image offsets [px] to the disc's frame. In this
+frame, the contour at the plate is a circle with the radius `radius_px`. It is the radius of the
+disc that has the same area in the image. The top is a circle with `growth` times this radius around
+`lean_px` [px, disc's frame]."""
 
 RING = 8
 """Number of points of a disc's contour that are mapped to the plate."""
@@ -34,7 +36,7 @@ Silhouettes = Callable[[np.ndarray], np.ndarray]
 
 @dataclass(frozen=True)
 class EvenDiscs:
-    """Silhouettes that are the same flat disc of a radius [px] at all places."""
+    """Silhouettes of a flat disc that has the same radius [px] at all places."""
 
     radius_px: float
 
@@ -49,10 +51,11 @@ class EvenDiscs:
 
 @dataclass(frozen=True, eq=False)
 class SeenDiscs:
-    """Silhouettes of a part of a radius and a height [m] in a camera's images.
+    """Silhouettes of a part with a radius and a height [m] in a camera's images.
 
     With the derivative J of plate_home with respect to the image, and J = Q S with Q orthogonal and
-    S symmetric, `across` is S / sqrt(det S). The height is used if the camera's place is known.
+    S symmetric, `across` is S / sqrt(det S). The height is ignored if the camera's place is
+    unknown.
     """
 
     calibration: Calibration
@@ -116,8 +119,8 @@ def tops(places_px: np.ndarray, parts: np.ndarray) -> np.ndarray:
 
 
 def longest(parts: np.ndarray) -> np.ndarray:
-    """Return the distances (n,) in the image [px] from the places of parts within which their
-    silhouettes are."""
+    """Return upper limits (n,) for the distance between each part's place and any point of its
+    silhouette in the image [px]."""
     half = 0.5 * np.einsum("nij,nij->n", parts["across"], parts["across"])
     stretch = np.sqrt(half + np.sqrt(np.maximum(half * half - 1, 0)))
     reach = parts["growth"] * parts["radius_px"]

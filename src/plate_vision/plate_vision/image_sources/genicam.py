@@ -1,6 +1,6 @@
-"""A GenICam camera, read by harvesters and the GenTL file of its manufacturer.
+"""A GenICam camera. The library harvesters reads it by means of the GenTL file of its manufacturer.
 
-It has not been tested with a real camera yet.
+This module has not been tested with a real camera yet.
 """
 
 from __future__ import annotations
@@ -29,19 +29,19 @@ ENCODINGS = {
     "BayerRG8": ("bayer_rggb8", 0), "BayerBG8": ("bayer_bggr8", 0),
     "BayerGB8": ("bayer_gbrg8", 0), "BayerGR8": ("bayer_grbg8", 0),
 }  # fmt: skip
-"""Encoding of sensor_msgs/Image for each pixel format, and its number of unused upper bits of
-16."""
+"""Encoding of sensor_msgs/Image for each pixel format, and the number of unused upper bits of its
+16-bit values."""
 
 FETCH_S = 0.5
-"""Maximum wait for an image before `stop` is checked again [s]."""
+"""Maximum time to wait for an image before `stop` is checked again [s]."""
 
 OFFSETS = 100
-"""Number of images over which the minimum delay of an image is taken. It is needed because the
-device has its own clock."""
+"""Number of images whose minimum delay is used as the offset between the camera's clock and the
+host's clock."""
 
 
 def open_producer(file: str) -> Any:
-    """Return harvesters' object with the devices of a GenTL file.
+    """Return the harvesters object that holds the devices of a GenTL file.
 
     Raises
     ------
@@ -153,7 +153,8 @@ class GenicamSource(Camera):
             self._set("AcquisitionFrameRate", self.settings.rate or LIVE_RATE)
 
     def _set(self, feature: str, value: object) -> None:
-        """Set a feature. If the camera refuses, raise an error with its allowed values."""
+        """Set a feature. If the camera refuses the value, raise an error that states the allowed
+        values."""
         node = getattr(self._nodes, feature, None)
         where = f"{self.settings.device}: {feature} is {value}"
         if node is None:
@@ -202,7 +203,7 @@ class GenicamSource(Camera):
         return Frame(pixels << unused if unused else pixels, encoding, instant, arrival)
 
     def _harvester_has_it(self) -> None:
-        """Raise an error if the camera is unplugged, instead of waiting for it."""
+        """Raise an error if the camera is unplugged, so that `read` does not wait for it."""
         self._harvester.update()
         infos = self._harvester.device_info_list
         if not any(self._serial in ("", str(info.serial_number)) for info in infos):
