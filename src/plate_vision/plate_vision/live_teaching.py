@@ -1,4 +1,4 @@
-"""Part types that are taught to the running detector, one picture per call of ~/teach.
+"""Teaching of part types while the detector runs. Each call of ~/teach adds one picture.
 
 `Teaching` collects the pictures of one type. `learn_shown` learns the type from them, writes it to
 a file, and returns a `Vision` that recognises it.
@@ -29,8 +29,8 @@ class Teaching:
     examples: tuple[Example, ...] = ()
 
     def shown(self, name: str, image: np.ndarray) -> Teaching:
-        """Return a copy with one more picture (H, W) or (H, W, 3). Another name starts a new
-        type.
+        """Return a copy with one more picture (H, W) or (H, W, 3). If the name differs from the
+        last one, a new type starts with this picture.
 
         Raises
         ------
@@ -47,12 +47,13 @@ class Teaching:
 def learn_shown(teaching: Teaching, vision: Vision, path: Path) -> tuple[PartType, Vision, str]:
     """Learn a type, and write it to a file of types.
 
-    Return the type, a vision that knows it, and a summary for the user.
+    Return the type, a vision that recognises it, and a summary for the user.
 
     Raises
     ------
     TeachError
-        If `learn_type` or `check_alike` raises one.
+        If the type cannot be learned (see `learn_type`), or if it is too similar to another type
+        (see `check_alike`).
     """
     image = teaching.examples[-1].image
     bare = vision.background or model_plate(image, vision.region)

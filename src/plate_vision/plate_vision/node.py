@@ -1,6 +1,6 @@
-"""ROS node of the detector. It detects and tracks the parts in each image of `image_raw` by
-`vision`, and publishes them as `parts`. It also offers services for teaching and for aiming the
-camera."""
+"""ROS node of the detector. It detects and tracks the parts in each image of `image_raw` with the
+module `vision`, and publishes them as `parts`. It also has services for teaching part types and for
+aiming the camera."""
 
 from __future__ import annotations
 
@@ -72,22 +72,23 @@ from .tracking import Prediction, Tracker, TrackerOptions, found_text
 from .vision import HOME, follow_plate, make_vision, observe
 
 PLANNED_S = 1.0
-"""Maximum time between an image and the planner's prediction of parts while a task runs [s]:
-several cycles of the plate. A planner that has ended does not withdraw its last prediction."""
+"""Maximum time between an image and the planner's prediction of parts while a task runs [s]. It is
+several cycles of the plate. The time is limited because the last prediction remains after the
+planner has ended."""
 
 FAINT_PERIOD_S = 2.0
-"""Minimum time between two searches for faint patches, by the images' stamps [s]: one takes 10
-ms."""
+"""Minimum difference between the stamps of two images in which faint patches are searched [s]. A
+search takes 10 ms."""
 
 TRAIL = 100
 """Length of a part's trail in `markers` [images]."""
 
 TRANSPORTS = ("raw", "compressed")
-"""Supported transports of image_transport."""
+"""Transports of the package image_transport that the node supports."""
 
 
 def _option(kind: type[DetectorOptions] | type[TrackerOptions], name: str, text: str) -> Any:
-    """Return the field of a live parameter that is an option of the core."""
+    """Return the field of a live parameter that is an option of the detection or the tracking."""
     return parameter(getattr(kind, name), text, *kind.RANGES[name], live=True)
 
 
@@ -102,9 +103,11 @@ class DetectorParameters(NodeOptions):
     )
 
     photographs: bool = parameter(
-        False, "Whether each image is a separate photograph; the log then lists its parts"
+        False, "Whether each image is a separate photograph, whose parts are written to the log"
     )
-    camera_file: str = parameter("", "Lens: camera_info YAML; empty: camera_info or the rig file")
+    camera_file: str = parameter(
+        "", "Lens: YAML file like camera_info; empty: camera_info or the rig file"
+    )
     image_transport: str = parameter(
         "raw", "Topic of the images: image_raw (raw) or image_raw/compressed", choices=TRANSPORTS
     )
@@ -112,7 +115,7 @@ class DetectorParameters(NodeOptions):
         INPUT_TIMEOUT_S, "Time without an image after which diagnostics are STALE [s]", 0.1, 3600.0
     )
     bare_plate_file: str = parameter(
-        "", "For part types: picture of the bare plate, or a folder; empty: it is estimated"
+        "", "For part types: picture of the bare plate, or folder of pictures; empty: estimate it"
     )
     teach_name: str = parameter("", "Name of the part type that ~/teach learns", live=True)
     teach_file: str = parameter(str(OUT), "File of part types that ~/teach writes")
@@ -120,15 +123,17 @@ class DetectorParameters(NodeOptions):
     threshold: float = _option(
         DetectorOptions,
         "threshold",
-        "Parts are darker than this fraction of the plate's brightness, or have that contrast [-]",
+        "Maximum brightness of a dark part, relative to the plate; 1 - contrast of other parts [-]",
     )
     class_threshold: float = _option(
         DetectorOptions,
         "class_threshold",
-        "Fraction of the bare plate's brightness below which a part is black, above grey [-]",
+        "Brightness relative to the bare plate: black parts are below it, grey parts above [-]",
     )
     radius_tolerance: float = _option(
-        DetectorOptions, "radius_tolerance", "Maximum deviation from the rig's part radius [radii]"
+        DetectorOptions,
+        "radius_tolerance",
+        "Maximum deviation from the rig's part radius, relative to it [-]",
     )
     min_plate_grey: float = _option(
         DetectorOptions, "min_plate_grey", "Minimum brightness of the plate [grey levels]"
@@ -144,19 +149,20 @@ class DetectorParameters(NodeOptions):
     max_missed: int = _option(
         TrackerOptions,
         "max_missed",
-        "Consecutive images that a part may be missed before its id is given up",
+        "Number of consecutive images without a part after which its id is given up",
     )
     confirm: int = _option(
         TrackerOptions,
         "confirm",
-        "Consecutive images that must show a new part before it gets an id",
+        "Number of consecutive images that must show a new part before it gets an id",
     )
     velocity_frames: int = _option(
         TrackerOptions, "velocity_frames", "Number of images over which the drift is measured"
     )
 
     def detector(self) -> DetectorOptions:
-        """Return the options of the detection; the radius is the rig's."""
+        """Return the options of the detection. The radius is not set here, because it follows from
+        the rig."""
         names = DetectorOptions.RANGES.keys() - {"radius_px"}
         return DetectorOptions(**{name: getattr(self, name) for name in names})
 
@@ -180,7 +186,8 @@ class Tally:
     detection_ms : list of float
         Detection times [ms].
     overlooked, overlooked_before : OverlookedTally
-        Objects that were rejected as parts: in these images, and in those of the report before.
+        Objects that were rejected as parts in these images, and in the images of the previous
+        report.
     """
 
     images: int = 0
@@ -193,30 +200,33 @@ class Tally:
 
     @property
     def overlooked_lately(self) -> OverlookedTally:
-        """Overlooked objects of this report and of the previous one. A single image, the first of a
-        report, must not cause a warning."""
+        """Overlooked objects of this report and of the previous one. Both are used so that the
+        first image of a report alone does not cause a warning."""
         return self.overlooked_before.joined(self.overlooked)
 
 
 class DetectorNode(SafeLifecycleNode[DetectorParameters]):
     """Lifecycle node `detector`: finds parts, and a plate with markers, in camera images.
 
-    Subscribes image_raw (or image_raw/compressed), camera_info, and part_forces. The predicted
-    positions in part_forces help the tracker to keep the parts' ids.
-    Publishes parts, detections_image, markers, diagnostics; /tf_static with camera_optical_frame if
-    the lens is known; and, for a plate with markers, plate_pose and /tf with plate in plate_home.
-    Service ~/reset: forget all parts, and locate the plate again.
-    For rigs with part types: ~/learn_plate learns the bare plate from the next images. ~/teach
-    learns the type `teach_name` from the parts in the last image, which must all be of that type.
-    If it is called again with the same name, it learns from all images of the calls so far.
+    The node subscribes to image_raw (or image_raw/compressed), camera_info, and part_forces. The
+    predicted positions in part_forces help the tracker to keep the parts' ids.
 
-    While aim has a subscriber, it publishes there measurements to aim, focus and light the camera.
-    The services for this are ~/find_home, ~/save_home, ~/take_lens_pictures, ~/fit_lens,
-    ~/save_lens.
+    The node publishes parts, detections_image, markers, and diagnostics. If the lens is known, it
+    publishes /tf_static with camera_optical_frame. For a plate with markers, it publishes
+    plate_pose, and /tf with plate in plate_home.
 
-    Each usable image yields one `parts` message with the image's stamp, also if it shows no part.
-    The lens of camera_info replaces that of the rig file; its other values are not used. The
-    markers or the rig file determine the location of the plate in the image.
+    The service ~/reset forgets all parts and locates the plate again. Two services are for rigs
+    with part types. ~/learn_plate learns the bare plate from the next images. ~/teach learns the
+    type `teach_name` from the parts in the last image, which must all be of this type. If ~/teach
+    is called again with the same name, it learns from the images of all calls so far.
+
+    While the topic aim has a subscriber, the node publishes measurements there that help to aim,
+    focus and light the camera. The services for this are ~/find_home, ~/save_home,
+    ~/take_lens_pictures, ~/fit_lens, ~/save_lens.
+
+    Each usable image results in one `parts` message with the image's stamp, even if it shows no
+    part. The lens of camera_info replaces the lens of the rig file. The other values of camera_info
+    are not used. The markers or the rig file determine the location of the plate in the image.
     """
 
     def __init__(self) -> None:
@@ -320,13 +330,13 @@ class DetectorNode(SafeLifecycleNode[DetectorParameters]):
         )
 
     def _suit(self, size_px: tuple[int, int]) -> None:
-        """Accept photographs of another size than the rig's images: the first one is taken as a
-        view of the whole plate, and the rig is adapted to it.
+        """Adapt the rig to a photograph whose size differs from the size of the rig's images. The
+        photograph is assumed to show the whole plate.
 
         Raises
         ------
         ImageError
-            If parts are too small or too large in the image.
+            If parts would be too small or too large in the image.
         """
         rig, text = rig_of_picture(self._rig, size_px)
         if not text:
@@ -351,8 +361,8 @@ class DetectorNode(SafeLifecycleNode[DetectorParameters]):
     def _answer(
         self, source: str, stamp: Time, unpack: Callable[[], np.ndarray], wide: bool = False
     ) -> None:
-        """Find the parts in one image, and publish them. If `wide`, the image has 16 bits, of which
-        the parameter `bits` gives the number used."""
+        """Find the parts in one image, and publish them. If `wide`, the image has 16-bit values,
+        and the parameter `bits` is the number of their used bits."""
         self._input = self._input.heard(time.monotonic())
         self._tally.images += 1
         self._images += 1
@@ -412,9 +422,9 @@ class DetectorNode(SafeLifecycleNode[DetectorParameters]):
         self._aiming.add_image(came, stamp)
 
     def _check_stamp(self, image: np.ndarray, stamp: float) -> None:
-        """Refuse an image whose stamp equals the stamp of a different previous image. Also refuse a
-        single image that is older than the previous one. A second older image means that the clock
-        was set back."""
+        """Raise an error if an image has the same stamp as the previous image but other pixels.
+        Also raise an error if a single image is older than the previous one. If the next image is
+        older too, accept it, because the clock has probably been set back."""
         last, early = self._tracker.stamp, self._early
         self._early = None
         if last is None or stamp > last:
@@ -432,7 +442,7 @@ class DetectorNode(SafeLifecycleNode[DetectorParameters]):
             )
 
     def _know_plate(self, image: np.ndarray) -> None:
-        """Learn the bare plate, model it, or follow its light."""
+        """Learn the bare plate, model it, or adapt it to the present light."""
         self._plate, self._vision, found = know_plate(self._plate, self._vision, image)
         if found is None:
             return
@@ -465,7 +475,7 @@ class DetectorNode(SafeLifecycleNode[DetectorParameters]):
                 teaching, self._vision, Path(self.options.teach_file)
             )
             self._teaching = teaching
-            if untyped:  # the parts tracked so far have names of discs
+            if untyped:  # the parts tracked so far have the names of discs
                 self._tracker = Tracker(self._tracker.options)
             self._rig = replace(self._rig, types={**self._rig.types, part.name: part})
             response.success = True
@@ -475,7 +485,7 @@ class DetectorNode(SafeLifecycleNode[DetectorParameters]):
         return response
 
     def _situation(self) -> Situation:
-        """Return the detector's state for the view for aiming."""
+        """Return the detector's state that is shown while the camera is aimed."""
         expected = expected_parts(self._rig)
         count, things, radius = self._counts()
         tally = OverlookedTally()
@@ -503,8 +513,8 @@ class DetectorNode(SafeLifecycleNode[DetectorParameters]):
 
     @property
     def _moving(self) -> bool:
-        """Whether a task moves the plate: the planner's prediction is close in time to the last
-        image."""
+        """Whether a task moves the plate. This is assumed if the planner's prediction is close in
+        time to the last image."""
         expected, last = self._expected, self._tracker.stamp
         return expected is not None and (last is None or abs(last - expected.stamp) < PLANNED_S)
 
@@ -543,8 +553,8 @@ class DetectorNode(SafeLifecycleNode[DetectorParameters]):
         return Finding(Level.OK, f"{lens.model}, focal length {lens.matrix[0, 0]:.0f} px")
 
     def _take_corners(self, corners_px: np.ndarray) -> None:
-        """Use the plate's corners (4, 2) [px] until the node ends. The bare plate is forgotten,
-        because it was learned before the camera was moved."""
+        """Use these corners (4, 2) [px] of the plate until the node ends. The bare plate is
+        forgotten, because it was learned before the camera was moved."""
         corners = tuple((float(x), float(y)) for x, y in corners_px)
         self._rig = replace(self._rig, camera=replace(self._rig.camera, corners_px=corners))
         self._plate = BarePlate()
@@ -556,7 +566,8 @@ class DetectorNode(SafeLifecycleNode[DetectorParameters]):
         self._lens, self._lens_problem = lens, ""
 
     def _restart_detection(self, lens: Lens | None) -> None:
-        """Locate plate and parts again with the rig and this lens, as after a start."""
+        """Locate the plate and the parts again with the rig and this lens, as after the start of
+        the node."""
         vision = make_vision(self._rig, self._vision.options, lens)
         self._vision = replace(vision, background=self._plate.first)
         self._tracker, self._expected = Tracker(self._tracker.options), None
@@ -576,7 +587,7 @@ class DetectorNode(SafeLifecycleNode[DetectorParameters]):
             self._expected = Prediction(wanted.parts.ids, seconds(msg.start), place)
 
     def _check_outline(self, image: np.ndarray, stamp: float) -> None:
-        """Compare the plate's outline in the first images with the predicted one."""
+        """Compare the plate's outline in the first images with the predicted outline."""
         if self._location is not None:  # the markers give the plate's pose
             return
         before = self._outline
@@ -588,10 +599,10 @@ class DetectorNode(SafeLifecycleNode[DetectorParameters]):
             self._warn(found.message)
 
     def _check_faint(self, image: np.ndarray, stamp: float) -> None:
-        """Count faint patches as large as round parts. The result is the smaller count of two
-        consecutive searches; a photograph counts alone."""
+        """Count faint patches that are as large as round parts. The result is the smaller count of
+        two consecutive searches. For a photograph it is the count of one search."""
         if self._vision.catalogue is not None:
-            return  # types are recognised by comparison with the bare plate
+            return  # parts with types are recognised by comparison with the bare plate
         taken, things, _ = self._counts()
         vision, place = self._vision, [track.position for track in self._tracker.found]
         known_px = vision.calibration.to_image(np.array(place).reshape(-1, 2))
@@ -605,7 +616,8 @@ class DetectorNode(SafeLifecycleNode[DetectorParameters]):
         self._faint_count, self._faint_at = len(found), stamp
 
     def _note_overlooked(self) -> list[OverlookedThing]:
-        """Count the objects that are rejected as parts. Return them in metres."""
+        """Record the objects that are rejected as parts. Return these objects with their values in
+        metres."""
         taken, things, radius = self._counts()
         self._tally.overlooked.add(taken, things, radius)
         columns = (things["x"], things["y"], radius, things["reason"])
@@ -614,8 +626,8 @@ class DetectorNode(SafeLifecycleNode[DetectorParameters]):
 
     def _counts(self) -> tuple[int, np.ndarray, np.ndarray]:
         """Return the number of parts in the last image, and the objects (n,) OVERLOOKED that are
-        not taken for parts, with their radii (n,) [m]. Shadows and edges of round parts do not
-        count."""
+        rejected as parts, with their radii (n,) [m]. Shadows and edges of round parts are not
+        included."""
         things = self._tracker.overlooked
         scale = self._vision.calibration.scale(np.column_stack([things["x"], things["y"]]))
         radius = things["radius_px"] / scale
@@ -661,13 +673,13 @@ class DetectorNode(SafeLifecycleNode[DetectorParameters]):
         return scene_to_msg(self._rig, parts, self._trails, HOME if pose is None else pose, stamp)
 
     def _unknown_location(self) -> PlateLocation | None:
-        """Return the initial location of a plate with markers, without a pose. None if the plate
-        has no markers."""
+        """Return the initial location of a plate with markers, without a pose. Return None if the
+        plate has no markers."""
         has_markers = self._rig.fiducials is not None
         return PlateLocation(self._rig, self._lens) if has_markers else None
 
     def _find_plate(self, location: PlateLocation, image: np.ndarray, stamp: Time) -> np.ndarray:
-        """Locate the plate by its markers. Return the image without them."""
+        """Locate the plate by its markers. Return the image without the markers."""
         found = location.home is None
         location, self._vision, image = follow_plate(location, self._vision, image)
         self._location = location
@@ -689,7 +701,8 @@ class DetectorNode(SafeLifecycleNode[DetectorParameters]):
             self._cameras.publish(camera_to_msg(*pose, self.get_clock().now().to_msg()))
 
     def _on_reset(self, request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
-        """Forget all parts, and the location of home. Ids restart at 1 with the next image."""
+        """Forget all parts and the location of home. The parts' ids start from 1 again with the
+        next image."""
         response.message = f"{len(self._tracker.tracks)} parts forgotten"
         self._tracker, self._expected = Tracker(self._tracker.options), None
         self._location = self._unknown_location()
@@ -699,8 +712,8 @@ class DetectorNode(SafeLifecycleNode[DetectorParameters]):
         return response
 
     def _find(self, now: float) -> Finding:
-        """Return the worst finding of the images since the last report; see
-        `plate_core.status`."""
+        """Return the worst finding of the images since the last report (see
+        `plate_core.status`)."""
         tally = self._tally
         findings = [used("images", tally.images, tally.refused, tally.why)]
         if rivals := self.rivals(self._topic):
@@ -743,8 +756,9 @@ class DetectorNode(SafeLifecycleNode[DetectorParameters]):
         self._tally, self._reported_at = tally, time.monotonic()
 
     def _warn(self, text: str) -> None:
+        # Each photograph is reported once, so its messages are not throttled.
         if self.options.photographs:
-            self.get_logger().warning(text)  # `show` is called for each photograph
+            self.get_logger().warning(text)
         else:
             self.get_logger().warning(text, throttle_duration_sec=WARN_S)
 
@@ -752,7 +766,7 @@ class DetectorNode(SafeLifecycleNode[DetectorParameters]):
         content = (msg.width, msg.height, msg.distortion_model, tuple(msg.k), tuple(msg.d))
         if content == self._lens_message:
             return
-        self._lens_message = content  # check each lens once, not with every image
+        self._lens_message = content  # each lens is checked only once, not with every image
         try:
             lens = lens_of(msg, self._vision.region.size_px)
             known = make_vision(self._rig, self._vision.options, lens)
@@ -784,12 +798,12 @@ def expected_parts(rig: Rig) -> Expected:
 
 
 def lens_of(msg: CameraInfo, size_px: tuple[int, int]) -> Lens | None:
-    """Return the lens of a camera_info; None if the camera is not calibrated: K[0] is 0.
+    """Return the lens of a camera_info. Return None if the camera is not calibrated (K[0] is 0).
 
     Raises
     ------
     PlateError
-        If the image size differs from the rig's, or the lens model is not supported.
+        If the image size differs from the rig's image size, or if the lens model is not supported.
     """
     check_size("size is", (msg.width, msg.height), size_px)
     if msg.k[0] == 0:

@@ -1,7 +1,8 @@
 """Overlooked objects: objects on the plate that the detector rejects as parts.
 
-Each has one of `REASONS`. `OverlookedTally` averages them over images and gives a finding with the
-remedies; `may_be_parts` selects those that the planner must treat as obstacles.
+Each object has one of `REASONS`. `OverlookedTally` counts the objects over several images and
+returns a finding with the remedies. `may_be_parts` selects the objects that the planner must treat
+as obstacles.
 """
 
 from __future__ import annotations
@@ -24,10 +25,13 @@ REASONS = (
     "blurred",
     "unsettled",
 )
-"""Why an object is not a part, in this order: smaller or larger than the rig's parts; contrast to
-the plate too low; another shape; cut by the plate's edge; centre not on the plate; several parts
-that could not be separated; image too blurred for its type; a part now, but not in earlier
-images."""
+"""Reasons why an object is not a part.
+
+"too small", "too large": it is smaller or larger than the rig's parts. "too faint": its contrast to
+the plate is too low. "misfit": it has another shape. "at the edge": the plate's edge cuts it.
+"beyond the plate": its centre is not on the plate. "group": it consists of several parts that could
+not be separated. "blurred": the image is too blurred to recognise its type. "unsettled": it is a
+part in this image, but not in earlier images."""
 
 OVERLOOKED = np.dtype(
     [
@@ -39,7 +43,7 @@ OVERLOOKED = np.dtype(
         ("reason", "U16"),
     ]
 )
-"""One object that is rejected as a part: centre and radius [px] of the disc of the same area;
+"""One object that is rejected as a part: centre [px]; radius [px] of the disc of the same area;
 centre [m, plate_home]; one of `REASONS`."""
 
 NONE_OVERLOOKED = np.empty(0, OVERLOOKED)
@@ -47,36 +51,38 @@ NONE_OVERLOOKED = np.empty(0, OVERLOOKED)
 NONE_OVERLOOKED.setflags(write=False)
 
 APART = 0.9
-"""An object nearer to a part than this fraction of the sum of their radii [-] belongs to that part,
-as its shadow or its side face. Two parts that touch are at 1."""
+"""Minimum distance between an object and a part, relative to the sum of their radii [-]. A nearer
+object belongs to the part: it is its shadow or its side face. For two parts that touch, the
+relative distance is 1."""
 
 WARN_FRACTION, WARN_COUNT = 0.1, 2
-"""Minimum fraction of all objects [-], and minimum number, of overlooked objects that cause a
-warning. A single object may be a tool or a marker that belongs there. If a task misses a part, the
-planner reports it."""
+"""Minimum number of overlooked objects that cause a warning, as a fraction of all objects [-] and
+as a number. A single object causes no warning, because it may be a tool or a marker that belongs
+there. If a part of a task is missing, the planner reports it."""
 
 SPECK_RADIUS = 0.3
-"""Objects smaller than this, relative to the smallest part's radius [-], do not count for the
-warning while parts are seen. An object of a tenth of a part's area is dust or a reflection."""
+"""Minimum radius of an object that counts for the warning while parts are detected, relative to the
+smallest part's radius [-]. An object with a tenth of a part's area is dust or a reflection."""
 
 EDGE_REASONS = ("at the edge", "beyond the plate")
-"""Objects with these reasons do not count either. A plate that is away from home shows its own
-edge, for example in images of a free-running camera."""
+"""Objects with these reasons do not count for the warning either. If the plate is away from home,
+they may be the plate's own edge. This happens, for example, in images of a camera that is not
+triggered."""
 
 COVER_RADII = 8.0
-"""Minimum radius of an object that covers the plate, relative to the largest part's radius [-], for
-example a hand, a cable, a lamp's reflection. The strip beside a plate 10 mm away from home is
-smaller."""
+"""Minimum radius of an object that counts as covering the plate, relative to the largest part's
+radius [-]. Such objects are, for example, a hand, a cable, or a lamp's reflection. The strip beside
+a plate that is 10 mm away from home is smaller."""
 
 REMEDIES = {
     "too faint": "use more light, or parts with more contrast to the plate",
-    "at the edge": "move them inwards; or the plate is not at home and this is its edge",
+    "at the edge": "move them inwards, or move the plate to home, because its edge may look like parts",
     "beyond the plate": "check camera: corners_px, or clear the surroundings",
     "group": "move them apart",
     "blurred": "types cannot be distinguished: focus the camera, or reduce the exposure time",
     "unsettled": "light or shadow has changed: wait for a few images",
 }
-"""Remedy for each reason whose remedy is the same for all rigs."""
+"""Remedy for each reason. Reasons whose remedies depend on the rig are not included."""
 
 
 def may_be_parts(
@@ -86,8 +92,8 @@ def may_be_parts(
     inner: np.ndarray,
     centre: np.ndarray,
 ) -> np.ndarray:
-    """Return which objects (n,) OVERLOOKED may be parts: those that have a part's size, are on the
-    plate and are apart from all parts.
+    """Return which objects (n,) OVERLOOKED may be parts. An object may be a part if it has the size
+    of a part, is on the plate, and does not belong to a detected part.
 
     Parameters
     ----------
@@ -97,7 +103,7 @@ def may_be_parts(
     part_radius : float
         Radius of a part [m].
     inner : (2,)
-        Half sides of the plate's area in which objects count [m].
+        Half side lengths of the plate's area in which objects count [m].
     centre : (M, 2)
         Centres of the parts in this image [m, plate_home].
     """
@@ -111,8 +117,8 @@ def may_be_parts(
 def beside_parts(
     things: np.ndarray, radius: np.ndarray, part_radius: float, centre: np.ndarray
 ) -> np.ndarray:
-    """Return which objects (n,) OVERLOOKED are apart from all parts. The parameters are those of
-    `may_be_parts`."""
+    """Return which objects (n,) OVERLOOKED do not belong to a detected part. The parameters are as
+    in `may_be_parts`."""
     place = np.column_stack([things["x"], things["y"]])
     away = np.hypot(*(place[:, None] - centre).transpose(2, 0, 1))
     return np.asarray(np.all(away >= APART * (radius + part_radius)[:, None], axis=1))
@@ -121,19 +127,19 @@ def beside_parts(
 def unnamed_things(
     seen: np.ndarray, on_plate: np.ndarray, radius: np.ndarray, smallest: float, largest: float
 ) -> np.ndarray:
-    """Return the objects (k,) OVERLOOKED among sightings without a type.
+    """Return those sightings that have no type as objects (k,) OVERLOOKED.
 
     Parameters
     ----------
     seen : (n,) `shapes.classes.SIGHTING`
         Only sightings with a class of `NAMELESS` count.
     on_plate : (n,)
-        Whether a sighting is on the plate at every motor position, bool. Other sightings do not
+        Whether a sighting is on the plate for every motor position, bool. Other sightings do not
         count, because they may be the edge of a plate that is not at home.
     radius : (n,)
         Radii of the discs of the same area [m].
     smallest, largest : float
-        Radii between which an object has the size of a part [m].
+        Minimum and maximum radius of an object with the size of a part [m].
     """
     reason = np.full(len(seen), "misfit", OVERLOOKED["reason"])
     reason[radius > largest] = "too large"
@@ -193,7 +199,8 @@ class OverlookedTally:
     radii: list[np.ndarray] = field(default_factory=list)
 
     def add(self, taken: int, things: np.ndarray, radius: np.ndarray) -> None:
-        """Record an image: its number of parts, and objects (n,) OVERLOOKED of radii (n,) [m]."""
+        """Record an image. Input: its number of parts, and its objects (n,) OVERLOOKED with their
+        radii (n,) [m]."""
         self.images += 1
         self.taken += taken
         self.things.append(things)
@@ -209,11 +216,11 @@ class OverlookedTally:
         )
 
     def finding(self, expected: Expected) -> Finding | None:
-        """Describe the objects that are rejected as parts, with reasons and remedies; None without
-        such objects.
+        """Return a finding about the objects that are rejected as parts, with reasons and remedies.
+        Return None if there are no such objects.
 
-        All numbers are averages over the images. The level is WARN if the objects are many or if no
-        part is detected, else OK.
+        All numbers are averages over the images. The level is WARN if there are many such objects
+        or if no part is detected. Otherwise, it is OK.
         """
         if not self.images:
             return None
@@ -261,7 +268,7 @@ class OverlookedTally:
 
 
 def remedy(reason: str, radius_mm: float, expected: Expected) -> str:
-    """Return the remedy for objects of one of `REASONS`, with this median radius [mm]."""
+    """Return the remedy for objects with one of `REASONS` and with this median radius [mm]."""
     if reason in ("too small", "too large"):
         return f"radius {radius_mm:.3g} mm, {expected.size}"
     if reason == "misfit":

@@ -1,5 +1,5 @@
 """ROS node that publishes the images of a camera, a pipe, a film or a folder as `image_raw`. A
-thread reads the images, and diagnostics report faults of the stream (`watch`)."""
+separate thread reads the images. The diagnostics report faults of the stream (`watch`)."""
 
 from __future__ import annotations
 
@@ -36,22 +36,22 @@ RETRY_S = 0.5
 """Delay before the next attempt to open a camera that has failed [s]."""
 
 SILENCE_S, SILENT_IMAGES = 0.8, 5
-"""Time without an image after which diagnostics report it [s], and the minimum of this time in
-intervals between images."""
+"""Time without an image after which the diagnostics report an error: the larger one of `SILENCE_S`
+[s] and `SILENT_IMAGES` image intervals."""
 
-LOOK_S = 0.05
-"""Polling interval for a subscriber before a film starts [s]."""
+POLL_S = 0.05
+"""Interval between two checks for a subscriber before a film starts [s]."""
 
 END_S = 2.0
-"""Maximum wait for the reader to end [s]. OpenCV waits up to 10 s for an image, so the reader may
-end later."""
+"""Maximum time to wait for the end of the reader's thread [s]. The thread may end later, because
+OpenCV waits up to 10 s for an image."""
 
 AUTO = "auto"
-"""Value of the parameter `format`: the node chooses the format."""
+"""Value of the parameter `format` with which the node chooses the format."""
 
 CLOCK_READS, CLOCKS_APART_NS = 5, 100_000
-"""Maximum number of attempts to read both clocks together; and maximum time between the two reads
-of a good attempt [ns]."""
+"""Maximum number of attempts to read the steady clock and the node's clock at the same time; and
+maximum duration of an accepted attempt [ns]."""
 
 
 @dataclass(frozen=True)
@@ -63,23 +63,25 @@ class CameraParameters(NodeOptions):
         "Path of a video device (preferably in /dev/v4l/by-id), genicam:FILE.cti, a pipe, a "
         "video, a picture or a folder of pictures",
     )
-    width: int = parameter(0, "Width of the images [px]; 0: that of the rig file", 0, 16384)
-    height: int = parameter(0, "Height of the images [px]; 0: that of the rig file", 0, 16384)
+    width: int = parameter(0, "Width of the images [px]; 0: the rig file's width", 0, 16384)
+    height: int = parameter(0, "Height of the images [px]; 0: the rig file's height", 0, 16384)
     rate: float = parameter(
         0.0, "Images per second; 0: 30, the rate of a video, or 2 for a folder", 0.0, 1000.0
     )
     format: str = parameter(
         AUTO,
-        "Pixel format; auto: the first with this size and rate",
+        "Pixel format; auto: the first format that has this size and rate",
         choices=(AUTO, *FORMATS),
     )
-    camera_file: str = parameter("", "Lens for camera_info: camera.yaml; empty: not calibrated")
+    camera_file: str = parameter(
+        "", "Path of the lens for camera_info, camera.yaml; empty: not calibrated"
+    )
     exposure_us: float = parameter(
         0.0, "Exposure time [us]; 0: the device's setting", 0.0, 1e6, live=True
     )
     readout_us: float = parameter(
         0.0,
-        "Delay of the stamp after the end of the exposure, if it is not the start's stamp [us]",
+        "Delay of the stamp after the end of the exposure, unless it is the start [us]",
         0.0, 1e6, live=True,
     )  # fmt: skip
     gain: int = parameter(
@@ -116,13 +118,13 @@ class CameraNode(SafeLifecycleNode[CameraParameters]):
     exposure. Automatic exposure, gain, white balance and focus of the device are off unless the
     respective parameter auto_... is true.
 
-    `device` may be a V4L2 camera (/dev/videoN or better its path in /dev/v4l/by-id), a
-    GenICam camera (genicam:FILE.cti, the GenTL file of its maker), a named pipe of raw frames, a
+    `device` may be a V4L2 camera (/dev/videoN, or preferably its path in /dev/v4l/by-id), a GenICam
+    camera (genicam:FILE.cti, the GenTL file of its manufacturer), a named pipe of raw frames, a
     video, a picture, or a folder of pictures. A video, picture or folder starts to play when
     image_raw has a subscriber. `camera --list` prints devices, formats, rates and controls.
 
-    An unplugged camera is an ERROR in diagnostics within 1 s. When it is plugged in again, its
-    images continue.
+    If a camera is unplugged, the diagnostics report an ERROR within 1 s. When it is plugged in
+    again, its images continue.
     """
 
     def __init__(self) -> None:
@@ -133,11 +135,11 @@ class CameraNode(SafeLifecycleNode[CameraParameters]):
         self.report(self._find, self._values, "camera", self._begin_report)
 
     def source(self, settings: Settings, warn: Warn) -> Source:
-        """Return the source of images; tests override this."""
+        """Return the source of images. Tests override this method."""
         return make_source(settings, warn)
 
     def configure(self) -> None:
-        """Open the device, so that its faults are reported at once."""
+        """Open the device already now, so that its faults are reported at once."""
         values = self.options
         camera = load_rig(values.rig_file).camera
         self._size_px = (camera.width_px, camera.height_px)
@@ -178,7 +180,8 @@ class CameraNode(SafeLifecycleNode[CameraParameters]):
             self._thread.join(END_S)
 
     def release(self) -> None:
-        """Close the device. A reader that still waits for an image closes it itself."""
+        """Close the device. If the reader's thread still waits for an image, this thread closes the
+        device later."""
         self.rest()  # if ROS has shut down, nothing has called `rest` yet
         if not self._open or (self._thread is not None and self._thread.is_alive()):
             return
@@ -194,12 +197,12 @@ class CameraNode(SafeLifecycleNode[CameraParameters]):
     def _work(self, source: Source, stop: threading.Event, before: threading.Thread | None) -> None:
         """Read and publish images until the end.
 
-        `before` is the previous reader. If it still waits for an image, it closes the source
-        itself.
+        `before` is the thread of the previous reader. This method waits until `before` has ended
+        and has closed the source.
         """
         if before is not None:
             before.join()
-        while self._waits and not stop.wait(LOOK_S):
+        while self._waits and not stop.wait(POLL_S):
             self._waits = not self._image_raw.get_subscription_count()
         while not stop.is_set():
             try:
@@ -218,7 +221,7 @@ class CameraNode(SafeLifecycleNode[CameraParameters]):
                 if not self.context.ok():  # if ROS has shut down, the error is a consequence
                     break
                 self._fail(error)
-                # If the source were opened again, it would start from the first picture.
+                # If files were opened again, they would start from the first picture.
                 if not source.live:
                     break
                 self._close(source)
@@ -268,7 +271,7 @@ class CameraNode(SafeLifecycleNode[CameraParameters]):
     def _info(self, image: Image, size_px: tuple[int, int]) -> CameraInfo:
         camera = replace(self._rig_camera, width_px=size_px[0], height_px=size_px[1])
         info = camera_to_info(camera, image.header)
-        # This picture has another size than the last one.
+        # If this picture has another size than the last one, adapt the lens.
         if self._lens is not None and size_px != self._lens_px:
             self._lens, self._lens_px = load_lens(self.options.camera_file, size_px), size_px
         lens = self._lens
@@ -291,8 +294,8 @@ class CameraNode(SafeLifecycleNode[CameraParameters]):
             self.get_logger().warning(why)
 
     def _fail(self, error: Exception) -> None:
-        """Record and log why no images arrive. Do not log the same fault, or a device that is still
-        absent, again."""
+        """Record and log why no images arrive. If the device is still absent or the fault is the
+        same as before, do not log it again."""
         text = str(error)
         if not isinstance(error, PlateError):
             text = f"{self.options.device}: {type(error).__name__}: {error}"
@@ -359,7 +362,7 @@ class CameraNode(SafeLifecycleNode[CameraParameters]):
 
 
 def main() -> None:
-    """Run the node, or with --list print the devices."""
+    """Run the node. With the argument --list, print the devices instead."""
     words = sys.argv[1:]
     if words[:1] == ["--list"]:
         for line in listing(words[1:] or video_devices()):

@@ -1,5 +1,6 @@
-"""Image sources without a camera: a film, a picture, a folder of pictures, a pipe of raw frames.
-Files are played at a regular rate. A pipe delivers frames when another program writes them."""
+"""Image sources other than cameras: a film, a picture, a folder of pictures, or a pipe of raw
+frames. Files are played at a constant rate. A pipe delivers a frame when another program has
+written it."""
 
 from __future__ import annotations
 
@@ -23,17 +24,17 @@ FILM_RATE = 30.0
 """Rate of a film whose file has no plausible rate [1/s]."""
 
 FILM_RATES = (1.0, 240.0)
-"""Range of plausible rates in a film's file [1/s]."""
+"""Range of plausible rates of a film [1/s]."""
 
 POLL_S = 0.1
-"""Maximum wait for bytes of a pipe before `stop` is checked again [s]."""
+"""Maximum time to wait for bytes of a pipe before `stop` is checked again [s]."""
 
 
 class FilmSource:
     """A film, a picture or a folder of pictures. Each image is delivered when it is due.
 
-    The stamps are regular. If an image is not ready when it is due, all later ones are delayed, so
-    none is lost.
+    The intervals between the stamps are constant. If an image is not ready when it is due, all
+    later images are delayed too, so that none is lost.
     """
 
     live = False
@@ -48,7 +49,7 @@ class FilmSource:
         self._rate, self._due = settings.rate, 0.0
 
     def open(self) -> None:
-        """Open the files. An empty folder, or a film that OpenCV cannot read, is refused."""
+        """Open the files. If the folder is empty or OpenCV cannot read the film, raise an error."""
         self._pictures = read_pictures(self._path, self._warn)
         own = FILM_RATE if self._pictures.is_film else PICTURE_RATE
         if FILM_RATES[0] <= self._pictures.rate <= FILM_RATES[1]:
@@ -107,7 +108,7 @@ class PipeSource:
         self._bytes = width * height * FORMATS[self._form]
 
     def open(self) -> None:
-        """Open the pipe, whether or not a program writes to it yet."""
+        """Open the pipe. No program needs to write to it yet."""
         if not self._bytes:
             plain = ", ".join(form for form, size in FORMATS.items() if size)
             raise CameraError(

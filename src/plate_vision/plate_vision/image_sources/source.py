@@ -1,6 +1,6 @@
-"""The interface of all image sources: a camera, a pipe, a film, a folder of pictures.
+"""The interface of all image sources, such as a camera, a pipe, a film or a folder of pictures.
 
-`Settings` are the inputs, and `Source.read` returns a `Frame`. `Camera` is the base class of
+A source is made from `Settings`, and `Source.read` returns a `Frame`. `Camera` is the base class of
 sources with adjustable exposure and gain.
 """
 
@@ -20,22 +20,26 @@ from ..camera import decode_file
 from ..errors import ImageError, check_size
 
 FORMATS = {"GREY": 1, "Y10": 2, "Y12": 2, "YUYV": 2, "UYVY": 2, "MJPG": 0}
-"""Formats in order of preference, and their bytes per pixel; 0: compressed."""
+"""Formats in order of preference, and their bytes per pixel (0: compressed)."""
 
 ENCODINGS = {"GREY": "mono8", "Y10": "mono16", "Y12": "mono16", "YUYV": "yuv422_yuy2",
              "UYVY": "yuv422"}  # fmt: skip
-"""Encodings of sensor_msgs/Image."""
+"""Encoding of sensor_msgs/Image for each format."""
 
 UNUSED_BITS = {"Y10": 6, "Y12": 4}
-"""Number of unused upper bits of 16 in a format."""
+"""Number of unused upper bits in the 16-bit values of a format."""
 
 
 class CameraError(PlateError):
-    """An image source cannot be opened, or provides no more images."""
+    """An image source cannot be opened, or it provides no more images."""
 
 
 class AbsentError(CameraError):
-    """The device is absent. It may come back."""
+    """The device is absent. It may be plugged in later."""
+
+
+class NoImagesError(CameraError):
+    """The device captures no images. An example is the second device of a camera, for metadata."""
 
 
 @dataclass(frozen=True)
@@ -45,17 +49,20 @@ class Settings:
     Attributes
     ----------
     device : str
-        Number or path of a V4L2 device, genicam:FILE.cti, a pipe, a video, a picture or a folder.
+        Number or path of a V4L2 device, genicam:FILE.cti, or path of a pipe, a video, a picture or
+        a folder.
     width, height : int
         Size of the images [px]. A film, a picture or a folder has its own size.
     rate : float
-        Images per second; 0: `LIVE_RATE`, or the film's rate.
+        Images per second; 0: `LIVE_RATE`, or the film's own rate.
     format : str
-        Key of `FORMATS`; empty: the first one with this size and rate.
+        Key of `FORMATS`; empty: the first format that has this size and rate.
     exposure_us, readout_us : float
-        Exposure time, 0 leaves it unchanged; time from the exposure's end to the stamp [us].
+        Exposure time [us], which 0 leaves unchanged; and time from the end of the exposure to the
+        stamp [us].
     gain, white_balance_k, focus : int
-        In the device's units; -1 leaves them unchanged (white balance: 0).
+        Gain and focus in the device's units, which -1 leaves unchanged; white balance [K], which 0
+        leaves unchanged.
     auto_exposure, auto_gain, auto_white_balance, auto_focus : bool
         Whether the device chooses the value.
     trigger : bool
@@ -85,7 +92,8 @@ class Settings:
 
     @property
     def before_stamp_s(self) -> float:
-        """Time from the start of the exposure to a stamp at the end of an image [s]."""
+        """Time from the start of the exposure to a stamp that is taken when the image is complete
+        [s]."""
         return 1e-6 * (self.exposure_us + self.readout_us)
 
 
@@ -117,14 +125,14 @@ class Frame(NamedTuple):
 
 
 class Source(Protocol):
-    """A source of images; `open` and `read` may be called again after `close`.
+    """A source of images. After `close`, `open` and `read` may be called again.
 
     Attributes
     ----------
     live : bool
-        True for a camera or a pipe; False for files, which are played.
+        True for a camera or a pipe; False for files.
     silence : str
-        Question for the user if no image arrives.
+        Question to the user about the probable cause if no image arrives.
     """
 
     live: bool
@@ -140,14 +148,15 @@ class Source(Protocol):
         """
 
     def read(self, stop: Event) -> Frame | None:
-        """Wait for the next image; None if there are no more, or `stop` is set.
+        """Wait for the next image and return it. Return None if there are no more images, or if
+        `stop` is set.
 
         Raises
         ------
         ImageError
             If this image cannot be used.
         CameraError
-            If the source gives no more images.
+            If the source provides no more images.
         """
 
     def change(self, settings: Settings) -> None:
@@ -156,7 +165,7 @@ class Source(Protocol):
         Raises
         ------
         CameraError
-            If the device cannot do this. The message lists the allowed values.
+            If the device refuses a setting. The message lists the allowed values.
         """
 
     def state(self) -> Mapping[str, object]:
@@ -173,7 +182,7 @@ Warn = Callable[[str], None]
 
 
 class Camera(ABC):
-    """Base of cameras, whose settings may change while they take images.
+    """Base class of cameras. Their settings may change while they take images.
 
     Parameters
     ----------
@@ -200,10 +209,11 @@ class Camera(ABC):
 
     @abstractmethod
     def _exposure_us(self) -> float | None:
-        """Return the exposure time of the device [us]; None if unknown."""
+        """Return the exposure time of the device [us], or None if it is unknown."""
 
     def change(self, settings: Settings) -> None:
-        """Apply new settings of the open camera; restore the old ones if the device refuses."""
+        """Apply new settings to the open camera. If the device refuses them, restore the old
+        settings."""
         before, self.settings = self.settings, settings
         if not self._is_open:
             return
@@ -215,7 +225,8 @@ class Camera(ABC):
             raise
 
     def _before_end_s(self) -> float:
-        """Return the time from the start of the exposure to a stamp after its end [s]."""
+        """Return the time from the start of the exposure to a stamp that is taken after the end of
+        the exposure [s]."""
         exposure_us = self.settings.exposure_us or self._exposure_us() or 0.0
         return 1e-6 * (exposure_us + self.settings.readout_us)
 
@@ -230,7 +241,7 @@ def unpack_frame(data: np.ndarray, form: str, size_px: tuple[int, int]) -> tuple
     form : str
         Key of `FORMATS`.
     size_px : (int, int)
-        Width and height that were set.
+        Width and height that were requested from the camera.
 
     Raises
     ------

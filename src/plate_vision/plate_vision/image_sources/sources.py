@@ -1,5 +1,5 @@
 """Selection of the image source for a device's name, and the list of devices that `camera --list`
-prints. The name tells whether it is a V4L2 or GenICam camera, a pipe, or files."""
+prints. The kind of source (V4L2 camera, GenICam camera, pipe, or files) follows from the name."""
 
 from __future__ import annotations
 
@@ -10,12 +10,13 @@ from plate_core.files import kind_of
 
 from .genicam import PREFIX, GenicamSource
 from .played import FilmSource, PipeSource
-from .source import FORMATS, CameraError, Settings, Source, Warn
+from .source import FORMATS, CameraError, NoImagesError, Settings, Source, Warn
 from .v4l2 import V4l2Source
 from .v4l2_device import V4l2Device
 
 BY_ID = Path("/dev/v4l/by-id")
-"""Links to devices by manufacturer and serial number; they survive replugging."""
+"""Folder of links to devices. The name of a link contains the manufacturer and the serial number,
+so it does not change when the device is plugged in again."""
 
 ALLOWED = (
     "a number or path of a video device (/dev/v4l/by-id/...), genicam:FILE.cti, a video, a "
@@ -24,17 +25,17 @@ ALLOWED = (
 
 
 def is_played(device: str) -> bool:
-    """Whether a name denotes a film, a picture or a folder."""
+    """Whether a name is the path of a film, a picture or a folder."""
     return kind_of(device) in ("a file", "a folder")
 
 
 def make_source(settings: Settings, warn: Warn) -> Source:
-    """Return the source for a device's name, not opened yet.
+    """Return the source for a device's name. The source is not open yet.
 
     Raises
     ------
     CameraError
-        If the name denotes no source.
+        If there is no source with this name.
     """
     name = settings.device
     if name.startswith(PREFIX):
@@ -52,7 +53,8 @@ def make_source(settings: Settings, warn: Warn) -> Source:
 
 
 def check_device(device: str) -> None:
-    """Refuse a name that denotes no source, or a video device that cannot be opened.
+    """Raise an error if there is no source with this name, or if it is a video device that cannot
+    be opened.
 
     Raises
     ------
@@ -64,7 +66,8 @@ def check_device(device: str) -> None:
 
 
 def video_devices() -> list[str]:
-    """Return the paths of all video devices, by id if they have one."""
+    """Return the paths of all video devices. If a device has a link in `BY_ID`, the path is this
+    link."""
     named = {link.resolve(): link for link in sorted(BY_ID.glob("*")) if link.exists()}
     devices = sorted(Path("/dev").glob("video*"), key=lambda path: (len(path.name), path.name))
     return [str(named.get(device, device)) for device in devices]
@@ -76,10 +79,11 @@ def listing(paths: Iterable[str]) -> Iterator[str]:
     for path in paths:
         try:
             device = V4l2Device(path)
+        except NoImagesError:
+            continue
         except CameraError as error:
-            if "takes no images" not in str(error):  # a camera's second device is for metadata
-                count += 1
-                yield str(error)
+            count += 1
+            yield str(error)
             continue
         count += 1
         yield from _described(device)

@@ -1,5 +1,6 @@
-"""A V4L2 camera. OpenCV reads the images. Format, exposure and gain are set by ioctl, and the first
-image shows whether its stamp is the start of the exposure, its end, or unusable."""
+"""A V4L2 camera. OpenCV reads the images. Exposure and gain are set by ioctl. With the first image,
+the program determines whether stamps are taken at the start or at the end of the exposure, or are
+unusable."""
 
 from __future__ import annotations
 
@@ -43,11 +44,12 @@ EXPOSURE_US = 100
 """Unit of the exposure control [us]."""
 
 OLDEST_S = 2.0
-"""Maximum age of a stamp of the monotonic clock [s]. Images in OpenCV's four buffers are
-younger."""
+"""Maximum age of a stamp from the monotonic clock [s]. The images in OpenCV's four buffers are not
+as old as this."""
 
 RATE_ERROR = 0.02
-"""Maximum relative deviation of the device's rate from the requested rate without a warning."""
+"""Maximum deviation of the device's rate from the requested rate, relative to the latter [-]. If
+the deviation is larger, there is a warning."""
 
 
 def open_capture(path: str) -> Any:
@@ -59,8 +61,8 @@ class V4l2Source(Camera):
     """A V4L2 camera.
 
     Stamps come from the kernel: OpenCV's `CAP_PROP_POS_MSEC` is `v4l2_buffer.timestamp` (in
-    cap_v4l.cpp of 4.x and 5.x). If they are not from the monotonic clock, as in other backends of
-    OpenCV, the time of arrival is used.
+    cap_v4l.cpp of 4.x and 5.x). If the stamps are not from the monotonic clock, the time of arrival
+    is used instead. This happens with other backends of OpenCV.
 
     Parameters
     ----------
@@ -90,7 +92,8 @@ class V4l2Source(Camera):
         self._device: V4l2Device | None = None
         self._capture: Any = None
         self._form, self._rate = "", 0.0
-        # Whether stamps refer to the exposure's start; None: stamps are arrival times.
+        # True if stamps refer to the start of the exposure, False if they refer to its end, None if
+        # the time of arrival is used instead of stamps.
         self._at_start: bool | None = None
         self._stamps_known = False
 
@@ -113,7 +116,8 @@ class V4l2Source(Camera):
         self._stamps_known = False
 
     def _choose(self, device: V4l2Device) -> str:
-        """Return the format: the given one, or the first one with this size and rate."""
+        """Return the format of the settings. If the settings have no format, return the first
+        format that has this size and rate."""
         wanted, size_px = self.settings, self.settings.size_px
         has = [form for form in FORMATS if form in device.formats()]
         offers = {form: device.sizes(form) for form in has}
@@ -154,7 +158,7 @@ class V4l2Source(Camera):
         return form
 
     def _started(self) -> Any:
-        """Return OpenCV's reader, with format, size and rate set."""
+        """Return OpenCV's reader. Its format, size and rate are set."""
         width, height = self.settings.size_px
         capture = self._make_capture(self.path)
         if not capture.isOpened():
@@ -244,7 +248,7 @@ class V4l2Source(Camera):
         )
 
     def read(self, stop: Event) -> Frame | None:
-        """Wait for the next image, up to OpenCV's limit of 10 s."""
+        """Wait for the next image. OpenCV waits up to 10 s."""
         if not self._capture.grab():
             if stop.is_set():
                 return None
@@ -275,7 +279,8 @@ class V4l2Source(Camera):
         return Frame(pixels, encoding, instant, arrival)
 
     def _learn_stamps(self, age: float) -> None:
-        """Determine from the first image whether its stamp is usable, and what it refers to."""
+        """Determine from the age [s] of the first image's stamp whether stamps are usable, and
+        whether they refer to the start or the end of the exposure."""
         self._stamps_known = True
         source = self._device.stamp_source() if self._device else None
         monotonic, at_start = (True, False) if source is None else source

@@ -1,4 +1,5 @@
-"""Formats, sizes, rates and controls of a V4L2 device, read by ioctl because OpenCV lists none.
+"""Formats, sizes, rates and controls of a V4L2 device. They are read by ioctl, because OpenCV does
+not provide them.
 
 The codes and structure layouts are those of linux/videodev2.h on 64-bit machines.
 """
@@ -13,14 +14,14 @@ from collections.abc import Callable, Iterator
 from contextlib import suppress
 from dataclasses import dataclass
 
-from .source import AbsentError, CameraError
+from .source import AbsentError, CameraError, NoImagesError
 
 Ioctl = Callable[[int, int, bytearray], object]
 
 QUERYCAP, ENUM_FMT, FRAMESIZES, FRAMEINTERVALS = 0x80685600, 0xC0405602, 0xC02C564A, 0xC034564B
 QUERYCTRL, QUERYMENU, G_CTRL, S_CTRL = 0xC0445624, 0xC02C5625, 0xC008561B, 0xC008561C
 G_FMT, S_FMT, QUERYBUF = 0xC0D05604, 0xC0D05605, 0xC0585609
-"""Codes of requests, `VIDIOC_...`."""
+"""Codes of the ioctl requests `VIDIOC_...`."""
 
 CAPTURE, MMAP, DISCRETE = 1, 1, 1
 """V4L2_BUF_TYPE_VIDEO_CAPTURE, V4L2_MEMORY_MMAP, V4L2_FRMSIZE_TYPE_DISCRETE."""
@@ -44,18 +45,19 @@ AUTO_FOCUS, FOCUS = 0x9A090C, 0x9A090A
 """Ids of controls, `V4L2_CID_...`. Exposure is in units of 100 us, white balance in kelvin."""
 
 MANUAL = 1
-"""V4L2_EXPOSURE_MANUAL, of `AUTO_EXPOSURE`."""
+"""V4L2_EXPOSURE_MANUAL, a value of the control `AUTO_EXPOSURE`."""
 
 ABSENT = (errno.ENOENT, errno.ENXIO, errno.ENODEV)
-"""Errors of an absent device."""
+"""Codes of the system errors that an absent device causes."""
 
 MAX_ENTRIES = 256
-"""Maximum number of entries read from a list, because a faulty driver may never end it."""
+"""Maximum number of entries that are read from a list. The number is limited because the list of a
+faulty driver may have no end."""
 
 
 @dataclass(frozen=True)
 class Control:
-    """A control: its id, name, range, default and value."""
+    """A control of a device: its id, name, range, step, default, value, and menu entries."""
 
     number: int
     name: str
@@ -69,7 +71,8 @@ class Control:
 
 @dataclass(frozen=True)
 class Size:
-    """Sizes (width, height) [px] from `low` to `high`; one size if both are equal."""
+    """Range of sizes (width, height) [px] from `low` to `high`. If both are equal, it is a single
+    size."""
 
     low: tuple[int, int]
     high: tuple[int, int]
@@ -84,12 +87,13 @@ class Size:
 
 
 def fourcc(name: str) -> int:
-    """Return the code of a format's name: four characters, without trailing spaces."""
+    """Return the code of a format's name. The name has up to four characters, without trailing
+    spaces."""
     return int.from_bytes(name.ljust(4).encode("ascii"), "little")
 
 
 class V4l2Device:
-    """A V4L2 device, opened in addition to the program that reads its images.
+    """A V4L2 device. It can be open here while another program reads its images.
 
     Parameters
     ----------
@@ -101,7 +105,8 @@ class V4l2Device:
     Raises
     ------
     CameraError
-        If there is no such device, no permission, or it provides no images.
+        If the device does not exist, if the permission is missing, or if the device provides no
+        images.
     """
 
     def __init__(self, path: str, ioctl: Ioctl = fcntl.ioctl) -> None:
@@ -116,7 +121,7 @@ class V4l2Device:
             self.driver, self.name = _text(found[0:16]), _text(found[16:48])
             of_all, of_this = struct.unpack_from("II", found, 84)
             if not (of_this if of_all & HAS_DEVICE_CAPS else of_all) & CAN_CAPTURE:
-                raise CameraError(
+                raise NoImagesError(
                     f"{path}: {self.name} does not capture images, allowed: a camera (camera "
                     "--list shows them)"
                 )
@@ -138,9 +143,10 @@ class V4l2Device:
         return data
 
     def check_free(self) -> None:
-        """Refuse a device whose images another program reads, because its format cannot be set.
+        """Raise an error if another program reads the device's images, because then the format
+        cannot be set.
 
-        OpenCV would wait 10 s for such a device.
+        Without this check, OpenCV would wait 10 s for such a device.
 
         Raises
         ------
@@ -155,7 +161,7 @@ class V4l2Device:
                 raise CameraError(explained(self.path, error)) from None
 
     def formats(self) -> dict[str, str]:
-        """Return its formats, code to description."""
+        """Return the device's formats: the description by code."""
         found = {}
         for data in self._each(ENUM_FMT, 64, lambda k: struct.pack("II", k, CAPTURE)):
             found[_text(data[44:48]).rstrip()] = _text(data[12:44])
@@ -175,7 +181,8 @@ class V4l2Device:
         return found
 
     def rates(self, form: str, size_px: tuple[int, int]) -> tuple[float, ...]:
-        """Return the image rates of a format and size [1/s], ascending; the ends of a range."""
+        """Return the image rates of a format and size [1/s], in ascending order. If the rates are a
+        range, return its two ends."""
         found = []
         head = (fourcc(form), *size_px)
         for data in self._each(FRAMEINTERVALS, 52, lambda k: struct.pack("IIII", k, *head)):
@@ -199,7 +206,7 @@ class V4l2Device:
                 return
 
     def controls(self) -> dict[int, Control]:
-        """Return its controls, by id."""
+        """Return the device's controls by their ids."""
         found: dict[int, Control] = {}
         number = 0
         for _ in range(MAX_ENTRIES):
@@ -247,11 +254,12 @@ class V4l2Device:
         return True
 
     def stamp_source(self) -> tuple[bool, bool] | None:
-        """Return whether the stamps of its buffers are from the monotonic clock, and whether they
-        refer to the start of the exposure; None if the driver does not report it.
+        """Return whether the stamps of the device's buffers are from the monotonic clock, and
+        whether they refer to the start of the exposure. Return None if the driver does not report
+        it.
 
-        Most drivers also reply to a process that is not the reader. uvcvideo up to Linux 6.15 does
-        not; for this driver both results are True.
+        Most drivers also answer a process that does not read the images. The driver uvcvideo up to
+        Linux 6.15 does not. For this driver, both results are True.
         """
         data = bytearray(88)
         struct.pack_into("II", data, 0, 0, CAPTURE)
@@ -268,7 +276,7 @@ def _text(data: bytes | bytearray) -> str:
 
 
 def explained(path: str, error: OSError) -> str:
-    """Return a sentence with the remedy for a system error at a device."""
+    """Return a message that describes a system error of a device and its remedy."""
     match error.errno:
         case number if number in ABSENT:
             return f"{path}: no such device: is the camera plugged in? camera --list shows them"

@@ -1,7 +1,8 @@
 """Detection of faults in a stream of images: lost, late, black or frozen images.
 
-Lost images are counted by gaps between stamps, late ones by their age at arrival. Black and frozen
-images are detected on a coarse grid of pixels. The output are findings for diagnostics.
+Lost images are detected by the gaps between stamps, and late images by their age at arrival. Black
+and frozen images are detected on a coarse grid of pixels. The results are findings for the
+diagnostics.
 """
 
 from __future__ import annotations
@@ -14,36 +15,41 @@ import numpy as np
 from plate_core.status import Finding, Level
 
 LATE_S = 0.1
-"""Age at arrival above which an image counts as late [s]. The planner estimates ages of images only
-up to this value."""
+"""Maximum age of an image at arrival [s]. An older image counts as late, because the planner
+estimates the ages of images only up to this value."""
 
 INTERVALS = 15
-"""Number of intervals between stamps whose median is the image interval."""
+"""Number of intervals between stamps from whose median the image interval is determined."""
 
 REGULAR, NEAR = 0.8, 0.2
-"""Lost images are counted only if this fraction of the last intervals differs from the median by
-less than this fraction of the median. A triggered camera may be irregular."""
+"""REGULAR: minimum fraction of the last intervals that must be near the median [-]. NEAR: maximum
+deviation of such an interval from the median, relative to the median [-]. If the intervals are less
+regular, lost images are not counted, because a triggered camera may be irregular."""
 
 GAP = 1.5
-"""Time between two stamps above which images between them count as lost [image intervals]."""
+"""Maximum time between two stamps [image intervals]. If the time is longer, images between them are
+counted as lost."""
 
 MAX_LOST = 0.02
-"""Fraction of lost or late images above which diagnostics warn. The planner tolerates more."""
+"""Maximum fraction of lost or late images without a warning in the diagnostics [-]. The planner
+tolerates a larger fraction."""
 
 BLACK = 12
-"""Maximum grey level of a black image (8 bits). The noise of a covered sensor stays below it."""
+"""Maximum grey level of all pixels in a black image (8 bits). The noise of a covered sensor is
+below this value."""
 
 ALIKE = 15
-"""Number of consecutive black or equal images from which diagnostics report them: half a second at
-30 images a second."""
+"""Minimum number of consecutive black or equal images that the diagnostics report. It is half a
+second at 30 images per second."""
 
 GRID = 7
-"""Step between compared rows and columns. It is odd, so that both kinds of columns of Bayer and YUV
-images are compared."""
+"""Step of the grid of pixels that are evaluated, in rows and columns. It is odd, so that both even
+and odd columns are evaluated: they differ in Bayer and YUV images."""
 
 
 class Watch:
-    """Counts of lost and late images since the last report, and the present state of the stream."""
+    """Numbers of lost and late images since the last report, and the present state of the
+    stream."""
 
     def __init__(self) -> None:
         self._last: tuple[float, np.ndarray] | None = None
@@ -57,7 +63,8 @@ class Watch:
         self.images = self.lost = self.late = 0
 
     def add(self, pixels: np.ndarray, instant: float, arrival: float) -> None:
-        """Record an image: its pixels, the start of its exposure, and its arrival [s]."""
+        """Record an image. Input: its pixels, the start of its exposure [s], and the time of its
+        arrival [s]."""
         self.total += 1
         self.images += 1
         if arrival - instant > LATE_S:
@@ -80,7 +87,8 @@ class Watch:
         self._last = (instant, few)
 
     def findings(self, live: bool) -> list[Finding]:
-        """Return the faults. Equal images are a fault only if the source is live, not a film."""
+        """Return the faults. Equal images are a fault only if the source is live. In a film they
+        are allowed."""
         found = []
         if self._black >= ALIKE:
             found.append(

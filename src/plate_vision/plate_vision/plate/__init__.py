@@ -1,6 +1,7 @@
-"""The plate in the image: its region and outline, the light on it, and its pose by markers.
+"""The plate in the image: its region, its outline, the light on it, and its pose determined by
+markers.
 
-Other packages use the names below. A `Region` is made once for many images.
+Other packages use the names below. A `Region` is made once and used for many images.
 """
 
 from .contrast import brightness, channels_of, contrast_image

@@ -1,4 +1,5 @@
-// Python arrays as arguments of the vision kernels. Accesses outside their memory are refused.
+// Python arrays as arguments of the vision kernels. The functions check the shapes, so that no
+// kernel accesses memory outside an array.
 #pragma once
 #include <array>
 #include <stdexcept>
@@ -29,28 +30,29 @@ inline LitPlate lit_plate(const In<uint8_t, 2>& grey, const In<float, 1>& light,
     return {view(grey), view(light), view(usable)};
 }
 
-// Require the shapes of the edges of a region: see region.py.
+// Throw an error if the edges of a region have wrong shapes: see region.py.
 inline void require_edges(const In<double, 2>& edges, const In<double, 2>& bows) {
     require(edges.shape(1) == 3 && bows.shape(1) >= 3 &&
                 (bows.shape(0) == 0 || bows.shape(0) == edges.shape(0)),
             "shapes: edges (n, 3), bows (n, >= 3) or none");
 }
 
-// Require a light (9,) for each channel of an image (h, w, c).
+// Throw an error unless there is a light (9,) for each channel of an image (h, w, c).
 inline void require_lights(const In<uint8_t, 3>& image, const In<float, 2>& lights) {
     require(lights.shape(0) == image.shape(2) && lights.shape(1) == 9 && image.shape(0) > 0 &&
                 image.shape(1) > 0,
             "shapes: image (h, w, c), lights (c, 9)");
 }
 
-// Require that a grid with these numbers of rows and columns is inside an image (h, w, ...).
+// Throw an error unless a grid with these numbers of rows and columns is inside an image (h, w,
+// ...).
 template <class Image>
 void require_grid(const std::array<int, 3>& grid, int64_t rows, int64_t columns,
                   const Image& image) {
     require(grid[0] >= 0 && grid[1] >= 0 && grid[2] > 0 && rows > 0 && columns > 0 &&
                 grid[0] + (columns - 1) * grid[2] < static_cast<int64_t>(image.shape(1)) &&
                 grid[1] + (rows - 1) * grid[2] < static_cast<int64_t>(image.shape(0)),
-            "the grid leaves the image");
+            "grid: allowed: inside the image");
 }
 
 }  // namespace plate

@@ -1,4 +1,5 @@
-// Deviation of pixels from the bare plate, darker or brighter, in any channel: see contrast.py.
+// Deviation of pixels from the bare plate. They may be darker or brighter in any channel: see
+// contrast.py.
 #pragma once
 #include <algorithm>
 #include <array>
@@ -13,9 +14,10 @@
 
 namespace plate {
 
-// Deviation of a pixel from the bare plate, 0 to 1, the maximum over the channels. A darker pixel
-// is compared with the plate's level; a brighter one with the plate's level or its distance to
-// white, whichever is larger.
+// Deviation of a pixel from the bare plate, 0 to 1. It is the maximum over the channels. If the
+// pixel is darker than the plate, the difference is divided by the plate's level. If it is
+// brighter, the difference is divided by the maximum of the plate's level and its distance to
+// white.
 inline float deviation(const uint8_t* pixel, int channels, View<const float, 2> lights, int x,
                        int y) {
     float most = 0;
@@ -26,7 +28,7 @@ inline float deviation(const uint8_t* pixel, int channels, View<const float, 2> 
     return std::min(most, 1.f);
 }
 
-// Write 255 (1 - deviation) into a box x0, y0, x1, y1 of an image (h, w).
+// Write 255 (1 - deviation) to the pixels of an image (h, w) within a box x0, y0, x1, y1.
 inline void write_contrast(View<const uint8_t, 3> image, View<const float, 2> lights, int x0, int y0,
                            int x1, int y1, View<uint8_t, 2> out) {
     const int channels = image.size(2);
@@ -37,9 +39,9 @@ inline void write_contrast(View<const uint8_t, 3> image, View<const float, 2> li
     }
 }
 
-// Write 1 where pixels deviate by more than a limit, 0 elsewhere, on a grid (h, w). The mean of
-// each pixel and the neighbours to the right and below is used, because the noise of the mean is
-// half as large.
+// Set the pixels of a grid (h, w) to 1 where they deviate by more than a limit, and to 0 elsewhere.
+// The mean of each pixel and its three neighbours to the right and below is used, because the noise
+// of this mean is half as large.
 PLATE_WIDE inline void find_odd(View<const uint8_t, 3> image, View<const float, 2> lights,
                                 double limit, const std::array<int, 3>& grid,
                                 View<uint8_t, 2> out) {
@@ -75,8 +77,9 @@ PLATE_WIDE inline void find_odd(View<const uint8_t, 3> image, View<const float, 
     }
 }
 
-// Write the median brightness (n,) of the inner parts of discs at places (n, 2) [px] with radii
-// (n,) [px], relative to the bare plate, averaged over the channels.
+// Write the median brightness (n,) of discs at places (n, 2) [px] with radii (n,) [px] to `out`. It
+// is relative to the bare plate, averaged over the channels, and measured up to `inner` times the
+// radius.
 inline void find_brightness(View<const uint8_t, 3> image, View<const float, 2> lights,
                             View<const double, 2> places, const double* radii, double inner,
                             double* out) {

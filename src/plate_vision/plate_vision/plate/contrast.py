@@ -1,13 +1,14 @@
-"""The contrast of an image to the bare plate. It is defined in the same way for darker, brighter
-and coloured parts.
+"""The contrast of an image to the bare plate. The definition is the same for darker, brighter and
+coloured parts.
 
 In each channel the deviation of a pixel from the bare plate is
 
     (plate - pixel) / plate                         if the pixel is darker,
     (pixel - plate) / max(plate, white - plate)     if it is brighter.
 
-The contrast is the maximum over the channels. The contrast image is 255 (1 - contrast), so parts
-are dark on a white plate, independent of their colours in the camera's image.
+The contrast is the maximum over the channels. The grey levels of the contrast image are 255 (1 -
+contrast). In this image, parts are dark on a white plate, independent of their colours in the
+camera's image.
 """
 
 from __future__ import annotations
@@ -21,12 +22,12 @@ from .light import LitPlate, fit_light
 from .region import Region
 
 MIN_CHANNEL = 20.0
-"""Minimum brightness of the plate in a channel whose contrast is used [grey levels]. On a darker
-plate, noise and dark current are too large a fraction."""
+"""Minimum brightness of the plate in a channel whose contrast is used [grey levels]. If the plate
+is darker, the noise and the dark current of the sensor are too large relative to it."""
 
 INNER = 0.6
-"""Radius of the inner part of a disc whose brightness is measured [radii]: inside the blurred
-edge."""
+"""Radius up to which the brightness of a disc is measured [radii]. The blurred edge is outside this
+radius."""
 
 
 class Channels(NamedTuple):
@@ -48,8 +49,8 @@ class Channels(NamedTuple):
 
 
 def channels_of(image: np.ndarray, plate: LitPlate, region: Region) -> Channels:
-    """Fit the light in all channels of an image (H, W) or (H, W, 3). `plate` holds its grey
-    levels."""
+    """Fit the light in all channels of an image (H, W) or (H, W, 3). `plate` contains the grey
+    levels of this image."""
     if image.ndim == 2:
         return Channels(plate.grey[:, :, None], plate.light[None], plate.noise)
     used, lights, noises = [], [], []
@@ -66,7 +67,8 @@ def channels_of(image: np.ndarray, plate: LitPlate, region: Region) -> Channels:
 
 
 def contrast_image(channels: Channels, region: Region) -> LitPlate | None:
-    """Return the contrast as an image of dark parts on a lit plate; None if there is no plate."""
+    """Return the contrast as an image of dark parts on a lit plate. Return None if there is no
+    plate."""
     out = np.full(channels.image.shape[:2], 255, np.uint8)
     _kernels.write_contrast(channels.image, channels.lights, region.box, out)
     return fit_light(out, region, 1.0)
@@ -75,8 +77,8 @@ def contrast_image(channels: Channels, region: Region) -> LitPlate | None:
 def find_odd(
     channels: Channels, limit: float, grid: tuple[int, int, int], shape: tuple[int, int]
 ) -> np.ndarray:
-    """Return 1 (h, w) uint8 where pixels deviate from the plate by more than a limit, else 0, on a
-    grid (first x, first y, step [px])."""
+    """Return, for each pixel of a grid (first x, first y, step [px]), 1 if it deviates from the
+    plate by more than a limit, and 0 otherwise: (h, w) uint8."""
     odd = np.empty(shape, np.uint8)
     _kernels.find_odd(channels.image, channels.lights, limit, grid, odd)
     return odd

@@ -1,7 +1,7 @@
 """The corners of a plate without markers, found by the plate's outline in a picture.
 
-`find_plate_corners` measures the four edges (`measure_outline`), intersects them, and repeats this
-around the new corners until they settle.
+`find_plate_corners` measures the four edges (`measure_outline`) and intersects them. It repeats
+this around the new corners until they no longer change.
 """
 
 from __future__ import annotations
@@ -19,18 +19,18 @@ from ..errors import CalibrationError
 from .outline import OUTWARD, Outline, OutlineGrid, edge_points, measure_outline
 
 MIN_COVER = 0.05
-"""Minimum area of the plate, relative to the image's area [-]. A smaller quadrilateral is a label
-or a tool."""
+"""Minimum area of the plate, relative to the image's area [-]. A smaller quadrilateral is another
+object, such as a label or a tool."""
 
 CORNER_STEP = 0.02
 """Maximum deviation of a contour from a quadrilateral, relative to the contour's length [-]."""
 
 ROUNDS = 3
-"""Maximum number of refinements. After a camera moved by 15 % of the plate, an error of 0.05 px
-remains after the second refinement."""
+"""Maximum number of refinements. If the camera was moved by 15 % of the plate's length, an error of
+0.05 px remains after the second refinement."""
 
 SETTLED_M = 2e-4
-"""Shift of the corners in a refinement below which no further one is needed [m]."""
+"""Shift of the corners in a refinement below which no further refinement is necessary [m]."""
 
 
 def find_plate_corners(
@@ -38,13 +38,14 @@ def find_plate_corners(
 ) -> tuple[np.ndarray, float]:
     """Find the plate's corners in an image (H, W) or (H, W, 3) uint8 of the plate at rest at home.
 
-    The outline is searched near the rig's `corners_px` first, then as the largest bright or dark
-    quadrilateral of the picture. The corner order nearest to that of `corners_px` is used.
+    The outline is first searched near the rig's `corners_px`. If it is not found there, bright or
+    dark quadrilaterals in the picture are tried, starting with the largest one. The corners are
+    returned in the order of `corners_px`.
 
     Parameters
     ----------
     lens : Lens, optional
-        Lens of the camera; None: the rig's.
+        Lens of the camera; None: the lens of the rig file.
 
     Returns
     -------
@@ -99,7 +100,7 @@ def _corners_of(outline: Outline, grid: OutlineGrid) -> tuple[np.ndarray, float]
     ends = ends + away[..., None] * OUTWARD[:, None]
     side = ends[:, 1] - ends[:, 0]
     corners = []
-    for edge in range(4):  # corner at the start of this edge: the end of the previous edge
+    for edge in range(4):  # the corner where the previous edge ends and this edge starts
         before = edge - 1
         matrix = np.column_stack([side[before], -side[edge]])
         along = np.linalg.solve(matrix, ends[edge, 0] - ends[before, 0])
@@ -109,7 +110,8 @@ def _corners_of(outline: Outline, grid: OutlineGrid) -> tuple[np.ndarray, float]
 
 def _quadrilaterals(image: np.ndarray, rig: Rig) -> list[np.ndarray]:
     """Return the corners (4, 2) [px] of large quadrilaterals that are brighter or darker than the
-    rest, the largest first, each in the order nearest to the rig's corners."""
+    rest. The largest quadrilateral comes first. The corners are in the order of the rig's
+    corners."""
     grey = cv2.GaussianBlur(grey_levels(image), (5, 5), 0)
     _, bright = cv2.threshold(grey, 0, 255, cv2.THRESH_BINARY | cv2.THRESH_OTSU)
     found = []
@@ -129,8 +131,9 @@ def _quadrilaterals(image: np.ndarray, rig: Rig) -> list[np.ndarray]:
 
 
 def _ordered(corners_px: np.ndarray, rig: Rig) -> np.ndarray:
-    """Return corners (4, 2) [px] in the rig's sense of rotation, starting at the same corner. The
-    directions from the middle are compared, because a shift does not change them."""
+    """Return corners (4, 2) [px] in the order of the rig's corners: with the same sense of rotation
+    and the same first corner. The directions of the corners from the middle are compared, because a
+    shift does not change these directions."""
     known = np.array(rig.camera.corners_px, float)
     if _area(corners_px) * _area(known) < 0:
         corners_px = corners_px[::-1]

@@ -1,6 +1,7 @@
-"""plate_home in the image, and the pose of the plate in plate_home, by markers on the plate.
+"""The location of plate_home in the image, and the pose of the plate in plate_home. Both are
+determined by markers on the plate.
 
-plate_home is determined once, by a homography from the corners of all markers (`find_home`). The
+plate_home is located once, by a homography from the corners of all markers (`find_home`). The
 plate's pose is determined in every image, by a rigid least-squares fit (`find_pose`).
 """
 
@@ -20,26 +21,28 @@ from ..camera.markers import find_markers, square_corners
 from ..errors import CalibrationError
 
 MIN_SEEN = 2
-"""Minimum number of markers for a pose. A single marker would give the angle over a length of only
-3 cm."""
+"""Minimum number of markers from which a pose is determined. With a single marker, the angle would
+be inaccurate, because a marker is only 3 cm long."""
 
 WORST_FIT_M = 1e-3
-"""Maximum root mean square deviation of the markers' corners from the rig file [m]: ten times the
-deviation of a good print in a sharp picture."""
+"""Maximum root mean square deviation of the markers' corners from their places in the rig file [m].
+It is ten times the deviation of a good print in a sharp picture."""
 
 FOLLOWED_FIT_M = 3e-4
-"""Maximum root mean square deviation if markers are tracked by their edges only [m]. It is smaller,
-to exclude other objects."""
+"""Maximum root mean square deviation if the markers are found by their edges only [m]. It is
+smaller, so that other objects are not mistaken for markers."""
 
 QUIET = 0.2
-"""Width of the bare border around a marker that is painted over with it [sides]."""
+"""Width of the border around a marker that is painted over together with the marker, relative to
+the marker's side [-]."""
 
 MOVED_M = 5e-4
-"""Displacement of a corner of the plate above which a new region is made [m]: half a pixel of the
-default rig. Making a region takes longer than the detection."""
+"""Displacement of a corner of the plate above which a new region is made [m]. It is half a pixel of
+the default rig. Smaller displacements are ignored, because it takes longer to make a region than to
+detect the parts."""
 
 AWAY_M = 2e-3
-"""Distance of the plate from home above which there is a warning [m]."""
+"""Maximum distance of the plate from home without a warning [m]."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -51,9 +54,9 @@ class PlateLocation:
     rig : Rig
         Rig with fiducials.
     lens : Lens, optional
-        Lens of camera_info; None: the rig's.
+        Lens of camera_info; None: the lens of the rig file.
     home : Calibration or None
-        Calibration from the first image that showed all markers; None before it.
+        Calibration from the first image that showed all markers; None before this image.
     pose : (3,) or None
         x, y [m], theta [rad] in plate_home in the last image; None if too few markers were visible.
     region_pose : (3,) or None
@@ -84,8 +87,8 @@ class PlateLocation:
 def locate_plate(location: PlateLocation, image: np.ndarray) -> tuple[PlateLocation, np.ndarray]:
     """Locate the plate in an image (H, W) or (H, W, 3) uint8, before the detection of parts.
 
-    Return the new location, whose `region_pose` changes if a new region is needed; and the image
-    without the markers, which could be mistaken for parts.
+    Return the new location, and the image without the markers, because they could be mistaken for
+    parts. `region_pose` of the new location changes if a new region is required.
 
     Raises
     ------
@@ -120,7 +123,7 @@ def find_home(
     Raises
     ------
     CalibrationError
-        If not all markers are visible, or they are not at the places in the rig file.
+        If not all markers are visible, or if they are not at the places in the rig file.
     """
     found = find_markers(grey_levels(image), fiducials.dictionary)
     missing = [str(number) for number in fiducials.numbers if number not in found]
@@ -156,11 +159,11 @@ def find_pose(
     home: Calibration,
     last: np.ndarray | None = None,
 ) -> np.ndarray | None:
-    """Return the plate's pose (3,) [m, m, rad], plate_home, by the visible markers.
+    """Return the plate's pose (3,) [m, m, rad] in plate_home, determined by the visible markers.
 
-    None if fewer than `MIN_SEEN` are visible, or they contradict each other. `last` is a pose
-    within a few pixels. If `last` is given, the markers' edges are searched first, which takes half
-    the time of a search for markers.
+    Return None if fewer than `MIN_SEEN` markers are visible, or if they contradict each other.
+    `last` is a pose with an error of at most a few pixels. If `last` is given, the markers' edges
+    are searched near this pose first, because this takes half the time of a search for markers.
     """
     grey = grey_levels(image)
     if last is not None:
@@ -193,8 +196,8 @@ def hide_markers(
 ) -> np.ndarray:
     """Return a copy of the image in which the markers have the brightness of the plate around them.
 
-    The detection then finds no parts in them, and no part that is on a marker. `pose` (3,)
-    [m, m, rad] is the plate's.
+    The detection then does not mistake the markers for parts. It does not find parts that are on a
+    marker either. `pose` (3,) [m, m, rad] is the pose of the plate.
     """
     copy = np.array(image)
     height, width = image.shape[:2]
@@ -212,8 +215,9 @@ def hide_markers(
 def _pose(
     fiducials: Fiducials, home: Calibration, corners_px: np.ndarray, worst: float
 ) -> np.ndarray | None:
-    """Return the pose by corners (n, 4, 2) [px], NaN if not visible; None if the fit is worse than
-    `worst` [m]."""
+    """Return the pose determined by corners (n, 4, 2) [px]. Corners that are not visible are NaN.
+    Return None if too few markers are visible, or if the residual of the fit is larger than `worst`
+    [m]."""
     rows = np.flatnonzero(np.all(np.isfinite(corners_px), axis=(1, 2)))
     if len(rows) < MIN_SEEN:
         return None

@@ -31,7 +31,7 @@ void bind_plate(nb::module_& m) {
         for (size_t i = 0; i < count; i++)
             require(0 <= rows(i) && rows(i) < static_cast<int64_t>(grey.shape(0)) &&
                         0 <= columns(i) && columns(i) < static_cast<int64_t>(grey.shape(1)),
-                    "samples outside the image");
+                    "rows, columns: allowed: inside the image");
         std::vector<float> surface;
         {
             nb::gil_scoped_release others_may_run;
