@@ -76,7 +76,7 @@ a plate that is 10 mm away from home is smaller."""
 
 REMEDIES = {
     "too faint": "use more light, or parts with more contrast to the plate",
-    "at the edge": "move them inwards, or move the plate to home, because its edge may look like parts",
+    "at the edge": "move them inwards, or move the plate to home (this may be its edge)",
     "beyond the plate": "check camera: corners_px, or clear the surroundings",
     "group": "move them apart",
     "blurred": "types cannot be distinguished: focus the camera, or reduce the exposure time",
