@@ -117,7 +117,7 @@ MAP = StabilityMap(
     x_label="parts",
     y_label="shaking ratio Γ = a_max/(mu g) [-]",
     z_label="force error over requested force [-]",
-    line_label="theory of first order in 1/Γ, for the velocity that parts gain within a cycle",
+    line_label="first order in 1/Γ, for the velocity that parts gain within a cycle",
     level=LEVEL,
     measure=measure,
     bounds=(0.0, 1.5),

@@ -62,7 +62,7 @@ MAP = StabilityMap(
     x_label="harmonics N",
     y_label="parts M",
     z_label="fraction of requests solved [-]",
-    line_label="2 M = 6 N - 2 (theory)",
+    line_label="2 M = 6 N - 2",
     level=0.5,
     measure=measure,
     bounds=(0.0, 1.0),

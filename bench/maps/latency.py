@@ -180,7 +180,7 @@ MAP = StabilityMap(
     x_label="true over assumed friction [-]",
     y_label="latency of the image [cycles]",
     z_label="RMS error of a held part [mm]",
-    line_label="delay margin of the linear loop (theory)",
+    line_label="delay margin of the linear loop",
     level=LEVEL_MM,
     measure=measure,
     bounds=(0.0, 6.0),
@@ -188,6 +188,7 @@ MAP = StabilityMap(
     finding="A loop that treats late images as new is unstable above a latency of about half a "
     "cycle, or less if the friction is higher than assumed. If the friction is lower, the error "
     "should grow by some per cent per cycle, which is not visible within the runs.",
-    note=f"Mean of {len(SEEDS)} runs with one part and {CYCLES} cycles of 0.1 s; kp = {KP:g}. "
+    note=f"Values are means of {len(SEEDS)} runs with one part and {CYCLES} cycles of 0.1 s; "
+    f"kp = {KP:g}. "
     "Unlike the planner, this loop does not estimate friction and the age of images.",
 )

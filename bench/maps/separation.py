@@ -77,12 +77,12 @@ MAP = StabilityMap(
     x_label="centres of rotation",
     y_label="distance of the two parts [mm]",
     z_label="guaranteed force [mu mg]",
-    line_label=f"distance = 4 · {LEVEL:g} · spacing of the centres (theory)",
+    line_label=f"distance = 4 · {LEVEL:g} · spacing of the centres",
     level=LEVEL,
     measure=measure,
     bounds=(0.0, 0.4),
     log="xy",
     finding="The guaranteed force that separates two parts decreases with their distance. A denser "
     "library increases it.",
-    note=f"Median of {PAIRS} random pairs. Forces have a mean square of 1 over the parts.",
+    note=f"Values are medians of {PAIRS} random pairs. Forces have a mean square of 1 over the parts.",
 )

@@ -109,7 +109,7 @@ MAP = StabilityMap(
     x_label="parts",
     y_label="natural frequency [Hz]",
     z_label="velocity error over velocity [-]",
-    line_label="|H - 1| over the motion's harmonics (theory)",
+    line_label="|H - 1| over the motion's harmonics",
     level=LEVEL,
     measure=measure,
     bounds=(0.0, 2.0),
@@ -117,6 +117,6 @@ MAP = StabilityMap(
     steps=True,
     finding="A plate with a natural frequency below the line needs a calibration. Rotations need a "
     "natural frequency 1.6 to 3.3 times that of sinusoids, because their ramps are fast.",
-    note=f"Root mean squares in the periodic state, median of {REQUESTS} random requests. The "
-    f"damping is {100 * DAMPING:g} %; the motors differ by 15 % and have a bandwidth of 200 Hz.",
+    note=f"Values are root mean squares in the periodic state, and medians of {REQUESTS} random "
+    f"requests. The damping is {100 * DAMPING:g} %; the motors differ by 15 % and have a bandwidth of 200 Hz.",
 )

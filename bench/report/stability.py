@@ -28,8 +28,9 @@ def rows_of(data: Data, one: StabilityMap) -> Sheet:
 
 def words_of(one: StabilityMap) -> dict[str, str]:
     """Return the texts of one map's chart."""
-    reading = f"Colour: {one.z_label}. Black: border at {one.level:g}. "
-    return {"title": one.title, "reading": f"{reading}Dashed: {one.line_label}. {one.note}"}
+    reading = f"Colours show the {one.z_label}. The black line is the border at {one.level:g}. "
+    reading += f"The dashed line is the border by theory: {one.line_label}. {one.note}"
+    return {"title": one.title, "reading": reading}
 
 
 def chart_of(rows: list[Row], one: StabilityMap) -> Drawn:
