@@ -84,5 +84,6 @@ MAP = StabilityMap(
     log="xy",
     finding="The guaranteed force that separates two parts decreases with their distance. A denser "
     "library increases it.",
-    note=f"Values are medians of {PAIRS} random pairs. Forces have a mean square of 1 over the parts.",
+    note=f"Values are medians of {PAIRS} random pairs. Forces have a mean square of 1 over the "
+    "parts.",
 )

@@ -118,5 +118,6 @@ MAP = StabilityMap(
     finding="A plate with a natural frequency below the line needs a calibration. Rotations need a "
     "natural frequency 1.6 to 3.3 times that of sinusoids, because their ramps are fast.",
     note=f"Values are root mean squares in the periodic state, and medians of {REQUESTS} random "
-    f"requests. The damping is {100 * DAMPING:g} %; the motors differ by 15 % and have a bandwidth of 200 Hz.",
+    f"requests. The damping is {100 * DAMPING:g} %; the motors differ by 15 % and have a "
+    "bandwidth of 200 Hz.",
 )
