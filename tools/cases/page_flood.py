@@ -23,7 +23,6 @@ from typing import Any
 import numpy as np
 import tornado.httpclient
 import tornado.websocket
-from graph.forks import end_with_parent
 from graph.session import Session, session
 
 from cases import Outcome
@@ -137,16 +136,8 @@ async def flood(url: str, rng: random.Random, sent: Any) -> None:
 
 def flooder(url: str, sockets: int, seed: int, sent: Any) -> None:
     """Run `flood` on several sockets. The process has a low priority, so that the graph gets the
-    CPU as if the browsers ran on other computers.
-
-    Linux may share the CPU among sessions first (autogroups, see sched(7)). Niceness then counts
-    only within a session. So the process has its own session, and this session a low priority too.
-    """
-    end_with_parent()
-    os.setsid()
+    CPU as if the browsers ran on other computers."""
     os.nice(NICE)
-    with contextlib.suppress(OSError):  # not all kernels have autogroups
-        Path("/proc/self/autogroup").write_text(str(NICE), encoding="ascii")
 
     async def all_of_them() -> None:
         floods = [flood(url, random.Random(seed + k), sent) for k in range(sockets)]
