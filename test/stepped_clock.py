@@ -28,6 +28,7 @@ class SteppedClock:
 
     def __init__(self, monkeypatch):
         self.ns, self._led = 10**12, []
+        self.steady_ahead_s = 0.0  # the steady clock's lead, as after a step back of the other
         self.clock = Clock(clock_type=ClockType.ROS_TIME)
         self.lead(self.clock)
 
@@ -47,7 +48,7 @@ class SteppedClock:
         return self.ns
 
     def monotonic(self):
-        return 1e-9 * self.ns
+        return 1e-9 * self.ns + self.steady_ahead_s
 
     def lead(self, clock):
         """Let a node's clock follow this one."""

@@ -11,6 +11,7 @@ from __future__ import annotations
 from dataclasses import dataclass, field, replace
 
 from plate_core import CycleError
+from plate_core.clock_steps import ClockSteps
 from plate_core.status import age_limit
 
 __all__ = ["AHEAD_S", "ALONE_S", "STANDSTILL_S", "Freshness"]
@@ -59,6 +60,8 @@ class Freshness:
     last_cycles : dict of bytes to float
         Time of the last cycle of each publisher [s, steady clock]. The key identifies the
         publisher.
+    clock : ClockSteps
+        Steps of the clock that stamps images.
     """
 
     since_ns: int = 0
@@ -67,6 +70,15 @@ class Freshness:
     number: int | None = None
     updated_at: float = 0.0
     last_cycles: dict[bytes, float] = field(default_factory=dict)
+    clock: ClockSteps = field(default_factory=ClockSteps)
+
+    def with_clocks(self, now: float, clock_ns: int) -> Freshness:
+        """Record one reading of the steady clock [s] and of the clock that stamps images [ns]. Call
+        this before each other method, but not in simulated time, which has no relation to the
+        steady clock."""
+        clock = self.clock.with_reading(now, clock_ns)
+        by_ns = sum(step.by_ns for step in clock.steps if step not in self.clock.steps)
+        return replace(self, clock=clock, since_ns=self.since_ns + by_ns)
 
     def with_state(self, number: int | None, now: float, clock_ns: int) -> Freshness:
         """Record whether the motors are ready. Call this about every 20 ms.
@@ -111,7 +123,14 @@ class Freshness:
         CycleError
             If it must not be sent. The message gives the reason.
         """
+        earliest_ns = self.clock.earliest_ns(stamp_ns)
         age, limit = 1e-9 * (clock_ns - stamp_ns), age_limit(period) - SEND_S
+        oldest = 1e-9 * (clock_ns - earliest_ns)
+        if -AHEAD_S <= age <= limit < oldest:
+            raise CycleError(
+                f"plate_cycle is for an image that may be {oldest:.2f} s old, because the clock "
+                f"was set back by {oldest - age:.2f} s, allowed: 0 to {limit:.2f} s"
+            )
         if not -AHEAD_S <= age <= limit:
             slow = 0 <= age < CLOCKS_S
             clocks = "is the clock of the image stamps synchronised with this computer's?"
@@ -121,8 +140,8 @@ class Freshness:
             )
         if len(self.last_cycles) > 1:
             raise CycleError(f"{len(self.last_cycles)} nodes publish plate_cycle, allowed: one")
-        if 0 < self.since_ns - stamp_ns < RESTART_NS:
+        if 0 < self.since_ns - earliest_ns < RESTART_NS:
             raise CycleError(f"plate_cycle is for an image from before {self.why}")
-        if 0 <= self.ended_ns - stamp_ns < RESTART_NS:
+        if 0 <= self.ended_ns - earliest_ns < RESTART_NS:
             raise CycleError("plate_cycle is for a task that has ended")
-        return limit - age
+        return limit - oldest

@@ -69,7 +69,7 @@ class CycleIntake:
     def begin(self) -> None:
         """Discard the records of earlier cycles and of the last refusal. `task_runs` stays
         unchanged."""
-        self._freshness, self.refusal = Freshness(), ""
+        self._freshness, self.refusal = Freshness(clock=self._freshness.clock), ""
 
     def record_task(self, running: bool, stamp_ns: int | None) -> None:
         """Record a report of the planner.
@@ -89,12 +89,15 @@ class CycleIntake:
         """Return the status, and record when the motors became ready or this process stalled. Call
         this about every 20 ms.
 
-        In simulated time stalls are not recorded.
+        In simulated time stalls, and steps of the clock, are not recorded.
         """
         status = self._status()
         number = self._latch.number if status.state is DriverState.READY else None
-        now = 0.0 if self._clocks.simulated() else self._clocks.steady_s()
-        self._freshness = self._freshness.with_state(number, now, self._clocks.stamp_ns())
+        simulated, clock_ns = self._clocks.simulated(), self._clocks.stamp_ns()
+        now = 0.0 if simulated else self._clocks.steady_s()
+        if not simulated:
+            self._freshness = self._freshness.with_clocks(now, clock_ns)
+        self._freshness = self._freshness.with_state(number, now, clock_ns)
         return status
 
     def accept(self, data: bytes, size: int, source: bytes, transport: TransportThread) -> Fit:
@@ -158,5 +161,7 @@ class CycleIntake:
         clock_ns, simulated = self._clocks.stamp_ns(), self._clocks.simulated()
         if simulated:  # the simulated time may arrive after the cycle
             clock_ns = max(clock_ns, stamp_ns)
+        else:
+            self._freshness = self._freshness.with_clocks(self._clocks.steady_s(), clock_ns)
         remaining = self._freshness.remaining_s(stamp_ns, clock_ns, cycle.period)
         return math.inf if simulated else remaining

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from plate_core import CycleError
+from plate_core.clock_steps import KEPT_S
 from plate_core.status import age_limit
 from plate_driver.freshness import AHEAD_S, ALONE_S, STANDSTILL_S, Freshness
 from plate_driver.setpoints.motor_table import check_order
@@ -94,6 +95,38 @@ def test_what_is_said_later_of_older_images_does_not_bring_back_what_has_ended(s
         fresh.remaining_s(at(6.8), at(7.1), PERIOD)
 
 
+def test_a_cycle_is_as_old_as_its_image_may_be_if_the_clock_was_set_back():
+    """A node was frozen for 0.92 s. Meanwhile the clock was set back, so that the image of 9.8 s
+    seems 0.92 s minus the step old."""
+    for back in (0.5, 0.6, 0.7, 0.8, 0.9, 0.95):
+        fresh = ready().with_clocks(9.9, at(9.9)).with_clocks(9.92, at(9.92 - back))
+        fresh = fresh.with_clocks(10.72, at(10.72 - back))
+        with pytest.raises(CycleError, match=r"may be 0\.92 s old, because the clock was"):
+            fresh.remaining_s(at(9.8), at(10.72 - back), PERIOD)
+        # An image from after the step; and one that is young enough also if it is from before.
+        later = fresh.with_clocks(12.0, at(12.0 - back))
+        assert later.remaining_s(at(11.9 - back), at(12.0 - back), PERIOD) == pytest.approx(0.48)
+    short = ready().with_clocks(9.9, at(9.9)).with_clocks(9.92, at(9.62))
+    assert short.remaining_s(at(9.52), at(9.62), PERIOD) == pytest.approx(0.18)
+    # After a step of an hour the plate rests for a minute.
+    far = ready().with_clocks(9.9, at(3600)).with_clocks(9.92, at(0.02))
+    with pytest.raises(CycleError, match="3600"):
+        far.remaining_s(at(0), at(0.1), PERIOD)
+    far = far.with_clocks(10 + KEPT_S, at(KEPT_S + 0.1))
+    assert far.remaining_s(at(KEPT_S), at(KEPT_S + 0.1), PERIOD) > 0
+
+
+def test_a_step_of_the_clock_moves_the_time_of_the_last_enable():
+    """The motors became ready at 10 s; then the clock was set back or forth. Images from before
+    that move nothing."""
+    for by in (-0.5, 0.4):
+        fresh = ready(10.0).with_clocks(10.0, at(10.0)).with_clocks(10.02, at(10.02 + by))
+        with pytest.raises(CycleError):
+            fresh.remaining_s(at(9.95), at(10.05 + by), PERIOD)
+        with pytest.raises(CycleError, match="from before the motors became ready"):
+            fresh.remaining_s(at(9.99 + by), at(10.05 + by), PERIOD)
+
+
 def test_a_simulator_that_begins_anew_is_heard():
     fresh = ready(50.0).ended(at(70.0))
     assert fresh.remaining_s(at(0.0), at(0.0), PERIOD) > 0
@@ -119,8 +152,9 @@ class Hop:
 
 def run(seed: int) -> list[tuple[float, float, int]]:
     """A loop with delays, freezes, repetitions and messages out of order at each hop; a task that
-    begins and ends, a driver that is stopped and enabled. The rule is the driver's; the world, and
-    what is true, are this function's. Returns what is wrong with tables that moved the plate."""
+    begins and ends, a driver that is stopped and enabled, a clock that steps. The rule
+    is the driver's; the world, and what is true, are this function's. Returns what is wrong with
+    tables that moved the plate."""
     rng = np.random.default_rng(seed)
     hops = {name: Hop() for name in HOPS}
     for hop in hops.values():
@@ -136,18 +170,25 @@ def run(seed: int) -> list[tuple[float, float, int]]:
     def stopped(t: float) -> bool:
         return any(stop <= t < stop + 0.5 for stop in stops)
 
+    steps = np.sort(rng.uniform(0, 20, rng.integers(0, 3)))
+    sizes = rng.uniform(-1, 0.3, len(steps))
+
+    def clock(t: float) -> int:
+        return at(100 + t + float(sizes[steps <= t].sum()))
+
     order, queue = itertools.count(), []
 
     def put(t: float, what: str, *content: object) -> None:
         heapq.heappush(queue, (t, next(order), what, content))
 
     for k in range(100):
-        put(0.2 * k, "detector", at(0.2 * k), True)
+        put(0.2 * k, "detector", clock(0.2 * k), 0.2 * k, True)
     for end in ends:
         put(float(end), "end")
     for k in range(500):
         put(0.04 * k, "look")
     fresh, last_ns, asked_ns, told, wrong = Freshness(), None, 0, [], []
+    asked = -1.0  # true time of the image of the planner's last request
     while queue:
         t, _, what, content = heapq.heappop(queue)
         if what == "end":  # the planner says so when it runs
@@ -162,39 +203,41 @@ def run(seed: int) -> list[tuple[float, float, int]]:
             continue
         if what == "ended":
             fresh = fresh.ended(asked_ns)
-            told.append((t, asked_ns))
+            told.append((t, asked))
             continue
         number = None if stopped(t) else sum(stop <= t for stop in stops)
         if name == "driver":
-            fresh = fresh.with_state(number, t, at(t))
+            fresh = fresh.with_clocks(t, clock(t)).with_state(number, t, clock(t))
         if what == "look":
             continue
-        stamp, moves = content
+        stamp, taken, moves = content
         hop.busy_until = t + rng.exponential(slow)
         if what == "planner":
-            moves, asked_ns = running(t), max(asked_ns, stamp)
+            moves = running(t)
+            if taken > asked:
+                asked_ns, asked = stamp, taken
         if what != "driver":
             for _ in range(1 + (rng.random() < 0.1)):  # now and then twice
                 following = HOPS[HOPS.index(what) + 1]
-                put(hop.busy_until + rng.exponential(slow), following, stamp, moves)
+                put(hop.busy_until + rng.exponential(slow), following, stamp, taken, moves)
             continue
         try:
             check_order(last_ns, stamp)
             if number is None:
                 continue
             if moves:
-                fresh.remaining_s(stamp, at(t), PERIOD)
+                fresh.remaining_s(stamp, clock(t), PERIOD)
         except CycleError:
             continue
         last_ns = stamp
         if not moves:
             continue
         # The judge, by what is true.
-        age = t - 1e-9 * stamp
+        age = t - taken
         thaw = max((end for _, end in hop.frozen if end <= t and end - _ > 0.3), default=0.0)
         enabled = max((stop + 0.5 for stop in stops if stop + 0.5 <= t), default=0.0)
         ended = max((asked for heard, asked in told if heard <= t), default=-1)
-        if age > 0.6 or stamp < at(thaw) or stamp < at(enabled) or stamp <= ended:
+        if age > 0.6 or taken < thaw or taken < enabled or taken <= ended:
             wrong.append((t, age, seed))
         moved.append(age)
     return wrong

@@ -25,6 +25,7 @@ from visualization_msgs.msg import MarkerArray
 
 from plate_core import Parts as CoreParts
 from plate_core import PlateError, Wanted, load_rig
+from plate_core.clock_steps import ClockSteps
 from plate_core.driver_status import DriverState
 from plate_core.ros import (
     CALLS,
@@ -157,6 +158,8 @@ class PlannerNode(SafeLifecycleNode[PlannerParameters]):
     def __init__(self) -> None:
         super().__init__("planner", PlannerParameters)
         self._stamp = self.get_clock().now().to_msg()  # stamp of the last image
+        self._clock_steps = ClockSteps()
+        self._simulated = bool(self.get_parameter("use_sim_time").value)
         self._diagnostics = self.report(
             lambda now: self._health.finding(now),
             lambda: self._health.values(time.monotonic()),
@@ -370,9 +373,11 @@ class PlannerNode(SafeLifecycleNode[PlannerParameters]):
         """Compute and publish a task's request for the next cycle, and report the progress."""
         sorted_before = -1 if run.progress is None else run.progress.parts_sorted
         wanted = compute(run)
-        age = seconds(stamp) - seconds(self._stamp)  # a cycle may begin without a new image
-        old = age > age_limit(self._tasks.estimator.period)
-        if self._has_stalled() or self._monitor.second_publishers() or old:
+        stalled = self._has_stalled()  # this reads the clocks too
+        # A cycle may begin without a new image.
+        age_ns = nanoseconds(stamp) - self._clock_steps.earliest_ns(nanoseconds(self._stamp))
+        old = 1e-9 * age_ns > age_limit(self._tasks.estimator.period)
+        if stalled or self._monitor.second_publishers() or old:
             wanted = NOTHING  # the image is too old for the positions
         self._request(wanted, stamp, to_time(round(1e9 * run.state.estimator.next_start)))
         self._reports.publish_feed(run, bool(wanted.parts.ids), self._stamp)
@@ -427,7 +432,10 @@ class PlannerNode(SafeLifecycleNode[PlannerParameters]):
         return self._monitor.inputs.ran
 
     def _has_stalled(self) -> bool:
-        failure = self._monitor.wake(time.monotonic(), self._tasks.estimator.period)
+        now, clock_ns = time.monotonic(), self.get_clock().now().nanoseconds
+        if not self._simulated:  # simulated time has no relation to the steady clock
+            self._clock_steps = self._clock_steps.with_reading(now, clock_ns)
+        failure = self._monitor.wake(now, self._tasks.estimator.period)
         if failure is not None:
             self._end(failure)
         return failure is not None

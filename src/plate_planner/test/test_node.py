@@ -86,6 +86,37 @@ def test_with_a_camera_that_runs_free_each_cycle_is_answered(graph):
     assert "cycle_started" in status.text
 
 
+def test_an_image_from_before_the_clock_was_set_back_is_as_old_as_it_may_be(graph, monkeypatch):
+    """The clock steps back by 0.3 s, while a message with the last image may be on its way."""
+    graph = graph(camera_triggered=False)
+    starts = graph.probe.create_publisher(JointTrajectory, "cycle_started", DATA)
+    graph.until(starts.get_subscription_count)
+
+    def begin(k):
+        """Publish the start of a cycle, 0.1 s after the last image if k is 0. Return the number of
+        requested forces."""
+        stamp = to_time(graph.clock.ns + round(1e8 * k))
+        starts.publish(cycle_to_msg(PlateCycle.rest(0.1), stamp))
+        graph.until(lambda: graph.forces and graph.forces[-1].header.stamp == stamp)
+        return len(graph.forces[-1].forces)
+
+    def show():
+        graph.parts.publish(parts_to_msg(Parts.make(IDS, APART), to_time(graph.clock.ns - 10**8)))
+
+    show()
+    begin(-0.5)
+    graph.send(SORT_4)
+    show()
+    assert begin(0) == 4
+    show()
+    assert begin(0.5) == 4
+    graph.clock.steady_ahead_s = 0.3
+    assert begin(2) == 0  # 0.3 s old, or 0.6 s
+    graph.clock.step(0.5)
+    show()
+    assert begin(0) == 4
+
+
 def test_a_task_from_goal_to_done(graph):
     graph = graph()
     assert graph.image(100.0, APART).parts.ids == ()  # idle images are answered too

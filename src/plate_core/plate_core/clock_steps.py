@@ -1,0 +1,88 @@
+"""Detection of steps of the clock that stamps messages.
+
+A clock that is synchronised over a network may step. If it steps back while a message is on its
+way, the message seems younger than it is. The steady clock never steps, so the difference between
+the two clocks shows the steps. This module uses neither ROS nor a clock, so all times are
+arguments.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import NamedTuple
+
+__all__ = ["ClockSteps"]
+
+STEP_NS = 20_000_000
+"""Minimum change of the difference between the clocks that counts as a step [ns]. Smaller changes
+occur if the process is interrupted between reading the two clocks."""
+
+KEPT_S = 60.0
+"""Time for which a step is considered [s]. No message is on its way for longer, and after a large
+step back the plate must not rest for as long as the step."""
+
+
+MAX_STEPS = 20
+"""Maximum number of steps that are considered. A clock with more steps is not usable."""
+
+
+class Step(NamedTuple):
+    """One step of the clock.
+
+    Attributes
+    ----------
+    at : float
+        Time at which it was noticed [s, steady clock].
+    before_ns : int
+        Time that the clock would have shown then without the step [ns].
+    by_ns : int
+        Size of the step [ns]. It is negative if the clock was set back.
+    """
+
+    at: float
+    before_ns: int
+    by_ns: int
+
+
+@dataclass(frozen=True)
+class ClockSteps:
+    """Steps of the clock in the last `KEPT_S`.
+
+    Attributes
+    ----------
+    offset_ns : int or None
+        Last difference between the clock and the steady clock [ns]. None before the first reading.
+    steps : tuple of Step
+        Steps, the oldest first.
+    """
+
+    offset_ns: int | None = None
+    steps: tuple[Step, ...] = ()
+
+    def with_reading(self, now: float, clock_ns: int) -> ClockSteps:
+        """Record one reading of both clocks. Call this often: a stamp that was made between the
+        step and the next reading counts as made before the step.
+
+        Parameters
+        ----------
+        now : float
+            Time on the steady clock [s].
+        clock_ns : int
+            The same time on the clock [ns].
+        """
+        offset_ns = clock_ns - round(1e9 * now)
+        by_ns = 0 if self.offset_ns is None else offset_ns - self.offset_ns
+        steps = tuple(step for step in self.steps if now - step.at < KEPT_S)
+        if abs(by_ns) > STEP_NS:
+            steps += (Step(now, clock_ns - by_ns, by_ns),)
+        return replace(self, offset_ns=offset_ns, steps=steps[-MAX_STEPS:])
+
+    def earliest_ns(self, stamp_ns: int) -> int:
+        """Return the earliest time at which a stamp may have been made, on the clock as it runs
+        now [ns]. It is the stamp itself unless the clock was set back."""
+        earliest_ns, by_ns = stamp_ns, 0
+        for step in reversed(self.steps):
+            by_ns += step.by_ns
+            if stamp_ns <= step.before_ns:  # the stamp may have been made before this step
+                earliest_ns = min(earliest_ns, stamp_ns + by_ns)
+        return earliest_ns
