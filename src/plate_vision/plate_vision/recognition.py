@@ -1,4 +1,5 @@
-"""Recognition of parts of taught types: find them in an image, name them, and measure them.
+"""Recognition of parts of taught types. The functions find the parts in an image, determine their
+types, and measure them.
 
 The image is divided into patches that differ from the bare plate (`segment`). Each patch is
 compared with the catalogue of types (`recognise_under`), and groups of touching parts are separated
@@ -32,23 +33,24 @@ from .shapes.shadows import Lamp
 from .shapes.teaching import ALIKE, gap_between
 
 BLUR_PX = 0.8
-"""Typical blur of a camera and its pixels, standard deviation [px]."""
+"""Typical blur of a camera, including the size of its pixels: a standard deviation [px]."""
 
 MIN_CORNER_PX = 0.25
-"""Minimum protrusion of corners from a round outline in the image for the angle to be measured
-[px]. With stars of 5 to 16 corners the error is then at most a fifth of the angle between two
-corners."""
+"""Minimum protrusion of corners from a round outline in the image with which the angle can be
+measured [px]. For stars with 5 to 16 corners, the error of the angle is then at most a fifth of the
+angle between two corners."""
 
 SIZE_ALONE = 3.0
-"""Types that differ only in size, and by fewer standard deviations than this, cause a warning."""
+"""Minimum difference between two types that differ only in size [standard deviations]. If the
+difference is smaller, there is a warning."""
 
 SAME_LENGTH, SAME_LENGTH_PX = 0.45, 2.5
 """Maximum difference between the shadow length measured with known types and the shadow length
-measured by colours, relative to the second length and [px]. If the difference is larger, the areas
-are not shadows."""
+measured by colours: the larger one of `SAME_LENGTH`, relative to the second length [-], and
+`SAME_LENGTH_PX` [px]. If the difference is larger, the areas are not shadows."""
 
 SCALE = 1000.0
-"""Default scale of a photograph [px/m]: one pixel is a millimetre."""
+"""Default scale of a photograph [px/m]. One pixel is then one millimetre."""
 
 
 def find_parts(
@@ -65,9 +67,10 @@ def find_parts(
     image : (H, W) or (H, W, 3) uint8
         Grey levels, or blue, green, red.
     types : mapping of str to PartType, or Catalogue
-        Types by name, or a catalogue from `make_catalogue`, whose preparation takes time.
+        Types by name, or a catalogue from `make_catalogue`. A catalogue saves time if it is used
+        for several images.
     background : Background, optional
-        The bare plate; modelled from the image if None.
+        The bare plate. None: a model of it is made from the image.
     scale : float
         Scale of the picture [px/m].
     region : Region, optional
@@ -114,10 +117,11 @@ def find_types_under(
     region: Region | None = None,
     before: Lamp | None = None,
 ) -> tuple[np.ndarray, Lamp | None]:
-    """Like `find_types`, but also return the lamp that casts the shadows of all parts.
+    """Find parts like `find_types`, but also return the lamp that casts the shadows of all parts.
 
-    A lamp is fixed. If an image alone does not show its direction, for example because parts touch,
-    the lamp `before` of the previous image is used, unless more parts are recognised without it.
+    A lamp is assumed not to move. If the direction of its light is not visible in an image, for
+    example because parts touch, the lamp `before` of the previous image is used, unless more parts
+    are recognised without it.
     """
     rise = _rise_of(catalogue, calibration)
 
@@ -139,8 +143,8 @@ def find_types_under(
     patches, found = seen.segments.patches, seen.found
     whole = seen.segments.doubtful(is_named(found))
     if whole is not None:
-        # The light side of this patch is possibly not a shadow, because a moving part has soft
-        # edges too.
+        # The light side of this patch may be part of the object and not a shadow, because the edges
+        # of a moving part are blurred too.
         more = segment(image, background, region, whole=whole).patches
         again = recognise(image, more, catalogue, calibration, seen.conditions)
         patches, found = _joined(patches, found, more, again)
@@ -156,8 +160,8 @@ def _joined(
 ) -> tuple[list[Patch], np.ndarray]:
     """Return patches and their sightings (n,) SIGHTING, after the second recognition `again`.
 
-    If a sighting of the second recognition has a type, it replaces the first sightings that it
-    overlaps. If it overlaps no sighting, it is added.
+    If a sighting of the second recognition has a type, it replaces those first sightings that it
+    overlaps. If it does not overlap any sighting, it is added.
     """
     kept = np.ones(len(patches), bool)
     added = []
@@ -172,8 +176,8 @@ def _joined(
 
 @dataclass(frozen=True)
 class _Seen:
-    """Segments of an image, sightings (n,) SIGHTING of its patches, and the conditions estimated
-    from the sightings."""
+    """The segments of an image, the sightings (n,) SIGHTING of its patches, and the conditions that
+    were estimated from the sightings."""
 
     segments: Segments
     found: np.ndarray
@@ -204,8 +208,8 @@ class _Seen:
 def _rise_of(
     catalogue: Catalogue, calibration: Calibration
 ) -> Callable[[np.ndarray], np.ndarray] | None:
-    """Return a function from image points (n, 2) to the shift (n, 2) of the highest parts' tops
-    there [px]; None if parts are flat, or the camera's position is unknown."""
+    """Return a function from image points (n, 2) to the shifts (n, 2) of the highest parts' tops at
+    these points [px]. Return None if all parts are flat, or if the camera's position is unknown."""
     height, place = float(np.max(catalogue.height, initial=0)), calibration.place
     if place is None or height == 0:
         return None
@@ -218,8 +222,8 @@ def _rise_of(
 
 
 def model_plate(image: np.ndarray, region: Region) -> Background:
-    """Model the bare plate from one image (H, W) or (H, W, 3) that shows parts and the plate's
-    surround.
+    """Return a model of the bare plate, made from one image (H, W) or (H, W, 3) that shows parts
+    and the plate's surround.
 
     Raises
     ------
@@ -237,14 +241,16 @@ def model_plate(image: np.ndarray, region: Region) -> Background:
 
 
 def calibrate_by_scale(scale: float) -> Calibration:
-    """Return the calibration of a picture taken vertically from above, of a scale [px/m]. The first
-    pixel is the origin of plate_home, x points right, y up."""
+    """Return the calibration of a picture that was taken vertically from above, with a scale
+    [px/m]. The origin of plate_home is at the first pixel, its x axis points to the right, and its
+    y axis points up."""
     return calibrate_by_matrix(np.diag([scale, -scale, 1.0]))
 
 
 def camera_limits(types: Mapping[str, PartType], calibration: Calibration) -> list[str]:
-    """Return one sentence for each limit of the camera: types that look alike, types that differ
-    only in size, and types whose corners are too small for their angle to be measured."""
+    """Return one message for each limit of the camera: for two types that look alike, for two types
+    that differ only in size, and for a type whose corners are so small that its angle cannot be
+    measured."""
     scale = float(calibration.scale(np.zeros((1, 2)))[0])
     found = []
     for (name, part), template in zip(types.items(), make_catalogue(types).templates, strict=True):

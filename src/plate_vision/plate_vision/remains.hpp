@@ -10,15 +10,16 @@
 
 namespace plate {
 
-// Width [px] of the border around a part that counts as part of it: its blurred edge.
+// Width [px] of the border around a part that belongs to the part. It is the part's blurred edge.
 constexpr double CLEAR_PX = 2.5;
 
-// Write 0 on a grid (h, w) where parts are: silhouettes (n,) at places (n, 2) [px].
+// Set the pixels of a grid (h, w) to 0 where there are parts, which have silhouettes (n,) at places
+// (n, 2) [px].
 inline void clear_parts(View<uint8_t, 2> odd, const std::array<int, 3>& grid,
                         View<const double, 2> places, const Silhouette* parts) {
     for (int k = 0; k < places.size(0); k++) {
-        // All points of a part are within this distance of the line from its place to the middle of
-        // its top.
+        // `width` is the maximum distance between a point of the part and the line from the part's
+        // place to the middle of its top.
         const double x0 = places(k, 0), y0 = places(k, 1);
         double dx, dy;
         parts[k].to_image(parts[k].lean_px[0], parts[k].lean_px[1], dx, dy);
@@ -43,8 +44,9 @@ inline void clear_parts(View<uint8_t, 2> odd, const std::array<int, 3>& grid,
     }
 }
 
-// Whether any four neighbours of a grid outside the parts deviate from the plate by more than a
-// limit. All four must be set in `counts` (h, w). Parts are silhouettes (n,) at places (n, 2) [px].
+// Whether four neighbouring pixels of a grid outside the parts deviate from the plate by more than
+// a limit. Only pixels that are set in `counts` (h, w) are evaluated. The parts have silhouettes
+// (n,) at places (n, 2) [px].
 inline bool any_odd(View<const uint8_t, 3> image, View<const float, 2> lights, double limit,
                     View<const bool, 2> counts, const std::array<int, 3>& grid,
                     View<const double, 2> places, const Silhouette* parts) {

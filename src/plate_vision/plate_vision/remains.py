@@ -1,7 +1,8 @@
-"""Remains: pixels that differ from the bare plate and belong to no detected part, on a coarse grid.
+"""Remains: pixels of a coarse grid that differ from the bare plate and do not belong to a detected
+part.
 
-The detector searches them for parts that are not simply darker than the plate. The rest are the
-overlooked objects with their reasons (`overlooked_things`).
+The detector searches the remains for parts that are not simply darker than the plate. The objects
+that are left then are the overlooked objects, which have a reason (`overlooked_things`).
 """
 
 from __future__ import annotations
@@ -20,19 +21,19 @@ from .plate import LitPlate, Region
 from .plate.contrast import Channels, find_odd
 
 COARSE_STEP = 2
-"""The first check uses every second row and column of the grid. Its smallest hit, four neighbours,
-is smaller than the smallest object that counts."""
+"""Step of the first check through the rows and columns of the grid. The check detects objects of
+four neighbouring pixels, which are smaller than the smallest object that counts."""
 
 MIN_AREA = 0.1
 """Minimum area of an object, relative to a part's area. Smaller objects are dust."""
 
 HOLE = 0.5
-"""Maximum area enclosed by an object that belongs to the object, relative to a part's area: a
-highlight or a hole."""
+"""Maximum area of a highlight or a hole, relative to a part's area. An area up to this size that an
+object encloses belongs to the object."""
 
 SMALL, LARGE = 0.6, 1.6
-"""Range of an object's area relative to a part's area. Outside this range, the object is too small
-or too large."""
+"""Range of an object's area, relative to a part's area. If the area is outside this range, the
+object is too small or too large."""
 
 
 class Remains(NamedTuple):
@@ -41,9 +42,9 @@ class Remains(NamedTuple):
     Attributes
     ----------
     odd : (h, w) uint8
-        1 where a grid pixel differs from the bare plate, else 0.
+        1 where a pixel of the grid differs from the bare plate, 0 elsewhere.
     outside : (h, w) bool
-        Where the grid is outside the plate.
+        Whether a pixel of the grid is outside the plate.
     grid : (int, int, int)
         First x, first y, and step of the grid [px].
     """
@@ -61,9 +62,9 @@ def find_remains(
     centre: np.ndarray,
     parts: np.ndarray,
 ) -> Remains | None:
-    """Return the remains apart from parts at places (n, 2) [px] with silhouettes (n,) SILHOUETTE;
-    None if there are none. `limit` is the minimum contrast of a pixel, `least_px` the smallest
-    radius of a part [px]."""
+    """Return the remains without the parts at places (n, 2) [px] with silhouettes (n,) SILHOUETTE.
+    Return None if there are no remains. `limit` is the minimum contrast of a pixel, and `least_px`
+    is the smallest radius of a part [px]."""
     x0, y0 = region.box[:2]
     stride = max(1, int(least_px / COARSE_RADIUS_PX))
     shapes = numbers(parts)
@@ -89,8 +90,8 @@ def without(remains: Remains, centre: np.ndarray, parts: np.ndarray) -> Remains:
 
 
 def solid(remains: Remains, radius_px: float) -> Remains:
-    """Remove specks from the remains, and fill enclosed areas: highlights and holes of parts of
-    this radius [px]."""
+    """Remove specks from the remains, and fill enclosed areas, which are highlights and holes of
+    parts with this radius [px]."""
     stride = remains.grid[2]
     odd = remains.odd.copy()
     most = HOLE * np.pi * (radius_px / stride) ** 2
@@ -100,10 +101,11 @@ def solid(remains: Remains, radius_px: float) -> Remains:
     right, bottom = left + stats[:, cv2.CC_STAT_WIDTH], top + stats[:, cv2.CC_STAT_HEIGHT]
     hole = (stats[:, cv2.CC_STAT_AREA] <= most) & (left > 0) & (top > 0)
     hole &= (right < width) & (bottom < height)
-    hole[0] = False  # label 0 marks the objects themselves
+    hole[0] = False  # label 0 is that of the objects themselves
     if count > 1 and np.any(hole):
         odd[hole[labels]] = 1
-    # Remove specks after filling: otherwise a hole next to the edge would open.
+    # Specks are removed after the holes are filled, because otherwise a hole next to the edge would
+    # no longer be enclosed.
     odd = np.asarray(cv2.morphologyEx(odd, cv2.MORPH_OPEN, np.ones((3, 3), np.uint8)))
     return remains._replace(odd=odd)
 
@@ -129,7 +131,8 @@ def overlooked_things(
         left, top, wide, high, area = stats[k].tolist()
         place = np.s_[top : top + high, left : left + wide]
         here = labels[place] == k
-        # Pixels of the blurred edge count as the fraction of the contrast that they have.
+        # A pixel of the blurred edge counts as a fraction of a pixel, in proportion to its
+        # contrast.
         contrasts = levels[place][here]
         usual = float(np.median(contrasts))
         area = min(area, max(float(np.sum(contrasts)), 0.0) / max(usual, 1e-3))
@@ -152,8 +155,8 @@ def overlooked_things(
 
 @lru_cache(maxsize=4)
 def _deep(region: Region, stride: int, radius_px: float) -> np.ndarray:
-    """Return which grid pixels (h, w) bool are at least a radius [px] inside the plate's edge.
-    Nearer pixels may show the edge of a plate that is not at home."""
+    """Return which pixels (h, w) bool of the grid are inside the plate, at least a radius [px] from
+    its edge. Pixels nearer to the edge may show the edge of a plate that is not at home."""
     x0, y0, x1, y1 = region.box
     columns, rows = np.arange(x0, x1, stride)[None, :], np.arange(y0, y1, stride)[:, None]
     return np.asarray(region.depth(columns, rows) >= radius_px)

@@ -1,9 +1,9 @@
-"""The shadow that all parts of an image cast, estimated from their silhouettes: `find_shadow`.
+"""Estimation of the shadow that all parts of an image cast (`find_shadow`).
 
 A part and its shadow form one dark object: the part's disc swept along the shadow's displacement.
-If many objects are longer than a part in one common direction, their moments give the shadow's
-length and direction, up to its sign. The sign, the darkness and the width of the edge are those
-that minimise the misfit of the parts' contours (Nelder-Mead).
+If several objects are longer than a part in a common direction, their moments give the shadow's
+length and direction, but not the sign of the direction. The sign, the darkness and the width of the
+edge are chosen so that the misfit of the parts' contours is minimal (Nelder-Mead method).
 """
 
 from __future__ import annotations
@@ -22,11 +22,12 @@ from .plate import LitPlate
 from .remains import Remains
 
 FEWEST = 2
-"""Minimum number of elongated objects in one direction that indicate shadows. A single object may
-be a part of another shape."""
+"""Minimum number of objects, elongated in one direction, that indicate shadows. A single object is
+not sufficient, because it may be a part of another shape."""
 
 MAX_OBJECTS = 10
-"""Maximum number of objects used for the fit. More make it slower, and hardly better."""
+"""Maximum number of objects used for the fit. With more objects, the fit is slower and hardly
+better."""
 
 PIXELS = 3000.0
 """Maximum total area of the objects in the fit, divided by pi [px^2]. This limit reduces the number
@@ -36,13 +37,14 @@ SIZE = 1.05, 4.0
 """Range of the area of a part with its shadow, relative to the part's area."""
 
 ALIGNED = 0.8
-"""Minimum length of the mean of the objects' directions, as unit vectors at twice the angle."""
+"""Minimum length of the mean of the unit vectors with twice the angles of the objects' directions.
+It is 1 if all directions are equal."""
 
 MIN_LENGTH = 0.1
 """Minimum length of a shadow [part radii]."""
 
 SKIRT_PX = 0.7
-"""Width added to a part's radius, because the blurred edge belongs to the object [px]."""
+"""Width that is added to a part's radius, because the blurred edge belongs to the object [px]."""
 
 DARKNESS = np.linspace(0.1, 0.8, 6)
 EDGES_PX = (1.0, 2.5, 4.5)
@@ -51,8 +53,9 @@ EDGES_PX = (1.0, 2.5, 4.5)
 SIMPLEX = 0.5 * np.vstack([-np.ones(4), np.eye(4) * 3 - 1])
 TRIES = 40
 DARKEST, EDGE_RANGE_PX = (0.05, 0.9), (0.5, 8.0)
-"""Nelder-Mead search: initial simplex (changes of the displacement [mm], of the darkness [0.1] and
-of the edge [px]), maximum number of evaluations, and bounds of the darkness and the edge [px]."""
+"""Parameters of the Nelder-Mead search: the initial simplex, with changes of the displacement [mm],
+of the darkness [0.1] and of the half width of the edge [px]; the maximum number of evaluations; and
+the bounds of the darkness and of the half width of the edge [px]."""
 
 GOOD_FIT = 0.1
 """Maximum mean misfit with a shadow."""
@@ -61,9 +64,9 @@ BETTER = 0.75
 """Maximum mean misfit with a shadow, relative to the misfit without a shadow."""
 
 SURE = 0.7
-"""Maximum mean misfit with a shadow, relative to the misfit with a shadow to the opposite side. If
-it is exceeded, the side is unknown. Synthetic shadows that were assigned to the wrong side had 0.76
-and more."""
+"""Maximum mean misfit with a shadow, relative to the misfit with a shadow on the opposite side. If
+it is exceeded, the side is unknown. For synthetic shadows that were assigned to the wrong side, the
+ratio was 0.76 and more."""
 
 UNLIKE = 0.15
 """Minimum difference in darkness by which a part is distinguished from its shadow."""
@@ -72,21 +75,23 @@ UNLIKE_FRACTION = 0.3
 """Minimum fraction of parts that must have this difference."""
 
 EQUAL = 1.05
-"""A shadow whose length is measured replaces the one whose length is fitted if its misfit is good,
-or less than this multiple of the other shadow's misfit."""
+"""Maximum misfit of a shadow whose length is measured, relative to the misfit of the shadow whose
+length is fitted. If the misfit is smaller than this or than `GOOD_FIT`, the measured length is
+used."""
 
 WORST = 0.4
-"""Maximum misfit of an object that enters the mean, so that objects that are not parts do not
-dominate it."""
+"""Value to which the misfit of an object is limited before the mean is computed, so that objects
+that are not parts do not dominate the mean."""
 
 ROUNDS = 2
-"""Number of grid searches over darkness and edge, each followed by a measurement of the length."""
+"""Number of grid searches over the darkness and the edge. After each search, the length is
+measured."""
 
 RATIOS = np.linspace(0, 4, 81)
-"""Lengths of capsules for which the flatness is tabulated [radii]."""
+"""Lengths of capsules (discs swept along a line) for which the flatness is tabulated [radii]."""
 
 INNER_PX = 2.0
-"""Minimum distance from the edge of the disc at which its shadow has full darkness [px]."""
+"""Distance from the edge of the disc from which on its shadow has its full darkness [px]."""
 
 PROFILE_PX = 0.5
 """Step of the profile in which the end of a shadow is searched [px]."""
@@ -95,9 +100,9 @@ PROFILE_PX = 0.5
 def find_shadow(
     contrast: LitPlate, remains: Remains, silhouettes: Silhouettes, calibration: Calibration
 ) -> Shadow | None:
-    """Return the shadow that the objects of an image cast; None if they show none.
+    """Return the shadow that the objects of an image cast. Return None if no shadow is found.
 
-    `contrast` is the `contrast_image`; `remains` holds all objects on the plate.
+    `contrast` is the `contrast_image`, and `remains` contains all objects on the plate.
     """
     found = _capsules(remains, silhouettes)
     if found is None:
@@ -120,8 +125,9 @@ def find_shadow(
         return float(np.mean(np.minimum(fitted(shadow)["misfit"], WORST)))
 
     def whole_misfit(shadow: Shadow) -> float:
-        """Return the mean misfit of contours and of the darkness along the shadows. The latter
-        counts only for shadows that are long enough to be taken for a part."""
+        """Return the mean misfit of the contours and of the darkness along the shadows. The
+        darkness is only evaluated if the shadows are so long that they could be mistaken for
+        parts."""
         discs = fitted(shadow)
         steps, levels = _along(contrast, shadow, discs, parts)
         length = _length(shadow, discs, parts)
@@ -132,7 +138,8 @@ def find_shadow(
         return float(np.mean(np.minimum(discs["misfit"] + odd, WORST)))
 
     def improved(shadow: Shadow) -> Shadow:
-        """Choose darkness and edge by a grid search, then measure the length."""
+        """Return the shadow with the best darkness and edge of the grid search, and with its
+        measured length."""
         tried = (
             replace(shadow, darkness=float(darkness), edge_px=edge_px)
             for darkness, edge_px in product(DARKNESS, EDGES_PX)
@@ -141,7 +148,8 @@ def find_shadow(
         return _measured(contrast, best, fitted(best), parts)
 
     def refined(shadow: Shadow) -> tuple[float, Shadow]:
-        """Return the misfit of the best shadow near this one, and that shadow."""
+        """Return the misfit of the best shadow that is similar to this one, and that best
+        shadow."""
 
         def at(change: np.ndarray) -> Shadow:
             return Shadow(
@@ -173,8 +181,8 @@ def find_shadow(
     unlike = np.abs(fitted(best)["darkness"] - best.darkness) > UNLIKE
     if np.count_nonzero(unlike) < UNLIKE_FRACTION * len(unlike):
         return None
-    # A long shadow's end is far from the contours, so its length is measured. A short one is
-    # fitted.
+    # The end of a long shadow is far from the contours, so its length is measured. The length of a
+    # short shadow is fitted.
     measured = _measured(contrast, best, fitted(best), parts)
 
     def darkened(change: np.ndarray) -> Shadow:
@@ -194,9 +202,10 @@ def find_shadow(
 def _capsules(
     remains: Remains, silhouettes: Silhouettes
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray] | None:
-    """Return objects that are elongated in one common direction: centres (n, 2) [px], silhouettes
-    (n,) of parts there, extra lengths (n,) [px] relative to a part, and unit directions (n, 2) in
-    the image. None if there are too few."""
+    """Return objects that are elongated in one common direction: their centres (n, 2) [px], the
+    silhouettes (n,) of parts at these places, the excess (n,) of their lengths over a part's length
+    [px], and unit vectors (n, 2) of their directions in the image. Return None if there are too few
+    objects."""
     x0, y0, stride = remains.grid
     beside = cv2.dilate(remains.outside.astype(np.uint8), np.ones((3, 3), np.uint8))
     count, labels, stats, middle = cv2.connectedComponentsWithStats(remains.odd)
@@ -235,8 +244,8 @@ def _capsules(
 
 
 def _measured(contrast: LitPlate, shadow: Shadow, discs: np.ndarray, parts: np.ndarray) -> Shadow:
-    """Return the shadow with its measured length: where the median darkness over the discs (n,)
-    DISC falls to half of the shadow's darkness."""
+    """Return the shadow with its measured length. The shadow ends where the median darkness over
+    the discs (n,) DISC falls to half of the shadow's darkness."""
     steps, levels = _along(contrast, shadow, discs, parts)
     light = np.flatnonzero(np.median(levels, axis=0) < 0.5 * shadow.darkness)
     end = steps[light[0]] if len(light) else steps[-1]
@@ -246,8 +255,8 @@ def _measured(contrast: LitPlate, shadow: Shadow, discs: np.ndarray, parts: np.n
 def _along(
     contrast: LitPlate, shadow: Shadow, discs: np.ndarray, parts: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Return steps (k,) [px] from the edges of the discs (n,) DISC along their shadows, and the
-    darkness (n, k) of the image there."""
+    """Return distances (k,) [px] from the edges of the discs (n,) DISC along their shadows, and the
+    darkness (n, k) of the image at these distances."""
     centre, ends = _ends(shadow, discs, parts)
     length = np.maximum(np.hypot(*ends.T), 1e-6)
     radius = float(np.median(discs["radius_px"]))

@@ -11,30 +11,30 @@
 
 namespace plate {
 
-// Percentile of the brightness that is the first guess of the plate's brightness. The guess is
-// right if parts cover less than 3/4 of the plate.
+// Percentile of the brightness that is used as the first guess of the plate's brightness. The guess
+// is correct if parts cover less than 3/4 of the plate.
 constexpr double BRIGHT_PERCENTILE = 75;
 
-// Range of brightness that counts as plate, relative to the first guess: wider than a shading of
-// +-15 %, narrow enough to exclude a part with 2/3 of the plate's brightness. Then the range
-// relative to the fitted surface, for the second fit: it excludes the parts' edges.
+// Ranges of brightness that count as plate. The first range is relative to the first guess. It
+// includes a shading of +-15 %, but excludes a part with 2/3 of the plate's brightness. The second
+// range is relative to the surface of the first fit and excludes the parts' edges.
 constexpr std::pair<double, double> BRIGHT_RANGES[] = {{0.72, 1.3}, {0.92, 1.08}};
 
-// With this value, the fit is solvable for images one pixel high or wide. It has no effect on other
-// images.
+// Value added to the diagonal of the normal equations. It makes the fit solvable for images that
+// are one pixel high or wide, and has no effect on other images.
 constexpr double RIDGE = 1e-9;
 
-// Minimum fraction of the sampled pixels that must be plate.
+// Minimum fraction of the sampled pixels that must show the bare plate.
 constexpr double MIN_FRACTION = 0.1;
 
-// Ratio of the standard deviation of a normal distribution to the lower quartile of its absolute
-// values.
+// Ratio between the standard deviation of a normal distribution and the lower quartile of the
+// absolute values.
 constexpr double SIGMA_OF_QUARTILE = 3.1383;
 
-// Minimum noise of an image [grey levels], from its quantisation.
+// Minimum noise of an image [grey levels]. The rounding to grey levels causes this noise.
 constexpr double MIN_NOISE = 0.3;
 
-// Coefficients of a quadratic surface.
+// Number of coefficients of a quadratic surface.
 constexpr int TERMS = 6;
 
 // An image, its light, and its usable pixels: see `LitPlate` of light.py.
@@ -47,14 +47,14 @@ struct LitPlate {
     int width() const { return grey.size(1); }
 };
 
-// Brightness of the bare plate [grey levels] at a pixel; `light` is the field of `LitPlate`.
+// Brightness of the bare plate [grey levels] at a pixel. `light` is the field of `LitPlate`.
 [[gnu::always_inline]] inline float bare(const float* light, float x_px, float y_px) {
     const float u = (x_px - light[6]) * light[8], v = (y_px - light[7]) * light[8];
     return u * (light[1] + light[3] * u) + (light[0] + v * (light[2] + light[5] * v)) +
            u * (light[4] * v);
 }
 
-// Solve positive definite equations in place: `right` becomes the solution.
+// Solve positive definite equations. `right` is replaced by the solution.
 template <int SIZE>
 void solve(double (&normal)[SIZE][SIZE], double (&right)[SIZE]) {
     for (int i = 0; i < SIZE; i++)
@@ -69,14 +69,15 @@ void solve(double (&normal)[SIZE][SIZE], double (&right)[SIZE]) {
     }
 }
 
-// A pixel sampled for the light: terms of the surface there, grey level, and padding.
+// A pixel that is sampled for the light: the terms of the surface at this pixel, the grey level,
+// and padding.
 struct LightSample {
     float terms[TERMS], value, none;
 };
 static_assert(sizeof(LightSample) == sizeof(Eight));
 
-// Sum up the normal equations over the samples whose value is `low` to `high` times the fitted one.
-// Return their number. All sums of a sample are computed at once.
+// Sum up the normal equations over those samples whose value is `low` to `high` times the fitted
+// value. Return the number of these samples. The sums of eight terms are computed at once.
 PLATE_WIDE inline int light_equations(const std::vector<LightSample>& samples,
                                       const std::vector<float>& fitted, double low, double high,
                                       double (&normal)[TERMS][TERMS], double (&right)[TERMS]) {
@@ -98,9 +99,10 @@ PLATE_WIDE inline int light_equations(const std::vector<LightSample>& samples,
     return kept;
 }
 
-// Fit a quadratic surface to the grey levels of the pixels `rows`, `columns` (n,) that show the
-// bare plate; `design` (TERMS, n) are its terms there. Return its coefficients, and the noise
-// relative to its mean; empty if there is no bright plate.
+// Fit a quadratic surface to those pixels `rows`, `columns` (n,) that show the bare plate. `design`
+// (TERMS, n) contains the terms of the surface at the pixels. Return the coefficients of the
+// surface, and the noise relative to the mean of the surface. The result is empty if there is no
+// bright plate.
 inline std::vector<float> fit_light(View<const uint8_t, 2> grey, View<const int64_t, 1> rows,
                                     View<const int64_t, 1> columns, View<const float, 2> design,
                                     double min_grey) {
@@ -130,8 +132,8 @@ inline std::vector<float> fit_light(View<const uint8_t, 2> grey, View<const int6
         }
     }
     if (*std::min_element(fitted.begin(), fitted.end()) < 0.5 * min_grey) return {};
-    // The noise comes from the lower quartile of the deviations, so objects that cover up to half
-    // of the plate have no effect.
+    // The noise is computed from the lower quartile of the deviations, so that objects that cover
+    // up to half of the plate have no effect.
     double level = 0;
     for (int i = 0; i < count; i++) {
         level += fitted[i] / count;

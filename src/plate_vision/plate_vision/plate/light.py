@@ -1,7 +1,8 @@
-"""The light on the plate: the brightness of the bare plate as a quadratic surface, and its defects.
+"""The light on the plate: the brightness of the bare plate as a quadratic surface, and defects of
+the light.
 
-`fit_light` fits the surface to sampled pixels in two steps; each keeps only pixels with about the
-brightness of the previous estimate, so that parts have no effect.
+`fit_light` fits the surface to sampled pixels in two steps. Each step uses only pixels with about
+the brightness of the previous estimate, so that parts have no effect.
 """
 
 from __future__ import annotations
@@ -14,18 +15,19 @@ from .. import _kernels
 from .region import Region
 
 DARK_PERCENTILE = 95
-"""Percentile of an image's brightness that is below the plate's minimum if there is too little
-light: a twentieth of the image is left for lamps and glare."""
+"""Percentile of an image's brightness that is compared with the plate's minimum brightness. If it
+is lower, there is too little light. The brightest twentieth of the image is ignored, because it may
+be lamps and reflections."""
 
 BURNT_PERCENTILE = 50
-"""Percentile of an image's brightness that is at white if there is too much light: more than half
-of the image is overexposed."""
+"""Percentile of an image's brightness that is compared with `BURNT_GREY`. If it is higher, there is
+too much light, because more than half of the image is overexposed."""
 
 BURNT_GREY = 254
 """Grey level from which a pixel counts as overexposed."""
 
 EVERY = 8
-"""Step between rows and columns that are evaluated for these two percentiles."""
+"""Step between the rows and columns that are evaluated for these two percentiles."""
 
 
 class LitPlate(NamedTuple):
@@ -57,9 +59,10 @@ class LitPlate(NamedTuple):
 
 
 def fit_light(grey: np.ndarray, region: Region, min_grey: float) -> LitPlate | None:
-    """Fit the bare plate's brightness to the pixels of an image (H, W) uint8 without parts.
+    """Fit the brightness of the bare plate to an image (H, W) uint8. Parts in the image have no
+    effect.
 
-    None if there is no plate with at least the brightness `min_grey` [grey levels].
+    Return None if there is no plate with at least the brightness `min_grey` [grey levels].
     """
     samples = region.samples
     if not len(samples.rows):
@@ -72,7 +75,7 @@ def fit_light(grey: np.ndarray, region: Region, min_grey: float) -> LitPlate | N
 
 
 def light_problem(image: np.ndarray, min_grey: float) -> str | None:
-    """Return the defect of the light in an image (H, W) or (H, W, 3) uint8, or None.
+    """Return a message about a defect of the light in an image (H, W) or (H, W, 3) uint8, or None.
 
     `min_grey` is the minimum brightness of the plate [grey levels].
     """

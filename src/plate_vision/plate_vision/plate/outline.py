@@ -1,9 +1,11 @@
-"""Comparison of the plate's outline in the image with the one predicted by `corners_px` and lens.
+"""Comparison of the plate's outline in the image with the outline predicted from `corners_px` and
+the lens.
 
-Each predicted edge is crossed by profiles along its normal. The measured edge is a curve of second
-degree through steps of brightness in these profiles (random sampling, then least squares). The
-deviations of all edges show the cause: a missing lens model bends edges, a moved camera shifts,
-rotates or scales the outline. Edges that are not visible do not contribute.
+The brightness is sampled along profiles that cross each predicted edge at right angles. The
+measured edge is a curve of second degree through steps of brightness in these profiles. It is found
+by random sampling, followed by least squares. The deviations of all edges show the cause: a missing
+lens model bends the edges, and a moved camera shifts, rotates or scales the outline. Edges that are
+not visible are ignored.
 """
 
 from __future__ import annotations
@@ -21,30 +23,34 @@ from ..camera.encodings import grey_levels
 from ..camera.lens import Calibration
 
 IMAGES = 5
-"""Number of images in an evaluation. They show a plate in motion at several places of its cycle."""
+"""Number of images in an evaluation. If the plate moves, they show it at several places of its
+cycle."""
 
 REST_M = 5e-4
-"""Maximum range of an edge's places in these images at which the plate counts as at rest [m]. A
-plate at rest has 0.1 mm, with noise of 15 grey levels."""
+"""Maximum range of an edge's places in these images for which the plate counts as at rest [m]. For
+a plate at rest, the range is 0.1 mm with a noise of 15 grey levels."""
 
 RECHECK_S = 1.0
-"""Minimum time from a finding to the next evaluation [s]. An image takes 20 to 60 ms."""
+"""Minimum time from a finding to the next evaluation [s]. The evaluation of an image takes 20 to 60
+ms."""
 
 UNSEEN_S = 10.0
-"""Minimum time to the next evaluation if the plate was not visible or moved [s]."""
+"""Minimum time to the next evaluation if the plate was not visible or was moving [s]."""
 
 SEARCH = 0.15
-"""Distance from the predicted edge within which the edge is searched [smaller side of the plate]. A
-missing model of a published barrel lens shifts corners by 8 %."""
+"""Maximum distance from the predicted edge at which the edge is searched, relative to the smaller
+side of the plate [-]. Without a lens model, a barrel lens from the literature shifts corners by 8
+%."""
 
 STATIONS = 64
 """Number of profiles along an edge."""
 
 STATION_END = 0.94
-"""Fraction of an edge that the profiles span. Corners are often rounded."""
+"""Fraction of an edge that the profiles span. The ends are omitted, because corners are often
+rounded."""
 
 NEAR_M = 3e-3
-"""Tolerated deviation [m]. At a cycle's start, the plate is within 2 mm of home."""
+"""Tolerated deviation [m]. At the start of a cycle, the plate is up to 2 mm from home."""
 
 NEAR_STROKE = 0.3
 """Tolerated deviation as a fraction of the stroke, if that is smaller than `NEAR_M`."""
@@ -53,71 +59,75 @@ NEAR_PX = 3.0
 """Minimum tolerated deviation [px]. Corners measured by hand have errors of 1 to 2 px."""
 
 BOW_PX = 1.0
-"""Tolerated bow in the middle of an edge [px]. The accuracy of its measurement is 0.2 px."""
+"""Tolerated bow in the middle of an edge [px]. The bow is measured with an accuracy of 0.2 px."""
 
 BOW_M = 5e-4
-"""Tolerated bow [m], if it is larger than `BOW_PX`. Sawn plates are straight to 0.3 mm."""
+"""Tolerated bow [m], if it is larger than `BOW_PX`. The edges of sawn plates deviate from a
+straight line by up to 0.3 mm."""
 
 TURN_RAD = np.radians(0.6)
-"""Tolerated rotation [rad]. On a plate of 300 px, the accuracy of its measurement is a tenth of
-this. A shaking plate rotates by less at the starts of cycles."""
+"""Tolerated rotation [rad]. For a plate of 300 px, it is measured with an accuracy of a tenth of
+this value. At the start of a cycle, the rotation of a moving plate is smaller."""
 
 STRETCH = 0.01
-"""Tolerated change of size [-]. The accuracy of its measurement is a tenth of this."""
+"""Tolerated change of size [-]. It is measured with an accuracy of a tenth of this value."""
 
 SUPPORT = 0.6
-"""Minimum fraction of an edge's profiles that must agree. Parts on the edge hide some profiles."""
+"""Minimum fraction of an edge's profiles that must agree. It is below 1 because parts may hide the
+edge in some profiles."""
 
 MIN_EDGES = 3
 """Minimum number of visible edges for a finding. Two edges do not determine shift and size."""
 
 SMOOTH_PX = 1.0
-"""Standard deviation of the Gaussian filter before profiles are sampled [px]. The filter reduces
-noise of 20 grey levels to 6."""
+"""Standard deviation of the Gaussian filter that is applied before profiles are sampled [px]. The
+filter reduces a noise of 20 grey levels to 6."""
 
 MIN_STEP = 4.0
 """Minimum step of an edge [grey levels]."""
 
 NOISE_STEPS = 5.0
-"""Minimum step of an edge, in standard deviations of the gradient beside it [-]."""
+"""Minimum step of an edge, relative to the standard deviation of the gradient beside the edge
+[-]."""
 
 CANDIDATES = 3
-"""Number of strongest steps of each sign kept from a profile: the plate's edge, a shadow, a
-part."""
+"""Number of steps of each sign that are kept from a profile, starting with the strongest step. They
+are, for example, the plate's edge, a shadow, and a part."""
 
 DRAWS = 400
-"""Number of curves drawn for an edge. If each profile has two false candidates, one triple of
-candidates in 27 is right, so about fifteen of the curves are right."""
+"""Number of curves through random triples of candidates for an edge. If each profile has one
+correct and two false candidates, one triple in 27 is correct, and so are about fifteen of the
+curves."""
 
 INLIER_PX = 2.0
-"""Maximum distance of a step from the curve to which it belongs [px]. An edge bent by a strong lens
-deviates by 1 px from a curve of second degree."""
+"""Maximum distance of a step from the curve to which it belongs [px]. An edge that is bent by a
+lens with strong distortion deviates by 1 px from a curve of second degree."""
 
 MOVED_RADII = 2.0
-"""Deviation in part radii below which a moved camera is more likely than a flipped image, if both
-explain it."""
+"""Maximum deviation for which a moved camera is assumed as the cause if a flipped image is possible
+too [part radii]."""
 
 SIDE_PX = 5.0, 10.0
-"""Range of distances from a step in which the brightness beside it is measured [px]: beyond a line
-of pen or tape, which is 2 to 4 px wide."""
+"""Range of distances from a step in which the brightness beside it is measured [px]. They are
+larger than the width of a line of pen or tape, which is 2 to 4 px."""
 
 SHIFT_TEXT_M = 5e-4
-"""Shift below which a message does not state the shift [m]: the error of the measurement with noise
-and with corners rounded to a pixel."""
+"""Minimum shift that is stated in a message [m]. It is the error of the measurement with noise and
+with corners that are rounded to a pixel."""
 
 TURN_TEXT_RAD = np.radians(0.2)
-"""Rotation below which a message does not state the rotation [rad]."""
+"""Minimum rotation that is stated in a message [rad]."""
 
 STRETCH_TEXT = 0.003
-"""Change of size below which a message does not state this change [-]."""
+"""Minimum change of size that is stated in a message [-]."""
 
 FLIPS = {
     "mirrored left to right": (1, -1),
     "mirrored upside down": (-1, 1),
     "rotated by 180 degrees": (-1, -1),
 }
-"""Ways in which a driver or a mount flips images, with the steps through rows and columns that undo
-them."""
+"""Flips of the image that a driver or a mount may cause. The two numbers are the steps through rows
+and columns that undo the flip."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -163,7 +173,8 @@ class OutlineGrid:
         offset = np.linspace(-reach, reach, 2 * count + 1)
         point = foot[:, :, None] + offset[:, None] * OUTWARD[:, None, None]
         place = calibration.to_image(point.reshape(-1, 2)).reshape(*point.shape)
-        # Outside the range of a strong lens, far points fold back into the image.
+        # Outside the valid range of a lens with strong distortion, distant points are mapped back
+        # into the image.
         step = np.diff(place, axis=2)
         middle = step[:, :, count : count + 1]
         folded = np.sum(step * middle, axis=3) <= 0
@@ -179,7 +190,7 @@ class OutlineGrid:
 
     @cached_property
     def visible(self) -> np.ndarray:
-        """Whether a profile (4, S) is in the image around the predicted edge: bool."""
+        """Whether a profile (4, S) is inside the image near the predicted edge: bool."""
         around = np.abs(self.offset) <= self.near
         return np.asarray(np.all(np.isfinite(self.place_px[:, :, around, 0]), axis=2))
 
@@ -217,8 +228,8 @@ class Outline:
         return np.isfinite(self.edges[:, 0])
 
     def within(self, near: float) -> np.ndarray:
-        """Whether an edge (4,) is everywhere within this distance of the predicted one [m]:
-        bool."""
+        """Whether the distance of an edge (4,) from the predicted edge is at most this value
+        everywhere [m]: bool."""
         middle, slope, _ = np.abs(self.edges).T
         return np.asarray(np.nan_to_num(middle + slope, nan=np.inf) <= near)
 
@@ -226,7 +237,8 @@ class Outline:
 def measure_outline(image: np.ndarray, grid: OutlineGrid, limit: float | None = None) -> Outline:
     """Measure the plate's edges in an image (H, W) or (H, W, 3) uint8.
 
-    `limit` is the maximum distance from the predicted edges [m]. None to use the grid's.
+    `limit` is the maximum distance from the predicted edges [m]. None: the maximum distance of the
+    grid.
     """
     smooth = cv2.GaussianBlur(contrasted(image, grid), (0, 0), SMOOTH_PX)
     edges = np.full((4, 3), np.nan)
@@ -247,9 +259,9 @@ def measure_outline(image: np.ndarray, grid: OutlineGrid, limit: float | None = 
 
 
 def contrasted(image: np.ndarray, grid: OutlineGrid) -> np.ndarray:
-    """Return an image (H, W) float32 whose values rise from the surround's colour to the plate's:
-    the grey levels of an image (H, W); for an image (H, W, 3) its projection on the line between
-    the two colours."""
+    """Return an image (H, W) float32 with the contrast between the plate and its surround. For an
+    image (H, W) these are the grey levels. For an image (H, W, 3) they are the projection of the
+    colours on the line from the surround's colour to the plate's colour."""
     if image.ndim == 2:
         return image.astype(np.float32)
     colours = []
@@ -274,10 +286,11 @@ def _fit_edge(
     limit: float | None,
     rng: np.random.Generator,
 ) -> np.ndarray | None:
-    """Return middle, slope and bow (3,) [m] of the edge in profiles (S, D); None if there is none.
+    """Return middle, slope and bow (3,) [m] of the edge in profiles (S, D). Return None without an
+    edge.
 
-    An edge near the predicted one is preferred to a clearer one farther away, which may belong to a
-    frame, a shadow or a table.
+    An edge near the predicted edge is preferred to a clearer edge that is farther away, because the
+    latter may belong to a frame, a shadow or a table.
     """
     candidate = _steps(profile, grid.offset)
     best, most = None, SUPPORT
@@ -294,8 +307,8 @@ def _fit_edge(
 
 
 def _is_line(profile: np.ndarray, offset: np.ndarray, curve: np.ndarray, along: np.ndarray) -> bool:
-    """Whether profiles (S, D) are equally bright on both sides of a curve (3,) [m]. Then it is a
-    line drawn on the plate or the table, not an edge."""
+    """Whether profiles (S, D) are equally bright on both sides of a curve (3,) [m]. In this case,
+    the curve is not an edge but a line on the plate or the table."""
     at = curve[0] + curve[1] * along + curve[2] * (1 - along**2)
     away = (offset - at[:, None]) / (offset[1] - offset[0])
     sides = []
@@ -309,7 +322,7 @@ def _is_line(profile: np.ndarray, offset: np.ndarray, curve: np.ndarray, along: 
 
 def _steps(profile: np.ndarray, offset: np.ndarray) -> list[np.ndarray]:
     """Return the offsets (S, CANDIDATES) [m] of the strongest falling steps of profiles (S, D), and
-    of the strongest rising ones; NaN for missing ones."""
+    of the strongest rising steps. The offsets of missing steps are NaN."""
     reach = np.arange(-4, 5)
     kernel = -reach * np.exp(-(reach**2) / 4.5)
     kernel = 2 * kernel / np.sum(np.abs(kernel))  # the response to a step equals the step's height
@@ -335,7 +348,8 @@ def _fit_curve(
     drawn: np.ndarray, every: np.ndarray, along: np.ndarray, tolerance: float,
     rng: np.random.Generator,
 ) -> tuple[np.ndarray, float]:  # fmt: skip
-    """Return the curve (3,) through most candidates, and the fraction of profiles near it.
+    """Return the curve (3,) that passes the largest number of candidates, and the fraction of
+    profiles near it.
 
     Curves are drawn through triples of candidates `drawn` (S, C) [m] (RANSAC). The best one is
     refined with `every` (S, C) [m] by least squares.
@@ -344,7 +358,8 @@ def _fit_curve(
     if len(rows) < SUPPORT * len(along):
         return np.full(3, np.nan), 0.0
     terms = np.column_stack([np.ones_like(along), along, 1 - along**2])
-    # One profile from each third, so that the three are far from each other.
+    # Take one profile from each third of the edge, so that the three profiles are far from each
+    # other.
     thirds = np.array_split(rows, 3)
     pick = np.stack([rng.choice(third, DRAWS) for third in thirds], axis=1)  # (DRAWS, 3)
     count = np.sum(np.isfinite(drawn), axis=1)
@@ -381,7 +396,7 @@ class Deviation:
     bow, bow_px : float
         Mean outward distance of the edges' middles relative to their ends [m, px].
     bowed : bool
-        Whether the edges are bent, all to the same side.
+        Whether the edges are bent, and all to the same side.
     rest : float
         Maximum residual of an edge's end after shift, rotation and stretch [m].
     worst : float
@@ -415,8 +430,8 @@ def deviation_of(outline: Outline, grid: OutlineGrid) -> Deviation:
     middle, slope, bow = outline.edges[seen].T
     away = (middle[:, None] + slope[:, None] * ends).ravel()
     motion = np.linalg.lstsq(terms, away, rcond=None)[0]
-    # An edge is missing. The shift and the stretch across this edge are not separable, so the
-    # stretch is assumed equal along both axes.
+    # If an edge is missing, the shift and the stretch across this edge cannot be separated.
+    # Therefore, the stretch is assumed to be equal along both axes.
     if len(seen) < 4:
         same = np.column_stack([terms[:, :3], terms[:, 3] + terms[:, 4]])
         found = np.linalg.lstsq(same, away, rcond=None)[0]
@@ -477,16 +492,16 @@ class OutlineCheck:
 
     @classmethod
     def of(cls, rig: Rig, calibration: Calibration) -> OutlineCheck:
-        """Start the check for a rig's plate and its calibration."""
+        """Start the check for the plate of a rig and a calibration."""
         grid = OutlineGrid.of(rig, calibration)
         return cls(grid, rig.parts.radius_m, calibration.lens is not None)
 
     def add(self, image: np.ndarray, stamp: float, moving: bool = False) -> OutlineCheck:
-        """Record an image (H, W) or (H, W, 3) uint8 with its stamp [s]. `moving` is whether the
-        plate may be away from home in it.
+        """Record an image (H, W) or (H, W, 3) uint8 with its stamp [s]. If `moving`, the plate may
+        be away from home in the image.
 
-        After `IMAGES` images the outline is evaluated. The evaluation is repeated at intervals, but
-        not while the plate moves, until the outline of a plate at rest agrees.
+        After `IMAGES` images the outline is evaluated. The evaluation is repeated at intervals
+        until the outline of a plate at rest agrees. It is not repeated while the plate moves.
         """
         waits = self.done and not self.measured
         waits = waits and (moving or 0 <= stamp - self.stamp < self._wait)
@@ -501,7 +516,7 @@ class OutlineCheck:
         return UNSEEN_S if self.finding is None else RECHECK_S
 
     def _evaluated(self, image: np.ndarray) -> OutlineCheck:
-        """Return a copy with the result of all images; `image` is the last of them."""
+        """Return a copy with the result of all images. `image` is the last image."""
         grid = self.grid
         every = np.stack([one.edges for one in self.measured])
         often = np.sum(np.isfinite(every[:, :, 0]), axis=0) > IMAGES / 2
@@ -517,7 +532,7 @@ class OutlineCheck:
         if finding is not None or not seen:
             finding, text = judge_outline(*facts, fitting_flips(image, grid))
         if moving and finding is None and self.finding is not None:
-            # An image of a moving plate does not cancel a finding.
+            # Images of a moving plate do not cancel a finding.
             finding, text = self.finding, self.text
         agrees = finding is None and seen and not moving
         return replace(
@@ -533,11 +548,11 @@ def judge_outline(
     moving: bool = False,
     flips: tuple[str, ...] = (),
 ) -> tuple[Finding | None, str]:
-    """Return a finding, None if the outline agrees, and the result as short text.
+    """Return a finding (None if the outline agrees), and the result as short text.
 
-    `radius` [m] is a part's. `bends` is whether a lens is known. `moving` is whether the plate may
-    be away from home by the motors' stroke. `flips` are the flips of the image with which the
-    outline agrees.
+    `radius` is the radius of a part [m]. `bends` is true if a lens is known. `moving` is true if
+    the plate may be away from home by the motors' stroke. `flips` are the flips of the image with
+    which the outline agrees.
     """
     count = int(np.count_nonzero(outline.seen))
     if count < MIN_EDGES:
@@ -583,7 +598,7 @@ def _lens_text(found: Deviation, bends: bool) -> str:
     bent = f"its edges bend {side} by {abs(found.bow_px):.1f} px in the middle"
     if bends:
         return (
-            f"{bent}: the lens data do not fit this camera (are the images rectified already, was "
+            f"{bent}: the lens data do not fit this camera (are the images rectified already? was "
             "focus or zoom changed? calibrate lens, then set camera_file)"
         )
     return f"{bent}: the {kind} distortion is unknown (calibrate lens, then set camera_file)"
@@ -619,7 +634,7 @@ def _percent(change: float) -> str:
 
 def fitting_flips(image: np.ndarray, grid: OutlineGrid) -> tuple[str, ...]:
     """Return the flips of `FLIPS` with which the outline in an image (H, W) or (H, W, 3) agrees on
-    all four edges; empty if the image agrees as it is."""
+    all four edges. The result is empty if the outline agrees without a flip."""
     if np.all(measure_outline(image, grid, grid.near).within(grid.near)):
         return ()
     names = []

@@ -8,14 +8,16 @@
 
 namespace plate {
 
-// Pixels nearer than this to the plate's edge show both plate and background, and are not used
-// [px].
+// Minimum distance of a usable pixel from the plate's edge [px]. Nearer pixels show both the plate
+// and its surround.
 constexpr double SEAM_PX = 1;
 
-// Range in which a bent edge follows its polynomial, in half lengths of the edge.
+// Range of the place along an edge, in half lengths of the edge, in which the polynomial of a bent
+// edge is used. Outside this range, its value at the end of the range is used.
 constexpr double BOW_REACH = 1.05;
 
-// `Region.depth` (count,) of points: their distance from the nearest edge [px], negative outside.
+// Compute `Region.depth` (count,) of points: their distance from the nearest edge [px]. It is
+// negative outside the region.
 PLATE_WIDE inline void region_depth(View<const double, 2> edges, View<const double, 2> bows,
                                     const double* __restrict x, const double* __restrict y,
                                     int count, double* __restrict depth) {

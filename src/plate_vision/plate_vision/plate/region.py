@@ -1,5 +1,5 @@
-"""The region of the plate in an image: a quadrilateral, with edges bent by a lens; or the whole
-image.
+"""The region of the plate in an image. It is a quadrilateral, whose edges may be bent by a lens, or
+the whole image.
 
 Image coordinates in this package: x_px to the right, y_px down, (0, 0) at the centre of the first
 pixel, as in OpenCV.
@@ -18,16 +18,17 @@ from ..camera.lens import check_quadrilateral, cross
 from ..errors import ImageError
 
 SEAM_PX: float = _kernels.SEAM_PX
-"""Pixels nearer than this to the plate's edge show both plate and background, and are not used
-[px]."""
+"""Minimum distance of a usable pixel from the plate's edge [px]. Nearer pixels show both the plate
+and its surround."""
 
 BOW_DEGREE = 4
 """Degree of the polynomial for a bent edge. The error of the polynomial is 0.05 px for a bulge of
 20 px."""
 
 SAMPLES = 1200
-"""Number of pixels for the fit of the light, on a regular grid. The error of the surface is then
-0.15 grey levels with a noise of 2. The fit takes a tenth of the detection of a hundred parts."""
+"""Approximate number of pixels on a regular grid to which the light is fitted. With a noise of 2
+grey levels, the error of the surface is then 0.15 grey levels. The fit takes a tenth of the time of
+the detection of a hundred parts."""
 
 
 class Samples(NamedTuple):
@@ -52,7 +53,8 @@ class Samples(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class Region:
-    """The pixels that show the plate. Made once by `make_region`, used for many images.
+    """The pixels that show the plate. A region is made once by `make_region` and used for many
+    images.
 
     Attributes
     ----------
@@ -64,10 +66,10 @@ class Region:
         Inward unit normal of each edge, and the signed distance of the image's origin from the edge
         [px], positive inside. (0, 3) for the whole image.
     bows : (4, BOW_DEGREE + 4)
-        Edges bent by a lens. Three coefficients of 1, x, y give the place along the straight edge,
-        -1 and 1 at its ends. The rest is a polynomial of this place, highest power first: the
-        distance of the bent edge inside the straight one [px]. (0, BOW_DEGREE + 4) if no edge is
-        bent.
+        Edges bent by a lens; (0, BOW_DEGREE + 4) if no edge is bent. The first three numbers are
+        the coefficients of 1, x, y for the place along the straight edge, which is -1 and 1 at the
+        ends. The other numbers are the coefficients of a polynomial of this place, highest power
+        first. Its value is the inward distance of the bent edge from the straight edge [px].
     box : (x0, y0, x1, y1)
         Pixel range [px] that contains the region, half open.
     """
@@ -79,14 +81,15 @@ class Region:
     box: tuple[int, int, int, int]
 
     def depth(self, x_px: np.ndarray, y_px: np.ndarray) -> np.ndarray:
-        """Distance of points (...) from the nearest edge of the plate [px], negative outside."""
+        """Return the distances of points (...) from the nearest edge of the plate [px]. They are
+        negative outside the plate."""
         x, y = np.broadcast_arrays(np.asarray(x_px, float), np.asarray(y_px, float))
         depth = _kernels.region_depth(self.edges, self.bows, x.ravel(), y.ravel())
         return np.asarray(depth.reshape(x.shape))
 
     @cached_property
     def usable(self) -> np.ndarray:
-        """Whether a pixel (H, W) shows the plate, away from its edge: bool."""
+        """Whether a pixel (H, W) shows the plate and is not at its edge: bool."""
         width, height = self.size_px
         x0, y0, x1, y1 = self.box
         usable = np.zeros((height, width), np.bool_)
@@ -95,7 +98,7 @@ class Region:
         return usable
 
     def outside(self, step: int) -> np.ndarray:
-        """Whether pixels of every `step`-th row and column of the box show no plate: bool. The
+        """Whether a pixel is not usable, for every `step`-th row and column of the box: bool. The
         result is cached."""
         known = self._outside
         if step not in known:
@@ -109,7 +112,7 @@ class Region:
 
     @cached_property
     def samples(self) -> Samples:
-        """The pixels for the fit of the light; empty if the region is too small."""
+        """The pixels for the fit of the light. There are none if the region is too small."""
         x0, y0, x1, y1 = self.box
         step = max(1, int(np.sqrt((x1 - x0) * (y1 - y0) / SAMPLES)))
         rows, columns = np.mgrid[y0 + step // 2 : y1 : step, x0 + step // 2 : x1 : step]
@@ -134,13 +137,14 @@ def make_region(size_px: tuple[int, int], outline_px: np.ndarray | None = None) 
     size_px : (int, int)
         Width and height of the images [px].
     outline_px : (4, 2) or (4, n, 2), optional
-        Corners of the plate in the image [px], in order around it. For edges bent by a lens: points
-        of each edge from its first corner to just before the next one. None: the whole image.
+        Corners of the plate in the image [px], in order around the plate. If a lens bends the
+        edges: n points of each edge, from its first corner on, without its last corner. None: the
+        whole image.
 
     Raises
     ------
     ImageError
-        If the corners do not form a convex quadrilateral in the image, or a value is not finite.
+        If the corners do not form a convex quadrilateral in the image, or if a value is not finite.
     """
     width, height = size_px
     no_bows = np.empty((0, BOW_DEGREE + 4))
@@ -176,7 +180,7 @@ def make_region(size_px: tuple[int, int], outline_px: np.ndarray | None = None) 
 
 
 def _bows(points: np.ndarray, normals: np.ndarray, offsets: np.ndarray) -> np.ndarray:
-    """Fit `Region.bows` to points (4, n, 2) [px] of the edges."""
+    """Return `Region.bows`, fitted to points (4, n, 2) [px] of the edges."""
     bows = []
     corners = np.roll(points[:, 0], -1, axis=0)
     for edge, end, normal, offset in zip(points, corners, normals, offsets, strict=True):

@@ -1,4 +1,5 @@
-"""Parts of the detector node other than detection: the view for aiming the camera."""
+"""The parts of the detector node that are not needed for detection: the view that helps to aim the
+camera."""
 
 from .aiming import AimingView
 

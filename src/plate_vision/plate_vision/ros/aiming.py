@@ -1,7 +1,7 @@
-"""The view for aiming the camera, and its services. A worker thread measures pictures while `aim`
-has a subscriber.
+"""The view that helps to aim the camera, and its services. A worker thread measures pictures while
+the topic `aim` has a subscriber.
 
-The worker measures one picture at a time. It never blocks the detector's callbacks.
+The worker thread measures one picture at a time. It never blocks the detector's callbacks.
 """
 
 from __future__ import annotations
@@ -50,13 +50,13 @@ PERIOD_S = 0.4
 """Minimum time between two measured pictures [s]. A measurement takes 30 to 150 ms."""
 
 SILENT_S = 1.0
-"""Time without an image after which the view reports it [s]."""
+"""Time without an image after which the view reports an error [s]."""
 
 OTHER_NODES = (
-    "the page uses it for its view from above after a restart, as does the planner if camera: "
-    "readout_s is above 0; other nodes need no restart"
+    "restart the server of the page, and the planner if camera: readout_s is above 0, so that "
+    "they use it; other nodes need no restart"
 )
-"""Text about the nodes that map between image and plate in addition to the detector."""
+"""Text about the nodes other than the detector that transform positions between image and plate."""
 
 LEVELS = {
     Level.OK: AimCheck.OK,
@@ -73,7 +73,7 @@ class LensJob:
     Attributes
     ----------
     pictures : Pictures or None
-        None before the first image.
+        The collected pictures; None before the first image.
     board : Board
     model : str
         Model of the distortion.
@@ -95,19 +95,19 @@ class LensJob:
 
 
 class AimingView:
-    """Publishes `aim` and answers ~/find_home, ~/save_home, ~/take_lens_pictures, ~/fit_lens and
-    ~/save_lens.
+    """Publishes `aim` and provides the services ~/find_home, ~/save_home, ~/take_lens_pictures,
+    ~/fit_lens and ~/save_lens.
 
     Parameters
     ----------
     node : SafeLifecycleNode
-        The detector, during its configuration.
+        The detector, which is being configured.
     situation : callable
         Returns the present state of the detector.
     take_corners : callable
-        Called with the plate's corners (4, 2) [px] after home was found.
+        Function that is called with the plate's corners (4, 2) [px] after home was found.
     take_lens : callable
-        Called with the lens after it was written into the rig file.
+        Function that is called with the lens after the lens was written to the rig file.
     """
 
     def __init__(
@@ -133,7 +133,7 @@ class AimingView:
         self._pool: ThreadPoolExecutor | None = None
 
     def begin(self) -> None:
-        """Start the worker, without the state of an earlier activation."""
+        """Start the worker thread, and reset the state of an earlier activation."""
         self._pool = ThreadPoolExecutor(1, "aim")
         self._job: Future[None] | None = None
         self._results: list[Callable[[], None]] = []
@@ -142,7 +142,7 @@ class AimingView:
         self._lens: LensJob | None = None
         self._home, self._wants_home = "", False
         self._home_is_old = False  # whether `home` was found before the last change of the lens
-        # Corners that were found but not written yet.
+        # Corners that were found but not yet written to the rig file.
         self._corners: tuple[tuple[float, float], ...] = ()
         self._measured_at = self._image_at = -math.inf
 
@@ -159,8 +159,8 @@ class AimingView:
         return taking or self._wants_home or self._publisher.get_subscription_count() > 0
 
     def add_image(self, image: np.ndarray, stamp: Time, refused: str = "") -> None:
-        """Pass an image (H, W) or (H, W, 3) uint8 to the worker, if `aim` has a subscriber and the
-        worker is free. `refused` is the reason why the detector could not use the image."""
+        """Pass an image (H, W) or (H, W, 3) uint8 to the worker thread if measurements are needed
+        and the thread is free. `refused` is the reason why the detector could not use the image."""
         now = self._image_at = time.monotonic()
         busy = self._job is not None and not self._job.done()
         if self._pool is None or busy or now - self._measured_at < PERIOD_S or not self.needed:
@@ -175,16 +175,17 @@ class AimingView:
         try:
             self._step(image, situation)
             msg = self._message(image, stamp, refused, situation)
-        except Exception as error:  # log a fault of the view, because the future would hide it
+        except Exception as error:
+            # Log a fault of the view, because otherwise it would only be stored in the future.
             text = f"aim: {type(error).__name__}: {error}"
-            self._run_on_graph(
+            self._run_on_executor(
                 lambda: self._node.get_logger().error(text, throttle_duration_sec=5.0)
             )
             return
-        self._run_on_graph(lambda: self._publisher.publish(msg))
+        self._run_on_executor(lambda: self._publisher.publish(msg))
 
-    def _run_on_graph(self, result: Callable[[], None]) -> None:
-        """Run a function on the graph's thread."""
+    def _run_on_executor(self, result: Callable[[], None]) -> None:
+        """Run a function on the thread of the ROS executor."""
         self._results.append(result)
         self._wake()
 
@@ -206,7 +207,7 @@ class AimingView:
         except CalibrationError as error:
             text = str(error)
         seen_px = np.empty((0, 2)) if corners is None else corners[1]
-        if self._lens is lens:  # the user has not discarded it meanwhile
+        if self._lens is lens:  # the user has not discarded the pictures meanwhile
             self._lens = replace(lens, pictures=pictures, text=text, seen_px=seen_px)
 
     def _find_home(self, image: np.ndarray, situation: Situation) -> None:
@@ -230,14 +231,14 @@ class AimingView:
         self._corners = tuple((round(x, 2), round(y, 2)) for x, y in corners_px.tolist())
         self._home_is_old = False
         self._home = f"found, {by}; corners_px: {corners_text(self._corners)}"
-        self._run_on_graph(lambda: self._take_corners(corners_px))
+        self._run_on_executor(lambda: self._take_corners(corners_px))
 
     def _fit(self, lens: LensJob) -> None:
         assert lens.pictures is not None
         try:
             fit = lens.pictures.fit(lens.model)
         except Exception as error:
-            # Also catch errors of OpenCV, otherwise the state would remain FITTING.
+            # Also catch errors of OpenCV, because otherwise the state would remain FITTING.
             if self._lens is lens:
                 self._lens = replace(lens, state=LensPictures.TAKING, text=f"no lens: {error}")
             return
@@ -245,7 +246,7 @@ class AimingView:
         text = f"focal length {matrix[0, 0]:.1f} +- {deviation[0]:.1f} px"
         if fit.warning:
             text += f"; {fit.warning}"
-        if self._lens is lens:  # the user has not discarded it meanwhile
+        if self._lens is lens:  # the user has not discarded the pictures meanwhile
             self._lens = replace(lens, state=LensPictures.FITTED, text=text, fit=fit)
 
     def _message(self, image: np.ndarray, stamp: Time, refused: str, situation: Situation) -> Aim:
@@ -284,7 +285,7 @@ class AimingView:
     def _measured(
         self, msg: Aim, image: np.ndarray, stamp: float, situation: Situation, board: bool
     ) -> list[tuple[str, Finding]]:
-        """Measure an image of the right size, fill in the message, and return the steps. While
+        """Measure an image of the correct size, fill in the message, and return the checks. While
         pictures of a board are taken, only light and sharpness are measured."""
         measured = self._field
         if measured is None or measured.vision.region is not situation.vision.region:
@@ -325,7 +326,7 @@ class AimingView:
             msg.error_px = lens.fit.error_px
         return msg
 
-    # On the graph's thread
+    # On the thread of the ROS executor
 
     def _take_results(self) -> None:
         while self._results:
@@ -357,7 +358,7 @@ class AimingView:
         return response
 
     def _on_save_home(self, _: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
-        """Write the corners of the last search into the rig file."""
+        """Write the corners found by the last search to the rig file."""
         corners = self._corners
         if not corners:
             response.message = "home has not been found: call ~/find_home first"
@@ -414,8 +415,8 @@ class AimingView:
         return response
 
     def _on_save(self, _: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
-        """Write the fitted lens into the rig file, and use it. If home was found by the outline, it
-        must be found again: without this lens the plate's edges looked bent."""
+        """Write the fitted lens to the rig file, and use it. If home was found by the outline, it
+        must be found again, because the plate's edges appeared bent without this lens."""
         lens = self._lens
         if lens is None or lens.fit is None:
             response.message = "no lens has been fitted: call ~/fit_lens first"
@@ -445,10 +446,11 @@ class AimingView:
 
 
 def corners_text(corners: Sequence[tuple[float, float]]) -> str:
-    """Return corners (4, 2) [px] as a rig file has them."""
+    """Return corners (4, 2) [px] as text for a rig file."""
     return "[" + ", ".join(f"[{x:.2f}, {y:.2f}]" for x, y in corners) + "]"
 
 
 def points(place_px: np.ndarray) -> list[Point]:
-    """Return image points (n, 2) [px] as messages, without points that the lens cannot image."""
+    """Return image points (n, 2) [px] as messages. Points outside the lens's field of view are
+    omitted."""
     return [Point(x=x, y=y) for x, y in place_px.tolist() if math.isfinite(x + y)]

@@ -1,8 +1,9 @@
-"""Parts of any outline: patches that differ from the bare plate or from a photograph's background.
+"""Detection of parts with any outline. Such parts are patches that differ from the bare plate or
+from a photograph's background.
 
-`learn_plate` and `model_background` give a background, `find_patches` the patches in front of it.
-`teach` learns part types, and `plate_vision.find_parts` names patches by them. `teach_parts` is the
-program `teach`.
+`learn_plate` and `model_background` return a background, and `find_patches` returns the patches
+that differ from it. `teach` learns part types, and `plate_vision.find_parts` determines the types
+of patches. `teach_parts` is the program `teach`.
 """
 
 from .background import Background, learn_plate, model_background

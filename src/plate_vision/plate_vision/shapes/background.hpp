@@ -9,8 +9,9 @@
 
 namespace plate {
 
-// Write the deviations (n,) [L] of colours (n, CHANNELS) from others, clipped to 255. With three
-// channels, the squared differences in a and b are multiplied by `weight`.
+// Write the deviations (n,) [L] between the colours `lab` and `bare` (n, CHANNELS) to `out`,
+// clipped to 255. With three channels, the squared differences in a and b are multiplied by
+// `weight`.
 template <int CHANNELS>
 [[gnu::always_inline]] inline void deviation_of(const uint8_t* __restrict lab,
                                                 const uint8_t* __restrict bare, float weight,
@@ -37,7 +38,8 @@ PLATE_WIDE inline void deviation_of_colours(const uint8_t* lab, const uint8_t* b
     deviation_of<3>(lab, bare, weight, out, count);
 }
 
-// L + 41 is proportional to the cube root of the light: the offset 16 of CIE's L (0 to 100).
+// Offset of L (0 to 255). L plus this offset is proportional to the cube root of the light. The
+// offset corresponds to 16 for CIE's L (0 to 100).
 constexpr float LIGHTNESS_0 = 40.8f;
 
 // Part of an image: columns and rows from (x0, y0) to just before (x1, y1).
@@ -45,8 +47,9 @@ struct ImageBox {
     int x0, y0, x1, y1;
 };
 
-// Write one row of colours of the bare plate in another light. `along` has the coefficients of
-// 1, u, u2 for the factor and for the shifts of a and b; u = `first` + x * `step`.
+// Write one row of the bare plate's colours in another light to `out`. `along` contains the
+// coefficients of 1, u, u2 for the factor and for the shifts of a and b, with u = `first` + x *
+// `step`.
 template <int CHANNELS>
 [[gnu::always_inline]] inline void relight_row(const uint8_t* __restrict bare,
                                                uint8_t* __restrict out, int count, float first,
@@ -77,9 +80,10 @@ PLATE_WIDE inline void relight_colours(const uint8_t* bare, uint8_t* out, int co
     relight_row<3>(bare, out, count, first, step, along);
 }
 
-// Write the bare plate (h, w, c) in another light within a box. `surface` (6, c) has the
-// coefficients of 1, u, v, u2, u v, v2 for the factor and for the shifts of a and b. u = v = 0 at
-// the image point `place` [px], whose third number is the reciprocal of the length of a unit [px].
+// Write the colours of the bare plate (h, w, c) in another light to `out`, within a box. `surface`
+// (6, c) contains the coefficients of 1, u, v, u2, u v, v2 for the factor and for the shifts of a
+// and b. The first two numbers of `place` are the image point [px] where u = v = 0. The third
+// number is the reciprocal of the length [px] of one unit of u and v.
 inline void relight(View<const uint8_t, 3> bare, View<const float, 2> surface, const float* place,
                     const ImageBox& box, View<uint8_t, 3> out) {
     const int channels = bare.size(2);

@@ -1,9 +1,10 @@
-"""The background behind the parts: a bare plate learned from images, or a model of a photograph.
+"""The background behind the parts. It is either a bare plate that was learned from images, or a
+model of a photograph's background.
 
-`learn_plate` takes the median of images and their noise. `model_background` fits a smooth surface
-in Lab to the most frequent colour of one image. Both give the colour of each pixel, and the
-deviation up to which it counts as background. Colours are Lab as OpenCV scales it to 8 bits (L 0 to
-255, a and b about 128); an image in grey levels has one channel.
+`learn_plate` computes the median and the noise of several images. `model_background` fits a smooth
+surface in Lab to the most frequent colour of one image. Both return the colour of each pixel, and
+the deviation up to which a pixel counts as background. Colours are in the colour space Lab, which
+OpenCV scales to 8 bits (L 0 to 255, a and b about 128). An image in grey levels has one channel.
 """
 
 from __future__ import annotations
@@ -20,20 +21,24 @@ from ..plate.region import Region, make_region, quadratic
 from .lighting import Light, Lit, fit_light, relit
 
 CHROMA = (0.5, 2.0)
-"""Range of the weight of a and b relative to L in a deviation. The weight equalises their noise. In
-CIE's colour difference it is 2.55, because L ends at 100 there instead of 255."""
+"""Range of the weight of a and b relative to L in a deviation. The weight is chosen so that the
+noise of a and b equals the noise of L. In the colour difference of the CIE (International
+Commission on Illumination) the weight would be 2.55, because its L has a maximum of 100 instead of
+255."""
 
 SIGMAS = 3.5
 """Maximum deviation of a background pixel, in standard deviations of the background's noise."""
 
 MIN_NOISE = 2.5
-"""Minimum assumed standard deviation of a background, by quantisation and JPEG [L]."""
+"""Minimum assumed standard deviation of a background [L]. Rounding and JPEG compression cause this
+noise."""
 
 NEAR_PX = 16
 """Half the side of the window in which the noise of the bare plate is averaged [px]."""
 
 SHIFT_PX = 0.2
-"""Error with which the plate returns home, so its texture is displaced by it [px]."""
+"""Error with which the plate returns home [px]. The texture of the plate is displaced by this
+error."""
 
 MAX_PIXELS = 30_000
 """Maximum number of pixels of a photograph that are evaluated for its background."""
@@ -45,53 +50,57 @@ NEAR_MODE = 18.0
 """Initial maximum deviation of pixels from the colour of a mode [L]."""
 
 TERMS = (1, 3, 6, 6, 6)
-"""Numbers of terms of the surface in successive fits: constant, linear, quadratic."""
+"""Numbers of terms of the surface in successive fits. The surface is constant with 1, linear with
+3, and quadratic with 6 terms."""
 
 BORDER = 0.03
 """Width of the border of a photograph, relative to its shorter side."""
 
 BORDER_WEIGHT = 0.5
-"""Weight of the border in the choice of a background."""
+"""Weight of the border in the score of a background."""
 
 LOCAL = 0.12
-"""Standard deviation of the average of the background's colour, relative to the shorter side:
-larger than a part."""
+"""Standard deviation of the Gaussian filter that averages the background's colour, relative to the
+shorter side of the image [-]. It is larger than a part."""
 
 LOCAL_PASSES = 3
-"""Number of such averages, each over the pixels that agree with the previous one."""
+"""Number of such averages. Each average uses the pixels that agree with the previous average."""
 
 MIN_FRACTION = 0.05
-"""Fraction of background around a pixel above which the average follows it completely."""
+"""Minimum fraction of background around a pixel. If the fraction is smaller, the change of the
+background is reduced."""
 
 TEXTURE_PERCENT = 98
-"""Percentage of a photograph's background pixels whose deviation is texture."""
+"""Percentile of the deviations of a photograph's background pixels. Deviations up to this
+percentile are texture."""
 
 TEXTURE = 1.25
-"""Factor between this deviation and the deviation of parts."""
+"""Factor by which this percentile is multiplied. Pixels of parts have larger deviations."""
 
 SOFTER_PX = (1.0, 1.5, 2.0, 2.5, 3.0)
-"""Candidates of the blur of an image, in addition to that of the bare plate's images [px]."""
+"""Candidates of the additional blur of an image, compared with the images of the bare plate
+[px]."""
 
 EDGE_PX = 4
-"""Width of the plate's edge that such a blur reaches [px]."""
+"""Width of the border along the plate's edge in which such a blur is measured [px]."""
 
 SOFTER = 0.2
-"""Minimum fraction of the pixels at the plate's edge that differ from the bare plate for a search
-of the blur."""
+"""Minimum fraction of the pixels at the plate's edge that differ from the bare plate. If the
+fraction is smaller, no additional blur is assumed."""
 
 EXPLAINED = 0.1
-"""Maximum fraction that differs with the correct blur. A larger fraction means that the plate has
-moved."""
+"""Maximum fraction of these pixels that differ with the best blur. If the fraction is larger, the
+plate has probably moved."""
 
 SPECK = 100.0
-"""Minimum deviation of a speck, a pixel that differs from its neighbours [L]."""
+"""Minimum deviation of a speck from its neighbours [L]. A speck is a single pixel."""
 
 SPECKS = 0.004
-"""Fraction of specks above which an image is cleaned."""
+"""Maximum fraction of specks in an image that is not cleaned."""
 
 MIN_SCORE = 0.4
-"""Minimum score of a background: the fraction of the image that it explains, plus BORDER_WEIGHT
-times the fraction of the border."""
+"""Minimum score of a background. The score is the fraction of the image that agrees with the
+background, plus BORDER_WEIGHT times the fraction of the border that agrees."""
 
 BLOCK = 12.0
 """Side of the bins in which frequent colours are counted [L]."""
@@ -110,8 +119,8 @@ class Background:
     chroma : float
         Weight of a and b relative to L in a deviation.
     cleaned : bool
-        Whether single pixels are filtered out of images before comparison. Photographs have dust
-        and dead pixels that are not on a bare plate.
+        Whether specks are filtered out of images before they are compared. This is necessary
+        because photographs may show dust and dead pixels.
     learned : bool
         Whether the background was learned from images of the bare plate. If False, it is modelled.
     """
@@ -124,7 +133,7 @@ class Background:
 
     @property
     def grey(self) -> np.ndarray:
-        """Grey levels (H, W) uint8; of colours the green channel."""
+        """Grey levels (H, W) uint8. For colours, they are the green channel."""
         if self.lab.shape[2] == 1:
             return self.lab[:, :, 0]
         return np.asarray(cv2.cvtColor(self.lab, cv2.COLOR_LAB2BGR)[:, :, 1])
@@ -132,14 +141,15 @@ class Background:
     def light_of(
         self, image: np.ndarray, region: Region | None = None, before: Light | None = None
     ) -> Light:
-        """Return the light of an image (H, W) or (H, W, 3) uint8 with parts, relative to the
-        background's own light, within a region. Default: the whole image. `before` is the light of
-        the previous image.
+        """Return the light of an image (H, W) or (H, W, 3) uint8 with parts within a region,
+        relative to the background's own light. Without a region, the whole image is used. `before`
+        is the light of the previous image.
 
         Raises
         ------
         ImageError
-            If the image has another size than the background, or too little of it is visible.
+            If the image has another size than the background, or if too little of the background is
+            visible.
         """
         if self.cleaned:
             image, convert = colours_like(image, self), _same
@@ -152,14 +162,15 @@ class Background:
         return fit_light(Lit(image, convert, self.lab, self.limit, self.chroma, region), before)
 
     def under(self, light: Light, region: Region | None = None) -> Background:
-        """Return the background in another light within a region. Default: the whole image."""
+        """Return the background in another light within a region. Without a region, the whole image
+        is used."""
         region = region or make_region(self.lab.shape[1::-1])
         return replace(self, lab=relit(self.lab, light, region))
 
     def softened(self, image: np.ndarray, region: Region) -> Background:
         """Return the background with the additional blur of an image (H, W) or (H, W, 3) uint8 in
-        the same light. If the camera went out of focus after the bare plate was learned, the
-        plate's edge is wider in the image."""
+        the same light. Such a blur occurs if the camera went out of focus after the bare plate was
+        learned. The plate's edge is then wider in the image."""
         usable = region.usable.astype(np.uint8)
         inner = cv2.erode(usable, np.ones((2 * EDGE_PX + 1,) * 2, np.uint8), borderValue=0)
         rows, columns = np.nonzero(usable > inner)
@@ -186,19 +197,19 @@ class Background:
 
 
 def learn_plate(images: np.ndarray) -> Background:
-    """Learn the bare plate from images (n, H, W) or (n, H, W, 3) uint8 of it, n >= 1.
+    """Learn the bare plate from its images (n, H, W) or (n, H, W, 3) uint8, n >= 1.
 
     Raises
     ------
     ImageError
-        If they are not uint8, or have another shape.
+        If the images are not uint8, or if they have another shape.
     """
     images = np.asarray(images)
     if images.ndim not in (3, 4) or not len(images):
         raise ImageError(f"images: shape is {images.shape}, allowed: (n, H, W) or (n, H, W, 3)")
     labs = np.stack([colours(image) for image in images])
     mean = np.median(labs, axis=0).astype(np.uint8) if len(labs) > 2 else labs[0]
-    # Estimate the noise of a single image from its own neighbourhoods.
+    # The noise of a single image is its deviation from the median of neighbouring pixels.
     bare = mean if len(labs) > 1 else cv2.medianBlur(mean, 5).reshape(mean.shape)
     chroma = _chroma_weight(labs, bare)
     square = np.mean([deviation(lab, bare, chroma).astype(np.float32) ** 2 for lab in labs], axis=0)
@@ -209,10 +220,11 @@ def learn_plate(images: np.ndarray) -> Background:
 
 
 def model_background(image: np.ndarray) -> Background:
-    """Model the background of one image (H, W) or (H, W, 3) uint8 that contains parts.
+    """Return a model of the background of one image (H, W) or (H, W, 3) uint8 that contains parts.
 
-    The background is the smooth surface in Lab that explains most of the image and of its border.
-    It follows slow changes of the image; pixels that deviate to either side may be parts.
+    The background is the smooth surface in Lab that agrees with the largest fraction of the image
+    and of its border. It follows gradual changes across the image. Pixels that are brighter or
+    darker than it may be parts.
 
     Raises
     ------
@@ -238,7 +250,7 @@ def model_background(image: np.ndarray) -> Background:
     best: tuple[float, np.ndarray, np.ndarray] | None = None
     for mode in _modes(values):
         if best is not None and best[2][mode]:
-            continue  # the best surface so far already explains this colour
+            continue  # the best surface so far already agrees with this colour
         fit = np.zeros((design.shape[1], channels), np.float32)
         fit[0] = values[mode]
         near = NEAR_MODE
@@ -273,8 +285,8 @@ def model_background(image: np.ndarray) -> Background:
 def _local(
     values: np.ndarray, surface: np.ndarray, kept: np.ndarray, size: tuple[int, int]
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Let a background (n, C) follow slow changes of the colours (n, C) at the pixels that agree
-    with it (`kept` (n,)). Return the changed background, and the pixels that agree in the end."""
+    """Adapt a background (n, C) to gradual changes of the colours (n, C) at the pixels that agree
+    with it (`kept` (n,)). Return the changed background, and the pixels that agree with it."""
     width = LOCAL * min(size)
     for _ in range(LOCAL_PASSES):
         rest = np.where(kept[:, None], values - surface, 0).reshape(size[1], size[0], -1)
@@ -288,7 +300,7 @@ def _local(
 
 
 def colours(image: np.ndarray) -> np.ndarray:
-    """Return an image in Lab (H, W, 3) uint8; an image in grey levels as (H, W, 1)."""
+    """Return an image in Lab, (H, W, 3) uint8. An image in grey levels is returned as (H, W, 1)."""
     image = np.asarray(image)
     check_image(image)
     if image.ndim == 2:
@@ -297,8 +309,8 @@ def colours(image: np.ndarray) -> np.ndarray:
 
 
 def colours_like(image: np.ndarray, background: Background) -> np.ndarray:
-    """Return an image's colours (H, W, C), converted to the channels of a background: grey levels
-    to colours, or colours to grey levels."""
+    """Return an image's colours (H, W, C) with the channels of a background. If necessary, grey
+    levels are converted to colours, or colours to grey levels."""
     image = np.asarray(image)
     check_image(image)
     _check_size(image, background)
@@ -324,15 +336,15 @@ def _check_size(image: np.ndarray, background: Background) -> None:
 
 
 def _cleaned(lab: np.ndarray) -> np.ndarray:
-    """Filter single pixels that differ from their neighbours out of colours (H, W, C)."""
+    """Return colours (H, W, C) without single pixels that differ from their neighbours."""
     return np.asarray(cv2.medianBlur(lab, 3)).reshape(lab.shape)
 
 
 def steepness(
     image: np.ndarray, weights: tuple[float, float, float] = (1.0, 1.0, 1.0)
 ) -> np.ndarray:
-    """Return the gradient (H, W) of an image (H, W) or (H, W, C) by Sobel's filter: the maximum
-    over the channels, each multiplied by its weight."""
+    """Return the gradient (H, W) of an image (H, W) or (H, W, C), computed by the Sobel filter. It
+    is the maximum over the channels, and each channel is multiplied by its weight."""
     slopes = [
         weight * np.hypot(cv2.Sobel(one, cv2.CV_32F, 1, 0), cv2.Sobel(one, cv2.CV_32F, 0, 1))
         for one, weight in zip(cv2.split(image), weights, strict=False)
@@ -341,8 +353,8 @@ def steepness(
 
 
 def deviation(lab: np.ndarray, bare: np.ndarray, chroma: float) -> np.ndarray:
-    """Return the deviation (H, W) uint8 [L], clipped to 255, of colours (H, W, C) uint8 from
-    others: sqrt(dL^2 + chroma^2 (da^2 + db^2)).
+    """Return the deviation (H, W) uint8 [L] between colours `lab` and `bare` (H, W, C) uint8:
+    sqrt(dL^2 + chroma^2 (da^2 + db^2)), clipped to 255.
     """
     out = np.empty(lab.shape[:2], np.uint8)
     _kernels.deviation(lab, bare, chroma, out)
@@ -381,7 +393,7 @@ def _as_colours(lab: np.ndarray) -> np.ndarray:
 
 
 def _modes(values: np.ndarray) -> np.ndarray:
-    """Return the indices (m,) of values (n, C) that represent the most frequent colours."""
+    """Return the indices (m,) of those values (n, C) that represent the most frequent colours."""
     bins = np.floor(values / BLOCK).astype(np.int64)
     keys = bins @ (1000 ** np.arange(values.shape[1]))
     _, inverse, counts = np.unique(keys, return_inverse=True, return_counts=True)

@@ -1,5 +1,5 @@
-"""The blur of an image, measured at the contours of its patches. A large blur makes types look
-alike."""
+"""The blur of an image, measured at the contours of its patches. If the blur is large, different
+types look similar."""
 
 from __future__ import annotations
 
@@ -13,23 +13,25 @@ from ..camera.encodings import grey_levels
 from .patch import Patch
 
 MAX_PX, MAX_RADIUS = 0.5, 0.144
-"""Maximum blur of an image in which types are named, a standard deviation: the sum of the first
-[px] and this fraction of the parts' median radius. In synthetic images nuts were taken for washers
-from 2.0 px with parts of 10 px radius, and from 3.4 px with 19 px, but not with 1.8 and 3.1 px."""
+"""Maximum blur (standard deviation) of an image in which types are determined: `MAX_PX` [px] plus
+`MAX_RADIUS` times the parts' median radius. In synthetic images with parts of 10 px radius, nuts
+were mistaken for washers with a blur of 2.0 px and more, but not with 1.8 px. With parts of 19 px
+radius, this happened with 3.4 px and more, but not with 3.1 px."""
 
 POINTS = 24
 """Number of points on the contour of a patch."""
 
 PERCENT = 25
-"""Percentile of the blur at these points. A percentile is used because shadow and motion blur only
-a part of a contour."""
+"""Percentile of the blur at these points that is the blur of a patch. A low percentile is used
+because shadows and motion blur only some sections of a contour."""
 
 FIRST = 8
-"""Number of patches that are measured first."""
+"""Maximum number of patches that are measured first."""
 
 SHARP = 0.6
-"""Fraction of the maximum blur below which the first patches alone show that the image is sharp. In
-images with too much blur, the first patches have at least 0.8 of the maximum."""
+"""Maximum blur of the first patches for which the other patches are not measured, because the image
+is certainly sharp, relative to the maximum blur [-]. In images with too much blur, the blur of the
+first patches is at least 0.8 times the maximum."""
 
 BESIDE_PX = 9.0
 """Maximum length of a profile on each side of the contour [px]."""
@@ -42,7 +44,8 @@ STEPS = 13
 """Number of samples of a profile."""
 
 SECANT = 3
-"""Distance to the two neighbours on the contour that give its direction [points of the contour]."""
+"""Distance to the two neighbours on the contour from which its direction is computed [points of the
+contour]."""
 
 
 def is_blurred(image: np.ndarray, patches: Sequence[Patch]) -> bool:
@@ -60,8 +63,9 @@ def is_blurred(image: np.ndarray, patches: Sequence[Patch]) -> bool:
 
 
 def edge_blur_px(grey: np.ndarray, patches: Sequence[Patch], radius_px: np.ndarray) -> float:
-    """Return the blur of the contours of patches of radii (n,) [px] in an image (H, W) uint8, a
-    standard deviation [px]: contrast / (sqrt(2 pi) slope), the median over the patches."""
+    """Return the blur of the contours of patches with radii (n,) [px] in an image (H, W) uint8. It
+    is a standard deviation [px]: contrast / (sqrt(2 pi) slope), of which the median over the
+    patches is used."""
     points, secants = [], []
     for patch in patches:
         contours, _ = cv2.findContours(

@@ -15,19 +15,20 @@ namespace plate {
 // Number of angles at which spectra are compared.
 constexpr int TURNS = 96;
 
-// Maximum number of angles from which a polygon is fitted to an outline.
+// Maximum number of candidate angles from which the fit of a type to an outline starts.
 constexpr int STARTS = 4;
 
-// Minimum correlation of the two spectra at a candidate angle, relative to the type's best.
+// Minimum correlation of the two spectra at a candidate angle, relative to the correlation at the
+// best angle.
 constexpr double LIKELY = 0.4;
 
 // Number of Gauss-Newton steps.
 constexpr int FIT_STEPS = 5;
 
-// Distance of outlines below which no other angle is tried [px].
+// Distance between the outlines below which no other angle is tried [px].
 constexpr double EXACT = 0.15;
 
-// Correlation of two spectra (HARMONICS,), one rotated by each of the angles.
+// Correlation of two spectra (HARMONICS,), of which one is rotated by each of the angles in turn.
 PLATE_WIDE inline void correlate(const Complex* seen, const Complex* known,
                                  std::array<double, TURNS>& alike) {
     double turn_x[TURNS], turn_y[TURNS], wave_x[TURNS], wave_y[TURNS];
@@ -49,9 +50,9 @@ PLATE_WIDE inline void correlate(const Complex* seen, const Complex* known,
     }
 }
 
-// Candidate angles [rad] by which an outline is rotated relative to another, by their spectra
-// (HARMONICS,), the most likely first. `symmetry` is the number of directions in which the second
-// outline looks the same.
+// Candidate angles [rad] by which an outline is rotated relative to another one, determined from
+// their spectra (HARMONICS,). The most likely angle comes first. `symmetry` is the number of
+// directions in which the second outline looks the same.
 inline std::vector<double> likely_turns(const Complex* seen, const Complex* known, int symmetry) {
     if (symmetry == 0) return {0};
     std::array<double, TURNS> alike, sector;
@@ -74,8 +75,8 @@ inline std::vector<double> likely_turns(const Complex* seen, const Complex* know
     return found;
 }
 
-// A part type, see `Template` of catalogue.py: edges (e, 5), samples (n, 4) of its contour with the
-// outward unit vectors, centre and spectrum of its outline.
+// A part type (see `Template` of catalogue.py): edges (e, 5), samples (n, 4) of its contour with
+// outward unit vectors, and the centre and the spectrum of its outline.
 struct TypeOutline {
     View<const double, 2> edges, samples;
     const double* centre;
@@ -90,7 +91,7 @@ struct SeenOutline {
     const Complex* spectrum;
 };
 
-// Fit a type to an outline from each candidate angle: see `lay_on` of catalogue.py.
+// Fit a type to an outline, starting from each candidate angle: see `lay_on` of catalogue.py.
 inline PoseFit lay_on(const TypeOutline& type, const SeenOutline& seen, double unit,
                       double hopeless) {
     constexpr double FAR = std::numeric_limits<double>::infinity();
@@ -113,7 +114,7 @@ inline PoseFit lay_on(const TypeOutline& type, const SeenOutline& seen, double u
             best.rest = std::min(best.rest, fit.rest);
             continue;
         }
-        // Distances in the other direction: from the type's contour to the outline.
+        // Add the distances in the other direction, from the type's contour to the outline.
         c = std::cos(fit.angle), s = std::sin(fit.angle);
         for (int i = 0; i < count; i++) {
             const double x = samples(i, 0) + fit.swell * samples(i, 2);

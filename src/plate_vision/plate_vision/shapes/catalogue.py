@@ -1,7 +1,8 @@
-"""Part types prepared for comparison with outlines, and their fit to an outline.
+"""Part types that are prepared for the comparison with outlines, and their fit to an outline.
 
-`make_catalogue` computes edges, samples, spectrum and areas of all types. `lay_on` fits a type to
-an outline: candidate angles by correlation of the spectra, then Gauss-Newton steps.
+`make_catalogue` computes edges, samples, spectra and areas of all types. `lay_on` fits a type to an
+outline. It determines candidate angles by the correlation of the spectra, and continues with
+Gauss-Newton steps.
 """
 
 from __future__ import annotations
@@ -21,11 +22,12 @@ GRID = 13
 """Number of points along each side of the bounding box at which a type is sampled."""
 
 CHIRAL = 0.02
-"""RMS difference of a part from its mirror image, relative to its reach, above which its two faces
-differ."""
+"""RMS (root mean square) difference between a part's outline and its mirror image, relative to the
+part's reach, above which the two faces of the part count as different."""
 
 HOLE_INSIDE = 0.55
-"""Size of the inner area of a hole, away from its edge, relative to the hole."""
+"""Size of the inner area of a hole, relative to the size of the hole. The inner area does not
+include the edge of the hole."""
 
 SAMPLES = 64
 """Number of points on a type's outline."""
@@ -33,13 +35,14 @@ SAMPLES = 64
 
 @dataclass(frozen=True, eq=False)
 class Template:
-    """A part type prepared for comparison.
+    """A part type that is prepared for the comparison with outlines.
 
     Attributes
     ----------
     part : PartType
     edges : (e, 5)
-        Edges of its outline and holes, see `Outline.edges`. A disc's outline is a circle.
+        Edges of the type's outline and holes (see `Outline.edges`). The outline of a disc is a
+        circle.
     outline : Outline
     """
 
@@ -49,8 +52,8 @@ class Template:
 
     @cached_property
     def samples(self) -> np.ndarray:
-        """Evenly spaced points [m] on its contour, with their outward unit vectors: (SAMPLES,
-        4)."""
+        """Evenly spaced points [m] on the type's contour, with their outward unit vectors:
+        (SAMPLES, 4)."""
         edges = self.outline.edges
         end = np.cumsum(edges[:, 4])
         at = (np.arange(SAMPLES) + 0.5) * end[-1] / SAMPLES
@@ -61,26 +64,28 @@ class Template:
 
     @cached_property
     def lever2(self) -> float:
-        """Mean square of the normal displacement of its contour per rotation [m2/rad2]."""
+        """Mean square of the normal displacement of the contour per rotation [m2/rad2]."""
         x, y, right, up = self.samples.T
         return float(np.mean((x * up - y * right) ** 2))
 
     @cached_property
     def pole(self) -> tuple[np.ndarray, float]:
-        """The point (2,) of the part farthest from its contour, and its distance from it [m]."""
+        """The inner point (2,) of the part that is farthest from the contour, and its distance from
+        the contour [m]."""
         depth = -distances(self.edges, self._grid)[:, 0]
         return self._grid[np.argmax(depth)], float(np.max(depth))
 
     @cached_property
     def inner(self) -> np.ndarray:
-        """Points (n, 2) inside the part, away from its contour, the outermost first [m]."""
+        """Points (n, 2) inside the part and away from its contour [m]. The points farthest from
+        `pole` come first."""
         depth = -distances(self.edges, self._grid)[:, 0]
         points = self._grid[depth > 0.2 * np.max(depth)]
         return points[np.argsort(-np.hypot(*(points - self.pole[0]).T))]
 
     @cached_property
     def hole_points(self) -> np.ndarray:
-        """Points (n, 2) inside its holes, away from their edges [m]."""
+        """Points (n, 2) inside the part's holes, away from their edges [m]."""
         found = [np.empty((0, 2))]
         for hole in self.part.holes:
             ring = np.array(hole)
@@ -105,7 +110,7 @@ class Template:
 
     @cached_property
     def mirrored(self) -> Template | None:
-        """The part's other face. None if both faces look the same."""
+        """The template of the part's other face. None if both faces look the same."""
         flip = np.array([-1.0, 1.0])
         outline = make_outline([flip * ring for ring in self.outline.rings])
         fit = lay_on(self, outline, 100 / outline.reach)
@@ -116,10 +121,10 @@ class Template:
 
 
 def make_template(part: PartType) -> Template:
-    """Prepare a part type for comparison."""
+    """Prepare a part type for the comparison with outlines."""
     rings = _corner_rings(part)
     coarse = make_outline(rings)
-    # The spectrum is exact only for short edges, so refine the rings.
+    # The spectrum is exact only for short edges, so the rings are refined.
     fine = make_outline([_refined(ring, 0.05 * coarse.reach) for ring in rings])
     edges = coarse.edges
     if part.radius_m:
@@ -143,20 +148,21 @@ def _corner_rings(part: PartType) -> list[np.ndarray]:
 
 @dataclass(frozen=True, eq=False)
 class Catalogue:
-    """All T types of a rig, prepared for comparison.
+    """All T types of a rig, prepared for the comparison with outlines.
 
     Attributes
     ----------
     templates : tuple of Template
     area, filled_area, perimeter, reach, scatter : (T,)
-        Area without the holes, and with them [m2]; length of the outer contour [m]; maximum
-        distance from the centre [m]; RMS difference of outlines of parts of the type [m].
+        Area without the holes [m2]; area including the holes [m2]; length of the outer contour [m];
+        maximum distance from the centre [m]; RMS difference between the outlines of parts of this
+        type [m].
     colour : (T, 3)
         CIE L, a, b; NaN if unknown.
     form : (T, HARMONICS - 1)
         See `Outline.form`.
     height : (T,)
-        Height above the plate [m]; 0: flat, or unknown.
+        Height above the plate [m]; 0 if the part is flat or the height is unknown.
     """
 
     templates: tuple[Template, ...]
@@ -190,8 +196,9 @@ def make_catalogue(types: Mapping[str, PartType]) -> Catalogue:
 def lay_on(
     template: Template, outline: Outline, scale: float, hopeless: float = np.inf
 ) -> np.ndarray:
-    """Fit a type to an outline from each likely angle. Return (5,) as `fit_pose`; the distances are
-    averaged over both directions, from outline to type and from type to outline."""
+    """Fit a type to an outline, starting from each likely angle. Return (5,) like `fit_pose`. The
+    distances are averaged over both directions: from the outline to the type, and from the type to
+    the outline."""
     fit: np.ndarray = _kernels.lay_on(
         template.edges,
         template.samples,
@@ -208,7 +215,8 @@ def lay_on(
 
 
 def _refined(ring: np.ndarray, length: float) -> np.ndarray:
-    """Return a ring (n, 2) with additional points, none farther than a length [m] from the next."""
+    """Return a ring (n, 2) with additional points, so that no point is farther than a length [m]
+    from the next point."""
     after = np.roll(ring, -1, axis=0)
     pieces = []
     for a, b in zip(ring, after, strict=True):
