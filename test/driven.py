@@ -67,8 +67,11 @@ class Driven:
     Parameters
     ----------
     monkeypatch
-    parameters : str Parameters of the node, each `name:=value`. With `use_sim_time:=true` the clock
-        of images is ROS's. start : bool Whether the node is configured and activated.
+    parameters : str
+        Parameters of the node, each `name:=value`. With `use_sim_time:=true` the clock of images is
+        ROS's.
+    start : bool
+        Whether the node is configured and activated.
     """
 
     def __init__(self, monkeypatch, *parameters, start=True):
@@ -179,8 +182,8 @@ def answered_once(calls, wait):
     ----------
     calls : list
         Clients and their requests.
-    wait : callable Waits until a condition is true, for a maximum time [s]. Returns whether it is
-        true.
+    wait : callable
+        Waits until a condition is true, for a maximum time [s]. Returns whether it is true.
     """
     asked = [[] for _ in calls]
 

@@ -24,7 +24,8 @@ class Cache:
     ----------
     path : Path
         File with lines of JSON: `code`, `key` and `value`.
-    code : str Digest of the code of the results. Results of other code are ignored.
+    code : str
+        Digest of the code of the results. Results of other code are ignored.
     """
 
     def __init__(self, path: Path, code: str) -> None:

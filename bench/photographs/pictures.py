@@ -61,9 +61,11 @@ class Photograph:
     shrink : int
         Factor by which this part is reduced in size.
     parts : (n,) TRUTH
-    ignore : (m, 3) x, y, radius [px] of cut or doubtful parts. Detections of these parts are
-        ignored, and so are missed ones. plate : (k, 2), optional Corners of a polygon [px].
-        Detections outside do not count.
+    ignore : (m, 3)
+        x, y, radius [px] of cut or doubtful parts. Detections of these parts are ignored, and so
+        are missed ones.
+    plate : (k, 2), optional
+        Corners of a polygon [px]. Detections outside do not count.
     """
 
     name: str

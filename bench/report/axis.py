@@ -31,9 +31,11 @@ class Axis:
     ----------
     names : tuple of str
         Names instead of numbers, for the axis of a bar chart, from bottom to top.
-    ticks : tuple of float Positions of numbers. If it is empty, the positions are chosen
-        automatically. limits : (low, high), optional least : float, optional Minimum number.
-        Smaller numbers are rounding errors, and are drawn at this number.
+    ticks : tuple of float
+        Positions of numbers. If it is empty, the positions are chosen automatically.
+    limits : (low, high), optional
+    least : float, optional
+        Minimum number. Smaller numbers are rounding errors, and are drawn at this number.
     """
 
     label: str

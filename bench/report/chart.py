@@ -50,8 +50,12 @@ class Chart:
         The question, and an explanation of the figure.
     finding : str
         Conclusion, with numbers.
-    default : str The project's choice and its reason, or an empty text if there is no choice.
-        panels : Panels sheet : Sheet Rows from which it is drawn. sources : tuple of str
+    default : str
+        The project's choice and its reason, or an empty text if there is no choice.
+    panels : Panels
+    sheet : Sheet
+        Rows from which it is drawn.
+    sources : tuple of str
         Measurements of these rows.
     """
 

@@ -57,8 +57,10 @@ class Look(NamedTuple):
     name : str
         Name in the key.
     colour : str
-    marker : str A key of `SYMBOLS`. If it is empty, only a line is drawn. line : str A key of
-        `DASHES`. Empty: only points.
+    marker : str
+        A key of `SYMBOLS`. If it is empty, only a line is drawn.
+    line : str
+        A key of `DASHES`. Empty: only points.
     """
 
     name: str
@@ -212,10 +214,13 @@ class Panel:
         ----------
         x, y : str
             Columns with numbers, or with names of the axis. A row with None has no point.
-        hollow : callable Whether a row does not count, for example because parts were missed. The
-            front ignores such a row. note : str Text that the page shows at the pointer for each
-            point, with columns in braces. in_front : bool Whether the points take part in the
-            Pareto front.
+        hollow : callable
+            Whether a row does not count, for example because parts were missed. The front ignores
+            such a row.
+        note : str
+            Text that the page shows at the pointer for each point, with columns in braces.
+        in_front : bool
+            Whether the points take part in the Pareto front.
         """
         at = [(self.x.drawn(row[x]), self.y.drawn(row[y])) for row in rows]
         empty = [hollow(row) for row in rows]

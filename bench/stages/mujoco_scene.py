@@ -48,10 +48,14 @@ class MujocoScene:
         Motion of the plate, repeated. The period need not be a multiple of the time step.
     dt, span : float
         Step and time that one `run` simulates [s].
-    position, velocity : (M, 2) State at the start [m], [m/s], plate_home. Without a velocity, the
-        parts are at rest. mu : float Friction coefficient. radius : float Radius of the parts [m].
-        If it is 0, they never touch. half : (2,), optional Half sides of a plate with walls [m].
-        Contacts stop parts.
+    position, velocity : (M, 2)
+        State at the start [m], [m/s], plate_home. Without a velocity, the parts are at rest.
+    mu : float
+        Friction coefficient.
+    radius : float
+        Radius of the parts [m]. If it is 0, they never touch.
+    half : (2,), optional
+        Half sides of a plate with walls [m]. Contacts stop parts.
     """
 
     def __init__(

@@ -22,8 +22,10 @@ class PymunkScene:
         Step and time that one `run` simulates [s].
     friction_accel : float
         mu g [m/s2].
-    radius : float Radius of the parts [m]. If it is 0, they never touch. offset : float Time within
-        a step, 0 to 1, at which the plate's velocity is evaluated.
+    radius : float
+        Radius of the parts [m]. If it is 0, they never touch.
+    offset : float
+        Time within a step, 0 to 1, at which the plate's velocity is evaluated.
     """
 
     def __init__(

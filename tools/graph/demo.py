@@ -101,7 +101,8 @@ class Plan:
     rig : Rig
     out : path
         Folder of the results.
-    domain : int, optional ROS domain. If it is None, a free domain is used.
+    domain : int, optional
+        ROS domain. If it is None, a free domain is used.
     """
 
     args: argparse.Namespace

@@ -49,8 +49,8 @@ class Hops(Listener):
     Parameters
     ----------
     namespace : str
-    images : bool Whether to receive images. If it is False, an image counts as published at its
-        stamp.
+    images : bool
+        Whether to receive images. If it is False, an image counts as published at its stamp.
 
     Attributes
     ----------

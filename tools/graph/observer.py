@@ -137,9 +137,7 @@ class Record:
     ----------
     truth, tables : list of bytes
         All messages of ground_truth and of motor_setpoints. Without a simulator, `truth` has the
-        messages of parts.
-    starts : list of bytes
-        All messages of cycle_started.
+        messages of parts. starts : list of bytes All messages of cycle_started.
     simulated : bool
         Whether there is a simulator.
     answers : int
@@ -218,16 +216,18 @@ class Observer:
         Whether to record images.
     waiting : callable, optional
         Called during a wait, with a text on the missing event.
-    simulated : bool Whether to record the parts' true positions from the simulator. Otherwise, the
-        positions from the detector are recorded.
+    simulated : bool
+        Whether to record the parts' true positions from the simulator. Otherwise, the positions
+        from the detector are recorded.
 
     Attributes
     ----------
     record : Record
     domain : int
     node : Node
-    pulses : list of callables Functions that are called about every `POLL_S` during a wait. A
-        function may raise an exception to end the wait.
+    pulses : list of callables
+        Functions that are called about every `POLL_S` during a wait. A function may raise an
+        exception to end the wait.
     """
 
     def __init__(

@@ -141,9 +141,10 @@ class Processes:
         ROS domain.
     prefix : mapping of str to list, optional
         Words before the command line of a node.
-    environment : mapping, optional Additional environment variables, which override those of
-        `ros_environment`. remaps : mapping of str to (str, str), optional For a node, a topic and
-        the name to which only this node's topic is remapped.
+    environment : mapping, optional
+        Additional environment variables, which override those of `ros_environment`.
+    remaps : mapping of str to (str, str), optional
+        For a node, a topic and the name to which only this node's topic is remapped.
 
     Attributes
     ----------

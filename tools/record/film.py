@@ -27,15 +27,24 @@ class Film:
     ----------
     ids : tuple of str
         Names of all parts, in the order of `position`.
-    time : (n,) Starts of cycles [s]. If there is no simulator, these are the stamps of images.
-        position : (n, M, 2) Positions of the parts in plate_home [m] at these times. NaN after a
-        part has left the plate, or while it is not detected. angle : (n, M) Angles of the parts
-        [rad]. end : float End of the task [s]. If the task did not end, this is the last known
-        time. table_time : (m,) Stamps of the motor tables, which are those of the images that they
-        answer [s]. tables
-        : tuple of PlateCycle Motion of the plate in each motor table. image_time : (k,) Stamps of
-        the recorded images [s]. images : tuple of (H, W) arrays simulated : bool Whether the parts'
-        positions are from the simulator, and not from the detector.
+    time : (n,)
+        Starts of cycles [s]. If there is no simulator, these are the stamps of images.
+    position : (n, M, 2)
+        Positions of the parts in plate_home [m] at these times. NaN after a part has left the
+        plate, or while it is not detected.
+    angle : (n, M)
+        Angles of the parts [rad].
+    end : float
+        End of the task [s]. If the task did not end, this is the last known time.
+    table_time : (m,)
+        Stamps of the motor tables, which are those of the images that they answer [s].
+    tables : tuple of PlateCycle
+        Motion of the plate in each motor table.
+    image_time : (k,)
+        Stamps of the recorded images [s].
+    images : tuple of (H, W) arrays
+    simulated : bool
+        Whether the parts' positions are from the simulator, and not from the detector.
     """
 
     ids: tuple[str, ...]
