@@ -119,7 +119,7 @@ def _least(rows: np.ndarray) -> float:
     return float(np.min(np.max(np.abs(rows[:, :2] @ [np.cos(angle), np.sin(angle)]), axis=0)))
 
 
-def rest_to_rest_s(way: float, friction_accel: float) -> float:
+def rest_to_rest_s(distance: float, friction_accel: float) -> float:
     """Return the minimum time [s] in which friction can move a part by a distance [m] from rest to
     rest."""
-    return float(2 * np.sqrt(way / friction_accel))
+    return float(2 * np.sqrt(distance / friction_accel))

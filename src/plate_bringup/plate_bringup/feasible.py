@@ -40,7 +40,7 @@ NOT_REHEARSED = {
 COUNTS = (1, 2, 4, 10)
 """Numbers of parts that are rehearsed if no scenario is given."""
 
-WAY_M = 0.1
+DISTANCE_M = 0.1
 """Distance for which the report states the minimum time [m]."""
 
 PERIOD_S = 0.2
@@ -75,11 +75,11 @@ def main() -> None:
         scenario = load_scenario(args.scenario) if args.scenario else None
         name = args.rig or (scenario.rig if scenario else "")
         rig = load_rig(name)
-        told, likely = report(rig, rig_path(name).name, scenario)
+        text, likely = report(rig, rig_path(name).name, scenario)
     except PlateError as error:
         print(f"error: {error}", file=sys.stderr)
         sys.exit(2)
-    print(told)
+    print(text)
     sys.exit(0 if likely else 1)
 
 
@@ -91,8 +91,8 @@ def report(rig: Rig, name: str, scenario: Scenario | None) -> tuple[str, bool]:
         one_part(rig),
         "",
     ]
-    told, likely = of_task(rig, scenario) if scenario else of_counts(rig)
-    return "\n".join(lines + told), likely
+    text, likely = of_task(rig, scenario) if scenario else of_counts(rig)
+    return "\n".join(lines + text), likely
 
 
 def one_part(rig: Rig) -> str:
@@ -100,8 +100,8 @@ def one_part(rig: Rig) -> str:
     bounds = speed_bounds(rig, PERIOD_S)
     return (
         f"one part: at most {1e3 * bounds.least:.0f} mm/s along a line by any steady motion of "
-        f"{PERIOD_S:g} s (limited by {bounds.binds}, see docs/model.md); {1e3 * WAY_M:.0f} mm from "
-        f"rest to rest take at least {rest_to_rest_s(WAY_M, rig.friction.accel):.2f} s"
+        f"{PERIOD_S:g} s (limited by {bounds.binds}, see docs/model.md); {1e3 * DISTANCE_M:.0f} mm "
+        f"from rest to rest take at least {rest_to_rest_s(DISTANCE_M, rig.friction.accel):.2f} s"
     )
 
 
@@ -116,19 +116,19 @@ def of_task(rig: Rig, scenario: Scenario) -> tuple[list[str], bool]:
         return [f"{scenario.name}: impossible: {error}"], False
     likely, count = verdict.likely, len(verdict.rehearsals)
     times = ", ".join(_time(each.time_s) for each in verdict.rehearsals)
-    asked = ""
+    requested = ""
     if isinstance(scenario.task, FollowTask):
-        asked = f", requested: {1e3 * max(path.speed for path in scenario.task.paths):.0f} mm/s"
+        requested = f", requested: {1e3 * max(path.speed for path in scenario.task.paths):.0f} mm/s"
     lines = [
         f"{scenario.name}: {'likely' if likely else 'not likely'}: {verdict.in_time} of {count} "
         f"rehearsals end within {scenario.time_limit_s:g} s (time_limit_s); they take [s]: {times}",
         f"{scenario.count} part{'s' * (scenario.count > 1)}: {1e3 * verdict.speed:.0f} mm/s on "
-        f"average{asked}",
+        f"average{requested}",
         _used(verdict),
     ]
     if any(each.lost for each in verdict.rehearsals):
         lines.append("a part leaves the plate: move starts and goals away from the edges")
-    lines += [f"warning: {doubt}" for doubt in edge_doubts(scenario, rig)]
+    lines += [f"warning: {warning}" for warning in edge_doubts(scenario, rig)]
     if not likely:
         lines.append(advice_for(rig, verdict))
     return lines, likely

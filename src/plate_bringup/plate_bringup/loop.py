@@ -639,7 +639,7 @@ def as_asked(task: Task, rig: Rig, moment: Moment, error: np.ndarray) -> bool:
 
 def summary(setup: Setup, rig: Rig, transport: Transport | None = None) -> dict[str, object]:
     """Run the loop. Return the row that `bench/closed_loop.py` prints."""
-    solve_s, step_s, errors, misses, asks = [], [], [], [], []
+    solve_s, step_s, errors, misses, requests = [], [], [], [], []
     shares, scaled, held, late = [], 0, 0, 0
     task, cycles = setup.recipe.task, hashlib.blake2b(digest_size=8)
     for moment in run(setup, rig, transport):
@@ -652,7 +652,7 @@ def summary(setup: Setup, rig: Rig, transport: Transport | None = None) -> dict[
             solve_s.append(moment.solve_s)
             step_s.append(moment.step_s)
             misses.append(moment.answer.error_m)
-            asks.append(moment.answer.asked_m)
+            requests.append(moment.answer.asked_m)
         shares.append((moment.limit_share, moment.force_share, moment.heat_share))
         scaled += moment.scaled
         errors.append(moment.error_m)
@@ -681,7 +681,7 @@ def summary(setup: Setup, rig: Rig, transport: Transport | None = None) -> dict[
         "held_cycles": held,
         "late_cycles": late,
         "load": round(os.getloadavg()[0], 2),
-        "missed_share": float(np.sum(misses) / max(np.sum(asks), 1e-12)),
+        "missed_share": float(np.sum(misses) / max(np.sum(requests), 1e-12)),
         "solve_ms_median": float(np.median(milliseconds)),
         "solve_ms_p99": float(np.percentile(milliseconds, 99)),
         "step_ms_median": float(np.median(steps)),

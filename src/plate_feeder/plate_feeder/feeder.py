@@ -678,9 +678,11 @@ class Feeder:
         if hopper is None or status is None or self._task is not _Task.RUNNING:
             return None
         total, quantity = status.total, self.quantity()
-        came = total + quantity.taken + self._unreported + quantity.discharged + quantity.lost
+        total_parts = (
+            total + quantity.taken + self._unreported + quantity.discharged + quantity.lost
+        )
         if self._opened is not None and now >= self._evaluate_at and self._sees_all():
-            self._barren = 0 if came > self._opened else self._barren + 1
+            self._barren = 0 if total_parts > self._opened else self._barren + 1
             self._opened = None
         if self._reserved is not None or purging or self.silence(now):
             return None
@@ -689,7 +691,7 @@ class Feeder:
         if self._opened is not None or self.hopper_empty or total >= enough:
             return None
         open_s = min((hopper.fill - total) / hopper.rate, MAX_OPEN_S)
-        self._opened, self._evaluate_at = came, now + open_s + FALLEN_S
+        self._opened, self._evaluate_at = total_parts, now + open_s + FALLEN_S
         return open_s
 
 

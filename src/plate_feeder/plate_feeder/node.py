@@ -444,7 +444,7 @@ class FeederNode(SafeLifecycleNode[Options]):
         """Execute the command of a robot."""
         feeder, now = self._feeder, time.monotonic()
 
-        def tell(reply: Reply) -> None:
+        def send_reply(reply: Reply) -> None:
             text = reply.text
             if reply.part is not None:
                 part = self._hand_eye.part(reply.part)
@@ -465,7 +465,7 @@ class FeederNode(SafeLifecycleNode[Options]):
             reply = Reply(Code.DONE, quantity_text(feeder.quantity()))
         else:
             reply = Reply(Code.DONE, self._state_text(client, now))
-        self._wait(client, reply, tell)
+        self._wait(client, reply, send_reply)
 
     def _state_text(self, client: int, now: float) -> str:
         feeder, kept = self._feeder, self._feeder.reserved

@@ -201,13 +201,13 @@ class PlateVectorEnv(VectorEnv):
         if not isinstance(actions, np.ndarray):
             actions = iterate(self.action_space, actions)
         each = checked_actions(self.single_action_space, actions)
-        anew, rows = (np.flatnonzero(m).tolist() for m in (self._ended, ~self._ended))
+        restarted, rows = (np.flatnonzero(m).tolist() for m in (self._ended, ~self._ended))
         info: dict[str, Any] = {}
         reward = np.zeros(self.num_envs)
         ended, over = np.zeros(self.num_envs, bool), np.zeros(self.num_envs, bool)
-        if len(anew):
-            worlds = [drawn(self._chance[k]) for k in anew]
-            info = self._whole(self.plates.reset(anew, worlds), self._ended)
+        if len(restarted):
+            worlds = [drawn(self._chance[k]) for k in restarted]
+            info = self._whole(self.plates.reset(restarted, worlds), self._ended)
         if len(rows):
             step = self.plates.step(rows, [each[row] for row in rows])
             reward[rows], ended[rows], over[rows] = step.reward, step.ended, step.over

@@ -321,14 +321,14 @@ class Plates:
             self._each(Plate.capture, plates)
             return
         shown = [(plate, plate.sighted()) for plate in plates]
-        looked = [(plate, sight) for plate, sight in shown if sight is not None]
-        if not looked:
+        captured = [(plate, sight) for plate, sight in shown if sight is not None]
+        if not captured:
             return
-        sights = zip(*(sight for _, sight in looked), strict=True)
+        sights = zip(*(sight for _, sight in captured), strict=True)
         position, angle, there = map(np.array, sights)
-        noise = np.array([p.noise.standard_normal((len(p.seen), 3)) for p, _ in looked])
-        time = np.array([plate.time for plate, _ in looked])[:, None, None]
-        before = np.array([plate.seen for plate, _ in looked])
+        noise = np.array([p.noise.standard_normal((len(p.seen), 3)) for p, _ in captured])
+        time = np.array([plate.time for plate, _ in captured])[:, None, None]
+        before = np.array([plate.seen for plate, _ in captured])
         now = np.empty_like(before)
         now[..., :2] = position + CENTRE_NOISE_M * noise[..., :2]
         now[..., 2:4] = (now[..., :2] - before[..., :2]) / (time - before[..., 5:])
@@ -336,7 +336,7 @@ class Plates:
         now[..., 4] = (angle + np.pi) % (2 * np.pi) - np.pi
         now[..., 5:] = time
         now = np.where(there[..., None], now, before)
-        for (plate, _), seen in zip(looked, now, strict=True):
+        for (plate, _), seen in zip(captured, now, strict=True):
             plate.seen = seen
 
     def _each(self, do: Callable[..., Any], *of: Iterable[Any]) -> list[Any]:

@@ -363,14 +363,16 @@ class Planner:
         """Remove undetected parts if another part is detected at the same position. The part was
         hidden, and it is the same part with a new id. `classes` limits this to some classes."""
         label = [part_class(name) for name in parts.ids]
-        gone = [name not in seen.ids for name in parts.ids]
+        missing = [name not in seen.ids for name in parts.ids]
         if classes is not None:
-            gone = [hidden and each in classes for hidden, each in zip(gone, label, strict=True)]
-        if not any(gone):
+            missing = [
+                hidden and each in classes for hidden, each in zip(missing, label, strict=True)
+            ]
+        if not any(missing):
             return parts
         reach = np.array([self.rig.part_type(each).reach_m for each in label])
         away = np.hypot(*(parts.position[:, None] - seen.position[None]).transpose(2, 0, 1))
-        double = np.array(gone) & np.any(away < reach[:, None], axis=1)
+        double = np.array(missing) & np.any(away < reach[:, None], axis=1)
         return parts.take(np.flatnonzero(~double)) if np.any(double) else parts
 
     def _last_seen(

@@ -37,7 +37,7 @@ DRIFT_TOLERANCE = 5e-5
 """Maximum error of a search for forces, divided by the length of the cycle [m/s]. The search stops
 when the error is below it."""
 
-WAY_TOLERANCE = 2e-4
+TARGET_TOLERANCE = 2e-4
 """Maximum error of a search for targets, divided by the length of the cycle [m/s]. The search stops
 when the error is below it. Later cycles correct this error."""
 
@@ -240,7 +240,7 @@ def search(
     until : float
         As in `MotionSolver.steer`.
     """
-    tolerance = period * (WAY_TOLERANCE if goal.lasting else DRIFT_TOLERANCE)
+    tolerance = period * (TARGET_TOLERANCE if goal.lasting else DRIFT_TOLERANCE)
     good_enough = 0.0 if goal.lasting else miss * fraction * goal.size
     return solver.steer(goal.times(fraction), tolerance, max(good_enough, tolerance), until)
 
@@ -264,8 +264,10 @@ def leaves_plate(rig: Rig, ids: tuple[str, ...], goal: Goal, predicted: np.ndarr
     radius = np.sqrt([[kind.area_m2 / np.pi] for kind in part_types(rig, ids)])
     edge = rig.plate.half - 0.5 * radius
     middle = goal.position + goal.displacement
-    asked = np.abs(middle) - goal.tolerance > edge  # whether the goal itself is beyond the edge
-    out = (np.abs(end) > edge) & ~(asked & (end * middle > 0))
+    goal_outside = (
+        np.abs(middle) - goal.tolerance > edge
+    )  # whether the goal itself is beyond the edge
+    out = (np.abs(end) > edge) & ~(goal_outside & (end * middle > 0))
     return bool(np.any(out & (np.abs(end) > np.abs(goal.position))))
 
 

@@ -270,13 +270,13 @@ class SolverNode(SafeLifecycleNode[Options]):
 
     def _values(self) -> Mapping[str, object]:
         errors, solve_ms = self._tally.errors, self._tally.solve_ms
-        asked = sum(pair[1] ** 2 for pair in errors) ** 0.5
+        requested = sum(pair[1] ** 2 for pair in errors) ** 0.5
         missed = sum(pair[0] ** 2 for pair in errors) ** 0.5
         solution = self._last.solution if self._last else None
         return {
             "method": self._controller.method,
             "parts": len(self._parts),
-            "missed_fraction": f"{missed / asked:.4f}" if asked > 0 else "0",
+            "missed_fraction": f"{missed / requested:.4f}" if requested > 0 else "0",
             "solve_ms_median": f"{np.median(solve_ms):.2f}" if solve_ms else "0",
             "solve_ms_max": f"{max(solve_ms):.2f}" if solve_ms else "0",
             "condition": f"{solution.condition:.4g}" if solution else "0",

@@ -529,8 +529,8 @@ class Estimator:
             return self.latency.estimate.drift
         row, span = rows_of(self.ids, self.before.ids), self.stamp - self.before_stamp
         usual = 0 < span < FRESH * self.period
-        gone = place - np.vstack([self.before.position, np.zeros((1, 2))])[row]
-        return np.where((row >= 0)[:, None] & usual, gone / max(span, MIN_S), 0.0)
+        displacement = place - np.vstack([self.before.position, np.zeros((1, 2))])[row]
+        return np.where((row >= 0)[:, None] & usual, displacement / max(span, MIN_S), 0.0)
 
     def predict(self, parts: Parts) -> np.ndarray:
         """Return the predicted positions (M, 2) [m] of parts at `next_start`.

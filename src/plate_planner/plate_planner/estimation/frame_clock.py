@@ -112,8 +112,8 @@ class FrameClock:
         if not np.isfinite(self.interval):
             return self.scatter
         likely = np.exp(self.log_likelihood)
-        doubt = likely @ (self.time[:, 0] - self.instant) ** 2 / np.sum(likely)
-        return float(np.sqrt(self.covariance[0, 0] + doubt))
+        ambiguity = likely @ (self.time[:, 0] - self.instant) ** 2 / np.sum(likely)
+        return float(np.sqrt(self.covariance[0, 0] + ambiguity))
 
     @property
     def rate(self) -> float:

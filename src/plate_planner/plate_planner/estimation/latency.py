@@ -189,8 +189,8 @@ class LatencyHypotheses:
         if len(self.latencies) == 1 and not self.trusting:
             return seen
         if self.estimated and seen.misfit > MISFIT:
-            anew = replace(LatencyHypotheses.of(None), jitter=self.jitter, trusting=False)
-            return anew.update(log, parts, t, unsure, delay, friction_accel, most, friction)
+            restarted = replace(LatencyHypotheses.of(None), jitter=self.jitter, trusting=False)
+            return restarted.update(log, parts, t, unsure, delay, friction_accel, most, friction)
         if len(self.latencies) == 1:
             return seen
         likely = seen.log_likelihood

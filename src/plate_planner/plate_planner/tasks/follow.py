@@ -365,9 +365,9 @@ class Follower(TaskRules):
     def _scaling(self, before: float, worst: float, lacking: float) -> float:
         """Return the next speed scaling for an error [m] and a shortfall of drift [path's
         speed]."""
-        room = (SLOW_TO - worst / self.task.max_error_m) / (SLOW_TO - SLOW_FROM)
+        factor = (SLOW_TO - worst / self.task.max_error_m) / (SLOW_TO - SLOW_FROM)
         most = max(before * SLOW_DOWN, LEAST) if lacking > LACKING else before + SPEED_UP
-        return float(np.clip(room, 0, min(1.0, most)))
+        return float(np.clip(factor, 0, min(1.0, most)))
 
     def _ahead(self, time: float, period: float) -> float:
         """Return the maximum speed scaling at a path time [s]. With this scaling, no corner ahead

@@ -491,8 +491,8 @@ class Camera:
             rise = path.mean(axis=0) - scene.path.mean(axis=0)
             swell = (scene.growth - 1)[:, None]
             reach = size * [part.reach_m for part in scene.types]
-            way = self._scale * (np.hypot(*rise.T) + swell[:, 0] * reach)
-            part = np.maximum(1 - EDGE_PX / np.maximum(way, EDGE_PX), 0)[:, None]
+            extent = self._scale * (np.hypot(*rise.T) + swell[:, 0] * reach)
+            part = np.maximum(1 - EDGE_PX / np.maximum(extent, EDGE_PX), 0)[:, None]
             outlines = swept(scene.types, turn, size, 1 + (part * swell)[:, 0], part * rise)
             layers.insert(first, _Layer(4, scene.path + part * rise / 2, outlines, 1.0, level))
         if marked:

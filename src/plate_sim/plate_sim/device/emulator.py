@@ -141,7 +141,7 @@ class Emulator:
         device, was_high = self.device, self.device.triggered
         now_us = device.now_us + TICK_US
         now = now_us * 1e-6
-        came = self.to_device.arrived(now)
+        received = self.to_device.arrived(now)
         if now < self._booting_until:
             device.sleep(now_us)
             sent, at = b"", None
@@ -149,7 +149,9 @@ class Emulator:
             faults = Fault.SUPPLY if now < self._brown_out_until else Fault.NONE
             found = device.searches and now_us - device.enabled_us >= self._search_us
             idle = self.to_host.idle(now)
-            sent, at = device.tick(now_us, self._measured, came[: device.room], faults, found, idle)
+            sent, at = device.tick(
+                now_us, self._measured, received[: device.room], faults, found, idle
+            )
         self.triggered = device.triggered and not was_high
         if self.connected:
             self.to_host.sent(sent, now)

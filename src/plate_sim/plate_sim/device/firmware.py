@@ -105,8 +105,8 @@ class FirmwareOnDesk:
     def tick(self) -> list[Segment]:
         """Simulate one tick, and return the segments of the motors' motion that it completed."""
         self.now_us += TICK_US
-        if came := self.to_device.arrived(self.now):
-            self._say(f"rx {came.hex()}")
+        if received := self.to_device.arrived(self.now):
+            self._say(f"rx {received.hex()}")
         for identifier, data in self._coming + self.drives.passed():
             self._say(f"can {identifier:x} {data.hex()}")
         self._say(f"run {TICK_US}")

@@ -138,7 +138,7 @@ class DeviceNode(SafeLifecycleNode[Options]):
 
     def _serve(self) -> None:
         """Advance the device to the current time."""
-        emulator, came = self._emulator, self._terminal.read()
+        emulator, received = self._emulator, self._terminal.read()
         due = (time.monotonic_ns() - self._steady_ns) // 1_000 - emulator.now_us
         self._late_ms = max(self._late_ms, due * 1e-3 - 1e3 * SERVE_PERIOD_S)
         lost = max(0, due - MAX_BEHIND_US)
@@ -151,7 +151,7 @@ class DeviceNode(SafeLifecycleNode[Options]):
         ticks = due // TICK_US
         # The stamp is the present time. The device's simulated time lags behind it, but the bytes
         # were sent later than the simulated time.
-        emulator.to_device.sent(came, emulator.now + ticks * TICK_US * 1e-6)
+        emulator.to_device.sent(received, emulator.now + ticks * TICK_US * 1e-6)
         for _ in range(ticks):
             for segment in emulator.tick():
                 self._publish(segment)

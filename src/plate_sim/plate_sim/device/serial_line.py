@@ -49,10 +49,10 @@ class Line:
 
     def arrived(self, now: float) -> bytes:
         """Remove and return the bytes that have arrived by `now` [s]."""
-        came = b"".join(data for at, data in self._way if at <= now)
-        if came or (self._way and self._way[0][0] <= now):
+        arrived_bytes = b"".join(data for at, data in self._way if at <= now)
+        if arrived_bytes or (self._way and self._way[0][0] <= now):
             self._way = [item for item in self._way if item[0] > now]
-        return came
+        return arrived_bytes
 
     def cut(self) -> None:
         """Discard all bytes on the line."""

@@ -147,10 +147,10 @@ def largest_fraction(
     )
 
 
-def _along(asked: np.ndarray, missed: np.ndarray) -> float:
+def _along(requested: np.ndarray, missed: np.ndarray) -> float:
     """Return the achieved fraction of a request, in its direction."""
-    size = float(np.sum(asked**2))  # bounded, because the request was scaled
-    return float(np.sum((asked - missed) * asked)) / size if size > 0 else 0.0
+    size = float(np.sum(requested**2))  # bounded, because the request was scaled
+    return float(np.sum((requested - missed) * requested)) / size if size > 0 else 0.0
 
 
 def _size(force: np.ndarray) -> float:

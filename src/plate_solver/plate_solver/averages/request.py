@@ -79,9 +79,9 @@ class Request:
     @property
     def rows(self) -> np.ndarray:
         """Mask of the requested rows (3 M,), bool: force x, force y and curl of each part."""
-        asked = np.ones((len(self.position), 3), bool)
-        asked[:, 2] = np.isfinite(self.curl)
-        return asked.ravel()
+        requested = np.ones((len(self.position), 3), bool)
+        requested[:, 2] = np.isfinite(self.curl)
+        return requested.ravel()
 
     @property
     def wanted(self) -> np.ndarray:

@@ -189,14 +189,14 @@ def _to_go(rig: Rig, wanted: Wanted, to: Targets) -> np.ndarray:
     returned instead.
     """
     place = wanted.parts.position if wanted.start is None else wanted.start[:, :2]
-    way = np.maximum(np.maximum(to.low - place, place - to.high), 0.0)
-    way = np.hypot(*np.where(to.weight > 0, way, 0.0).T)
+    distance = np.maximum(np.maximum(to.low - place, place - to.high), 0.0)
+    distance = np.hypot(*np.where(to.weight > 0, distance, 0.0).T)
     if to.angles is None:
-        return np.asarray(way)
+        return np.asarray(distance)
     angle = wanted.parts.angle
     turn = np.maximum(np.maximum(to.angles.low - angle, angle - to.angles.high), 0.0)
     reach = np.array([kind.reach_m for kind in part_types(rig, wanted.parts.ids)])
-    return np.maximum(way, np.where(to.angles.weight > 0, reach * turn, 0.0))
+    return np.maximum(distance, np.where(to.angles.weight > 0, reach * turn, 0.0))
 
 
 def _check_targets(ids: tuple[str, ...], name: str, targets: Targets | AngleTargets) -> None:

@@ -91,11 +91,11 @@ def plan_rotations(
     cost : (K,), optional
         Cost of each rotation of the library per unit of time. Default: 1.
     """
-    asked = np.zeros(len(position), bool) if curl is None else np.isfinite(curl)
-    rows = np.vstack([library.forces(position), library.curls(position)[asked] * CURL_LENGTH_M])
+    with_curl = np.zeros(len(position), bool) if curl is None else np.isfinite(curl)
+    rows = np.vstack([library.forces(position), library.curls(position)[with_curl] * CURL_LENGTH_M])
     twist = np.vstack([speed * library.twist for speed in SPEEDS])
     matrix = np.vstack([np.tile(rows, len(SPEEDS)), twist.T])
-    turn = np.zeros(0) if curl is None else curl[asked] * CURL_LENGTH_M
+    turn = np.zeros(0) if curl is None else curl[with_curl] * CURL_LENGTH_M
     wanted = np.concatenate([force.T.ravel(), turn, np.zeros(3)])
     dear = np.append(np.full(len(rows), price), np.full(3, CLOSURE_PRICE))
     cost = np.ones(len(library.twist)) if cost is None else cost

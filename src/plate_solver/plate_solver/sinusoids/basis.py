@@ -177,10 +177,10 @@ def settling(t: np.ndarray) -> Matrices:
     rest. The three columns belong to an initial pose of 1 m, an initial velocity of 1 m/s and an
     initial acceleration of 1 m/s2."""
     edge = np.stack([np.eye(3), np.zeros((3, 3))], axis=1)
-    powers, on_way = quintic_pieces(np.array([0.0, TAIL_S]), *edge)[0], t < TAIL_S
+    powers, before_rest = quintic_pieces(np.array([0.0, TAIL_S]), *edge)[0], t < TAIL_S
     pose, twist, accel = (
         np.polynomial.polynomial.polyval(t, np.polynomial.polynomial.polyder(powers, order)).T
-        * on_way[:, None]
+        * before_rest[:, None]
         for order in range(3)
     )
     return pose, twist, accel

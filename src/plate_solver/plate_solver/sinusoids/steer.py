@@ -186,9 +186,9 @@ class SinusoidSteering:
             last = self._within(goal.shifted(-off), motions, last.parameters, tolerance)
             iterations += last.iterations
         self._warm[key] = strict.samples(last.parameters)[1]
-        asked = last.jacobian[: goal.rows]
-        asked = asked[np.any(asked != 0, axis=1)]
-        condition = last._replace(jacobian=asked).condition if len(asked) else 1.0
+        jacobian = last.jacobian[: goal.rows]
+        jacobian = jacobian[np.any(jacobian != 0, axis=1)]
+        condition = last._replace(jacobian=jacobian).condition if len(jacobian) else 1.0
         self._finishing = self._clock() - began
         cycle = within_limits(
             strict.cycle(last.parameters), self._full, lambda: strict.cycle(0 * begin)

@@ -3,7 +3,7 @@
 
 import { known, on } from "./bus.js";
 import { Chart } from "./charts.js";
-import { byId, colour, fitted, tell } from "./dom.js";
+import { byId, colour, fitted, setText } from "./dom.js";
 
 const FONT = "12px system-ui, sans-serif";
 const EXPECTED = "#00b4ff"; // visible on pictures of any brightness and in every theme; also dashed
@@ -151,6 +151,6 @@ function histogram(aim) {
   });
   const share = (value) => `${(100 * value).toFixed(1)} %`;
   const note = aim ? `at 0: ${share(aim.black)}; at 255: ${share(aim.white)}` : "histogram of the plate";
-  tell(byId("histogram-note"), note);
+  setText(byId("histogram-note"), note);
   byId("histogram").setAttribute("aria-label", `Histogram of the plate's grey levels; ${note}`);
 }

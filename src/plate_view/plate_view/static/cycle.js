@@ -2,7 +2,7 @@
 // centres.
 
 import { known, on } from "./bus.js";
-import { byId, colour, fitted, tell } from "./dom.js";
+import { byId, colour, fitted, setText } from "./dom.js";
 
 const SHOWN_S = 3; // duration of one cycle on the screen
 const FRAME_MS = 50;
@@ -42,7 +42,7 @@ export class CycleView {
     const { context, width, height } = fitted(this.canvas);
     const scale = Math.min((0.8 * width) / rig.length, (0.72 * height) / rig.width);
     const times = Math.max(1, Math.min(99, Math.round((STRETCH * rig.length) / Math.max(1e-4, this.#amplitude()))));
-    tell(byId("cycle-note"), `${(1000 * period).toFixed(0)} ms, ${Math.round(SHOWN_S / period)}\u00d7 slower, motion \u00d7${times}`);
+    setText(byId("cycle-note"), `${(1000 * period).toFixed(0)} ms, ${Math.round(SHOWN_S / period)}\u00d7 slower, motion \u00d7${times}`);
     const at = (x, y) => [width / 2 + scale * x, height / 2 - scale * y];
     const corners = [[-1, -1], [1, -1], [1, 1], [-1, 1]].map(([a, b]) => [(a * rig.length) / 2, (b * rig.width) / 2]);
     const sheet = (x, y, turn) => {

@@ -14,7 +14,7 @@ export function el(tag, props = {}, ...children) {
 }
 
 /** Set the text only if it changes, so that frequent calls are cheap. */
-export function tell(node, text) {
+export function setText(node, text) {
   if (node.textContent !== text) node.textContent = text;
 }
 

@@ -2,7 +2,7 @@
 // simulated parts.
 
 import { known, on } from "./bus.js";
-import { byId, clamp, mm, seldom, tell } from "./dom.js";
+import { byId, clamp, mm, seldom, setText } from "./dom.js";
 
 const NEAR_PX = 12; // maximum distance from a part's edge at which the part is hit
 const UNANSWERED = 3; // maximum number of moves without a reply
@@ -28,7 +28,7 @@ export class Drag {
     canvas.addEventListener("pointermove", (event) => this.#move(event));
     canvas.addEventListener("pointerup", (event) => this.#up(event));
     canvas.addEventListener("pointercancel", (event) => this.#up(event));
-    canvas.addEventListener("pointerleave", () => tell(byId("pointer"), ""));
+    canvas.addEventListener("pointerleave", () => setText(byId("pointer"), ""));
     canvas.addEventListener("wheel", (event) => this.#turn(event), { passive: false });
     window.addEventListener("keydown", (event) => event.key === "Escape" && this.drop());
     for (const input of document.querySelectorAll("input[name=mode]")) {
@@ -48,7 +48,7 @@ export class Drag {
     this.mode = mode;
     this.drop();
     byId("path-form").hidden = mode !== "path";
-    tell(byId("hint"), HINTS[mode]);
+    setText(byId("hint"), HINTS[mode]);
   }
 
   /** Clear the selection, the drawn path and the drag. */
@@ -63,7 +63,7 @@ export class Drag {
   /** Request targets for parts: [{id, x, y, angle}]; drawn as unconfirmed until the planner confirms. */
   send(targets) {
     for (const { id, x, y, angle } of targets) {
-      this.view.ghosts.set(id, { x, y, angle: angle ?? null, refused: null, asked: performance.now() });
+      this.view.ghosts.set(id, { x, y, angle: angle ?? null, refused: null, requestTime: performance.now() });
       this.due.add(id);
     }
     this.view.draw(true);
@@ -150,7 +150,7 @@ export class Drag {
   #move(event) {
     const at = this.#at(event);
     const [x, y] = this.view.toPlate(...at);
-    tell(byId("pointer"), `x ${mm(x)}  y ${mm(y)} mm`);
+    setText(byId("pointer"), `x ${mm(x)}  y ${mm(y)} mm`);
     const { grip, view } = this;
     if (!grip || grip.pointer !== event.pointerId) return;
     if (grip.kind === "band") view.band.to = at;
@@ -244,7 +244,7 @@ export class Drag {
   #place({ part, dx, dy }, x, y) {
     const spot = this.#within(x + dx, y + dy, part.type);
     this.hand = { do: "place", id: part.id, type: part.type, ...spot, angle: part.angle ?? 0 };
-    this.view.ghosts.set(BY_HAND, { ...spot, angle: null, refused: null, asked: performance.now() });
+    this.view.ghosts.set(BY_HAND, { ...spot, angle: null, refused: null, requestTime: performance.now() });
     this.#pump();
   }
 
@@ -308,8 +308,8 @@ export class Drag {
 
   /** No task runs: discard older unconfirmed requests. */
   #forget() {
-    for (const [id, { asked, refused }] of this.view.ghosts) {
-      if (!refused && !this.grip?.ids?.includes(id) && performance.now() - asked > WISH_MS) this.view.ghosts.delete(id);
+    for (const [id, { requestTime, refused }] of this.view.ghosts) {
+      if (!refused && !this.grip?.ids?.includes(id) && performance.now() - requestTime > WISH_MS) this.view.ghosts.delete(id);
     }
     this.view.draw();
   }
@@ -321,7 +321,7 @@ export class Drag {
       const ghost = this.view.ghosts.get(id);
       if (!ghost || held.has(id) || this.due.has(id) || ghost.refused) continue;
       const turned = ghost.angle === null || angle === null || Math.cos(ghost.angle - angle) > 0.9998;
-      const old = performance.now() - ghost.asked > WISH_MS;
+      const old = performance.now() - ghost.requestTime > WISH_MS;
       if (old || (Math.hypot(ghost.x - x, ghost.y - y) < 5e-4 && turned)) this.view.ghosts.delete(id);
     }
     this.view.draw();

@@ -1,7 +1,7 @@
 // Connects the server, the drawing and the panels.
 
 import { known, on, publish } from "./bus.js";
-import { byId, el, tell } from "./dom.js";
+import { byId, el, setText } from "./dom.js";
 import { AimView } from "./aim.js";
 import { charts } from "./charts.js";
 import { CycleView } from "./cycle.js";
@@ -24,7 +24,7 @@ import { tasks } from "./panels/tasks.js";
 const ANSWER_SHOWN_MS = 4000; // for a success; a refusal is shown until the next command
 
 const view = new PlateView(watch);
-const connection = new Connection(socketAddress(), { heard, image: (stamp, blob) => view.image(stamp, blob), changed });
+const connection = new Connection(socketAddress(), { onMessage, image: (stamp, blob) => view.image(stamp, blob), changed });
 const stop = new EmergencyStop(connection, (text) => alarm("stop", text));
 let noteRefusal = () => {};
 
@@ -34,7 +34,7 @@ function socketAddress() {
   return `${scheme}//${location.host}/socket${token ? `?token=${encodeURIComponent(token)}` : ""}`;
 }
 
-function heard(message) {
+function onMessage(message) {
   publish(message);
   if (message.kind === "hello") {
     byId("tab-Simulator").hidden = !message.simulator;
@@ -45,15 +45,15 @@ function heard(message) {
 
 /** Send a command and show its reply at its control; `quiet`: show only a refusal. */
 async function ask(command, output, quiet = false) {
-  if (output && !quiet) tell(output, "\u2026");
+  if (output && !quiet) setText(output, "\u2026");
   const answer = await connection.send(command);
   if (!answer.ok) noteRefusal(JSON.stringify(command), answer.text);
   if (!output || (quiet && answer.ok && !output.hasAttribute("data-bad"))) return answer;
   clearTimeout(output.fading);
   output.toggleAttribute("data-bad", !answer.ok);
   output.title = answer.ok ? "" : answer.text || "";
-  tell(output, answer.ok ? (quiet ? "" : `\u2713 ${answer.text || "done"}`) : `\u2715 refused: ${answer.text || "no reason given"}`);
-  if (answer.ok) output.fading = setTimeout(() => tell(output, ""), ANSWER_SHOWN_MS);
+  setText(output, answer.ok ? (quiet ? "" : `\u2713 ${answer.text || "done"}`) : `\u2715 refused: ${answer.text || "no reason given"}`);
+  if (answer.ok) output.fading = setTimeout(() => setText(output, ""), ANSWER_SHOWN_MS);
   return answer;
 }
 
@@ -85,7 +85,7 @@ function alarm(kind, text) {
   alarms[kind] = text;
   const words = [alarms.stop, alarms.link, alarms.nodes].filter(Boolean).join(" ");
   byId("alarm").hidden = !words;
-  tell(byId("alarm"), words);
+  setText(byId("alarm"), words);
 }
 
 on("nodes", () => {
@@ -100,7 +100,7 @@ function watch() {
   const seen = !document.hidden && !aims;
   const image = seen && view.shown.image;
   if (!image) view.forgetImage();
-  connection.tell({ do: "watch", image, field: seen && (view.shown.drift || view.shown.force), camera: aims && !document.hidden });
+  connection.notify({ do: "watch", image, field: seen && (view.shown.drift || view.shown.force), camera: aims && !document.hidden });
 }
 
 function layers() {

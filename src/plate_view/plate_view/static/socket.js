@@ -7,9 +7,9 @@ const SILENT_MS = 2500; // the server sends a message at least every second
 const FULL_BYTES = 8192; // number of unsent bytes above which frequent commands must wait
 
 export class Connection {
-  /** `heard(message)`, `image(stamp, blob)`, `changed("connected" | "silent" | "lost")` */
-  constructor(address, { heard, image, changed }) {
-    Object.assign(this, { address, heard, image, changed, wait: FIRST_WAIT_MS, number: 0 });
+  /** `onMessage(message)`, `image(stamp, blob)`, `changed("connected" | "silent" | "lost")` */
+  constructor(address, { onMessage, image, changed }) {
+    Object.assign(this, { address, onMessage, image, changed, wait: FIRST_WAIT_MS, number: 0 });
     this.waiting = new Map();
     this.state = "connecting";
     this.last = 0;
@@ -40,7 +40,7 @@ export class Connection {
   }
 
   /** Send the server a message without a reply. */
-  tell(command) {
+  notify(command) {
     if (this.socket.readyState === WebSocket.OPEN) this.socket.send(JSON.stringify({ ...command, number: (this.number += 1) }));
   }
 
@@ -67,7 +67,7 @@ export class Connection {
     if (message.kind === "answer") {
       this.waiting.get(message.number)?.(message);
     } else {
-      this.heard(message);
+      this.onMessage(message);
     }
   }
 

@@ -1,7 +1,7 @@
 // The camera panel. The panel shows the steps that make a newly mounted camera ready.
 
 import { on } from "../bus.js";
-import { byId, el, tell } from "../dom.js";
+import { byId, el, setText } from "../dom.js";
 
 const SIGNS = { ok: ["\u2713", "good"], wait: ["\u25cb", ""], warn: ["!", "warn"], error: ["\u2715", "bad"] };
 const RISES = 0.04; // a smaller change is noise
@@ -66,7 +66,7 @@ export function camera(panel, ask, aim) {
     take.hidden = now !== "idle";
     fit.disabled = kept < needed;
     if (now === "idle") {
-      tell(lensText, "");
+      setText(lensText, "");
       missing.replaceChildren();
       return;
     }
@@ -74,7 +74,7 @@ export function camera(panel, ask, aim) {
     cover.replaceChildren(...cells.map((seen) => el("i", { className: seen ? "seen" : "" })));
     cover.setAttribute("aria-label", `The board was seen in ${cells.filter(Boolean).length} of ${cells.length} parts of the picture`);
     const words = now === "fitted" ? `Error ${error.toFixed(3)} px; ${text}. Write it to ${file}?` : `${kept} taken; ${text}.`;
-    tell(lensText, words);
+    setText(lensText, words);
     const next = now === "taking" ? lacks : [];
     missing.replaceChildren(...next.map((each) => el("li", {}, each)));
     if (now === "taking" && !lacks.length) missing.append(el("li", {}, "enough pictures: fit the lens"));
@@ -89,15 +89,15 @@ export function camera(panel, ask, aim) {
     }));
     const next = now.checks.find(({ level }) => level !== "ok");
     const words = next ? `Next: ${next.name}.` : "\u2713 Ready: the camera is set up.";
-    tell(state, words);
+    setText(state, words);
     state.dataset.grade = next ? "" : "good";
-    if (words !== said) tell(byId("spoken"), next ? `${words} ${next.text}` : words);
+    if (words !== said) setText(byId("spoken"), next ? `${words} ${next.text}` : words);
     said = words;
-    tell(home, now.home && `Home: ${now.home}${now.home_found ? ". Write them to the rig file?" : ""}`);
+    setText(home, now.home && `Home: ${now.home}${now.home_found ? ". Write them to the rig file?" : ""}`);
     keep.hidden = !now.home_found;
     const { change, sharpness } = now;
     const trend = change === null || Math.abs(change) <= RISES ? "\u2192 steady" : change > 0 ? "\u2197 rises" : "\u2198 falls";
-    tell(byId("sharpness-note"), sharpness === null ? "not measured" : `${sharpness.toFixed(3)} per px, ${trend}`);
+    setText(byId("sharpness-note"), sharpness === null ? "not measured" : `${sharpness.toFixed(3)} per px, ${trend}`);
     const things = Map.groupBy(now.things.filter(({ id }) => !id), ({ reason }) => reason);
     left.replaceChildren(...[...things].map(([reason, all]) => el("li", {}, `${all.length} ${reason}: ${all[0].remedy}`)));
     if (!things.size) left.append(el("li", {}, "none"));

@@ -2,7 +2,7 @@
 // writes it into the rig file.
 
 import { on } from "../bus.js";
-import { el, tell } from "../dom.js";
+import { el, setText } from "../dom.js";
 
 export function friction(panel, ask) {
   const answer = el("output", { className: "answer" });
@@ -25,9 +25,9 @@ export function friction(panel, ask) {
     [end.hidden, done.hidden] = [state !== "running", state !== "running"];
     write.hidden = state !== "done";
     done.value = fraction;
-    tell(text, words);
+    setText(text, words);
     text.toggleAttribute("data-bad", state === "failed");
-    if (state === "done") tell(write, `Write mu ${mu.toFixed(3)} to the rig file`);
+    if (state === "done") setText(write, `Write mu ${mu.toFixed(3)} to the rig file`);
     list.replaceChildren(...parts.map((one) => el("li", {}, `${one.id}: ${one.mu.toFixed(4)} \u00b1 ${one.error.toFixed(4)}`)));
   };
   on("friction", show);

@@ -2,7 +2,7 @@
 // uses.
 
 import { known, on } from "../bus.js";
-import { byId, clamp, el, mm, seldom, tell } from "../dom.js";
+import { byId, clamp, el, mm, seldom, setText } from "../dom.js";
 
 function bar(name) {
   const fill = el("div", { className: "fill" });
@@ -29,14 +29,14 @@ export function motors() {
     names.forEach((name, i) => {
       rows[name].fill.style.left = `${place(lo[i])}%`;
       rows[name].fill.style.width = `${place(hi[i]) - place(lo[i])}%`;
-      tell(rows[name].value, `${mm(lo[i])} to ${mm(hi[i])}`);
+      setText(rows[name].value, `${mm(lo[i])} to ${mm(hi[i])}`);
     });
     for (const kind of kinds) {
       const { row, fill, value } = rows[kind];
       const over = used[kind] > 1.0005;
       fill.style.width = `${100 * clamp(used[kind], 0, 1)}%`;
       row.classList.toggle("over", over);
-      tell(value, `${Math.round(100 * used[kind])} %${over ? " !" : ""}`);
+      setText(value, `${Math.round(100 * used[kind])} %${over ? " !" : ""}`);
     }
   };
   const later = seldom(100, show);

@@ -1,7 +1,7 @@
 // The nodes: their states, the ages of their last reports, and their values.
 
 import { on } from "../bus.js";
-import { el, seldom, tell } from "../dom.js";
+import { el, seldom, setText } from "../dom.js";
 import { badge } from "./status.js";
 
 export function nodes(panel) {
@@ -21,8 +21,8 @@ export function nodes(panel) {
       }
       const row = rows.get(name);
       badge(row.level, level);
-      tell(row.age, Number.isFinite(age) ? `${age.toFixed(1)} s ago` : "");
-      tell(row.text, message || "");
+      setText(row.age, Number.isFinite(age) ? `${age.toFixed(1)} s ago` : "");
+      setText(row.text, message || "");
       const pairs = Object.entries(values ?? {});
       const text = JSON.stringify(pairs);
       if (row.known !== text) row.values.replaceChildren(...pairs.flatMap(([key, value]) => [el("dt", {}, key), el("dd", {}, String(value))]));
@@ -34,7 +34,7 @@ export function nodes(panel) {
     newest = message.nodes;
     later();
   });
-  on("timing", ({ frames_dropped, late, browsers }) => tell(note, [
+  on("timing", ({ frames_dropped, late, browsers }) => setText(note, [
     Number.isFinite(late) ? `${late} late answers` : "", Number.isFinite(frames_dropped) ? `${frames_dropped} images skipped by this page` : "",
     Number.isFinite(browsers) ? `pages open: ${browsers}` : "",
   ].filter(Boolean).join("; ")));

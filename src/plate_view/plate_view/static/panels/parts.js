@@ -1,7 +1,7 @@
 // The table of parts: the content of the drawing as text. Targets can be moved with the keyboard.
 
 import { on } from "../bus.js";
-import { degrees, el, mm, seldom, tell } from "../dom.js";
+import { degrees, el, mm, seldom, setText } from "../dom.js";
 
 const STEP_M = 0.001;
 const TURN = Math.PI / 36;
@@ -29,7 +29,7 @@ export function parts(panel, view, drag) {
     view.hold = id;
     view.chosen = new Set([id]);
     const aim = view.aim(id);
-    tell(legend, `Target of ${id}`);
+    setText(legend, `Target of ${id}`);
     fields[0].value = (1000 * aim.x).toFixed(1);
     fields[1].value = (1000 * aim.y).toFixed(1);
     fields[2].value = aim.angle === null || aim.angle === undefined ? "" : ((180 / Math.PI) * aim.angle).toFixed(0);
@@ -65,13 +65,13 @@ export function parts(panel, view, drag) {
       const target = view.ghosts.get(part.id) ?? view.target(part.id);
       const words = [mm(part.x), mm(part.y), part.turns ? degrees(part.angle) : "\u2013", part.sd ? mm(2 * Math.hypot(part.sd[0], part.sd[1]), 2) : "\u2013",
         target ? mm(Math.hypot(target.x - part.x, target.y - part.y)) : "\u2013", part.seen ? "yes" : "no"];
-      words.forEach((word, i) => tell(cells[i], word));
+      words.forEach((word, i) => setText(cells[i], word));
     }
     if (rows.size > all.length) {
       const there = new Set(all.map(({ id }) => id));
       for (const [id, { row }] of rows) if (!there.has(id) && rows.delete(id)) row.remove();
     }
-    tell(count, `${all.length} parts, ${all.filter(({ seen }) => seen).length} seen in the last image; \u00b1: two standard deviations.`);
+    setText(count, `${all.length} parts, ${all.filter(({ seen }) => seen).length} seen in the last image; \u00b1: two standard deviations.`);
   };
   const later = seldom(250, show);
   on("parts", later);

@@ -1,7 +1,7 @@
 // Replay of a recorded run: play, seek and rate.
 
 import { known, on } from "../bus.js";
-import { byId, tell } from "../dom.js";
+import { byId, setText } from "../dom.js";
 
 export function replay(ask, view) {
   const [bar, seek, play, rate, answer] = ["replay", "replay-seek", "replay-play", "replay-rate", "replay-answer"].map(byId);
@@ -10,9 +10,9 @@ export function replay(ask, view) {
     bar.hidden = false;
     Object.assign(seek, { min: begin, max: end });
     if (document.activeElement !== seek || playing) seek.value = now;
-    tell(play, playing ? "Pause" : "Play");
+    setText(play, playing ? "Pause" : "Play");
     if (document.activeElement !== rate) rate.value = String(at);
-    tell(byId("replay-time"), `${(now - begin).toFixed(1)} of ${(end - begin).toFixed(1)} s${problem && `: ${problem}`}`);
+    setText(byId("replay-time"), `${(now - begin).toFixed(1)} of ${(end - begin).toFixed(1)} s${problem && `: ${problem}`}`);
   });
   play.addEventListener("click", () => ask({ do: "replay", playing: !known.replay?.playing }, answer));
   seek.addEventListener("input", () => {

@@ -1,7 +1,7 @@
 // The header: rig, task, measured values and motors.
 
 import { known, on } from "../bus.js";
-import { byId, tell } from "../dom.js";
+import { byId, setText } from "../dom.js";
 
 /** A sign for each state, so that it is not shown by colour alone. */
 const GRADES = {
@@ -15,7 +15,7 @@ const GRADES = {
 /** Show a state as a badge. */
 export function badge(node, state, words = state) {
   const [sign, grade] = GRADES[state.toLowerCase()] ?? ["?", ""];
-  tell(node, `${sign} ${words}`);
+  setText(node, `${sign} ${words}`);
   node.dataset.grade = grade;
 }
 
@@ -31,19 +31,19 @@ const rate = (value) => (Number.isFinite(value) ? `${value.toFixed(1)} /s` : "\u
 
 export function status(ask) {
   on("hello", ({ rig, role, replay }) => {
-    tell(byId("rig-name"), rig.name);
+    setText(byId("rig-name"), rig.name);
     document.title = `Plate: ${rig.name}`;
     byId("rig-name").title = `${Math.round(1000 * rig.length)} \u00d7 ${Math.round(1000 * rig.width)} mm, stroke \u00b1${(1000 * rig.stroke).toFixed(1)} mm`;
-    tell(byId("role"), replay ? "recorded run" : role === "viewer" ? "read only" : "operator");
+    setText(byId("role"), replay ? "recorded run" : role === "viewer" ? "read only" : "operator");
   });
-  let told = "";
+  let lastSpoken = "";
   on("task", ({ task, state, text }) => {
     badge(byId("task-state"), state, task ? `${task}: ${state}` : state);
     const words = text === state ? "" : (text || "").replace(`${state}: `, ""); // the state stands before it already
-    tell(byId("task-text"), words);
+    setText(byId("task-text"), words);
     byId("task-text").title = words;
-    if (`${task} ${state}` !== told) tell(byId("spoken"), `Task ${task} ${state}. ${text || ""}`);
-    told = `${task} ${state}`;
+    if (`${task} ${state}` !== lastSpoken) setText(byId("spoken"), `Task ${task} ${state}. ${text || ""}`);
+    lastSpoken = `${task} ${state}`;
   });
   const driver = () => {
     if (!known.driver) return;
@@ -51,15 +51,15 @@ export function status(ask) {
     const lost = silent().includes("driver");
     badge(byId("driver-state"), lost ? "silent" : state, lost ? `no message (was ${state})` : state);
     byId("driver-state").title = text || "";
-    tell(byId("enable"), state === "ready" ? "Disable" : "Enable");
+    setText(byId("enable"), state === "ready" ? "Disable" : "Enable");
   };
   on("driver", driver);
   on("nodes", driver);
   on("timing", ({ latency_ms: ms, image_rate, cycle_rate }) => {
-    tell(byId("reading-latency"), ms && Number.isFinite(ms.median) ? `${ms.median.toFixed(1)} ms` : "\u2013");
+    setText(byId("reading-latency"), ms && Number.isFinite(ms.median) ? `${ms.median.toFixed(1)} ms` : "\u2013");
     byId("images").hidden = !Number.isFinite(image_rate);
-    tell(byId("reading-images"), rate(image_rate));
-    tell(byId("reading-cycles"), rate(cycle_rate));
+    setText(byId("reading-images"), rate(image_rate));
+    setText(byId("reading-cycles"), rate(cycle_rate));
   });
   const answer = byId("plate-answer");
   byId("enable").addEventListener("click", () => ask({ do: "enable", on: known.driver?.state !== "ready" }, answer));

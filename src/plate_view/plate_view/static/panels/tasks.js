@@ -1,7 +1,7 @@
 // The task panel: select a scenario, change its numbers, start and end it, and show its progress.
 
 import { known, on } from "../bus.js";
-import { degrees, el, mm, seldom, tell } from "../dom.js";
+import { degrees, el, mm, seldom, setText } from "../dom.js";
 
 /** Labels for the progress of a task: [name, label]. */
 const PROGRESS = [
@@ -31,17 +31,17 @@ export function tasks(panel, ask) {
   let paused = null; // command that restarts the task
   let last = null;
   const send = async (command) => {
-    const told = await ask(command, answer);
-    if (told.ok) rest(null, command);
+    const result = await ask(command, answer);
+    if (result.ok) rest(null, command);
   };
   const rest = (command, begun = last) => {
     [paused, last] = [command, begun];
-    tell(pause, paused ? "Resume" : "Pause");
+    setText(pause, paused ? "Resume" : "Pause");
   };
   const start = () => send(changed ? { do: "start", task: structuredClone(scenario) } : { do: "start", scenario: choose.value });
   const pause = button("Pause", async () => {
     if (paused) return send(paused);
-    if (!last || known.task?.state !== "running") return tell(answer, "\u2715 refused: this page has started no running task");
+    if (!last || known.task?.state !== "running") return setText(answer, "\u2715 refused: this page has started no running task");
     if ((await ask({ do: "cancel" }, answer)).ok) rest(last);
   });
   panel.append(el("h2", {}, "Task"),
@@ -51,9 +51,9 @@ export function tasks(panel, ask) {
       el("p", { className: "small" }, "Pause and Cancel cancel the task's goal. Resume starts the task again from the parts' current places. Stop ends any task."), answer));
 
   const describe = () => {
-    const told = known.hello?.scenarios[choose.value];
-    tell(about, typeof told === "string" ? told : (told?.description ?? ""));
-    scenario = typeof told === "object" ? structuredClone(told) : null;
+    const content = known.hello?.scenarios[choose.value];
+    setText(about, typeof content === "string" ? content : (content?.description ?? ""));
+    scenario = typeof content === "object" ? structuredClone(content) : null;
     changed = false;
     edit.hidden = !scenario;
     if (scenario) numbers.replaceChildren(...fields(scenario, [], () => (changed = true)));
@@ -76,9 +76,9 @@ export function tasks(panel, ask) {
     if (!task || panel.hidden) return;
     const { parts_seen: seen, parts_total: total, time_s: time } = task.progress ?? {};
     const waits = task.state === "running" && !time && seen < total;
-    tell(state, waits ? `waiting for its parts: ${seen} of ${total} are detected` : task.text || `${task.task || "No task"}: ${task.state}`);
+    setText(state, waits ? `waiting for its parts: ${seen} of ${total} are detected` : task.text || `${task.task || "No task"}: ${task.state}`);
     const progress = task.progress ?? {};
-    for (const [name, words] of PROGRESS) tell(cells.get(name), Object.keys(progress).length ? (words(progress) ?? "\u2013") : "\u2013");
+    for (const [name, words] of PROGRESS) setText(cells.get(name), Object.keys(progress).length ? (words(progress) ?? "\u2013") : "\u2013");
     bar.value = progress.parts_total ? progress.parts_sorted / progress.parts_total : 0;
   };
   on("task", seldom(150, show));
