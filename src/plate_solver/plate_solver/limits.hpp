@@ -46,8 +46,9 @@ inline double greatest(const Four& value) {
     return std::max(std::max(value[0], value[1]), std::max(value[2], value[3]));
 }
 
-// Maximum utilisation of stroke, speed and acceleration. The values of the four motors are computed
-// in parallel, and then the values of the four corners.
+// Maximum utilisation of stroke, speed and acceleration: the first three ratios in limits.py. If
+// `linear`, R p - p is replaced by its derivative at home times theta. The values of the four
+// motors are computed in parallel, and then the values of the four corners.
 PLATE_WIDE inline double motion_use(Samples pose, Samples twist, Samples accel,
                                     const Limits& limits, bool linear) {
     Four px, py, ex, ey, corner_x, corner_y, stroke{}, speed{}, peak{};
@@ -81,8 +82,8 @@ PLATE_WIDE inline double motion_use(Samples pose, Samples twist, Samples accel,
                      std::sqrt(greatest(peak)) / limits.accel});
 }
 
-// Maximum utilisation of the motors' peak and continuous force. The values of the four motors are
-// computed in parallel.
+// Maximum utilisation of the motors' peak and continuous force: the last two ratios in limits.py.
+// The values of the four motors are computed in parallel.
 PLATE_WIDE inline double force_use(Samples pose, Samples twist, Samples accel,
                                    View<const double, 1> weight, const Limits& limits) {
     Four loads[3][3], most{}, square{};

@@ -1,8 +1,17 @@
 """Limit utilisation of a sampled motion, as a fraction of the rig's limits.
 
-Both methods use this module. The module checks the motors' stroke, speed, force and heat, and the
-acceleration of the plate's corners. The check is implemented in C++, because a search calls it at
-every step. `plate_core.motion.usage` does the same check for a whole cycle. A test compares both.
+The plate has the position c, the rotation matrix R and the spin w. A motor acts at the point p in
+the direction e, both at home. r is the vector R times a corner of the plate. The limit utilisation
+is the maximum of these ratios over all samples, motors and corners:
+
+    travel        abs(e . (c + R p - p)) / stroke
+    speed         abs(e . (c' + w x R p)) / speed limit
+    acceleration  length of (c'' + w' x r - w^2 r) / acceleration limit
+    force         abs(f) / peak force, with the motor's force f per pose, twist and acceleration
+    heat          root mean square of f / continuous force
+
+Both methods use this module. The check is implemented in C++, because a search calls it at every
+step. `plate_core.motion.usage` does the same check for a whole cycle. A test compares both.
 """
 
 from __future__ import annotations

@@ -68,7 +68,12 @@ JITTER_IMAGES = 50
 class Jitter:
     """Variance of the stamps: a weighted mean of squared timing errors.
 
-    The weight of an image depends on its information about the timing error.
+    An image has the timing error e with the variance r, which is 1 / information. With the standard
+    deviation s of the stamps, e^2 has the mean s^2 + r. The estimate is
+
+        s^2 = sum of weight (e^2 - r) / sum of weight, weight = (s^2 + r)^-2,
+
+    with exponential forgetting over `JITTER_IMAGES` images.
 
     Attributes
     ----------

@@ -363,8 +363,11 @@ class Follower(TaskRules):
         )
 
     def _scaling(self, before: float, worst: float, lacking: float) -> float:
-        """Return the next speed scaling for an error [m] and a shortfall of drift [path's
-        speed]."""
+        """Return the next speed scaling for an error [m] and a shortfall of drift [path's speed].
+
+        With the error e in units of `max_error_m`, it is (SLOW_TO - e) / (SLOW_TO - SLOW_FROM),
+        from 0 to 1. It is also limited by the change from the scaling `before`.
+        """
         factor = (SLOW_TO - worst / self.task.max_error_m) / (SLOW_TO - SLOW_FROM)
         most = max(before * SLOW_DOWN, LEAST) if lacking > LACKING else before + SPEED_UP
         return float(np.clip(factor, 0, min(1.0, most)))

@@ -123,7 +123,10 @@ def assign(labels: tuple[str, ...], place: np.ndarray, parts: Parts) -> np.ndarr
 
 
 def distance_weight(offset: np.ndarray) -> float:
-    """Return the weight per metre for parts with distances (M, 2) [m] to their targets."""
+    """Return the weight per metre for parts with distances (M, 2) [m] to their targets.
+
+    With the longest distance d, the weight is FULL_DISTANCE_M / max(d, MIN_DISTANCE_M).
+    """
     return FULL_DISTANCE_M / max(float(np.max(np.hypot(*offset.T), initial=0.0)), MIN_DISTANCE_M)
 
 
@@ -132,9 +135,13 @@ def stay_within(
 ) -> tuple[np.ndarray, np.ndarray]:
     """Return drift intervals that keep parts away from the plate's edges.
 
-    Up to the fraction `inner` of the half side, any drift within +-wander is accepted. From `inner`
-    to `outer`, the interval narrows to a single value. Its middle changes from 0 to the drift
-    `speed` inwards.
+    With the proximity e of a part to the edges (`nearness`) and the sign s of its coordinate, the
+    interval is
+
+        -speed e s +- wander (1 - e).
+
+    In the middle of the plate, any drift within +-wander is accepted. Beyond `outer`, only the
+    drift `speed` inwards is accepted.
 
     Parameters
     ----------
@@ -163,6 +170,6 @@ def stay_within(
 def nearness(
     coordinate: np.ndarray, half: float | np.ndarray, inner: float, outer: float
 ) -> np.ndarray:
-    """Return the proximity to an edge. The proximity is 0 up to `inner` and 1 from `outer` on
-    (fractions of `half`), and linear in between."""
+    """Return the proximity to an edge: 0 up to `inner`, 1 from `outer` on, linear in between. Both
+    are fractions of `half`."""
     return np.clip((np.abs(coordinate) / half - inner) / (outer - inner), 0, 1)

@@ -646,9 +646,10 @@ def _pixel_places(rig: Rig) -> np.ndarray:
 
 
 def _light(width: int, height: int) -> np.ndarray:
-    """Return the fraction of full light in each pixel, (height, width), float32. The fraction
-    decreases quadratically with the distance from the image's centre, by `SHADING` in the
-    corners."""
+    """Return the fraction of full light in each pixel, (height, width), float32.
+
+    With coordinates x and y from -1 to 1 over the image, it is 1 - SHADING (x^2 + y^2)/2.
+    """
     x = np.linspace(-1, 1, width, dtype=np.float32)
     y = np.linspace(-1, 1, height, dtype=np.float32)[:, None]
     return 1 - np.float32(SHADING) * (x * x + y * y) / 2
@@ -661,7 +662,7 @@ def _robot_outlines() -> Outlines:
 
 @lru_cache(maxsize=4)
 def _noise_bank(pixels: int) -> np.ndarray:
-    """Return standard normal numbers (`NOISE_BANK` + pixels,), float32. The numbers are the bank,
-    repeated cyclically. The numbers are the same in every run."""
+    """Return standard normal numbers (`NOISE_BANK` + pixels,), float32. These are the numbers
+    of the bank, repeated cyclically. They are the same in every run."""
     bank = np.random.default_rng(0).standard_normal(NOISE_BANK, dtype=np.float32)
     return np.resize(bank, NOISE_BANK + pixels)

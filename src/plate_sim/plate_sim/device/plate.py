@@ -81,7 +81,13 @@ class Recorder:
         return self._ticks[-1][1]
 
     def coasted(self, dt: float) -> np.ndarray:
-        """Return the motors' state (3, 4) after `dt` [s] without current."""
+        """Return the motors' state (3, 4) after `dt` [s] without current.
+
+        With the rate r = COAST_RATE and the initial position x_0 and speed v_0 of a motor, the
+        critically damped motion x'' + 2 r x' + r^2 x = 0 is
+
+            x(t) = (x_0 + (v_0 + r x_0) t) exp(-r t).
+        """
         place, speed, _ = self.plate
         push = speed + COAST_RATE * place
         fade = np.exp(-COAST_RATE * dt)

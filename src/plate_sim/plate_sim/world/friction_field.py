@@ -73,6 +73,11 @@ class FrictionField:
     ) -> np.ndarray:
         """Return the friction coefficients (M,) of parts.
 
+        For a part with the deviation u at the place p on the plate, with K waves k_j and phases
+        f_j, the friction coefficient is
+
+            mu (1 + spread u) (1 + share erf(h / sqrt(2))), h = sqrt(2/K) sum_j cos(k_j . p + f_j).
+
         Parameters
         ----------
         mu : float or (M,)

@@ -69,8 +69,10 @@ inline void look(const double* coefficients, const Looks& basis, Looked& at) {
 inline int most_excesses(int looks) { return looks * (2 * MOTORS + 4); }
 inline int most_force_excesses(int looks) { return (looks + 1) * MOTORS; }
 
-// Adds the violations of the motors' strokes and speeds, and of the corners' accelerations. A
-// violation is the fraction of the limit minus AIM. `used` is a buffer.
+// Adds the violations of the motors' strokes and speeds, and of the corners' accelerations. With
+// the pose q = (x, y, theta), the lever l of a motor and the acceleration b of a corner, these are
+//     |l . q| / stroke - AIM, |l . q'| / speed limit - AIM, |b| / acceleration limit - AIM,
+// if they are above 0. `used` is a buffer.
 PLATE_WIDE inline void excess(const Looked& at, const Looks& basis, const Limits& limits,
                               Matrix& used, Excess& result) {
     const int n = basis.count(), size = basis.size();
