@@ -207,7 +207,7 @@ def test_clocks_that_are_set_cost_a_tail_and_a_rest(put):
     assert line.run().phase == "done"
 
 
-@pytest.mark.parametrize("scenario", ["sort_10", "sort_50"])
-def test_a_cycle_may_end_in_motion_with_any_number_of_parts(scenario):
+@pytest.mark.parametrize(("scenario", "rests"), [("sort_10", False), ("sort_50", True)])
+def test_a_crowd_is_moved_from_rest_to_rest(scenario, rests):
     moments = islice(run(Setup(scenario, effort={"iterations": 2, "restarts": 0})), 8)
-    assert not all(moment.answer.cycle.closes for moment in moments)
+    assert all(moment.answer.cycle.closes for moment in moments) == rests

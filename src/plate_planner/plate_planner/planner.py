@@ -51,7 +51,7 @@ from .supervision import (
     stopped,
     without_surplus,
 )
-from .tasks import Assessment, DriftInterval, Situation, TaskOptions, TaskRules, rules_for
+from .tasks import CROWD, Assessment, DriftInterval, Situation, TaskOptions, TaskRules, rules_for
 
 NOTHING = Wanted.make(Parts.make((), np.zeros((0, 2))))
 """Empty request: the plate rests."""
@@ -477,7 +477,7 @@ class Planner:
         start = estimator.start_of(parts)
         state = replace(state, estimator=estimator.request_drift(parts.ids, drift, force))
         in_time = not estimator.log.reported or self.options.answer_s < IN_MOTION_S
-        plate = estimator.next_plate if in_time else None
+        plate = estimator.next_plate if in_time and len(parts) <= CROWD else None
         return state, Wanted.make(parts, force, tolerance, None, period, start, targets, plate)
 
     def _progress(self, state: PlannerState, present: Parts, assessment: Assessment) -> Progress:

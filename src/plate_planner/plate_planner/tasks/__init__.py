@@ -19,10 +19,11 @@ from .follow import SLOWED, Follower, FollowMemory, FollowOptions, pd_drift
 from .move import MoveMemory, Mover
 from .pose import PoseMemory, Poser
 from .sort import Sorter
-from .targets import assign
+from .targets import CROWD, assign
 from .task import SIGHT_M, SIGHT_RAD, Assessment, Situation, TaskRules
 
 __all__ = [
+    "CROWD",
     "SIGHT_M",
     "SIGHT_RAD",
     "SLOWED",
