@@ -1,7 +1,7 @@
-"""Parallel runs on many machines, by a Dask scheduler and its workers.
+"""Parallel runs on many machines. A Dask scheduler distributes the runs to its workers.
 
-`Cluster` has the interface of a pool of processes. A worker receives runs only after it has been
-compared with this process: it must give the same results to the last bit.
+`Cluster` has the interface of a pool of processes. Before a worker receives runs, it is compared
+with this process. It must give the same results to the last bit.
 """
 
 from __future__ import annotations
@@ -47,48 +47,48 @@ CONNECT_S = 5.0
 """Maximum time for the connection to the scheduler [s]."""
 
 RETURN_S = 60.0
-"""Maximum time for which a lost scheduler may be away [s]."""
+"""Maximum time for the return of a lost scheduler [s]."""
 
 POLL_S = 0.5
-"""Period of the search for new workers [s]."""
+"""Interval between two searches for new workers [s]."""
 
 FIRST_S = 60.0
 """Maximum time for the comparison of the first workers [s]."""
 
 STOP_S = 5.0
-"""Maximum time for each step of the end [s]."""
+"""Maximum time for each step when the cluster is closed [s]."""
 
 TRIAL, TRIAL_CYCLES = "sort_4", 4
-"""Scenario, and number of its cycles that each worker runs for the comparison."""
+"""Scenario and number of its cycles that each worker runs for the comparison."""
 
 REQUIRED = ("avx2", "fma")
-"""Features of a processor with which the variables `ALIKE` give the same results."""
+"""Features of a processor. If a processor has them, the variables `ALIKE` give the same results."""
 
 
 class Cluster(Executor):
     """Executor that runs functions on the workers of a Dask scheduler.
 
-    Each worker process has one run at a time. If a worker dies, its runs are repeated by others. If
-    the scheduler restarts within `RETURN_S`, unfinished runs are sent to it again. Workers can join
-    at any time.
+    Each worker process executes one run at a time. If a worker dies, other workers repeat its runs.
+    If the scheduler restarts within `RETURN_S`, unfinished runs are sent to it again. Workers can
+    join at any time.
 
     Parameters
     ----------
     address : str
         Address of the scheduler, such as `tcp://192.168.0.10:8786`.
     bench : bool
-        Whether the functions are in `bench` or `tools` of the clone. Each worker must then have a
-        clone with the same code there.
+        Whether the functions are in `bench` or `tools` of the clone. If so, each worker must have a
+        clone with the same code at the same place.
     modules : sequence of str
         Further modules and packages that each worker must have with the same code.
     tell : callable
-        Receives lines about the cluster: its dashboard, and refused workers.
+        Function that receives lines of text about the cluster: its dashboard, and refused workers.
 
     Raises
     ------
     PlateError
-        If Dask is missing, the scheduler does not answer or has another version, or all workers
-        would give other results.
+        If Dask is missing, if the scheduler does not answer or has another version, or if all
+        workers would give other results.
     """
 
     def __init__(
@@ -101,7 +101,7 @@ class Cluster(Executor):
         self._address, self._tell = address, tell
         self._client = _connect(address)
         self._terms = facts(bench, tuple(modules)), bench, tuple(modules)
-        # Only workers with this resource receive runs, and each has it once.
+        # Only workers with this resource receive runs. Each worker has the resource once.
         self._key = f"plate-{hashlib.sha256(repr(self._terms).encode()).hexdigest()[:16]}"
         self._pool = self._client.get_executor(pure=False, resources={self._key: 1})
         self._token = uuid.uuid4().hex
@@ -120,7 +120,7 @@ class Cluster(Executor):
         threading.Thread(target=self._watch, daemon=True).start()
 
     def submit(self, fn: Callable[..., Any], /, *args: Any, **kwargs: Any) -> Future[Any]:
-        """See `Executor`. A run that has begun can also be canceled."""
+        """Submit a run, see `Executor`. A run that has begun can also be canceled."""
         result: Future[Any] = Future()
         self._calls[result] = (_work, self._token, fn, args, kwargs)
         result.add_done_callback(self._forget)
@@ -128,7 +128,7 @@ class Cluster(Executor):
         return result
 
     def shutdown(self, wait: bool = True, *, cancel_futures: bool = True) -> None:
-        """Cancel all unfinished runs, end those that workers have begun, and disconnect."""
+        """Cancel all unfinished runs, end the runs that workers have begun, and disconnect."""
         if self._ending.is_set():
             return
         self._ending.set()
@@ -144,7 +144,7 @@ class Cluster(Executor):
             self._client.run(_stop, self._token, workers=self._admitted, on_error="ignore")
 
     def _send(self, result: Future[Any]) -> None:
-        """Give a run to the scheduler."""
+        """Send a run to the scheduler."""
         if (call := self._calls.get(result)) is None:
             return
         try:
@@ -157,7 +157,7 @@ class Cluster(Executor):
         result.add_done_callback(lambda _: sent.cancel())
 
     def _take(self, result: Future[Any], sent: Future[Any]) -> None:
-        """Pass on the outcome of a run, unless it was lost with the scheduler."""
+        """Pass on the outcome of a run. If the run was lost with the scheduler, do nothing."""
         if sent.cancelled():
             self._lose(result)
             return
@@ -171,7 +171,7 @@ class Cluster(Executor):
                 result.set_exception(problem)
 
     def _lose(self, result: Future[Any]) -> bool:
-        """Note that a run must be sent again. Return whether it can be."""
+        """Record that a run must be sent again. Return whether this is possible."""
         if self._client.status == "closed":
             return False
         if not result.done():
@@ -201,7 +201,7 @@ class Cluster(Executor):
                         self._send(result)
 
     def _await_workers(self) -> None:
-        """Wait until the first worker is admitted. Return if there are none.
+        """Wait until the first worker is accepted. Return also if there are no workers.
 
         Raises
         ------
@@ -219,7 +219,8 @@ class Cluster(Executor):
             self._ending.wait(POLL_S)
 
     def _ask_new(self) -> int:
-        """Start the comparison of each new worker. Report if none is left. Return their number."""
+        """Start the comparison of each new worker. Report if no worker is left. Return the number
+        of new workers."""
         workers = self._client.scheduler_info()["workers"]
         self._admitted = [name for name, one in workers.items() if self._key in one["resources"]]
         for name in set(self._asked) - set(workers):
@@ -235,7 +236,8 @@ class Cluster(Executor):
         return len(workers)
 
     def _ask(self, name: str) -> None:
-        """Compare a worker with this process. It then has the resource, or is refused."""
+        """Compare a worker with this process. Afterwards the worker has the resource, or it is
+        refused."""
         try:
             call = (_admit, self._key, *self._terms)
             found = self._client.run(*call, workers=[name], on_error="return")[name]
@@ -264,7 +266,7 @@ def _connect(address: str) -> Any:
     except ImportError as problem:
         raise PlateError(f"cluster is {address!r}, which requires Dask: {INSTALL}") from problem
     with warnings.catch_warnings():
-        warnings.simplefilter("ignore")  # Dask warns of other versions, which are refused here
+        warnings.simplefilter("ignore")  # Dask warns of other versions; they are refused here
         try:
             with distributed.Client(address, timeout=CONNECT_S, set_as_default=False) as client:
                 there = client.get_versions()["scheduler"]["packages"]["distributed"]
@@ -285,7 +287,7 @@ def _text(problem: BaseException) -> str:
     return " ".join(f"{type(problem).__name__}: {problem}".split())
 
 
-# On the workers
+# Functions that run on the workers
 
 
 _RUNNING: dict[str, int] = {}
@@ -297,7 +299,7 @@ class _Stopped(Exception):
 
 
 def _work(token: str, function: Callable[..., Any], args: Any, kwargs: Any) -> Any:
-    """Run a function in a way that `_stop` can end."""
+    """Run a function so that `_stop` can end it."""
     _RUNNING[token] = threading.get_ident()
     try:
         return function(*args, **kwargs)
@@ -324,12 +326,12 @@ async def _admit(
         if running:
             dask_worker.status = status.paused
         await dask_worker.set_resources(**{key: 1})
-        if running:  # the scheduler then assigns runs that waited for a worker
+        if running:  # the scheduler then sends waiting runs to this worker
             dask_worker.status = status.running
     return found
 
 
-# On both sides
+# Functions that run on both sides
 
 
 def differences(expected: dict[str, str], found: dict[str, str]) -> list[str]:
@@ -343,10 +345,10 @@ def differences(expected: dict[str, str], found: dict[str, str]) -> list[str]:
 
 @lru_cache
 def facts(bench: bool = False, modules: Sequence[str] = ()) -> dict[str, str]:
-    """Return facts about this process on which the results of a seed depend.
+    """Return facts about this process that determine the results of a seed.
 
-    They are the versions of Python, C library and `LIBRARIES`, the environment variables of `ALIKE`
-    and the processor, digests of the code, and a digest of the first cycles of short runs. If
+    The facts are the versions of Python, C library and `LIBRARIES`, the environment variables of
+    `ALIKE`, the processor, digests of the code, and a digest of the first cycles of short runs. If
     `bench`, the modules of the clone's `bench` can be imported afterwards.
     """
     found = {
@@ -366,8 +368,8 @@ def facts(bench: bool = False, modules: Sequence[str] = ()) -> dict[str, str]:
 
 
 def _processor(alike: bool) -> str:
-    """Return the processor's model, or only its required features if they determine the
-    results."""
+    """Return the model of the processor. If only the required features determine the results,
+    return these features."""
     lines = [line.partition(":") for line in Path("/proc/cpuinfo").read_text().splitlines()]
     about = {name.strip(): value.strip() for name, _, value in reversed(lines)}
     if alike and set(REQUIRED) <= set(about.get("flags", "").split()):
@@ -382,8 +384,8 @@ def code_of_packages() -> str:
 
 
 def code_of(*modules: str) -> str:
-    """Return a digest of the sources of modules or packages, with those of their kernels. The one
-    of `plate_core` includes its configuration."""
+    """Return a digest of the sources of modules or packages, including their kernels. The digest of
+    `plate_core` includes its configuration."""
     mark = hashlib.sha256()
     for name in modules:
         spec = find_spec(name)

@@ -59,8 +59,8 @@ NUMBERS = ("time_s", "return", "error_mm", "turn_error_deg", "limit_share", *TIM
 ROW: dict[str, type] = dict.fromkeys(NUMBERS, float) | {
     "seed": int, "steps": int, "there": int, "dropped": int, "success": bool, "places": str
 }  # fmt: skip
-"""Keys and types of a row. The row of an episode in which a limit was exceeded has zeros, and also
-`failure`, which names the limit."""
+"""Keys and types of a row. If a limit was exceeded in an episode, its row contains zeros and the
+key `failure`, which names the limit."""
 
 RESULT: dict[str, type] = {
     "agent": str, "world": str, "commit": str, "sources": str, "versions": dict, "tasks": dict
@@ -79,10 +79,11 @@ HUGE = 1e9
 """Upper bound of the numbers in a result."""
 
 RESULT_BYTES = 64_000_000
-"""Maximum size of a result's file [bytes]: 100,000 episodes, of 500 bytes each."""
+"""Maximum size of the file of a result [bytes]. It is sufficient for 100,000 episodes of 500 bytes
+each."""
 
 TEXT = 300
-"""Maximum length of texts in results, and of error messages of agents [characters]."""
+"""Maximum length of texts in results, and of error messages from agents [characters]."""
 
 
 def agent_class(name: str) -> type[Agent]:
@@ -132,7 +133,7 @@ def one_line(problem: BaseException) -> str:
 
 
 def shortened(text: str) -> str:
-    """Return a text of others as one line of at most `TEXT` printable characters. Control
+    """Return a text from others as one line of at most `TEXT` printable characters. Control
     characters could hide other lines of a terminal."""
     line = " ".join(text[: 2 * TEXT].split())
     line = line if len(line) <= TEXT else f"{line[:TEXT]}..."
@@ -140,7 +141,7 @@ def shortened(text: str) -> str:
 
 
 def named(agent: str, task: str, seed: int, step: int) -> str:
-    """Return the place of an agent's problem, for messages."""
+    """Return the place of a problem of an agent, for messages."""
     return f"agent {agent}, {task}, seed {seed}, step {step}"
 
 
@@ -243,12 +244,12 @@ def evaluate(
         Number of episodes that run at once, each in a process of its own; 0: run in this process,
         without limits.
     tell : callable
-        Called with a line of text after each task, and after each episode in which a limit was
-        exceeded.
+        Function that is called with a line of text after each task, and after each episode in which
+        a limit was exceeded.
     keep : callable
-        Called with the result so far after each task.
+        Function that is called with the result so far after each task.
     limits : Limits
-        Limits of the agent. An episode in which one is exceeded counts as failed.
+        Limits of the agent. If a limit is exceeded in an episode, the episode counts as failed.
 
     Returns
     -------
@@ -293,7 +294,8 @@ def episodes(
     tell: Callable[[str], None] = lambda text: None,
     limits: Limits = LIMITS,
 ) -> Iterator[dict[str, Any]]:
-    """Run episodes, `workers` at once. Yield them in the order of seeds. Tell which failed."""
+    """Run episodes. `workers` of them run at the same time. Yield them in the order of the seeds.
+    Report the failed ones."""
     if not workers:
         yield from map(partial(episode, agent, world, task), seeds)
         return
@@ -318,17 +320,18 @@ def episodes(
 
 
 def isolated(agent: str, world: str, task: str, seed: int, limits: Limits) -> dict[str, Any]:
-    """Run one episode in a process of its own.
+    """Run one episode in a separate process.
 
     Returns
     -------
     dict
-        As from `episode`. If the agent exceeds a limit: zeros, and the limit as `failure`.
+        Row as in `episode`. If the agent exceeds a limit, the row contains zeros and the limit as
+        `failure`.
 
     Raises
     ------
     PlateError
-        If the agent fails otherwise; the message names agent, task and seed.
+        If the agent fails for another reason. The message contains agent, task and seed.
     """
     request = {"agent": agent, "world": world, "task": task, "seed": seed}
     reply = isolation.play(request, limits)
@@ -402,11 +405,12 @@ def check(
     fresh : int
         Number of additional random seeds of each task.
     world : str, optional
-        World of the additional seeds. Default: that of the result.
+        World of the additional seeds. Default: the world of the result.
     trusted : str
-        The result's agent, if it is `MODULE:CLASS`: only then its code is imported and run.
+        Agent of the result, if it has the form `MODULE:CLASS`. Its code is imported and run only if
+        this argument is equal to it.
     limits : Limits
-        As in `evaluate`.
+        The same as in `evaluate`.
 
     Returns
     -------
@@ -419,7 +423,7 @@ def check(
     Raises
     ------
     PlateError
-        If it is not a result of `evaluate`, or its agent is missing, fails, or is not trusted.
+        If it is not a result of `evaluate`, or if its agent is missing, fails or is not trusted.
     """
     validate(result)
     agent = result["agent"]
@@ -470,9 +474,9 @@ def check(
 
 
 def differing(claimed: dict[str, Any], true: dict[str, Any]) -> Iterator[tuple[str, Any]]:
-    """Yield key and true value of each difference between two rows, except in computing times. If
-    both episodes failed, they are equal, because the step of the failure depends on the
-    computer."""
+    """Yield the key and the true value of each difference between two rows, except in computing
+    times. If both episodes failed, the rows count as equal, because the step of the failure depends
+    on the computer."""
     keys = ["failure"] if "failure" in true or "failure" in claimed else [*ROW]
     for key in keys:
         same = key in claimed and key in true if key == "failure" else claimed[key] == true[key]
@@ -486,12 +490,12 @@ def read(path: Path) -> Any:
     Raises
     ------
     PlateError
-        If it cannot be read or is not valid; the message names the file.
+        If it cannot be read or is not valid. The message contains the name of the file.
     """
     content = read_file(path, RESULT_BYTES)
     try:
         return json.loads(content.decode())
-    except (ValueError, RecursionError) as problem:  # raised also for huge numbers or deep nesting
+    except (ValueError, RecursionError) as problem:  # also raised for huge numbers or deep nesting
         raise PlateError(f"{path} is not JSON: {problem}") from problem
 
 
@@ -531,7 +535,7 @@ def validate(result: Any) -> None:
 
 
 def check_fields(where: str, found: Any, kinds: dict[str, type]) -> None:
-    """Refuse data that is not a dict of exactly these keys and types, with finite numbers and
+    """Raise an error unless data is a dict of exactly these keys and types, with finite numbers and
     printable texts."""
     if not isinstance(found, dict) or set(found) != set(kinds):
         has = shortened(", ".join(map(str, found))) if isinstance(found, dict) else brief(found)
@@ -549,7 +553,7 @@ def check_fields(where: str, found: Any, kinds: dict[str, type]) -> None:
 
 
 def brief(value: Any) -> str:
-    """Return a value of others for a message."""
+    """Return a value from others in the form for a message."""
     return shortened(reprlib.repr(value))
 
 

@@ -1,8 +1,9 @@
-"""Processes for agents: each episode runs in a process of its own, with limits of time and memory.
+"""Processes for agents. Each episode runs in a separate process, with limits of time and memory.
 
-`play` asks a supervisor, a process that runs `plate_gym.supervisor`, to run an episode. Idle
-supervisors are used again. An agent cannot block, stop or fill the process that calls `play`, and
-leaves no processes behind. This is no sandbox: an agent can do anything that its user can do.
+`play` sends a request to run an episode to a supervisor. A supervisor is a process that runs
+`plate_gym.supervisor`. Idle supervisors are used again. An agent cannot block or stop the process
+that calls `play`, and cannot fill its memory. No processes of the agent remain. This is no security
+sandbox: an agent can do anything that its user is allowed to do.
 """
 
 from __future__ import annotations
@@ -32,26 +33,26 @@ ALIVE = b".\n"
 """Line that a supervisor sends when it begins, and about every second during an episode."""
 
 START_S, SILENT_S = 300.0, 60.0
-"""Maximum time until a supervisor has begun, and between two of its lines [s]. On a busy computer,
-loading the libraries takes half a minute."""
+"""Maximum time until a supervisor has started, and between two of its lines [s]. On a busy
+computer, loading the libraries takes half a minute."""
 
 ENDING_S = 15.0
-"""Maximum time until a supervisor has ended its processes and itself [s]."""
+"""Maximum time in which a supervisor must end its processes and itself [s]."""
 
 MARK = "PLATE_GYM_SUPERVISOR"
-"""Environment variable with a random text, by which the processes of a supervisor are found if the
-agent has killed it."""
+"""Environment variable with a random text. If the agent has killed the supervisor, its processes
+are found by this text."""
 
 
 @dataclass(frozen=True)
 class Limits:
-    """Limits of an agent. An episode in which one is exceeded counts as failed.
+    """Limits of an agent. If a limit is exceeded in an episode, the episode counts as failed.
 
     Attributes
     ----------
     decision_s : float
-        Maximum time of a decision and of the simulation of its step, and of the agent's import and
-        creation [s].
+        Maximum time of a decision, including the simulation of its step; and maximum time of the
+        agent's import and creation [s].
     memory_gb : float
         Maximum memory of the agent's processes, including the simulation [GB].
 
@@ -76,13 +77,14 @@ LIMITS = Limits()
 
 
 class Supervisor:
-    """A supervisor's process, in a session of its own, so that signals of a terminal do not reach
-    it. It ends if this process ends for any reason, because then its standard input ends."""
+    """Process of a supervisor. It is in a session of its own, so that signals of a terminal do not
+    reach it. If this process ends for any reason, the supervisor ends too, because its standard
+    input ends."""
 
     def __init__(self) -> None:
         self._mark = secrets.token_hex(16)
         self._begun, self.ended = False, False
-        # -P: files in the current folder must not replace libraries.
+        # Option -P: files in the current folder must not replace libraries.
         self._process = subprocess.Popen(
             [sys.executable, "-P", "-m", "plate_gym.supervisor"],
             stdin=subprocess.PIPE, stdout=subprocess.PIPE, bufsize=0, start_new_session=True,
@@ -90,7 +92,8 @@ class Supervisor:
         )  # fmt: skip
 
     def ask(self, request: dict[str, Any]) -> dict[str, Any]:
-        """Send a request, and return the reply. It contains an `error` if the supervisor ended."""
+        """Send a request, and return the reply. The reply contains an `error` if the supervisor
+        ended."""
         assert self._process.stdin is not None
         try:
             self._process.stdin.write(json.dumps(request).encode() + b"\n")
@@ -118,7 +121,8 @@ class Supervisor:
         raise OSError("its reply is too long")
 
     def end(self) -> None:
-        """End the supervisor and its processes. A call of `ask` in another thread then returns."""
+        """End the supervisor and its processes. If another thread is in a call of `ask`, this call
+        then returns."""
         process = self._process
         assert process.stdin is not None
         process.stdin.close()
@@ -138,8 +142,7 @@ class Supervisor:
 
 
 def _kill_marked(mark: str) -> None:
-    """End the processes that have inherited a mark, and wait for their end, until there are
-    none."""
+    """End the processes that have inherited a mark. Wait until there are none."""
     entry = f"{MARK}={mark}".encode()
     found = True
     while found:
@@ -150,7 +153,7 @@ def _kill_marked(mark: str) -> None:
                     if entry not in (folder / "environ").read_bytes():
                         continue
                     process = os.pidfd_open(int(folder.name))
-                except OSError:  # it has ended, or belongs to another user
+                except OSError:  # it has ended or belongs to another user
                     continue
                 found = True
                 with contextlib.suppress(ProcessLookupError):
@@ -164,19 +167,20 @@ _all: list[Supervisor] = []
 
 
 def play(request: dict[str, Any], limits: Limits) -> dict[str, Any]:
-    """Run an episode in a process of its own. Several threads may call this at once.
+    """Run an episode in a separate process. Several threads may call this at once.
 
     Parameters
     ----------
     request : dict
-        `agent`, `world`, `task` and `seed`, as for `plate_gym.bench.episode`.
+        Keys `agent`, `world`, `task` and `seed`, as in `plate_gym.bench.episode`.
     limits : Limits
 
     Returns
     -------
     dict
-        `row`, the row of the episode; or `failure`, the limit that was exceeded, with the number of
-        completed `steps`; or `error`, a text. An agent can falsify it.
+        One of three forms. `row` is the row of the episode. `failure` is the limit that was
+        exceeded, with the number of completed `steps`. `error` is a text. An agent can falsify the
+        reply.
     """
     try:
         supervisor = _idle.pop()
@@ -195,7 +199,7 @@ def play(request: dict[str, Any], limits: Limits) -> dict[str, Any]:
 
 @atexit.register
 def stop() -> None:
-    """End all supervisors. Calls of `play` that still run then return an error."""
+    """End all supervisors. Running calls of `play` then return an error."""
     idle = [_idle.pop() for _ in range(len(_idle))]
     for supervisor in list(_all):
         if supervisor in idle:

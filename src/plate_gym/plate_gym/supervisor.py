@@ -1,9 +1,9 @@
-"""Supervisor of agents, a program that `plate_gym.isolation` starts.
+"""Supervisor of agents. `plate_gym.isolation` starts this program.
 
-It reads requests from its standard input and writes replies to its standard output, one JSON object
-per line. For each request it forks a process that runs `plate_gym.bench.episode`. It ends this
-process, and everything that the agent has started, at the end of the episode or at a limit. It
-needs Linux, but no root.
+The supervisor reads requests from its standard input and writes replies to its standard output, as
+one JSON object per line. For each request it forks a process that runs `plate_gym.bench.episode`.
+At the end of the episode, or if a limit is exceeded, it ends this process and all processes that
+the agent has started. The program requires Linux, but no root privileges.
 """
 
 from __future__ import annotations
@@ -29,33 +29,34 @@ from .isolation import ALIVE, REPLY_BYTES, Limits
 __all__ = ["main"]
 
 OUTPUT_BYTES = 100_000
-"""Maximum output of an agent that is forwarded, per episode [bytes]."""
+"""Maximum output of an agent that is forwarded per episode [bytes]."""
 
 MAX_PROCESSES = 256
 """Maximum number of processes of an agent."""
 
 POLL_S = 0.2
-"""Period of the checks of time, memory and number of processes [s]."""
+"""Interval between two checks of time, memory and number of processes [s]."""
 
 ALIVE_S = 1.0
-"""Period of the lines `ALIVE` [s]."""
+"""Interval between two lines `ALIVE` [s]."""
 
 ENDING_S = 10.0
-"""Maximum time for ending an agent's processes [s]. Each pass takes some milliseconds."""
+"""Maximum time in which the processes of an agent must end [s]. Each pass takes some
+milliseconds."""
 
 PR_SET_PDEATHSIG, PR_SET_CHILD_SUBREAPER = 1, 36
-"""From linux/prctl.h: the signal that a process receives when its parent ends; and that orphaned
-descendants become children of this process."""
+"""Options from linux/prctl.h. The first is the signal that a process receives when its parent ends.
+With the second, orphaned descendants become children of this process."""
 
 CONTROL = bytes(set(range(32)) - set(b"\t\n\r"))
-"""Control characters, which could hide other lines of a terminal."""
+"""Control characters. They could hide other lines of a terminal."""
 
 BEAT = b"."
 """Byte that an episode sends before each decision."""
 
 
 def main() -> None:
-    """Answer requests until the standard input ends."""
+    """Process requests until the standard input ends."""
     requests, replies = os.dup(0), os.dup(1)
     os.dup2(os.open(os.devnull, os.O_RDONLY), 0)
     os.dup2(2, 1)
@@ -69,15 +70,16 @@ def main() -> None:
 
 
 class Episode:
-    """An episode in a process of its own. It is mutable: `run` can be called once.
+    """An episode in a separate process. The object is mutable, and `run` can be called once.
 
     Parameters
     ----------
     request : dict
-        As for `plate_gym.isolation.play`, with `limits`, `path` (for `sys.path`) and `folder` (the
-        working directory).
+        Request as in `plate_gym.isolation.play`, with the additional keys `limits`, `path` (for
+        `sys.path`) and `folder` (the working directory).
     requests, replies : int
-        Pipes from and to the process that asks. The episode ends if `requests` is closed.
+        Pipes from and to the process that sends the request. The episode ends if `requests` is
+        closed.
     """
 
     def __init__(self, request: dict[str, Any], requests: int, replies: int) -> None:
@@ -86,7 +88,7 @@ class Episode:
         self._decisions, self._reply, self._printed = 0, b"", 0
 
     def run(self) -> dict[str, Any]:
-        """Return the reply, as `plate_gym.isolation.play` does."""
+        """Return the reply in the form of `plate_gym.isolation.play`."""
         messages, to_messages = os.pipe()
         output, to_output = os.pipe()
         child = os.fork()
@@ -160,15 +162,15 @@ class Episode:
             return {"error": str(problem)}
 
     def _watch(self, child: int, messages: int, output: int) -> str:
-        """Wait for the reply or the end of the process. Return the limit that was exceeded, or an
-        empty text."""
+        """Wait until the reply arrives or the process ends. Return the limit that was exceeded.
+        Return an empty text if there is none."""
         poll = select.poll()
         for file in (messages, output, self._requests):
             poll.register(file, select.POLLIN)
         waited, checked, sent, before = 0.0, 0.0, 0.0, time.monotonic()
         while True:
             events = dict(poll.poll(1e3 * POLL_S))
-            # This process may have been stopped meanwhile, and the episode with it.
+            # This process may have been stopped in the meantime, and the episode with it.
             passed = min(time.monotonic() - before, 2 * POLL_S)
             before = time.monotonic()
             waited, checked, sent = waited + passed, checked + passed, sent + passed
@@ -197,15 +199,15 @@ class Episode:
                 os.write(self._replies, ALIVE)
 
     def _receive(self, data: bytes) -> bool:
-        """Record a message of the episode. Return whether more is expected."""
+        """Record a message from the episode. Return whether more messages are expected."""
         beats = 0 if self._reply else len(data) - len(data.lstrip(BEAT))
         self._decisions += beats
         self._reply += data[beats:]
         return bool(data) and b"\n" not in self._reply and len(self._reply) < REPLY_BYTES
 
     def _end_of(self, child: int) -> str:
-        """Return how the process ended, or that it sent something else than a reply."""
-        for _ in range(10):  # the pipe is closed a little earlier than the process ends
+        """Return how the process ended, or that its reply was not valid."""
+        for _ in range(10):  # the pipe closes slightly earlier than the process ends
             if state := _has_ended(child):
                 if state.si_code == os.CLD_EXITED:
                     return f"died: it exited with code {state.si_status} before its last step"
@@ -214,8 +216,8 @@ class Episode:
         return "closed its pipe, or sent no valid reply"
 
     def _excess(self) -> str:
-        """Return the limit of memory or of the number of processes that is exceeded, or an empty
-        text."""
+        """Return the exceeded limit of memory or of the number of processes. Return an empty text
+        if none is exceeded."""
         processes = list(_descendants())
         if len(processes) > MAX_PROCESSES:
             return f"more than {MAX_PROCESSES} processes"
@@ -229,7 +231,7 @@ class Episode:
 
     def _forward(self, output: int, wait: bool) -> bool:
         """Copy output of the agent to the standard error, up to `OUTPUT_BYTES`. Return whether more
-        may come. If `wait` is false, copy all that is there."""
+        output may come. If `wait` is false, copy only the output that is available."""
         os.set_blocking(output, wait)
         while data := _read(output):
             _print(data[: max(0, OUTPUT_BYTES - self._printed)].translate(None, CONTROL))
@@ -240,7 +242,7 @@ class Episode:
 
 
 def _read(file: int) -> bytes:
-    """Read from a pipe. Return nothing if there is nothing."""
+    """Read from a pipe. Return nothing if no data are available."""
     try:
         return os.read(file, 65536)
     except BlockingIOError:
@@ -248,13 +250,13 @@ def _read(file: int) -> bytes:
 
 
 def _print(data: bytes) -> None:
-    """Write to the standard error, if somebody reads it."""
+    """Write to the standard error if it is open."""
     with contextlib.suppress(OSError):
         os.write(2, data)
 
 
 def _has_ended(child: int) -> os.waitid_result | None:
-    """Return how a child has ended; None if it has not."""
+    """Return how a child process ended. Return None if it has not ended."""
     return os.waitid(os.P_PID, child, os.WEXITED | os.WNOHANG | os.WNOWAIT)
 
 
@@ -263,7 +265,7 @@ def _descendants() -> Iterator[int]:
     children: dict[int, list[int]] = {}
     for name in os.listdir("/proc"):
         if name.isdigit():
-            with contextlib.suppress(OSError):  # it has ended meanwhile
+            with contextlib.suppress(OSError):  # it has ended in the meantime
                 fields = Path(f"/proc/{name}/stat").read_bytes().rpartition(b")")[2].split()
                 children.setdefault(int(fields[1]), []).append(int(name))
     waiting = children.pop(os.getpid(), [])
@@ -274,7 +276,7 @@ def _descendants() -> Iterator[int]:
 
 
 def _kill_all() -> set[int]:
-    """End all descendants. Return the ids of those that still ran.
+    """End all descendants. Return the ids of the processes that were still running.
 
     Raises
     ------
@@ -298,7 +300,8 @@ def _kill_all() -> set[int]:
 
 
 def _resident(process: int) -> int:
-    """Return the memory of a process, with all that it shares with others [bytes]."""
+    """Return the memory of a process, including memory that it shares with other processes
+    [bytes]."""
     return 1024 * _number(process, "status", b"VmRSS:")
 
 
@@ -311,12 +314,13 @@ def _proportional(process: int) -> int:
 def _number(process: int, file: str, name: bytes) -> int:
     try:
         return int(_field(process, file, name).split()[0])
-    except (OSError, IndexError, ValueError):  # it has ended meanwhile
+    except (OSError, IndexError, ValueError):  # it has ended in the meantime
         return 0
 
 
 def _field(process: int, file: str, name: bytes) -> bytes:
-    """Return the text of a field of a file in /proc; empty if it has none."""
+    """Return the text of a field of a file in /proc. Return an empty text if the file does not
+    contain the field."""
     lines = Path(f"/proc/{process}/{file}").read_bytes().splitlines()
     return next((line[len(name) :] for line in lines if line.startswith(name)), b"")
 
