@@ -23,7 +23,7 @@ import play
 from demo import arguments
 from graph.demo import LAST, clear, own_folder, rig_title, watch
 from graph.demo import demo as run
-from graph.observer import Record, Said
+from graph.observer import Received, Record
 from graph.processes import Interrupted
 from PIL import Image
 from rclpy.serialization import serialize_message
@@ -280,7 +280,7 @@ def test_what_an_interrupted_task_did_counts_to_the_last_that_is_known():
     starts = [10.0, 10.1173, 10.2346, 10.3519]
     parts = (Parts(header=Header(stamp=to_time(round(1e9 * t)))) for t in starts)
     record = Record(truth=[serialize_message(part) for part in parts])
-    record.said["planner"] = [Said(0.0, 10_117_300_000, "", values={"time_s": "0.117"})]
+    record.diagnostics["planner"] = [Received(0.0, 10_117_300_000, "", values={"time_s": "0.117"})]
     film = develop(record, load_rig())
     assert film.cycles == 3
     assert film.end == pytest.approx(0.352, abs=1e-3)

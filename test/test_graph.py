@@ -245,7 +245,9 @@ def test_a_node_that_is_deactivated_ends_the_task_and_works_again_when_it_is_act
             assert observer.until(lambda: record.ended, 30)
             assert f": no {topic} for " in record.states[-1]
             assert record.states[-1].endswith(f"the {name} runs and reports: inactive")
-            assert observer.until(lambda: "the plate rests" in record.said["driver"][-1].text, 30)
+            assert observer.until(
+                lambda: "the plate rests" in record.diagnostics["driver"][-1].text, 30
+            )
             observer.change_state(name, "activate")
             observer.await_answers(30)
         observer.change_state("simulator", "deactivate")

@@ -85,7 +85,7 @@ def measured(quick: bool, logs: Path) -> tuple[dict[str, list[Any]], dict[str, l
                     graph.processes.wait("page", 10.0)
                     found[name].append(one_task(graph, hops, None, 0.0, longest_s))
                     graph.processes.restart("page")
-                    graph.observer.record.said.pop("page", None)
+                    graph.observer.record.diagnostics.pop("page", None)
                     url = graph.page()
                     continue
                 with browsers(url, count):

@@ -23,7 +23,7 @@ from itertools import product
 from pathlib import Path
 from typing import Any
 
-from graph.observer import ALL, Observer, Said
+from graph.observer import ALL, Observer, Received
 from graph.relays import GATE
 from graph.session import Session, session
 from record.judge import check_limits
@@ -101,14 +101,14 @@ class Plate:
         return time.time() - self.moved_until < STILL_S
 
 
-def between(said: Iterable[Said], since: float, until: float) -> list[Said]:
+def between(messages: Iterable[Received], since: float, until: float) -> list[Received]:
     """Return the messages between two times [s, monotonic]."""
-    return [each for each in said if since < each.at < until]
+    return [each for each in messages if since < each.at < until]
 
 
-def before(said: Iterable[Said], when: float) -> Said:
+def before(messages: Iterable[Received], when: float) -> Received:
     """Return the last message up to a time [s, monotonic], or an empty message."""
-    return [Said(0.0, 0, ""), *(each for each in said if each.at <= when)][-1]
+    return [Received(0.0, 0, ""), *(each for each in messages if each.at <= when)][-1]
 
 
 WORK_S, UNASKED_S = 3.0, 3.0
@@ -187,7 +187,7 @@ class Faults:
         raise GraphError(f"no task runs: {observer.record.states}")
 
     @contextmanager
-    def gone(self, kind: str, node: str) -> Any:
+    def fault(self, kind: str, node: str) -> Any:
         """Context in which a node is killed or frozen, or its input is cut. The node is restored
         afterwards."""
         if kind == "cut":
@@ -207,49 +207,52 @@ class Faults:
     def put(self, kind: str, node: str) -> Row:
         """Inject one fault into a running task, and return the reactions."""
         self.work()
-        row, plate, said = Row(kind, node), self.plate, self.observer.record.said
+        row, plate, diagnostics = Row(kind, node), self.plate, self.observer.record.diagnostics
         plate.tables_only = node == "simulator" and kind != "cut"
         at, at_utc = time.monotonic(), time.time()
-        with self.gone(kind, node):
+        with self.fault(kind, node):
             self.wait(FREEZE_S if kind == "freeze" else WATCH_S)
             row.load = round(os.getloadavg()[0], 1)
             if not plate.moving:
                 row.rest_s = round(max(0.0, plate.moved_until - at_utc), 1)
             back = time.monotonic()
-        self.hear(row, at, back)
+        self.add_messages(row, at, back)
         # Wait until the node publishes diagnostics again. The plate must not move before a request.
         self.observer.until(
-            lambda: before(said.get(node, ()), math.inf).at > max(back, time.monotonic() - FRESH_S),
+            lambda: (
+                before(diagnostics.get(node, ()), math.inf).at
+                > max(back, time.monotonic() - FRESH_S)
+            ),
             BACK_S,
         )
         self.wait(UNASKED_S)
         plate.tables_only = False
         if row.task_s is None:  # the end of the task was published only after the node was back
-            self.hear(row, at, time.monotonic())
+            self.add_messages(row, at, time.monotonic())
         row.moved_unasked = (
             row.rest_s is not None and plate.moved_until > at_utc + row.rest_s + 0.25
         )
         self.go_on(row)
         return row
 
-    def hear(self, row: Row, since: float, until: float) -> None:
+    def add_messages(self, row: Row, since: float, until: float) -> None:
         """Add the messages between two times to a row: the end of the task, the driver's first new
         status, and the first most severe diagnostics of each node."""
         record = self.observer.record
-        for said in between(record.tasks, since, until):
-            if said.state != TaskStatus.RUNNING:
-                row.task, row.task_s = said.text, round(said.at - since, 1)
+        for message in between(record.tasks, since, until):
+            if message.state != TaskStatus.RUNNING:
+                row.task, row.task_s = message.text, round(message.at - since, 1)
                 break
         row.driver, row.driver_s = before(record.drivers, since).text, None
-        for said in between(record.drivers, since, until):
-            if said.text != row.driver:
-                row.driver, row.driver_s = said.text, round(said.at - since, 1)
+        for message in between(record.drivers, since, until):
+            if message.text != row.driver:
+                row.driver, row.driver_s = message.text, round(message.at - since, 1)
                 break
         row.diagnostics = []
-        for name, all_said in record.said.items():
-            told = between(all_said, since, until)
-            worst = max(told, key=lambda said: said.level.rank, default=Said(0.0, 0, ""))
-            if worst.level not in (Level.OK, before(all_said, since).level):
+        for name, messages in record.diagnostics.items():
+            recent = between(messages, since, until)
+            worst = max(recent, key=lambda one: one.level.rank, default=Received(0.0, 0, ""))
+            if worst.level not in (Level.OK, before(messages, since).level):
                 seconds = round(worst.at - since, 1)
                 row.diagnostics.append((name, worst.level.name, seconds, worst.text))
         row.diagnostics.sort(key=lambda item: item[2])

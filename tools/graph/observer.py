@@ -101,7 +101,7 @@ class Thinned:
 
 
 @dataclass(frozen=True)
-class Said:
+class Received:
     """One received message of diagnostics, driver_status or task_status.
 
     Attributes
@@ -144,9 +144,9 @@ class Record:
         Number of plate_cycle messages.
     images : Thinned
         A selection of image_raw, serialised.
-    said : dict of str to list of Said
+    diagnostics : dict of str to list of Received
         Diagnostics by node.
-    drivers, tasks : list of Said
+    drivers, tasks : list of Received
         All driver_status messages, and the task_status messages with a new text.
     status : TaskStatus, optional
         Newest task_status.
@@ -160,9 +160,9 @@ class Record:
     simulated: bool = True
     answers: int = 0
     images: Thinned = field(default_factory=Thinned)
-    said: dict[str, list[Said]] = field(default_factory=dict)
-    drivers: list[Said] = field(default_factory=list)
-    tasks: list[Said] = field(default_factory=list)
+    diagnostics: dict[str, list[Received]] = field(default_factory=dict)
+    drivers: list[Received] = field(default_factory=list)
+    tasks: list[Received] = field(default_factory=list)
     status: TaskStatus | None = None
     driver: DriverStatus | None = None
 
@@ -171,14 +171,14 @@ class Record:
         reports = self.reports(node)
         return reports[-1].values.get(key, default) if reports else default
 
-    def reports(self, node: str) -> list[Said]:
+    def reports(self, node: str) -> list[Received]:
         """Return the diagnostics of a node that have values."""
-        return [said for said in self.said.get(node, []) if said.values]
+        return [message for message in self.diagnostics.get(node, []) if message.values]
 
     @property
     def states(self) -> list[str]:
         """Texts of task_status so far."""
-        return [said.text for said in self.tasks]
+        return [message.text for message in self.tasks]
 
     @property
     def ready(self) -> bool:
@@ -278,17 +278,17 @@ class Observer:
     def _on_task(self, msg: TaskStatus) -> None:
         self.record.status = msg
         if self.record.states[-1:] != [msg.text]:  # the same text is published with each image
-            self.record.tasks.append(_said(msg))
+            self.record.tasks.append(_received(msg))
 
     def _on_driver(self, msg: DriverStatus) -> None:
         self.record.driver = msg
-        self.record.drivers.append(_said(msg))
+        self.record.drivers.append(_received(msg))
 
     def _on_report(self, msg: DiagnosticArray) -> None:
         now, stamp = time.monotonic(), nanoseconds(msg.header.stamp)
         for report in msg_to_reports(msg):
-            said = Said(now, stamp, report.message, report.level, values=report.values)
-            self.record.said.setdefault(report.node, []).append(said)
+            message = Received(now, stamp, report.message, report.level, values=report.values)
+            self.record.diagnostics.setdefault(report.node, []).append(message)
 
     @cached_property
     def client(self) -> PlateClient:
@@ -378,7 +378,7 @@ class Observer:
         while not self.until(lambda: self.record.answers > 0, LOOK_S):
             waited_s = time.monotonic() - began
             self._waiting(f"waiting for the answer to the first image | {waited_s:.0f} s")
-            if names and all(name in self.record.said for name in names):
+            if names and all(name in self.record.diagnostics for name in names):
                 allowed_s = min(allowed_s, waited_s + ANSWERED_S)
             if waited_s > allowed_s:
                 raise GraphError(
@@ -390,11 +390,11 @@ class Observer:
     def blame(self) -> str:
         """Return the reason why no cycle arrives: the message of the first node in the chain with
         an error, or the messages of all nodes if no node has an error."""
-        newest = {name: said[-1] for name, said in self.record.said.items()}
+        newest = {name: message[-1] for name, message in self.record.diagnostics.items()}
         for name in ("detector", "planner", "solver"):
             if name in newest and newest[name].level in (Level.ERROR, Level.STALE):
                 return f"{name}: {newest[name].text}"
-        texts = [f"{name}: {said.text}" for name, said in newest.items()]
+        texts = [f"{name}: {message.text}" for name, message in newest.items()]
         return "; ".join(texts) or "no node publishes diagnostics"
 
     def activate_driver(self) -> None:
@@ -425,7 +425,7 @@ class Observer:
         now = self.call(GetState, f"{node}/get_state", GetState.Request(), AGAIN_S)
         if now.current_state.label == AFTER.get(transition):
             return
-        reports, now = self.record.said, time.monotonic()
+        reports, now = self.record.diagnostics, time.monotonic()
         self.until(lambda: any(each.at > now for each in reports.get(node, ())), FRESH_S)
         reported = reports[node][-1].text if node in reports else "nothing"
         raise GraphError(f"{transition} refused, {node} reports: {reported}")
@@ -573,5 +573,5 @@ class Observer:
             raise GraphError(str(result.reason))
 
 
-def _said(msg: DriverStatus | TaskStatus) -> Said:
-    return Said(time.monotonic(), nanoseconds(msg.header.stamp), msg.text, state=msg.state)
+def _received(msg: DriverStatus | TaskStatus) -> Received:
+    return Received(time.monotonic(), nanoseconds(msg.header.stamp), msg.text, state=msg.state)

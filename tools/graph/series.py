@@ -174,8 +174,8 @@ def one_task(
     record.tables.clear()
     record.starts.clear()
     record.truth.clear()
-    for said in record.said.values():
-        del said[:-1]
+    for messages in record.diagnostics.values():
+        del messages[:-1]
     return task
 
 
