@@ -3,7 +3,7 @@
 ros2 launch plate_bringup hardware.launch.py rig_file:=my_rig.yaml port:=/dev/ttyUSB0 \\
     camera:=/dev/v4l/by-id/NAME
 
-ros2 service call /enable std_srvs/srv/SetBool "{data: true}"    # when you have looked at the rig
+ros2 service call /enable std_srvs/srv/SetBool "{data: true}"    # after a check of the rig
 ros2 run plate_client plate goal sort_10
 
 Without camera:=..., another node must publish the images (image_topic:=..., info_topic:=...). The

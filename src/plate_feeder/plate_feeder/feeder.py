@@ -300,7 +300,7 @@ class Feeder:
             return Reply(Code.NOT_RESERVED, "no part is reserved")
         if known.client != client and (known.client is not None or part != known.part.id):
             # The text is the same for all ids, so that ids cannot be guessed.
-            text = "another client has reserved the part, allowed: its id, if that client is gone"
+            text = "another client has reserved the part, allowed: its id after a disconnection"
             return Reply(Code.NOT_RESERVED, text)
         if part not in ("", known.part.id):
             return Reply(Code.NOT_RESERVED, f"{part} is not reserved, allowed: {known.part.id}")

@@ -41,7 +41,7 @@ void read(const char* name, nb::handle array, Room& room) {
     const auto from = nb::cast<Array<const double, AXES>>(array);
     for (size_t axis = 0; axis < AXES; axis++)
         if (from.shape(axis) != sizes[axis])
-            throw nb::value_error((std::string(name) + " has not the shape wanted").c_str());
+            throw nb::value_error((std::string(name) + " has a wrong shape").c_str());
     std::copy_n(from.data(), from.size(), reinterpret_cast<double*>(&room));
 }
 

@@ -38,7 +38,8 @@ void draw_plate(Array<float, 1> canvas, In<float, 1> light, In<double, 2> places
     nb::gil_scoped_release others_may_run;
     for (size_t p = 0; p < pixels.size(); p++) {
         const int64_t pixel = pixels.data()[p];
-        require(pixel >= 0 && pixel < static_cast<int64_t>(count), "draw_plate: no such pixel");
+        require(pixel >= 0 && pixel < static_cast<int64_t>(count),
+                "draw_plate: the index of a pixel is outside the image");
     }
     raster::draw_plate(view(canvas), view(light), view(places), view(pixels), view(poses), copies,
                        travel, half.data(), scale, background, plate);
@@ -56,22 +57,23 @@ void draw_parts(Array<float, 2> canvas, In<float, 2> light, In<double, 3> places
     const size_t count = grey.size();
     require(places.shape(2) == 2 && path.shape(2) == 2 && turn.shape(1) == 2 &&
                 window.shape(1) == 4 && edges.shape(1) == 3 && path.shape(0) >= 2,
-            "draw_parts: an array has another shape than is said");
+            "draw_parts: an array does not have the stated shape");
     for (size_t size : {window.shape(0), scale.size(), copies.size(), path.shape(1), radius.size(),
                         turn.shape(0), opacity.size(), first.size(), hole.size(), end.size()})
         require(size == count, "draw_parts: numbers of parts differ");
     const raster::Sprites sprites{view(window), view(scale), view(copies), view(path),
                                   view(radius), view(turn), view(grey), view(opacity)};
     const raster::Outlines outlines{view(edges), view(pieces), view(first), view(hole), view(end)};
-    require(ordered(outlines.pieces, 0, edges.shape(0)), "draw_parts: pieces leave the edges");
+    require(ordered(outlines.pieces, 0, edges.shape(0)),
+            "draw_parts: a piece is outside the array of edges");
     for (size_t i = 0; i < count; i++) {
         const int64_t* box = sprites.window[i];
         require(box[0] >= 0 && box[1] <= height && box[2] >= 0 && box[3] <= width,
-                "draw_parts: a window leaves the image");
+                "draw_parts: a window is partly outside the image");
         require(sprites.copies(i) > 0, "draw_parts: a part without copies");
         const int64_t its[] = {first.data()[i], hole.data()[i], end.data()[i]};
         require(ordered({its, {3}}, 0, static_cast<int64_t>(pieces.size()) - 1),
-                "draw_parts: a part's polygons are not among the pieces");
+                "draw_parts: a polygon of a part is outside the array of pieces");
     }
     nb::gil_scoped_release others_may_run;
     raster::draw_parts(view(canvas), view(light), view(places), sprites, outlines);

@@ -106,8 +106,8 @@ class Plant:
         if np.max(rates.real) > HELD * fastest:
             raise PlateError(
                 f"suspension: servo {suspension.servo} with a motor bandwidth of "
-                f"{suspension.motor_bandwidth_hz:g} Hz swings up, by 1/e in "
-                f"{1 / np.max(rates.real):.3g} s, allowed: a servo that settles"
+                f"{suspension.motor_bandwidth_hz:g} Hz is unstable: deviations "
+                f"grow by the factor e in {1 / np.max(rates.real):.3g} s, allowed: a stable servo"
             )
         return plant
 

@@ -45,7 +45,7 @@ nb::ndarray<nb::numpy, double, nb::ndim<2>> run_plates(
                 ground.shape(1) == 5 && cycles > 0 && every > 0,
             "run: plates differ, allowed: counts (N, 2), ground (N, 5), cycles and every above 0");
     require(record.shape(0) == plates && record.shape(2) == count && record.shape(3) == 6,
-            "run: record has another shape, allowed: (N, k, M, 6)");
+            "run: record has a wrong shape, allowed: (N, k, M, 6)");
     require(mesh.shape(0) == 4 && pieces.shape(1) == 2 && half.size() == 2,
             "run: shapes differ, allowed: mesh (4, n), pieces (p, 2), half (2,)");
     const Shapes shapes{records<Body>("bodies", bodies), view(mesh),
@@ -74,7 +74,7 @@ nb::ndarray<nb::numpy, double, nb::ndim<2>> run_plates(
                 "run: a motion has no pieces, or not from 1 to 2^30 steps");
         require(record.shape(1) == 0 ||
                     record.shape(1) == static_cast<size_t>(cycles * steps / every + 1),
-                "run: record has another shape, allowed: (N, cycles * steps / every + 1, M, 6)");
+                "run: record has a wrong shape, allowed: (N, cycles * steps / every + 1, M, 6)");
         jobs.push_back({times.data() + knots, coefficients.data() + 18 * rows,
                         static_cast<int>(own), static_cast<int>(steps), cycles, every,
                         {grounds(k, 0), grounds(k, 1), grounds(k, 2), grounds(k, 3), grounds(k, 4)},

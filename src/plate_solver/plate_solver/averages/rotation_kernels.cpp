@@ -24,7 +24,7 @@ static nb::object slopes_of_forces(Numbers theta, nb::tuple record, Numbers time
     check("position", position, {parts, 2}), check("velocity", velocity, {parts, 2});
     const Line line = line_from(times, knots);
     if (line.segments() != 2 * (*family).count() + 2)
-        throw nb::value_error("these are not the knots of so many rotations");
+        throw nb::value_error("the number of knots does not match the number of rotations");
     const Parameters own = family.parameters(theta);
     const std::vector<int> rows = rows_of(asked, parts);
     Matrix jacobian;
@@ -88,7 +88,7 @@ void bind_average_rotations(nb::module_& m) {
     m.def("mean_force_error", miss);
     m.def("short_tour", [](Table twists, Numbers half) {
         check("twists", twists, {twists.shape(0), 3}), check("half", half, {2});
-        if (twists.shape(0) == 0) throw nb::value_error("a tour begins somewhere");
+        if (twists.shape(0) == 0) throw nb::value_error("a tour needs at least one twist");
         const std::vector<int> tour = short_tour(changes(view(twists), half.data()));
         nb::list places;
         for (size_t k = 1; k < twists.shape(0); k++) places.append(tour[k]);

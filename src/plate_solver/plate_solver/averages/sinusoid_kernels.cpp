@@ -45,7 +45,7 @@ static Motions motions_of(nb::tuple rules_record, nb::handle basis, nb::tuple li
     const size_t size = span.shape(1), pieces = times.size() - 1, third = hull.shape(0) / 3;
     check("span", span, {span.shape(0), size}), check("hull", hull, {3 * third, size});
     check("spline", spline, {6 * pieces, size});
-    if (candidates < 1 || third == 0 || size == 0) throw nb::value_error("there is no motion");
+    if (candidates < 1 || third == 0 || size == 0) throw nb::value_error("there are no motions");
     return {
         .waves = matrix_of(rules.waves),
         .taylor = matrix_of(rules.taylor),

@@ -144,7 +144,7 @@ static void bind_blocks(nb::module_& m, const char* trace_name, const char* adjo
         check("twist", twist, {twist.shape(0), 3});
         check("by_twist", by_twist, {bins, blocks, axes, 3 * LANES});
         if (bins == 0 || twist.shape(0) % bins)
-            throw nb::value_error("the steps are no multiple of the bins");
+            throw nb::value_error("the number of steps is not a multiple of the number of bins");
         nb::gil_scoped_release others_may_run;
         ADJOINT(view(steps), samples(twist), dt, coast, view(by_twist));
     }, "steps"_a, "twist"_a, "dt"_a, "coast"_a, "by_twist"_a.noconvert());

@@ -18,10 +18,10 @@ public:
             check("an array of ends", *each, {size});
         check("pair", pair, {clear.size(), 2});
         if (parts < 0 || size < 2 * static_cast<size_t>(parts))
-            throw nb::value_error("there are more parts than ends");
+            throw nb::value_error("there are more parts than end coordinates");
         for (size_t k = 0; k < pair.size(); k++)
             if (pair.data()[k] < 0 || pair.data()[k] >= parts)
-                throw nb::value_error("a pair names a part that there is not");
+                throw nb::value_error("a pair contains the index of a part that does not exist");
     }
 
     Ends view() const {

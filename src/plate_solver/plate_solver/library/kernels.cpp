@@ -11,7 +11,7 @@ using nb::arg;
 static void check_basis(const View<const int64_t, 1>& basis, size_t columns) {
     for (int i = 0; i < basis.size(0); i++)
         if (basis(i) < 0 || basis(i) >= static_cast<int64_t>(columns))
-            throw nb::value_error("the basis has a column that there is not");
+            throw nb::value_error("the basis contains the index of a column that does not exist");
 }
 
 static int improve(Table matrix, Numbers wanted, Numbers price, Array<int64_t, 1> basis,

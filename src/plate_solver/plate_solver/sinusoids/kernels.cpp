@@ -31,7 +31,7 @@ static Looks looks_of(const Table& pose, const Table& twist, const Table& accel,
     check("twist", twist, {pose.shape(0), pose.shape(1)});
     check("accel", accel, {pose.shape(0), pose.shape(1)});
     if (tail < 0 || static_cast<size_t>(tail) >= pose.shape(0))
-        throw nb::value_error("the tail has as many instants as the motion");
+        throw nb::value_error("tail is not from 0 to the number of instants minus 1");
     const double heated = pose.shape(0) - tail;
     std::vector<double> weight(pose.shape(0), 1.0);
     std::fill(weight.end() - tail, weight.end(), 0.0);
@@ -48,7 +48,7 @@ static Motions motions_of(Table pose, Table twist, Table twist_bins, Table look_
     check("looks", look_pose, {look_pose.shape(0), size});
     check("scale", scale, {3});
     if (bins == 0 || pose.shape(0) % bins)
-        throw nb::value_error("the steps are no multiple of the bins");
+        throw nb::value_error("the number of steps is not a multiple of the number of bins");
     return {transposed<float>(pose), transposed<float>(twist), matrix_of<float>(twist_bins),
             looks_of(look_pose, look_twist, look_accel, tail), {scale(0), scale(1), scale(2)}, dt,
             limits_of(limits)};
@@ -77,10 +77,10 @@ static nb::tuple descend(const Motions& motions, const descent::Settling& settli
     if (!turning) check("start", start, {start.shape(0), STATE});
     const size_t parts = problem.ends.parts;
     if (ends != axes * parts || start.shape(0) * LANES < parts)
-        throw nb::value_error("the numbers of parts, blocks and ends do not belong together");
+        throw nb::value_error("the numbers of parts, blocks and ends do not match");
     if (settling.pose.columns != motions.steps() ||
         settling.looked.pose.columns != motions.looks.count())
-        throw nb::value_error("settling and motions do not belong together");
+        throw nb::value_error("the sizes of settling and motions do not match");
     check("theta", theta, {3 * static_cast<size_t>(motions.size())});
     FitOf<float> fit;
     {
