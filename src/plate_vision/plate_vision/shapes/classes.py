@@ -1,13 +1,13 @@
 """The type, position and angle of each patch.
 
-A patch's outline is compared with the outline of every type. Candidate angles come from the
-correlation of both spectra; then the type's polygon is fitted to the outline by least squares. The
-score of a type is a sum of squares: remaining distance of the outlines, difference in size, colour
-and holes, each in standard deviations. A part whose mirror image fits better lies on its other
-face, which is not its type.
+The outline of a patch is compared with the outline of every type. Candidate angles are determined
+by the correlation of the two spectra. Then the type's polygon is fitted to the outline by least
+squares. The score of a type is a sum of squares: the residual distance of the outlines, and the
+differences in size, colour and holes, each in standard deviations. If the mirror image of a type
+fits better, the part lies on its other face and does not count as this type.
 
-A nearest-neighbour search on Hu moments, size and colour names known parts equally well and faster.
-But it gives no angle, and it also gives names to objects without a type.
+A nearest-neighbour search on Hu moments, size and colour would recognise known parts equally well
+and faster. But it does not determine the angle, and it assigns types to unknown objects too.
 """
 
 from __future__ import annotations
@@ -32,18 +32,19 @@ from .patch import Patch
 from .shadows import MIN_PX, Lamp
 
 ASTRAY = 2.0
-"""Factor between the distance of a fit after two steps and its maximum final distance, above which
-the fit is abandoned."""
+"""Maximum distance of the outlines after two steps of a fit, relative to the maximum distance at
+its end. If the distance is larger, the fit is stopped."""
 
 FIT_PX = 0.35
-"""RMS distance of outlines of one type caused by pixels and noise [px]."""
+"""RMS (root mean square) distance between outlines of one type that pixels and noise cause [px]."""
 
 FIT_REACH = 0.025
-"""RMS distance of outlines of one type caused by perspective, light and manufacture, relative to
-the part's reach."""
+"""RMS distance between outlines of one type that perspective, light and manufacture cause, relative
+to the part's reach."""
 
 SIZE_PX = 0.6
-"""Standard deviation of the apparent size of an outline caused by blur, shadow, threshold [px]."""
+"""Standard deviation of the apparent size of an outline that blur, shadows and the threshold cause
+[px]."""
 
 SIZE_REACH = 0.025
 """Standard deviation of the apparent size of an outline, relative to the part's reach."""
@@ -52,59 +53,63 @@ COLOUR_LAB = 12.0
 """Standard deviation of the colours of one type [Lab]."""
 
 LIGHTNESS = 0.5
-"""Weight of differences in lightness, which depends on light and highlights."""
+"""Weight of differences in lightness. It is below 1, because lightness depends on the light and on
+highlights."""
 
 HOLES = 0.06
-"""Standard deviation of the fraction of a part that is a hole in its outline: highlights may look
-like holes, dark holes like the part."""
+"""Standard deviation of the fraction of a part that is a hole in its outline. It is large because
+highlights may look like holes, and dark holes may look like the part."""
 
 LIMIT = 3.0
-"""Maximum difference, in the standard deviations above. A patch farther from every type is
-unknown."""
+"""Maximum difference between a patch and its type, in the standard deviations above. If the
+difference to every type is larger, the patch is unknown."""
 
 OTHER_SIZE = 0.45
-"""Natural logarithm of the size ratio beyond which a patch is not of a type, independent of the
-type's scatter."""
-
-OTHER_SIZE_PX = 1.0
-"""Difference of the outlines [px] beyond which a patch is not of a type, independent of the type's
+"""Maximum size ratio (natural logarithm) of a patch and its type. It is independent of the type's
 scatter."""
 
+OTHER_SIZE_PX = 1.0
+"""Minimum difference between the outlines [px] for which `OTHER_SIZE` applies. It is independent of
+the type's scatter."""
+
 UNLIKE = 0.4
-"""Distance of forms, see `Outline.form`, above which a type is not tried. Parts of 20 px are up to
-0.07 from their own type, 0.14 if blurred by 1.5 px, and 0.1 (nut, washer) to 1.3 from others."""
+"""Maximum distance between the forms (see `Outline.form`) of a patch and a type that is tried. For
+parts of 20 px, the distance to their own type is up to 0.07, or 0.14 with a blur of 1.5 px. The
+distance to other types is 0.1 (nut and washer) to 1.3."""
 
 SLACK_PX = 0.5
 """Error of the growth of an outline that is estimated from the difference of two areas [px]."""
 
 OTHER_FACE = 1.0
-"""Reduction of the squared distance by the mirror image, in variances of an outline, above which a
-part lies on its other face. For a round, ragged part, either face may fit slightly better."""
+"""Minimum reduction of the squared distance by the mirror image, in variances of an outline, from
+which a part lies on its other face. It is above 0 because for a round part with an irregular edge,
+either face may fit slightly better."""
 
 HOPELESS = 12.0
-"""Excess over the best score, from size and colour alone, above which a type is not tried. Its
-likelihood is then 0.2 % of the likelihood of the best type."""
+"""Maximum excess of a type's score, computed from size and colour alone, over the best score. If
+the excess is larger, the type is not tried, because its likelihood is less than 0.2 % of the
+likelihood of the best type."""
 
 FILLED_COLOUR = 0.5
-"""Weight of the colour of a part whose hole is visible, but not in its outline."""
+"""Weight of the colour of a part whose hole is visible in the image, but missing in its outline."""
 
 CLEAN = 1.5
-"""Score below which a type with holes is not also tried without them."""
+"""Score below which a type with holes is not tried without its holes."""
 
 OUTLINE_ERROR, USUAL_FIT_PX = 0.3, 0.15
-"""Ratio of the position error to the distance between the outline and the type's outline; and this
-distance in a sharp image without motion blur, height or uneven light [px]."""
+"""Ratio between the position error and the distance from the outline to the type's outline; and
+this distance in a sharp image, without motion blur, with flat parts and in even light [px]."""
 
 SWELL_ERROR, USUAL_SWELL_PX = 0.5, 0.2
-"""Ratio of the position error to the growth of an outline, and typical growth [px]. A one-sided
-cause, such as an unknown height, displaces a part by more than the growth."""
+"""Ratio between the position error and the growth of an outline; and the typical growth [px]. A
+cause that acts on one side, such as an unknown height, displaces a part by more than the growth."""
 
 HEIGHT_ERROR_PX = 0.1
 """Standard deviation of a position on the plate along each axis after the correction for height
-[px]. The cause is that side faces differ in shade from the top."""
+[px]. This error occurs because side faces are darker or brighter than the top."""
 
 FEWEST_NAMED = 3
-"""Minimum number of parts with a type for a measurement of shadow length and growth."""
+"""Minimum number of parts with a type from which the shadow length and the growth are measured."""
 
 MIN_SWELL_PX, MAX_SWELL_PX = 0.3, 1.5
 """Range of the median growth of outlines that is corrected [px]."""
@@ -128,11 +133,15 @@ SIGHTING = np.dtype(
         ("blurred", "?"),
     ]
 )
-"""One part: centre and radius of the disc of the same area [px]; type, `UNKNOWN` or `GROUP`;
-confidence, 0 to 1; centre [m] and angle [rad] in plate_home; standard deviation of the angle [rad];
-whether it is completely in the image; RMS distance of its outline from the grown outline of its
-type [px]; growth of its outline [px]; distance of the colours; standard deviation of the position
-along each axis [m]; whether its type is unknown because the image is blurred."""
+"""One part that was seen in an image.
+
+x_px, y_px: centre [px]. radius_px: radius of the disc of the same area [px]. label: type, `UNKNOWN`
+or `GROUP`. confidence: 0 to 1. x, y: centre [m, plate_home]. angle: angle [rad, plate_home].
+angle_sd: standard deviation of the angle [rad]. whole: whether the part is completely in the image.
+fit_px: RMS distance between the part's outline and the grown outline of its type [px]. swell_px:
+growth of the outline [px]. colour: distance between the colours of the part and its type. place_sd:
+standard deviation of the position along each axis [m]. blurred: whether the type is unknown because
+the image is blurred."""
 
 
 def is_named(seen: np.ndarray) -> np.ndarray:
@@ -147,11 +156,12 @@ class Conditions:
     Attributes
     ----------
     lamp : Lamp, optional
-        The lamp that casts all shadows. If given, patches include shadows: see `segment`.
+        The lamp that casts all shadows. If it is given, patches include the shadows: see `segment`.
     background : Background, optional
-        The bare plate, for comparison with the image in holes that an outline lacks.
+        The bare plate. It is compared with the image in holes that are missing in an outline.
     swell_px : float
-        Distance by which outlines are larger than the parts [px], by blur, soft shadows, light.
+        Distance by which outlines are larger than the parts [px], because of blur, soft shadows or
+        light.
     settled : bool
         Whether lamp and growth were measured with parts of known types.
     """
@@ -179,7 +189,7 @@ def recognise(
     catalogue : Catalogue
         The types.
     calibration : Calibration
-        Mapping between the image and plate_home.
+        Transformation between the image and plate_home.
     conditions : Conditions, optional
         Imaging conditions; None: unknown.
 
@@ -199,8 +209,8 @@ def recognise_under(
 ) -> tuple[np.ndarray, Conditions]:
     """Recognise parts as `recognise` does. Also return the conditions measured with these parts.
 
-    All patches are compared again in two cases: if most outlines of parts with a type are larger
-    than their types, or if the shadows differ in length from the measurement without types.
+    All patches are compared a second time in two cases: if most outlines of parts with a type are
+    larger than their types, or if the length of the shadows was measured with the types.
     """
     outlines, colours = measure_patches(image, patches, calibration)
     found = _compared(image, patches, outlines, colours, catalogue, calibration, conditions)
@@ -221,7 +231,7 @@ def _compared(
     calibration: Calibration,
     conditions: Conditions,
 ) -> np.ndarray:
-    """Return the sightings (n,) SIGHTING of patches, given their outlines and colours (n, 3)."""
+    """Return the sightings (n,) SIGHTING of patches with these outlines and colours (n, 3)."""
     lamp, background, swell = conditions.lamp, conditions.background, conditions.swell_px
     found = np.zeros(len(outlines), SIGHTING)
     if not len(outlines):
@@ -255,7 +265,7 @@ def _compared(
         ]
         tint = np.array(tints)[which].swapaxes(0, 1)
         tint = np.nan_to_num(colour_distance(tint, catalogue.colour, image.ndim == 3))
-        # A hole filled by blur or shadow has the colour of its surround.
+        # A hole that blur or a shadow fills has the colour of its surround.
         holed = np.array([bool(one.part.holes) for one in catalogue.templates])
         weight = np.where(holed & (hole_check is not None), FILLED_COLOUR, 1.0)
         least = (weight * tint / COLOUR_LAB) ** 2 + np.maximum(swell_px - SLACK_PX, 0) ** 2 / size
@@ -272,7 +282,7 @@ def _compared(
         SWELL_ERROR * np.maximum(np.abs(found["swell_px"]) - USUAL_SWELL_PX, 0),
     )
     if lamp is not None:
-        # Half of the error of the shadow's length and edge is an error of the part.
+        # Half of the error of the shadow's length and edge is an error of the part's position.
         shadow_px = np.hypot(lamp.scatter_px, max(swell, MIN_SWELL_PX))
         error_px = np.hypot(error_px, 0.5 * shadow_px)
     if len(levels) > 1 or levels[0] > 0:
@@ -287,7 +297,7 @@ def height_levels(
     catalogue: Catalogue, calibration: Calibration
 ) -> tuple[list[float], np.ndarray, int]:
     """Return the distinct heights of types [m], the index of each type's height (T,), and the index
-    of the most frequent one. All heights are 0 if the camera's place is unknown."""
+    of the most frequent height. All heights are 0 if the camera's place is unknown."""
     height = catalogue.height if calibration.place is not None else np.zeros(len(catalogue.area))
     if not np.any(height):
         return [0.0], np.zeros(len(height), int), 0
@@ -298,9 +308,8 @@ def height_levels(
 def footprints(
     outlines: Sequence[Outline], calibration: Calibration, height: float, lamp: Lamp | None = None
 ) -> list[Outline]:
-    """Return the footprints of parts with a height [m]. The given outlines contain all that is
-    visible of the parts and of their shadows from a lamp. Outlines of lower objects are
-    unchanged."""
+    """Return the footprints of parts with a height [m]. The given outlines contain the visible
+    tops, side faces, and shadows from a lamp. Outlines of lower objects are returned unchanged."""
     if height == 0 and lamp is None:
         return list(outlines)
     centre = np.array([outline.centre for outline in outlines]).reshape(-1, 2)
@@ -322,8 +331,8 @@ def top_colours(
     height: float,
     otherwise: np.ndarray,
 ) -> np.ndarray:
-    """Return the colours CIE L, a, b (n, 3) of the tops of parts with a height [m], given their
-    footprints; `otherwise` (n, 3) if they are too small."""
+    """Return the colours CIE L, a, b (n, 3) of the tops of parts with these footprints and this
+    height [m]. If a top is too small, return its colour in `otherwise` (n, 3)."""
     found = otherwise.copy()
     below = calibration.place[:2] if calibration.place is not None else np.zeros(2)
     factor = 1.0 if calibration.place is None else magnified(calibration.place, height)
@@ -348,8 +357,8 @@ def measure_patches(
     calibration: Calibration,
     count: int = POINTS,
 ) -> tuple[list[Outline], np.ndarray]:
-    """Return the outlines of patches [m, plate_home], with `count` points around each, and their
-    colours CIE L, a, b (n, 3)."""
+    """Return the outlines of patches [m, plate_home], each with `count` points around it, and the
+    colours of the patches, CIE L, a, b (n, 3)."""
     rings, colours = [], []
     for patch in patches:
         here, mask = patch.windowed(image.shape)
@@ -369,14 +378,14 @@ def measure_patches(
 
 
 def to_lab(colour: np.ndarray) -> np.ndarray:
-    """Return CIE L, a, b (n, 3) of blue, green, red (n, 3), 0 to 255."""
+    """Convert colours from blue, green, red (n, 3), 0 to 255, to CIE L, a, b (n, 3)."""
     scaled = np.asarray(colour, np.float32).reshape(1, -1, 3) / 255
     return np.asarray(cv2.cvtColor(scaled, cv2.COLOR_BGR2Lab)[0], dtype=float)
 
 
 def colour_distance(a: np.ndarray, b: np.ndarray, coloured: bool) -> np.ndarray:
-    """Return the distances (...) of colours (..., 3) CIE L, a, b. Lightness has less weight; in an
-    image without colours only it counts."""
+    """Return the distances (...) between colours (..., 3) CIE L, a, b. Lightness has less weight
+    than a and b. In an image without colours, only the lightness is compared."""
     gap = (np.asarray(a) - np.asarray(b)) * (LIGHTNESS, 1.0 if coloured else 0, coloured)
     return np.asarray(np.sqrt(np.sum(gap**2, axis=-1)))
 
@@ -393,9 +402,9 @@ def _judge_one(
     hole_check: HoleCheck | None,
     swell: float,
 ) -> None:
-    """Fill in a sighting () SIGHTING. Given for each type (T,): the outline for its height; its
-    minimum score; variances of outline and size [px2]; distance of its colour. `swell` is the
-    growth of all outlines [px]."""
+    """Fill in a sighting () SIGHTING. Input for each type (T,): the outline for its height, its
+    minimum score, the variances of its outline and size [px2], and the distance of its colour.
+    `swell` is the growth of all outlines [px]."""
     best, second, chosen, kept = np.inf, np.inf, -1, np.empty(0)
     laid, points = catalogue.templates[0], outlines[0].points
     for j in np.argsort(least).tolist():
@@ -449,9 +458,9 @@ def _judge_one(
 def _ways_to_lay(
     template: Template, outline: Outline, hole_check: HoleCheck | None
 ) -> list[tuple[Template, Outline, float | None]]:
-    """Return the combinations of a type and an outline to fit. Each has a template, an outline and
-    the penalty of the holes in standard deviations. The penalty is None if it depends on the image
-    in the holes."""
+    """Return the combinations of a type and an outline that `_judge_one` fits. Each combination
+    consists of a template, an outline, and the penalty for the holes in standard deviations. The
+    penalty is None if it depends on the image in the holes."""
     own, seen = bool(template.part.holes), len(outline.ends) > 1
     plain = template, outline, 0.0
     filled = template.filled, outline.filled, None
@@ -468,7 +477,7 @@ def _settled(
     catalogue: Catalogue,
     calibration: Calibration,
 ) -> Conditions:
-    """Return the conditions measured with the parts that have a type (n,) SIGHTING."""
+    """Return the conditions, measured with those sightings (n,) SIGHTING that have a type."""
     named = np.flatnonzero(is_named(found) & found["whole"])
     if len(named) < FEWEST_NAMED:
         return replace(conditions, settled=True)
@@ -491,10 +500,11 @@ def _measured(
     catalogue: Catalogue,
     calibration: Calibration,
 ) -> Lamp:
-    """Return the lamp with the length of the shadows, from the sizes of the parts `named` (m,)
-    among sightings (n,) SIGHTING, and from the outlines of the parts with their shadows.
+    """Return the lamp with the measured length of the shadows. It is computed from the sizes of the
+    parts `named` (m,) among the sightings (n,) SIGHTING, and from the outlines of these parts with
+    their shadows.
 
-    Blur enlarges outlines on all sides. This growth is measured across the shadows.
+    Blur enlarges outlines on all sides. This growth is measured across the shadows and subtracted.
     """
     numbers = {one.part.name: j for j, one in enumerate(catalogue.templates)}
     centre = np.column_stack([found["x"], found["y"]])[named]
@@ -512,7 +522,9 @@ def _measured(
         seen, body = np.ptp(outlines[i].rings[0] @ axes, axis=0), np.vstack([base, top]) @ axes
         swell = seen[1] - np.ptp(body[:, 1])
         end = np.min(body[:, 0]) + seen[0] - swell
-        if end > np.max(body[:, 0]):  # if the shadow ends within the part, the part hides it
+        if end > np.max(
+            body[:, 0]
+        ):  # if the shadow ended within the part, the part would hide its end
             lengths.append(end - np.max((base @ axes)[:, 0]))
     if len(lengths) < FEWEST_NAMED:
         return lamp
@@ -524,8 +536,8 @@ def _measured(
 
 
 def note_type(row: np.void, part: PartType, fit: np.ndarray, scatter: float, scale: float) -> None:
-    """Write a type into a sighting () SIGHTING: `fit` (3,) is its x, y [m] and angle [rad],
-    `scatter` the standard deviation of the angle [rad]."""
+    """Write a type to a sighting () SIGHTING. `fit` (3,) is the part's x, y [m] and angle [rad],
+    and `scatter` is the standard deviation of the angle [rad]."""
     row["label"] = part.name
     row["x"], row["y"] = fit[:2]
     row["angle"], row["angle_sd"] = wrapped(fit[2], part.symmetry), scatter
@@ -535,12 +547,12 @@ def note_type(row: np.void, part: PartType, fit: np.ndarray, scatter: float, sca
 def angle_sd(
     template: Template, points: np.ndarray, fit: np.ndarray, scale: float, gate: float = np.inf
 ) -> float:
-    """Return the standard deviation [rad] of the angle of a type fitted to points (n, 2), at most
-    that of an unknown angle.
+    """Return the standard deviation [rad] of the angle of a type that is fitted to points (n, 2).
+    It is at most the standard deviation of an unknown angle.
 
-    It follows from the growth of the squared distances when the type is rotated by about a pixel.
-    If the points show a smaller growth than the type's own contour, its corners are blurred or
-    hidden and noise looks like corners, so the deviation is increased.
+    The deviation is computed from the increase of the squared distances when the type is rotated by
+    about a pixel. If this increase is smaller than for the type's own contour, the corners are
+    blurred or hidden, and noise may look like corners. Therefore, the deviation is then increased.
     """
     period = 2 * np.pi / max(template.part.symmetry, 1)
     most = period / np.sqrt(12)
@@ -551,8 +563,9 @@ def angle_sd(
 
 
 def wrapped(angle: float, symmetry: int) -> float:
-    """Return an angle [rad] in the range of a part that looks the same in `symmetry` directions: 0
-    to 2 pi / symmetry; 0 for a disc; -pi to pi without symmetry."""
+    """Return an angle [rad] in the range of a part that looks the same in `symmetry` directions.
+    The range is 0 to 2 pi / symmetry, or -pi to pi without symmetry (1). For a disc (0), the angle
+    is 0."""
     if symmetry == 0:
         return 0.0
     if symmetry == 1:

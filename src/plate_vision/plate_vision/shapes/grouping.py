@@ -1,8 +1,9 @@
-"""Decision which pieces of patches are parts. They are similar to other pieces in the image, or
-separated by a narrow neck.
+"""Decision which pieces of patches are parts. A piece is a part if it is similar to other pieces in
+the image, or if a narrow neck separates it from the rest of the patch.
 
-Most images show several parts of a kind. If a patch alone does not show whether it is one part or
-several, for example brackets that touch along a whole side, similar pieces elsewhere decide.
+Most images show several parts of the same kind. For some patches, it is not clear from the patch
+alone whether it is one part or several parts, for example brackets that touch along a whole side.
+In this case, similar pieces elsewhere in the image are used for the decision.
 """
 
 from __future__ import annotations
@@ -17,32 +18,38 @@ from .background import steepness
 from .splitting import split
 
 Traits = tuple[float, float, float]
-"""Area [px2], spread (second moment divided by the squared area) and solidity of a piece."""
+"""Traits of a piece: its area [px2], its spread (second moment divided by the squared area), and
+its solidity (filled fraction of its convex hull)."""
 
 Solid = tuple[np.ndarray, np.ndarray, np.ndarray]
-"""A patch: its pixels (h, w) bool, the fraction of each pixel that is part (h, w) float32, and the
-colours (h, w, C) uint8."""
+"""A patch: its pixels (h, w) bool, the fraction of each pixel that the part covers (h, w) float32,
+and the colours (h, w, C) uint8."""
 
 CONVEX = 0.93
 """Solidity above which patches are not split at necks."""
 
 CLEAR = 0.45
-"""Width of a neck, relative to the narrower side, below which both sides are always two parts."""
+"""Width of a neck, relative to the width of the narrower side. Below this width, the two sides are
+always two parts."""
 
 ALIKE = (0.12, 0.12, 0.06)
-"""Maximum differences of similar pieces: of area and spread, relative; and of solidity."""
+"""Maximum differences between similar pieces: the relative differences of area and spread, and the
+difference of solidity."""
 
 UNEQUAL = 0.5
-"""Relative size of one side of an unclear neck below which it belongs to the other side."""
+"""Minimum area of the smaller side of an unclear neck, relative to the larger side. A smaller side
+belongs to the larger side."""
 
 COMPACT = 0.85
 """Minimum solidity of both sides of an unclear neck if they are two parts."""
 
 MIN_GOOD = 0.35
-"""Minimum fraction of a split patch that is compact or similar to other pieces."""
+"""Minimum fraction of a patch's area that must be compact or similar to other pieces after the
+patch was split."""
 
 RATHER_ALIKE = (0.4, 0.3, 0.1)
-"""Maximum differences, as `ALIKE`, of pieces separated along inner edges, which are ragged."""
+"""Maximum differences, like `ALIKE`, for pieces that are separated along inner edges. They are
+larger because the contours of such pieces are irregular."""
 
 MEMBERS = 3
 """Minimum number of pieces of a kind that justifies a straight cut."""
@@ -51,31 +58,32 @@ MIN_DENT_PX = 1.2
 """Minimum depth of a concave corner at which a cut may begin [px]."""
 
 MAX_DENTS = 6
-"""Maximum number of concave corners of a piece, the deepest first."""
+"""Maximum number of concave corners of a piece that are used. The deepest ones are used."""
 
 LARGER = 1.5
 """Minimum area of a piece that may be several parts, relative to the smallest kind in the image."""
 
 DENTED = 0.9
-"""Solidity below which a large piece unlike all others counts as a group."""
+"""Solidity below which a large piece that is not similar to others counts as a group."""
 
 EDGES_PERCENT = (70, 80, 90)
-"""Percentages of the inner pixels of a piece that are not edges. The percentage that splits the
-piece best is used."""
+"""Percentages of the inner pixels of a piece that are not edges. All of them are tried, and the
+percentage that splits the piece best is used."""
 
 SMALLER = 0.5
-"""Minimum area of the kinds into which a piece is split along inner edges, relative to the typical
+"""Minimum area of a kind into which a piece is split along inner edges, relative to the typical
 kind."""
 
 COLOURS = (4, 8)
 """Numbers of colour clusters in a piece. Parts may touch where two clusters meet."""
 
 COLOUR_WEIGHTS = (0.5, 2.0, 2.0)
-"""Weights of L, a and b in these clusters. Light and shadow change the lightness."""
+"""Weights of L, a and b in these clusters. The weight of L is smaller because light and shadows
+change the lightness."""
 
 STEEP = 4.0
-"""Minimum gradient of an inner edge (Sobel), relative to the background's noise limit. An edge of
-twice the noise limit has this gradient."""
+"""Minimum gradient of an inner edge (Sobel filter), relative to the background's noise limit. An
+edge whose step is twice the noise limit has this gradient."""
 
 MIN_INNER = 40
 """Minimum number of inner pixels of a piece in which edges are searched."""
@@ -84,20 +92,21 @@ MIN_SEPARATED = 0.3
 """Minimum fraction of a piece that consists of compact pieces after a split along edges."""
 
 MIN_FRACTION = 0.5
-"""Minimum area of the rest of such a split, relative to the smallest piece, for it to be a
+"""Minimum area of the rest after such a split, relative to the smallest piece. A larger rest is a
 group."""
 
 MOSTLY = 0.5
-"""Fraction of pieces similar to others above which a dissimilar one may be a group."""
+"""Minimum fraction of pieces that must be similar to others. Only then, a piece that is not similar
+to others may be a group."""
 
 
 WORK = 12.0
 """Maximum number of pixels that all cuts within pieces may visit, relative to the number of the
-plate's pixels. This takes half a second. Heaps of 80 parts need as much."""
+plate's pixels. The maximum takes half a second and is needed for heaps of 80 parts."""
 
 PLATE_SIZED = 0.5
-"""Fraction of the plate above which a piece is not split. In this case, the light or the bare plate
-is wrong."""
+"""Maximum area of a piece that is split, relative to the area of the plate. If a piece is larger,
+the light or the bare plate is wrong."""
 
 
 LABEL_WORK = 0.1
@@ -106,13 +115,14 @@ LABEL_WORK = 0.1
 
 @dataclass
 class Work:
-    """Number of pixels that may still be visited. Because work is counted, results do not depend on
-    the computer's speed."""
+    """Number of pixels that may still be visited. Pixels are counted instead of time, so that
+    results do not depend on the computer's speed."""
 
     left: float
 
     def take(self, pixels: float) -> bool:
-        """Take a number of pixels if as many are left. Return whether they were taken."""
+        """Take a number of pixels if at least this number is left. Return whether they were
+        taken."""
         enough = pixels <= self.left
         if enough:
             self.left -= pixels
@@ -142,7 +152,7 @@ class Piece:
 
     @cached_property
     def traits(self) -> Traits:
-        """Area, spread and solidity of its pixels."""
+        """Area, spread and solidity of the piece."""
         return traits(self.inside)
 
     @property
@@ -152,7 +162,7 @@ class Piece:
 
     @property
     def solidity(self) -> float:
-        """Fraction of its convex hull that it fills [-]."""
+        """Fraction of the convex hull that the piece fills [-]."""
         return self.traits[2]
 
 
@@ -167,7 +177,7 @@ def traits(inside: np.ndarray) -> Traits:
     contours = cv2.findContours(pixels, cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE)[-2]
     contour = max(contours, key=len)
     hull = cv2.convexHull(contour)
-    # A contour runs through the centres of pixels, half a pixel inside the edge.
+    # A contour passes through the centres of pixels, which are half a pixel inside the edge.
     whole = cv2.contourArea(hull) + 0.5 * cv2.arcLength(hull, True) + 1
     return area, (moments["mu20"] + moments["mu02"]) / area**2, min(area / whole, 1.0)
 
@@ -182,8 +192,8 @@ def alike(one: Traits, other: Traits, spread: Traits = ALIKE) -> bool:
 
 
 def pieces_of(solids: list[Solid], least_area: float, limit: float, pixels: int) -> list[Piece]:
-    """Return the parts, and groups of parts, of which patches consist. A patch whose analysis would
-    take too much work is returned as a group.
+    """Return the parts and groups of parts of which patches consist. If the analysis of a patch
+    would visit too many pixels, the patch is returned as a group.
 
     Parameters
     ----------
@@ -225,8 +235,9 @@ def pieces_of(solids: list[Solid], least_area: float, limit: float, pixels: int)
 
 
 def _without_shreds(pieces: list[Piece], solids: list[Solid]) -> list[Piece]:
-    """Rejoin the pieces of a patch if too little of it is compact or similar to others, as in a
-    jagged part. More than two rejoined pieces are a group."""
+    """Rejoin the pieces of a patch if too little of the patch is compact or similar to other
+    pieces, for example in a part with a jagged outline. If more than two pieces are rejoined, the
+    result is a group."""
     kept: list[Piece] = []
     for rank in sorted({piece.rank for piece in pieces}):
         own = [piece for piece in pieces if piece.rank == rank]
@@ -246,9 +257,9 @@ def _without_shreds(pieces: list[Piece], solids: list[Solid]) -> list[Piece]:
 def _decided(labels: np.ndarray, necks: np.ndarray, rank: int, known: list[Traits]) -> list[Piece]:
     """Return the pieces of a patch that has unclear necks.
 
-    Both sides of such a neck are one part if they are together similar to a known one. Without
-    similar ones, they are one part if one side is far smaller, or not compact: a head, a knob, a
-    ragged end.
+    The two sides of such a neck are one part if both together are similar to a known piece. If
+    there is no similar piece, they are one part if one side is much smaller than the other or is
+    not compact. Such a side is, for example, a head, a knob or an irregular end.
     """
     sides = {k: traits(labels == k) for k in range(1, int(labels.max()) + 1)}
     parent = np.arange(len(sides) + 1)
@@ -264,7 +275,7 @@ def _decided(labels: np.ndarray, necks: np.ndarray, rank: int, known: list[Trait
             small, large = sorted((sides[one][0], sides[other][0]))
             compact = min(sides[one][2], sides[other][2]) > COMPACT
             joined = not all(twins) and (small < UNEQUAL * large or not compact)
-        # Join each side only once: a chain of small sides must not join large ones.
+        # Each side is joined only once, so that a chain of small sides does not join large ones.
         lesser = one if sides[one][0] < sides[other][0] else other
         if joined and np.count_nonzero(parent == parent[lesser]) == 1:
             parent[lesser] = parent[one + other - lesser]
@@ -281,8 +292,9 @@ def _cut_by_kind(
     pixels: int,
     work: Work,
 ) -> list[Piece]:
-    """Cut pieces into pieces similar to others, or along inner edges. A piece that is far larger
-    than the others, dented and dissimilar to all is a group."""
+    """Cut pieces into pieces that are similar to others, or along inner edges. A piece is a group
+    if it is much larger than the others, has concave corners, and is not similar to any other
+    piece."""
     kinds = [
         piece.traits
         for i, piece in enumerate(pieces)
@@ -321,7 +333,7 @@ def _along_edges(
     work: Work,
 ) -> list[Piece]:
     """Split a piece along inner edges, for example where parts of different colours touch. Return
-    the new pieces and the rest. If the edges separate no compact pieces, return the piece
+    the new pieces and the rest. If the edges do not separate compact pieces, return the piece
     itself."""
     if not work.take((len(EDGES_PERCENT) + len(COLOURS)) * piece.inside.size):
         piece.group = True
@@ -354,7 +366,7 @@ def _along_edges(
         if len(good) > 1 and parted > most:
             most = parted
             best = _shared_out(good, piece)
-    # The rest is split along its own edges.
+    # The rest is split along its own inner edges.
     return [
         part
         for one in best
@@ -367,7 +379,7 @@ def _along_edges(
 
 
 def _between_colours(colours: np.ndarray, inside: np.ndarray, count: int) -> np.ndarray:
-    """Return the pixels (h, w) bool at which the `count` main colours of a piece meet."""
+    """Return the pixels (h, w) bool where the `count` main colours of a piece meet."""
     lab = cv2.medianBlur(colours, 5)[inside].astype(np.float32)
     hue = np.arctan2(lab[:, 2] - 128, lab[:, 1] - 128)
     start = (count * (0.5 + hue / (2 * np.pi))).astype(np.int32) % count
@@ -384,8 +396,8 @@ def _between_colours(colours: np.ndarray, inside: np.ndarray, count: int) -> np.
 
 
 def _shared_out(good: list[Piece], piece: Piece) -> list[Piece]:
-    """Return the good pieces of a piece, with the rest assigned to the nearest of them. A rest as
-    large as the good pieces is a group."""
+    """Return the good pieces of a piece, with the rest assigned to the nearest of them. If a
+    connected rest is large compared with the good pieces, it is returned as a group."""
     nearest = _nearest([one.inside for one in good])
     rest = piece.inside & ~np.any([one.inside for one in good], axis=0)
     count, left = cv2.connectedComponents(rest.astype(np.uint8), connectivity=4)
@@ -400,14 +412,15 @@ def _shared_out(good: list[Piece], piece: Piece) -> list[Piece]:
 
 
 def _nearest(places: list[np.ndarray]) -> np.ndarray:
-    """Return the index (h, w) of the area (h, w) bool nearest to each pixel, the first if equal."""
+    """Return the index (h, w) of the area (h, w) bool that is nearest to each pixel. If several
+    areas are equally near, the first one is returned."""
     gaps = [cv2.distanceTransform((~one).astype(np.uint8), cv2.DIST_L2, 3) for one in places]
     return np.argmin(gaps, axis=0)
 
 
 def _halves(piece: Piece, kinds: list[Traits], work: Work) -> list[Piece] | None:
-    """Return the two pieces of a straight cut from a concave corner if both are similar to known
-    kinds; None otherwise."""
+    """Return the two pieces of a straight cut that starts at a concave corner, if both pieces are
+    similar to known kinds. Otherwise, return None."""
     if piece.area * (1 - ALIKE[0]) > 2 * max(kind[0] for kind in kinds):
         return None
     pixels = piece.inside.astype(np.uint8)
@@ -438,7 +451,7 @@ def _halves(piece: Piece, kinds: list[Traits], work: Work) -> list[Piece] | None
             sizes = np.bincount(labels.ravel(), minlength=3)[1:]
             if count < 3 or np.partition(sizes, -2)[-2] < 0.1 * piece.area:
                 continue
-            # The pixels of the cut belong to the nearer side.
+            # The pixels on the cut belong to the nearer side.
             nearest = _nearest([labels == k for k in 1 + np.argsort(-sizes)[1::-1]])
             halves = [Piece(piece.inside & (nearest == k), piece.rank, False) for k in (1, 0)]
             if all(sum(alike(half.traits, kind) for kind in kinds) >= MEMBERS for half in halves):
@@ -449,8 +462,9 @@ def _halves(piece: Piece, kinds: list[Traits], work: Work) -> list[Piece] | None
 
 
 def _across(points: np.ndarray, start: int) -> np.ndarray:
-    """Return the points of a contour (k, 2) to which a cut from point `start` may go: the local
-    minima of the distance that are near in a straight line, but far along the contour."""
+    """Return the points (k, 2) of a contour at which a cut from point `start` may end. They are
+    local minima of the distance from `start` that are near along a straight line, but far along the
+    contour."""
     gap = np.hypot(*(points - points[start]).T)
     around = np.arange(len(points))
     along = np.minimum((around - start) % len(points), (start - around) % len(points))

@@ -1,10 +1,10 @@
 """Separation of touching parts of taught types.
 
-Each type is placed at all positions and angles in a group. All of it must be inside the group, and
-much of its contour must coincide with the group's contour or with edges of colour. The best part is
-removed and the search repeated until nothing is left. If the removed parts do not cover the group,
-the next best ones are tried. A group that no parts cover remains a group, without the parts that
-are certain.
+Each type is placed at all positions and angles in a group. The whole part must be inside the group,
+and a large fraction of its contour must coincide with the group's contour or with edges of colour.
+The best part is removed, and the search is repeated until nothing is left. If the removed parts do
+not cover the group, the next best parts are tried. If no parts cover the group, it remains a group,
+but the parts that are certain are removed from it.
 """
 
 from __future__ import annotations
@@ -48,10 +48,12 @@ from .patch import Patch
 from .shadows import Lamp
 
 NEAR_PX: float = _kernels.NEAR_PX
-"""Maximum distance between the contours of a group and a part where they coincide [px]."""
+"""Maximum distance between the contours of a group and of a part for which they count as coincident
+[px]."""
 
 OUTSIDE_PX: float = _kernels.OUTSIDE_PX
-"""Maximum distance outside the group at which a point of a part is still accepted [px]."""
+"""Maximum distance of a part's point outside the group for which the point is still accepted
+[px]."""
 
 MAX_OUTSIDE: float = _kernels.MAX_OUTSIDE
 """Maximum fraction of a part that is outside the group."""
@@ -60,45 +62,47 @@ RIM_POINTS = 200
 """Number of points on the contour of a group."""
 
 ENOUGH_PX = 10.0
-"""Approximate maximum reach of the smallest type in the image in which parts are searched [px]:
-larger images are reduced."""
+"""Approximate maximum reach of the smallest type in the image in which parts are searched [px].
+Images with more pixels are reduced."""
 
 TOUCH_PX = 2
 """Maximum distance between patches that may belong to one part, or to one group [px]."""
 
 RIM_STEP_PX = 2.0
-"""Displacement of a part's contour between two angles that are tried [px]."""
+"""Displacement of a part's contour between two successive angles that are tried [px]."""
 
 STRIDE = 0.15
 """Step between positions that are tried, relative to the part's reach."""
 
 SEEN = 0.3
-"""Minimum fraction of a part's contour that coincides with the group's."""
+"""Minimum fraction of a part's contour that coincides with the group's contour."""
 
 CHOICES = 8
-"""Number of positions that are kept for each type: the best ones, apart from each other."""
+"""Maximum number of positions that are kept for each type. They are the best ones that are far
+enough from each other."""
 
 FIRST, TRIES = 3, 30
-"""Number of choices for each part of a group, and maximum number of combinations that are tried."""
+"""Maximum number of candidates for each part of a group; and maximum number of combinations that
+are tried."""
 
 MAX_PARTS = 12
 """Maximum number of parts in a group."""
 
 MAX_TRIES = 200
-"""Maximum number of combinations tried in all groups of an image: a heap may have dozens of
-groups."""
+"""Maximum number of combinations that are tried in all groups of an image together. It is limited
+because a heap may consist of dozens of groups."""
 
 COVERED = 0.88
-"""Minimum intersection of parts and group divided by their union."""
+"""Minimum ratio between the intersection of parts and group and their union."""
 
 SURE = 0.8
-"""Fraction of a part's contour that coincides with the group's above which the part is certain."""
+"""Minimum fraction of the contour of a certain part that coincides with the group's contour."""
 
 TWO = 1.6
-"""Minimum area of a group, relative to the smallest type: two blurred parts."""
+"""Minimum area of a group, relative to the smallest type. It is the area of two blurred parts."""
 
 LARGER = 1.1
-"""Area relative to the largest type above which a patch is not a single part of a type."""
+"""Maximum area of a single part of a type, relative to the largest type."""
 
 LEFT = 0.4
 """Minimum area of a rest that may be a part, relative to the smallest type."""
@@ -107,7 +111,7 @@ EDGE_STEP = 5.0
 """Minimum gradient of an edge of colour inside a group [grey levels/px]."""
 
 EDGE_DEPTH_PX = 3.0
-"""Distance from the group's contour beyond which such edges are searched [px]."""
+"""Minimum distance of such an edge from the group's contour [px]."""
 
 STEPS = 8
 """Number of Gauss-Newton steps for each part."""
@@ -115,8 +119,8 @@ STEPS = 8
 
 @dataclass(frozen=True, eq=False)
 class Found:
-    """A part in a group: template, x, y [m], angle [rad], visible fraction of its contour (0 to 1),
-    distance of its colour."""
+    """A part in a group: its template; its pose x, y [m], angle [rad]; the visible fraction of its
+    contour (0 to 1); and the distance of its colour from the type's colour."""
 
     template: Template
     pose: np.ndarray
@@ -148,7 +152,7 @@ class View:
     outline: Outline
 
     def seen(self, pose: np.ndarray, points: np.ndarray) -> np.ndarray:
-        """Return the image points (n, 2) [px, window] of points (n, 2) [m] of a part at a pose
+        """Return the places (n, 2) [px, window] of the points (n, 2) [m] of a part at a pose
         (3,)."""
         return to_home(pose, points) @ self.to_px[:, :2].T + self.to_px[:, 2]
 
@@ -183,7 +187,7 @@ def explain_groups(
     calibration: Calibration,
     conditions: Conditions | None = None,
 ) -> np.ndarray:
-    """Replace groups and patches without a type by parts of taught types if these explain them.
+    """Replace groups and patches without a type by parts of taught types, if such parts cover them.
     Return the sightings (n,) SIGHTING.
 
     Parameters
@@ -193,9 +197,9 @@ def explain_groups(
     seen : (m,) SIGHTING
         The sighting of each patch.
     catalogue, calibration, conditions
-        As for `recognise`.
+        As in `recognise`.
     """
-    # Patches at the border are incomplete; they may be the plate's edge.
+    # Patches at the border are not used, because they are incomplete or may be the plate's edge.
     settled = is_named(seen) | ~seen["whole"]
     if settled.all() or not catalogue.templates:
         return seen
@@ -229,8 +233,8 @@ def _places(seen: np.ndarray) -> np.ndarray:
 def _clusters(
     patches: Sequence[Patch], settled: np.ndarray, shape: tuple[int, int]
 ) -> list[np.ndarray]:
-    """Return the indices of patches by cluster: unsettled patches that touch each other, and the
-    settled patches next to them."""
+    """Return the indices of the patches in each cluster. A cluster consists of unsettled patches
+    that touch each other, and of the settled patches next to them."""
     owner = np.full(shape, -1, np.int32)
     for i, patch in enumerate(patches):
         owner[patch.place][patch.mask] = i
@@ -249,7 +253,7 @@ def _clusters(
 
 
 def _union(patches: Sequence[Patch]) -> Patch:
-    """Return patches as one patch, with the gaps between them closed."""
+    """Return several patches as one patch. The gaps between them are closed."""
     low = np.min([patch.corner for patch in patches], axis=0)
     high = np.max([np.array(patch.corner) + patch.mask.shape[::-1] for patch in patches], axis=0)
     mask = np.zeros((high - low)[::-1], np.uint8)
@@ -273,8 +277,8 @@ def _parts(
     tries: Work,
     conditions: Conditions | None,
 ) -> np.ndarray:
-    """Return the sightings (n,) SIGHTING of the parts of a group; empty if they do not explain it.
-    `one` (1,) is the sighting of the whole group."""
+    """Return the sightings (n,) SIGHTING of the parts of a group. The result is empty if no parts
+    cover the group. `one` (1,) is the sighting of the whole group."""
     outlines, _ = measure_patches(image, [union], calibration, RIM_POINTS)
     here, mask = union.windowed(image.shape)
     corner = here[1].start, here[0].start
@@ -292,7 +296,7 @@ def _parts(
     most = LARGER * float(np.max(catalogue.filled_area))
     doubtful = one["label"][0] == UNKNOWN and outlines[0].filled.area < most
     found = take_apart(_coarser(view, catalogue), catalogue, doubtful, tries)
-    # Fit again to the contour at full resolution.
+    # Fit the parts again to the contour at full resolution.
     found = [replace(part, pose=view.fitted(part.template, part.pose)) for part in found]
     left = view.mask
     for part in found:
@@ -311,8 +315,8 @@ def _parts(
 
 
 def _on_plate(view: View, calibration: Calibration, height: float, lamp: Lamp | None) -> View:
-    """Return a view of the footprint of a group of parts with a height [m], with the image of the
-    top shifted to the footprint."""
+    """Return a view of the footprint of a group of parts with a height [m]. The image of the parts'
+    tops is shifted to the footprint."""
     (outline,) = footprints([view.outline], calibration, height, lamp)
     mask = np.zeros_like(view.mask)
     for number, ring in enumerate(outline.rings):
@@ -330,8 +334,8 @@ def _on_plate(view: View, calibration: Calibration, height: float, lamp: Lamp | 
 
 
 def _pieces(left: np.ndarray, corner: tuple[int, int], least: float) -> list[Patch]:
-    """Return the connected pieces of the rest (h, w) uint8 of a group, in a window with this corner
-    [px], with at least `least` pixels each."""
+    """Return the connected pieces of the rest (h, w) uint8 of a group. Each piece has at least
+    `least` pixels. `corner` is the first pixel of the window in the image [px]."""
     _, labels, stats, _ = cv2.connectedComponentsWithStats(left, connectivity=4)
     pieces = []
     for label in range(1, len(stats)):
@@ -344,7 +348,7 @@ def _pieces(left: np.ndarray, corner: tuple[int, int], least: float) -> list[Pat
 
 
 def _coarser(view: View, catalogue: Catalogue) -> View:
-    """Return a view with fewer pixels if parts have more than needed."""
+    """Return a view with fewer pixels if the parts have more pixels than necessary."""
     factor = ENOUGH_PX / (view.scale * float(np.min(catalogue.reach)))
     height, width = view.mask.shape
     if factor > 0.7:
@@ -362,16 +366,18 @@ def _coarser(view: View, catalogue: Catalogue) -> View:
 def take_apart(
     view: View, catalogue: Catalogue, doubtful: bool = False, tries: Work | None = None
 ) -> list[Found]:
-    """Return the parts (x, y, angle in plate_home) of a group; empty if they are not found. If
-    `doubtful`, it may be a single part, and is a group only if parts cover it completely. `tries`
-    is the work left for this and other groups."""
+    """Return the parts of a group, with poses in plate_home. The result is empty if they are not
+    found. If `doubtful`, the group may be a single part, and parts are returned only if they cover
+    it completely. `tries` is the number of combinations that may still be tried for this and other
+    groups."""
     tries = tries or Work(TRIES)
     border = _edge_distances(view)
     least, most = np.array([np.min(catalogue.area), np.max(catalogue.area)]) * view.scale**2
     if np.count_nonzero(view.mask) > MAX_PARTS * most:
         return []
     choices = _candidates(view, catalogue, border, border)
-    # Best-first search: start with the best of each choice, then with one second best, and so on.
+    # Best-first search: first the best candidate of each choice is tried, then the second best
+    # candidate of one choice, and so on.
     open_: list[tuple[int, int, int, tuple[Found, ...], np.ndarray, list[Found]]] = []
     number = itertools.count()
     heapq.heappush(open_, (0, 0, 0, (), view.mask, choices))
@@ -395,7 +401,7 @@ def take_apart(
                 heapq.heappush(open_, more)
     if doubtful:
         return []
-    # Without a complete cover, remove the parts that are certain.
+    # If no parts cover the group completely, only the certain parts are returned.
     sure, free = [], border
     for part in choices:
         if part.seen > SURE and _fits(view, part, free, border):
@@ -414,8 +420,9 @@ def _covers(view: View, parts: Sequence[Found]) -> bool:
 
 
 def _edge_distances(view: View) -> np.ndarray:
-    """Return the signed distance (h, w) [px] from the group's contour, positive inside, and there
-    also from edges of colour."""
+    """Return the signed distance (h, w) [px] from the group's contour, positive inside. Inside the
+    group, it is the distance from the contour or from edges of colour, depending on which is
+    nearer."""
     smooth = cv2.GaussianBlur(view.pixels, (0, 0), 0.8)
     step = steepness(smooth) / 8
     border = _signed_distance(view.mask)
@@ -434,11 +441,11 @@ def _signed_distance(mask: np.ndarray) -> np.ndarray:
 
 
 def _without(view: View, left: np.ndarray, part: Found) -> np.ndarray:
-    """Return the rest (h, w) uint8 after removal of a part."""
+    """Return the rest (h, w) uint8 of a group after a part was removed."""
     own = view.drawn(part)
     rest = np.where(cv2.dilate(own, np.ones((3, 3), np.uint8)) > 0, 0, left).astype(np.uint8)
     small = np.ones((3, 3), np.uint8)
-    # Restore pixels that were removed along the part's contour.
+    # Restore pixels of the rest that were removed along the part's contour.
     grown = cv2.dilate(cv2.morphologyEx(rest, cv2.MORPH_OPEN, small), small)
     return np.asarray(grown & left & (1 - own))
 
@@ -446,8 +453,8 @@ def _without(view: View, left: np.ndarray, part: Found) -> np.ndarray:
 def _candidates(
     view: View, catalogue: Catalogue, free: np.ndarray, border: np.ndarray
 ) -> list[Found]:
-    """Return parts that fit into the free area (h, w), the best first. `border` (h, w) is the
-    signed distance from the group's contour [px]."""
+    """Return parts that fit into the free area (h, w). The best part comes first. `border` (h, w)
+    is the signed distance from the group's contour [px]."""
     free_area = np.count_nonzero(free > 0) / view.scale**2
     ranked = []
     for template, area, perimeter in zip(
@@ -489,7 +496,8 @@ def _tint(view: View, template: Template, pose: np.ndarray) -> float:
 def _placed(
     view: View, template: Template, free: np.ndarray, border: np.ndarray
 ) -> list[np.ndarray]:
-    """Return starting poses (3,) for the fit of a type to the group, the most likely first."""
+    """Return starting poses (3,) for the fit of a type to the group. The most likely pose comes
+    first."""
     part = template.part
     pole, depth = template.pole
     turns = np.zeros(1)
@@ -519,8 +527,9 @@ def _placed(
 def _support(
     view: View, template: Template, pose: np.ndarray, free: np.ndarray, border: np.ndarray
 ) -> tuple[float, float]:
-    """Return the fraction of a part's contour on the group's contour, minus the fraction outside;
-    and the fraction of its inner points outside the free area."""
+    """Return the fraction of a part's contour that is on the group's contour, minus the fraction
+    that is outside the group; and the fraction of the part's inner points that are outside the free
+    area."""
     found: tuple[float, float] = _kernels.support(
         free, border, view.to_px, template.samples, template.inner, pose
     )

@@ -1,17 +1,17 @@
-"""Footprints of parts with a height, from their images.
+"""Footprints of parts with a height, computed from the images of the parts.
 
-A camera at height H above the point c of the plate sees a point p at height z as if it were on the
-plate at
+For a camera at height H above the point c of the plate, a point p at height z appears at the
+following place of the plate:
 
     c + (p - c) H / (H - z).
 
-A part with the footprint F therefore covers t F for all t from 1 to k = H / (H - height), scaled
-about c: its top, and the side faces that face the camera. A point p belongs to the footprint if t p
-is covered for all these t. For a convex part this is exact. Narrow notches and holes are filled up
-by as much as the top is shifted.
+A part with the footprint F therefore covers t F (F scaled by t about c) for all t from 1 to
+k = H / (H - height). This area is the image of the top and of those side faces that are visible to
+the camera. A point p belongs to the footprint if t p is covered for all these t. For a convex part
+this is exact. The footprints of narrow notches and holes are too small by the shift of the top.
 
-The same holds for a part and the shadow from one lamp: together they cover the footprint shifted
-along the shadow by any fraction of it.
+The same method is used for a part and its shadow from one lamp. Together, they cover the footprint
+and all its displacements along the shadow, up to the shadow's length.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ from .. import _kernels
 from .outlines import Outline, make_outline
 
 FINE = 8
-"""Number of sub-pixels along each side of a pixel in which footprints are drawn."""
+"""Number of sub-pixels along each side of a pixel with which footprints are drawn."""
 
 STEP_PX = 1.0
 """Maximum shift between two heights that are evaluated [px]."""
@@ -35,15 +35,15 @@ FEWEST_POINTS = 12
 """Minimum number of points on a hole's contour."""
 
 MIN_SHIFT_PX = 0.02
-"""Shift of the top below which no correction is needed [px]."""
+"""Shift of the top below which no correction is made [px]."""
 
 MARGIN_PX = 3.31
-"""Width around a footprint in which it is drawn [px]. It is not a whole number of sub-pixels,
-because the centres of sub-pixels on an edge would belong to one side."""
+"""Width of the margin around a footprint in its drawing [px]. It is not a whole number of
+sub-pixels, because otherwise the centres of sub-pixels could be exactly on an edge."""
 
 
 BLUR_PX = 0.7
-"""Blur of a drawn footprint, so that its edge is found at any place between two pixels [px]."""
+"""Blur of a drawn footprint [px]. With the blur, the edge can be located between two pixels."""
 
 
 def magnified(place: np.ndarray, height: float) -> float:
@@ -70,7 +70,7 @@ def footprint(
     Parameters
     ----------
     outline : Outline
-        Outline of all that is visible of the part and its shadow, mapped to the plate.
+        Outline of the visible part and its shadow, transformed to the plate.
     place : (3,), optional
         Position of the camera [m, plate_home]; None: unknown.
     height : float
@@ -83,7 +83,8 @@ def footprint(
     Returns
     -------
     Outline or None
-        None if nothing remains because the part is lower or its shadow is shorter.
+        None if no area remains, because the part is lower than `height` or its shadow is shorter
+        than `shadow`.
     """
     rings = outline.rings
     seen = [rings]
@@ -123,15 +124,16 @@ def footprint(
 
 
 def _steps(shift_px: float) -> int:
-    """Return the number of places along a shift [px] to evaluate: one if it is too small."""
+    """Return the number of places along a shift [px] that are evaluated. It is 1 if the shift is
+    too small."""
     if shift_px < MIN_SHIFT_PX:
         return 1
     return int(min(np.ceil(shift_px / STEP_PX) + 1, MAX_STEPS))
 
 
 def _rings(cover: np.ndarray, count: int) -> list[np.ndarray]:
-    """Return the rings (k, 2) [px] at which a cover (h, w) float32 is 0.5: `count` points for the
-    largest patch, and the same density for its holes."""
+    """Return the rings (k, 2) [px] where a cover (h, w) float32 is 0.5. The ring around the largest
+    patch has `count` points, and the points on its holes have the same density."""
     mask = cv2.copyMakeBorder((cover >= 0.5).astype(np.uint8), 1, 1, 1, 1, cv2.BORDER_CONSTANT)
     contours, tree = cv2.findContours(mask, cv2.RETR_CCOMP, cv2.CHAIN_APPROX_NONE)
     outer = [i for i in range(len(contours)) if tree[0, i, 3] < 0 and len(contours[i]) >= 4]

@@ -1,8 +1,7 @@
-"""Holes of parts that are missing in a measured outline, because little light or a shadow is in
-them.
+"""Holes of parts that are missing in a measured outline, because they are dark or in a shadow.
 
 If a type with holes is fitted to a patch, the image inside each hole must look like the plate with
-less light: not brighter, and with the plate's chroma.
+less light. It must not be brighter than the plate, and must have the plate's chroma.
 """
 
 from __future__ import annotations
@@ -24,23 +23,24 @@ DARKEST = 0.4
 """Minimum lightness of a hole, relative to the plate [L + 41]."""
 
 CHROMA_LIMIT = 1.5
-"""Maximum deviation of a hole's chroma from the plate's chroma, relative to the deviation by the
-plate's noise."""
+"""Maximum deviation of a hole's chroma from the plate's chroma, relative to the maximum deviation
+of plate pixels."""
 
 SEEN = 0.3
-"""Penalty of a hole that is missing in the outline if it looks like the plate and unlike the part
-[standard deviations]."""
+"""Penalty for a hole that is missing in the outline, if the image in the hole looks like the plate
+and not like the part [standard deviations]."""
 
 UNSEEN = 2.0
-"""Penalty of such a hole if it looks like the plate and like the part [standard deviations]."""
+"""Penalty for such a hole if the image in the hole looks both like the plate and like the part
+[standard deviations]."""
 
 SPARSE = 16
-"""Step between rows and columns that are evaluated for the typical noise."""
+"""Step between the rows and columns that are evaluated for the typical noise."""
 
 
 @dataclass(frozen=True, eq=False)
 class HoleCheck:
-    """An image and the bare plate in the light of this image."""
+    """An image, and the bare plate in the light of this image."""
 
     image: np.ndarray
     background: Background
@@ -52,9 +52,9 @@ class HoleCheck:
         return float(np.median(self.background.limit[::SPARSE, ::SPARSE]))
 
     def penalty(self, template: Template, fit: np.ndarray) -> float | None:
-        """Return the penalty of a type with holes that is fitted at `fit` (3,) x, y [m], angle
-        [rad] to a patch without these holes. None if the image there does not look like the plate,
-        or if the type has no holes."""
+        """Return the penalty for a type with holes that is fitted to a patch without these holes.
+        `fit` (3,) is the pose x, y [m], angle [rad]. Return None if the image in the holes does not
+        look like the plate, or if the type has no holes."""
         if not template.part.holes:
             return None
         holes, plate = self._colours(to_home(fit[:3], template.hole_points), 0.0)
@@ -77,8 +77,8 @@ class HoleCheck:
         return SEEN if float(np.sqrt(gap @ gap)) > limit else UNSEEN
 
     def _colours(self, point: np.ndarray, height: float) -> tuple[np.ndarray, np.ndarray]:
-        """Return the colours (n, C) of the image and of the bare plate at points (m, 2) [m] at a
-        height [m]; n <= m of them are in the image."""
+        """Return the colours (n, C) of the image and of the bare plate at those n of the points (m,
+        2) [m] that are in the image. The points are at a height [m]."""
         place = self.calibration.place
         if height and place is not None:
             point = place[:2] + (point - place[:2]) * magnified(place, height)

@@ -24,7 +24,7 @@ void require_edges(const In<double, 2>& edges) {
     require(edges.shape(0) > 0 && edges.shape(1) == 5, "shape: edges (e, 5), e >= 1");
 }
 
-// Require that `ends` rises, and that each ring has points.
+// Throw an error unless the numbers in `ends` rise and each ring has points.
 void require_rings(const In<int64_t, 1>& ends, size_t points) {
     int64_t first = 0;
     for (size_t i = 0; i < ends.shape(0); first = ends(i), i++)
@@ -37,7 +37,7 @@ const Complex* as_spectrum(const In<std::complex<double>, 1>& spectrum) {
     return reinterpret_cast<const Complex*>(spectrum.data());
 }
 
-// Rows of numbers from records that contain only numbers.
+// Convert records that contain only numbers to rows of numbers.
 template <class Record>
 auto rows_of(const std::vector<Record>& records) {
     constexpr size_t WIDE = sizeof(Record) / sizeof(double);
@@ -113,7 +113,7 @@ void bind_outlines(nb::module_& m) {
                          bool turns, int steps, double hopeless, double gate) {
         require_edges(edges);
         require(points.shape(1) >= 2 && pose.shape(0) >= 3, "shapes: points (n, 2), pose (3,)");
-        require(steps >= 0 && steps <= 1000, "steps is not in 0 to 1000");
+        require(steps >= 0 && steps <= 1000, "steps: allowed: 0 to 1000");
         PoseFit fit;
         {
             nb::gil_scoped_release others_may_run;
@@ -242,7 +242,7 @@ void bind_segmentation(nb::module_& m) {
     m.def("find_basins", [](In<float, 2> depth, double neck, double least_drop, int levels,
                             Array<int32_t, 2> labels) {
         require(same_pixels(depth, labels), "shapes: depth and labels (h, w)");
-        require(levels >= 1, "levels is not at least 1");
+        require(levels >= 1, "levels: allowed: 1 or more");
         std::fill_n(labels.data(), labels.size(), 0);
         Basins found;
         {

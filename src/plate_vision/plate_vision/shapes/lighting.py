@@ -1,12 +1,14 @@
 """The light of one image on a known bare plate.
 
-Light and exposure multiply colours. In Lab this multiplies L + 41, a - 128 and b - 128 by one
-factor, because each is a difference of cube roots. A change of the light's own colour shifts a and
-b. The factor and both shifts are smooth surfaces, fitted to those pixels of the plate's region that
-agree with them, so parts have no effect.
+If the light or the exposure changes, all colours are multiplied by a factor. In Lab, this
+multiplies L + 41, a - 128 and b - 128 by one factor, because each of them is a difference of cube
+roots. If the colour of the light changes, a and b are shifted. The factor and both shifts are
+smooth surfaces. They are fitted to those pixels of the plate's region that agree with them, so that
+parts have no effect.
 
-Most of the plate may be covered, so the factor is a mode of the ratios of image to plate. The mode
-is chosen by the pixels that showed the plate in the previous image, and by the smallest change.
+Parts may cover more than half of the plate. Therefore, the factor is a mode (frequent value) of the
+ratios between image and plate. If there are several modes, the mode is preferred that agrees with
+pixels that showed the plate in the previous image, and that needs the smallest change.
 """
 
 from __future__ import annotations
@@ -22,20 +24,22 @@ from ..errors import ImageError
 from ..plate.region import Region
 
 LIGHTNESS_0: float = _kernels.LIGHTNESS_0
-"""L + 41 is proportional to the cube root of the light: the offset 16 of CIE's L (0 to 100)."""
+"""Offset of L (0 to 255). L plus this offset is proportional to the cube root of the light. The
+offset corresponds to 16 for CIE's L (0 to 100)."""
 
 FACTORS = (0.2, 5.0)
-"""Range of the light relative to the light on the known plate. With less light, the plate is as
-dark as parts. With more light, the image is overexposed."""
+"""Range of the light, relative to the light on the known plate. With less light, the plate would be
+as dark as parts. With more light, the image would be overexposed."""
 
 MIN_SHOWN = 0.15
-"""Minimum visible fraction of the plate. Parts may cover 60 %, shadows some of the rest."""
+"""Minimum visible fraction of the plate. Parts may cover 60 %, and shadows may cover some of the
+rest."""
 
 COVERED_WEIGHT = 0.25
 """Weight of pixels that did not show the plate in the previous image."""
 
 BIN = 0.02
-"""Width of the bins of the ratios' histogram, in their natural logarithm."""
+"""Width of the bins in the histogram of the ratios. It is a difference of natural logarithms."""
 
 SMOOTH = np.array([1, 2, 3, 2, 1]) / 9
 """Weights of the average over neighbouring bins."""
@@ -44,23 +48,24 @@ MODES = 4
 """Maximum number of modes."""
 
 MIN_MODE = 0.1
-"""Minimum height of a mode, relative to the largest."""
+"""Minimum height of a mode, relative to the highest mode."""
 
 APART = 3
-"""Minimum distance of modes [bins]."""
+"""Minimum distance between two modes [bins]."""
 
 PASSES = ((1, 25.0), (3, 25.0), (6, 15.0), (6, 0.0), (6, 0.0))
-"""Number of terms of the surfaces in each pass of the fit, and minimum of the deviation limit of
-its pixels [L]; 0: the limit of the plate's noise. The first two passes cover a light from one
-side."""
+"""Number of terms of the surfaces in each pass of the fit, and the minimum of the maximum deviation
+of its pixels [L]. With 0, the maximum deviation is the limit of the plate's noise. The first passes
+have larger deviations, so that a light from one side can be fitted."""
 
 STEADY = 0.6
-"""Fraction of the plate that agrees with the last light, above which no other light is searched,
-because no other light can explain more."""
+"""Fraction of the plate that agrees with the last light. From this fraction on, no other light is
+searched, because no other light can agree with more of the plate."""
 
 STEADY_LIMIT = 0.6
-"""A pixel agrees below this fraction of the plate's noise limit. If the light has changed slightly,
-the full limit would cut off half of the noise."""
+"""Maximum deviation of a pixel that agrees with the last light, relative to the limit of the
+plate's noise. It is below 1 because after a slight change of the light, the full limit would
+exclude half of the noise."""
 
 EVEN = np.zeros((6, 3), np.float32)
 """Surfaces of a light that equals the light on the background."""
@@ -68,23 +73,24 @@ EVEN[0, 0] = 1
 EVEN.setflags(write=False)
 
 RIDGE = 0.002
-"""Weight of a constant surface, relative to the weight of all pixels. It is needed if the plate is
-visible in only one corner."""
+"""Weight of the assumption that the surface is constant, relative to the weight of all pixels. It
+is necessary if the plate is visible in only one corner."""
 
 
 AMBIGUOUS = 0.3
-"""Value of a second light, relative to the best, above which the pixels that agree with each are
-compared. Pixels of the plate are connected; pixels of parts are many islands."""
+"""Minimum value of a second light, relative to the best light, from which the pixels that agree
+with the two lights are compared. Pixels of the plate are connected, but pixels of parts are many
+separate areas."""
 
 EVERY = 2
-"""Step between rows and columns in that comparison."""
+"""Step between the rows and columns that are used in this comparison."""
 
 UNSEEN_L = 0.5
 """Maximum change of colours that is ignored [L]. It is half of their resolution, which is 1."""
 
 LIGHT_POWER = 3 / 2.2
-"""Exponent of the light for a factor in Lab: Lab uses the cube root of the light, and grey levels
-its root by a gamma of 2.2."""
+"""Exponent that converts a factor in Lab to a factor of grey levels. Lab is proportional to the
+cube root of the light, and grey levels are proportional to the light to the power of 1 / 2.2."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -94,8 +100,8 @@ class Light:
     Attributes
     ----------
     surface : (6, C) float32
-        Coefficients (`region.quadratic`) of the factor, and of the shifts of a and b [L]; C = 1 for
-        grey levels, else 3.
+        Coefficients (`region.quadratic`) of the factor and of the shifts of a and b [L]. C is 1 for
+        grey levels and 3 for colours.
     shown : (K,) bool
         Whether each of `Region.samples` shows the plate.
     """
@@ -105,14 +111,14 @@ class Light:
 
     @property
     def factor(self) -> float:
-        """Light in the middle of the plate, relative to the background's [-]."""
+        """Light in the middle of the plate, relative to the background's light [-]."""
         middle = float(self.surface[0, 0])
         return middle if self.surface.shape[1] == 1 else middle**LIGHT_POWER
 
 
 @dataclass(frozen=True, eq=False)
 class Lit:
-    """Colours of an image and of the bare plate in a region, for comparison.
+    """An image and the bare plate in a region, whose colours are compared.
 
     Attributes
     ----------
@@ -138,7 +144,8 @@ class Lit:
     region: Region
 
     def connected(self, surface: np.ndarray) -> float:
-        """Return the largest connected fraction of the pixels that agree with a light (6, C)."""
+        """Return the fraction of the pixels agreeing with a light (6, C) that the largest connected
+        area contains."""
         every = np.s_[::EVERY, ::EVERY]
         lab, bare = self.convert(self.image[every]), np.ascontiguousarray(self.bare[every])
         x, y, unit = self.region.samples.place
@@ -168,7 +175,7 @@ def fit_light(lit: Lit, before: Light | None = None) -> Light:
     limit = lit.limit[rows, columns].astype(np.float32)
     origin = np.array([0.0] if seen.shape[1] == 1 else [-LIGHTNESS_0, 128, 128], np.float32)
     weight = np.ones(len(rows))
-    # If the numbers differ, the plate has moved.
+    # If the numbers of pixels differ, the region of the plate has changed.
     if before is not None and len(before.shown) == len(rows):
         weight[~before.shown] = COVERED_WEIGHT
     last = EVEN[:, : seen.shape[1]] if before is None else before.surface
@@ -182,7 +189,7 @@ def fit_light(lit: Lit, before: Light | None = None) -> Light:
     modes = _modes(ratio, weight, seen.shape[1])
     level = float(np.median(seen[:, 0])) - origin[0]
     for mode in modes:
-        # Exclude parts that are nearly as bright as the plate.
+        # The limits are reduced so that parts that are nearly as bright as the plate are excluded.
         gap = min((abs(mode - other) for other in modes if other != mode), default=np.inf)
         surface, kept = _fitted(
             *colours,
@@ -202,17 +209,17 @@ def fit_light(lit: Lit, before: Light | None = None) -> Light:
     if share < MIN_SHOWN:
         low, high = FACTORS
         raise ImageError(
-            f"light: {100 * share:.0f} % of the plate look like the bare plate, allowed: "
+            f"light: {100 * share:.0f} % of the plate looks like the bare plate, allowed: "
             f"{100 * MIN_SHOWN:.0f} % or more, at {100 * low:.0f} to {100 * high:.0f} % of the "
             "light during learning of the bare plate (is the light on? Was the camera moved? "
-            "Otherwise call ~/learn_plate with an empty plate)"
+            "If neither is the cause, call ~/learn_plate with an empty plate)"
         )
     return Light(likely[0][1], likely[0][2])
 
 
 def relit(bare: np.ndarray, light: Light, region: Region) -> np.ndarray:
-    """Return the colours (H, W, C) uint8 of the bare plate in a light; unchanged if the light is
-    the same."""
+    """Return the colours (H, W, C) uint8 of the bare plate in a light. They are unchanged if the
+    light is the same."""
     change = region.samples.design.T @ light.surface
     if (
         np.max(np.abs(255 * (change[:, 0] - 1))) + np.max(np.abs(change[:, 1:]), initial=0)
@@ -253,9 +260,9 @@ def _fitted(
     start: np.ndarray,
     passes: tuple[tuple[int, float], ...],
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Return the surfaces (6, C) that map known colours (K, C) to seen ones (K, C), both minus
-    their `origin` (C,), and which pixels (K,) agree. The iteration starts from `start` (6, C);
-    `passes` as `PASSES`."""
+    """Return the surfaces (6, C) that transform known colours (K, C) to seen colours (K, C), and
+    which pixels (K,) agree with them. The `origin` (C,) is subtracted from all colours. The
+    iteration starts from `start` (6, C). `passes` has the same form as `PASSES`."""
     channels = seen.shape[1]
     surface = start.copy()
     mean = max(float(np.mean(known[:, 0])), 1.0)
@@ -285,7 +292,7 @@ def _away(
     design: np.ndarray,
     surface: np.ndarray,
 ) -> np.ndarray:
-    """Return the deviation (K,) [L] of the seen colours from the known ones in a light."""
+    """Return the deviation (K,) [L] of the seen colours from the known colours in a light."""
     change = design @ surface
     lit = known * change[:, :1]
     lit[:, 1:] += change[:, 1:]

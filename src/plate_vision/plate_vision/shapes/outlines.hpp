@@ -1,4 +1,5 @@
-// Outlines of patches to a fraction of a pixel, and fits of polygons to them: see outlines.py.
+// Outlines of patches with an accuracy of a fraction of a pixel, and fits of polygons to them: see
+// outlines.py.
 #pragma once
 #include <algorithm>
 #include <array>
@@ -15,24 +16,27 @@
 
 namespace plate {
 
-// Number of harmonics of an outline's spectrum that are compared, from 0. A hexagon differs from a
-// disc in the 6th and 12th, a square in the 4th, 8th, 12th and 16th.
+// Number of harmonics of an outline's spectrum that are compared, starting with the 0th. A hexagon
+// differs from a disc in the 6th and 12th harmonic, and a square differs from it in the 4th, 8th,
+// 12th and 16th.
 constexpr int HARMONICS = 17;
 
-// Distance to both sides of a patch's contour in which its edge is searched [px], and number of
-// samples there.
+// Distance on both sides of a patch's contour up to which its edge is searched [px], and number of
+// samples in this range.
 constexpr double REACH_PX = 2.5;
 constexpr int STEPS = 11;
 
-// Minimum difference between both ends of these samples for an edge, relative to the difference of
-// part and surround. Where parts touch, there is no edge. There, the patch's contour is used.
+// Minimum difference between the first and the last of these samples at an edge, relative to the
+// difference between part and surround. Where parts touch, there is no edge, and the patch's
+// contour is used instead.
 constexpr double MIN_STEP = 0.25;
 
-// Maximum contribution of a point to a squared distance [squares of the unit, and of a tenth of the
-// part's reach]: outliers count, but to a limited extent.
+// Maximum contribution of a point to a squared distance, relative to the sum of two squares: the
+// square of the unit and the square of a tenth of the part's reach. It limits the effect of
+// outliers.
 constexpr double CLIP = 16.0;
 
-// Change below which a fit has converged [units of the fit, mostly pixels].
+// Change below which a fit has converged [units of the fit, usually pixels].
 constexpr double STILL = 0.003;
 
 // Minimum assumed RMS deviation of points from a type's outline [units].
@@ -53,11 +57,11 @@ struct Complex {
     void operator+=(const Complex& more) { real += more.real, imag += more.imag; }
 };
 
-// Write the similarity of pixels (h, w, c) to a patch, 1 for the patch and 0 for its surround, into
-// `field` (h, w), and the patch's median colour into `colour` (c,).
+// Write the similarity of pixels (h, w, c) to a patch to `field` (h, w). It is 1 for the patch and
+// 0 for its surround. Write the patch's median colour to `colour` (c,).
 //
-// `mask`, `inner` and `around` (h + 2, w + 2) have a frame of one pixel. They are 1 in the patch,
-// in its certain part, and in the area that may belong to it.
+// `mask`, `inner` and `around` (h + 2, w + 2) have a frame of one pixel. `mask` is 1 in the patch,
+// `inner` in the area that certainly belongs to it, and `around` in the area that may belong to it.
 inline void contrast(View<const uint8_t, 3> pixels, View<const uint8_t, 2> mask,
                      View<const uint8_t, 2> inner, View<const uint8_t, 2> around,
                      View<float, 2> field, double* colour) {
@@ -111,9 +115,9 @@ inline double sample(View<const float, 2> field, double x, double y) {
            v * ((1 - u) * field(j + 1, i) + u * field(j + 1, i + 1));
 }
 
-// Write points (count, 2), evenly spaced, at which a field crosses half of its step near a ring (k,
-// 2). The ring consists of the outermost pixels of a patch, or of the pixels around a hole, in a
-// frame of one pixel.
+// Write evenly spaced points near a ring (k, 2) to `thinned` (count, 2). At each point, the field
+// has the mean of its values inside and outside the ring. The ring consists of the outermost pixels
+// of a patch, or of the pixels around a hole. Its coordinates include a frame of one pixel.
 inline void find_edge(View<const float, 2> field, View<const int32_t, 2> ring, bool hole,
                       View<double, 2> thinned) {
     struct Point {
@@ -136,7 +140,7 @@ inline void find_edge(View<const float, 2> field, View<const int32_t, 2> ring, b
         moved[i] = here;
         if (length == 0) continue;
         x /= length, y /= length;
-        // The edge of the patch is between the centres of two pixels.
+        // The edge of the patch is expected half-way between the centres of two pixels.
         const double step = 0.5 / std::max(std::abs(x), std::abs(y));
         const auto level = [&](double way) {
             return sample(field, here.x + way * x, here.y + way * y);
@@ -183,8 +187,8 @@ struct OutlineMeasures {
     std::array<Complex, HARMONICS> spectrum;
 };
 
-// Bring rings of points (n, 2) into their sense of rotation, in place, and measure them. `ends`
-// (k,) are the ends of the rings.
+// Measure rings of points (n, 2). If the points of a ring have the wrong sense of rotation, their
+// order is reversed. `ends` (k,) are the end indices of the rings.
 inline OutlineMeasures measure_outline(View<double, 2> points, View<const int64_t, 1> ends) {
     double whole = 0, x = 0, y = 0;
     const double x0 = points(0, 0), y0 = points(0, 1);
@@ -220,7 +224,7 @@ inline OutlineMeasures measure_outline(View<double, 2> points, View<const int64_
             if (square == 0) continue;
             const double radius = std::sqrt(square);
             const Complex turn{mx / radius, -my / radius};
-            // r^4 / 4 d(phi); r^2 d(phi) is twice the area of the triangle.
+            // The term is r^4 / 4 d(phi), where r^2 d(phi) is twice the area of the triangle.
             Complex term{0.25 * square * (ax * by - bx * ay), 0};
             for (Complex& wave : found.spectrum) {
                 wave += term;
@@ -251,11 +255,11 @@ inline std::vector<double> outline_edges(View<const double, 2> points,
     return edges;
 }
 
-// Points and their distances from edges, padded to a multiple of POINTS.
+// Points and their distances from edges. The arrays are padded to a multiple of POINTS.
 struct Places {
     int size;
     std::vector<double> x, y;
-    // Signed distance; components of the unit vector along which it grows.
+    // Signed distance, and the components of the unit vector in whose direction it increases.
     std::vector<double> distance, right, down;
 
     explicit Places(int count) : size(count) {
@@ -265,7 +269,8 @@ struct Places {
     int padded() const { return x.size(); }
 };
 
-// The nearest edge found so far for each point: squared distance, index, vector from the edge.
+// The nearest edge that was found so far for each point: its squared distance, its index, and the
+// vector from the edge to the point.
 struct Nearest {
     double least[POINTS], edge[POINTS] = {}, right[POINTS] = {}, down[POINTS] = {};
 
@@ -280,8 +285,9 @@ struct Nearest {
     }
 };
 
-// Compute the signed distances of points from edges (e, 5), positive outside, and their gradients
-// (unit vectors). An edge of negative length is a circle of that radius around its start.
+// Compute the signed distances of points from edges (e, 5), positive outside, and the gradients of
+// the distances (unit vectors). An edge with negative length is a circle around its start. Its
+// radius is the absolute value of the length.
 PLATE_WIDE inline void edge_distances(View<const double, 2> edges, Places& places) {
     for (int first = 0; first < places.padded(); first += POINTS) {
         const double *__restrict x = &places.x[first], *__restrict y = &places.y[first];
@@ -304,8 +310,8 @@ PLATE_WIDE inline void edge_distances(View<const double, 2> edges, Places& place
                 const double vx = x[i] - x0, vy = y[i] - y0, across = ux * vy - uy * vx;
                 const double along = std::min(std::max(vx * ux + vy * uy, 0.0), length);
                 const double dx = vx - along * ux, dy = vy - along * uy;
-                // If two edges meet at the nearest point, the one with the larger distance from its
-                // line determines the sign.
+                // If two edges meet at the nearest point, the sign is determined by the edge whose
+                // line is farther from the point.
                 nearest.keep(i, dx * dx + dy * dy - 1e-6 * across * across, e, dx, dy);
             }
         }
@@ -314,7 +320,7 @@ PLATE_WIDE inline void edge_distances(View<const double, 2> edges, Places& place
             const double vx = x[i] - edge[0], vy = y[i] - edge[1];
             double ux = edge[2], uy = edge[3], side;
             if (edge[4] < 0) {
-                // The outward direction, and the direction perpendicular to it.
+                // The direction of the edge is perpendicular to the outward direction.
                 const double size = std::max(std::sqrt(vx * vx + vy * vy), 1e-12);
                 ux = -vy / size, uy = vx / size;
                 side = size > -edge[4] ? 1 : -1;
@@ -353,17 +359,17 @@ PLATE_WIDE inline void rim_distances(View<const double, 2> edges, Places& places
     }
 }
 
-// Result of `fit_pose`: x, y [m], angle [rad]; mean distance of the points outside the polygon [m];
-// root mean square residual [m].
+// Result of `fit_pose`: x, y [m], angle [rad]; mean signed distance of the points from the polygon,
+// positive outside [m]; root mean square residual [m].
 struct PoseFit {
     double x, y, angle, swell, rest;
 };
 
-// Fit a polygon, edges (e, 5), to points (n, 2) by Gauss-Newton steps: see `fit_pose` of
+// Fit a polygon with edges (e, 5) to points (n, 2) by Gauss-Newton steps: see `fit_pose` of
 // outlines.py.
 //
-// The error of a point is its signed distance from the polygon minus the growth. Its weight is
-// min(1, unit / |error|) (Huber).
+// The error of a point is its signed distance from the polygon minus the growth. The weight of a
+// point is min(1, unit / |error|) (Huber's weight).
 inline PoseFit fit_pose(View<const double, 2> edges, View<const double, 2> points,
                         const double* pose, double unit, bool turns, int steps, double hopeless,
                         double gate) {

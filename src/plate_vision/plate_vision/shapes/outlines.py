@@ -1,7 +1,8 @@
-"""Outlines of patches to a fraction of a pixel, their spectra, and fits of polygons to them.
+"""Outlines of patches with an accuracy of a fraction of a pixel, their spectra, and fits of
+polygons to them.
 
-The rings of an outline run with the part on their left: counter-clockwise around the part,
-clockwise around its holes, as seen in plate_home, where y points to the left of x.
+The part is always on the left of an outline's rings. In plate_home, where y points to the left of
+x, the outer ring is counter-clockwise, and the rings around holes are clockwise.
 """
 
 from __future__ import annotations
@@ -16,14 +17,16 @@ import numpy as np
 from .. import _kernels
 
 HARMONICS: int = _kernels.HARMONICS
-"""Number of harmonics of an outline's spectrum that are compared, from 0. A hexagon differs from a
-disc in the 6th and 12th, a square in the 4th, 8th, 12th and 16th."""
+"""Number of harmonics of an outline's spectrum that are compared, starting with the 0th. A hexagon
+differs from a disc in the 6th and 12th harmonic, and a square differs from it in the 4th, 8th, 12th
+and 16th."""
 
 POINTS = 64
-"""Number of points on the contour of a patch: 1 px apart for a part of 20 px."""
+"""Number of points on the contour of a patch. For a part of 20 px, they are 1 px apart."""
 
 MIN_HOLE = 0.02
-"""Minimum area of a hole, relative to the part. A highlight may look like a smaller hole."""
+"""Minimum area of a hole, relative to the part. Smaller holes are ignored, because highlights may
+look like them."""
 
 FEWEST_POINTS = 12
 """Minimum number of points on a hole's contour."""
@@ -39,15 +42,16 @@ class Outline:
     Attributes
     ----------
     points : (n, 2)
-        Points on the contour, holes included [m, plate_home].
+        Points on the contour, including the contours of holes [m, plate_home].
     ends : (k,) int
         End index of each ring in `points`.
     area : float
         Area without the holes [m2].
     centre : (2,)
-        Centroid of that area [m].
+        Centroid of the area [m].
     spectrum : (HARMONICS,) complex
-        Moments about the centroid by direction: the integral of r^2 exp(-i k phi) over the area.
+        Moments about the centroid: the integral of r^2 exp(-i k phi) over the area, with k = 0 to
+        HARMONICS - 1 and the direction phi.
     """
 
     points: np.ndarray
@@ -58,12 +62,13 @@ class Outline:
 
     @property
     def rings(self) -> list[np.ndarray]:
-        """The rings (k, 2) [m], the outer one first."""
+        """The rings (k, 2) [m]. The outer ring comes first."""
         return np.split(self.points, self.ends[:-1])
 
     @cached_property
     def edges(self) -> np.ndarray:
-        """Edges (e, 5) of its polygon: start x, y [m], unit vector along it, length [m]."""
+        """Edges (e, 5) of the outline's polygon: start x, y [m], unit vector along the edge, length
+        [m]."""
         return np.asarray(_kernels.outline_edges(self.points, self.ends))
 
     @cached_property
@@ -73,14 +78,14 @@ class Outline:
 
     @cached_property
     def form(self) -> np.ndarray:
-        """Magnitudes of its spectrum without holes, harmonics 1 and up relative to the 0th:
-        (HARMONICS - 1,). Invariant to rotation and size."""
+        """Magnitudes (HARMONICS - 1,) of the spectrum without holes: harmonics 1 and higher,
+        relative to the 0th. They do not depend on rotation and size."""
         size = np.abs(self.filled.spectrum)
         return np.asarray(size[1:] / size[0])
 
     @property
     def hole_fraction(self) -> float:
-        """Area of the holes, relative to the area without holes [-]."""
+        """Area of the holes, relative to the area inside the outer ring [-]."""
         return 1 - self.area / self.filled.area
 
     @property
@@ -90,8 +95,8 @@ class Outline:
 
 
 def make_outline(rings: Sequence[np.ndarray]) -> Outline:
-    """Measure rings (k, 2) [m] with any sense of rotation: the first one around the part, the
-    others around its holes."""
+    """Measure rings (k, 2) [m] with any sense of rotation. The first ring is around the part, and
+    the other rings are around its holes."""
     points = np.concatenate(rings).astype(float)
     ends = np.cumsum([len(ring) for ring in rings])
     spectrum = np.empty(HARMONICS, complex)
@@ -102,15 +107,15 @@ def make_outline(rings: Sequence[np.ndarray]) -> Outline:
 def patch_rings(
     mask: np.ndarray, window: np.ndarray, count: int = POINTS
 ) -> tuple[list[np.ndarray], np.ndarray]:
-    """Return the rings (k, 2) [px of the window] around a patch and its holes, and its colour:
-    medians of blue, green, red (3,).
+    """Return the rings (k, 2) [px of the window] around a patch and its holes, and the patch's
+    colour: the medians of blue, green, red (3,).
 
-    Each point is at the place where the image is halfway between the part and its surround.
+    Each point is at the place where the image has the mean of the part's and the surround's colour.
 
     Parameters
     ----------
     mask : (h + 2, w + 2) uint8
-        1 in the patch, 0 elsewhere, with a frame of 0.
+        1 in the patch, 0 elsewhere and in a frame of one pixel.
     window : (h, w, 3) or (h, w) uint8
         The image in the window.
     count : int
@@ -139,8 +144,8 @@ def patch_rings(
 
 
 def distances(edges: np.ndarray, points: np.ndarray) -> np.ndarray:
-    """Return the signed distances of points (n, 2) from a polygon's edges (e, 5), and their
-    gradients (unit vectors): (n, 3)."""
+    """Return the signed distances of points (n, 2) from a polygon's edges (e, 5), and the gradients
+    of the distances (unit vectors): (n, 3)."""
     found: np.ndarray = _kernels.distances(edges, points)
     return found
 
@@ -154,18 +159,19 @@ def fit_pose(
     steps: int,
     gate: float = np.inf,
 ) -> np.ndarray:
-    """Fit a polygon to points by Gauss-Newton steps. Its outline may grow or shrink evenly.
+    """Fit a polygon to points by Gauss-Newton steps. The polygon's outline may grow or shrink
+    evenly.
 
     Parameters
     ----------
     edges : (e, 5)
-        Edges of the polygon in its own frame [m], see `Outline.edges`.
+        Edges of the polygon in its own frame [m] (see `Outline.edges`).
     points : (n, 2)
         Points on a contour [m].
     pose : (3,)
         Starting pose: x, y [m], angle [rad].
     unit : float
-        Distance above which a point has less weight [m]: about one or two pixels.
+        Distance above which a point has less weight [m]. It should be one or two pixels.
     turns : bool
         Whether the angle is fitted. False for a disc.
     steps : int
@@ -178,7 +184,7 @@ def fit_pose(
     -------
     (5,)
         x, y [m], angle [rad]; growth of the outline, which is the mean signed distance of the
-        points outside the polygon [m]; root mean square residual [m].
+        points from the polygon, positive outside [m]; root mean square residual [m].
     """
     fit: np.ndarray = _kernels.fit_pose(edges, points, pose, unit, turns, steps, np.inf, gate)
     return fit

@@ -1,5 +1,5 @@
-"""Files of part types. `save_part_types` writes a file, and `add_type` learns a type from pictures
-and adds it to a file. The other functions load a bare plate and describe what was learned."""
+"""Files of part types. `save_part_types` writes a file. `add_type` learns a type from pictures and
+adds it to a file. The other functions load a bare plate and describe a learned type."""
 
 from __future__ import annotations
 
@@ -36,7 +36,8 @@ def save_part_types(path: Path, types: Mapping[str, PartType]) -> None:
     Raises
     ------
     PlateError
-        If a type is not valid, or the file cannot be written. An existing file is then unchanged.
+        If a type is not valid, or if the file cannot be written. An existing file is then
+        unchanged.
     """
     data = {name: _as_data(part) for name, part in types.items()}
     read_part_types(Fields(data, path.name, TeachError))
@@ -74,13 +75,15 @@ def add_type(
     region: Region | None,
     height: float | None = None,
 ) -> Lesson:
-    """Learn a type, and write it and its picture into a file of types. A type of the same name is
-    replaced, but its mass, friction and height are kept unless another height [m] is given.
+    """Learn a type, and write it to a file of types and its picture to another file. A type with
+    the same name is replaced, but its mass and friction are kept. Its height is kept too, unless
+    another height [m] is given.
 
     Raises
     ------
     PlateError
-        If `learn_type` or `check_alike` raises one, or if a file cannot be written.
+        If the type cannot be learned (see `learn_type`), if it is too similar to another type (see
+        `check_alike`), or if a file cannot be written.
     """
     types = dict(load_part_types(path)) if path.exists() else {}
     known = types.get(name)
@@ -100,12 +103,13 @@ def add_type(
 def load_bare(
     path: Path, size_px: tuple[int, int], location: PlateLocation | None = None
 ) -> Background:
-    """Learn the bare plate from pictures of it. Markers on the plate are hidden.
+    """Learn the bare plate from its pictures. Markers on the plate are painted over.
 
     Raises
     ------
     TeachError
-        If the pictures do not have the given size (width, height), or do not show all markers.
+        If the pictures do not have the given size (width, height), or if they do not show all
+        markers.
     """
     pictures = []
     for name, picture in read_pictures(path):
@@ -121,7 +125,7 @@ def load_bare(
 
 
 def lesson_text(lesson: Lesson) -> str:
-    """Return a one-line summary of what was learned."""
+    """Return a summary of the learned type in one line."""
     part = lesson.part
     corners = "a disc" if part.radius_m else f"{len(part.outline)} corners"
     holes = f", {len(part.holes)} hole{'s' if len(part.holes) > 1 else ''}" if part.holes else ""

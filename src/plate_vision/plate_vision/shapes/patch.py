@@ -1,7 +1,8 @@
-"""A patch of an image in front of the background: one part, or several that were not separated.
+"""A patch of an image that differs from the background: one part, or several parts that were not
+separated.
 
-`Patch` contains the mask and the covered fraction of each pixel. Its outline is the contour at a
-cover of one half, to sub-pixels.
+`Patch` contains the mask of the patch and the covered fraction of each pixel. The outline of the
+patch is the contour where one half is covered. It has sub-pixel accuracy.
 """
 
 from __future__ import annotations
@@ -13,14 +14,14 @@ import cv2
 import numpy as np
 
 HALF = 0.5
-"""Fraction of a pixel covered by the part at which the outline runs."""
+"""Covered fraction of a pixel at the outline."""
 
 MAX_SHIFT_PX = 1.5
 """Maximum distance between the edge of the mask and the outline [px]."""
 
 SMOOTH_PX = 0.8
-"""Blur applied before the outline is located [px]. The slope of a sharp part's edge is then the
-slope between neighbouring pixels."""
+"""Blur that is applied before the outline is located [px]. With this blur, the gradient at the edge
+of a sharp part is smooth enough for a Newton step."""
 
 MARGIN_PX = 4
 """Width of the margin around a patch in its window [px]."""
@@ -42,9 +43,11 @@ class Patch:
     corner : (int, int)
         Image column and row x0, y0 of the window's first pixel [px].
     cover : (h, w) float32
-        Fraction of each pixel that is part, 0 to 1; finer than the mask at the contour.
+        Fraction of each pixel that the part covers, 0 to 1. At the contour it is more accurate than
+        the mask.
     whole : bool
-        Whether the patch is complete: not cut by the border of the image or region.
+        Whether the patch is complete. A patch is incomplete if the border of the image or of the
+        region cuts it.
     group : bool
         Whether the patch seems to consist of several parts that were not separated.
     """
@@ -57,12 +60,12 @@ class Patch:
 
     @property
     def place(self) -> tuple[slice, slice]:
-        """Rows and columns of the image in its window."""
+        """Rows and columns of the image in the patch's window."""
         (x0, y0), (height, width) = self.corner, self.mask.shape
         return np.s_[y0 : y0 + height, x0 : x0 + width]
 
     def overlaps(self, other: Patch) -> bool:
-        """Whether the patch shares pixels with another patch."""
+        """Whether any pixel belongs to both this patch and another patch."""
         ends = [np.add(one.corner, one.mask.shape[::-1]) for one in (self, other)]
         low, high = np.maximum(self.corner, other.corner), np.minimum(*ends)
         if np.any(high <= low):
@@ -74,7 +77,8 @@ class Patch:
         return bool(np.any(own & its))
 
     def around(self, margin: int, shape: tuple[int, ...]) -> tuple[slice, slice]:
-        """Rows and columns of an image (H, W, ...) with a margin [px] around its window."""
+        """Return the rows and columns of an image (H, W, ...) in the patch's window with a margin
+        [px] around it."""
         rows, columns = self.place
         return (
             slice(max(rows.start - margin, 0), min(rows.stop + margin, shape[0])),
@@ -82,8 +86,8 @@ class Patch:
         )
 
     def windowed(self, shape: tuple[int, ...]) -> tuple[tuple[slice, slice], np.ndarray]:
-        """Return rows and columns of an image (H, W, ...) with `MARGIN_PX` around its window, and
-        its pixels (h, w) uint8 there."""
+        """Return the rows and columns of an image (H, W, ...) in the patch's window with a margin
+        of `MARGIN_PX`, and the patch's mask (h, w) uint8 there."""
         here = rows, columns = self.around(MARGIN_PX, shape)
         mask = np.zeros((rows.stop - rows.start, columns.stop - columns.start), np.uint8)
         (x, y), (height, width) = self.corner, self.mask.shape
@@ -111,7 +115,8 @@ class Patch:
 
     @cached_property
     def outline(self) -> np.ndarray:
-        """Points (k, 2) around the patch [px], one per pixel of the contour, to sub-pixels."""
+        """Points (k, 2) around the patch [px], one for each pixel of the contour, with sub-pixel
+        accuracy."""
         return self._contours[0]
 
     @cached_property
@@ -144,8 +149,9 @@ class Patch:
 def _to_the_edge(
     contour: np.ndarray, cover: np.ndarray, slope: tuple[np.ndarray, np.ndarray]
 ) -> np.ndarray:
-    """Return the points (k, 2) nearest to those of a contour (k, 1, 2) at which the cover (h, w) is
-    0.5, by one Newton step. `slope` is the gradient of the cover along x and y [1/px]."""
+    """Return, for each point of a contour (k, 1, 2), the nearest point (k, 2) where the cover (h,
+    w) is 0.5. It is computed by one Newton step. `slope` is the gradient of the cover along x and y
+    [1/px]."""
     x, y = contour[:, 0].T
     steep = np.stack([slope[0][y, x], slope[1][y, x]], axis=1)
     square = np.sum(steep**2, axis=1, keepdims=True)

@@ -1,6 +1,6 @@
-"""Patches of a photograph as numbers: centre, size, direction and contrast of each.
+"""Properties of the patches of a photograph: their centres, sizes, directions and contrasts.
 
-`find_outlines` needs no description of the parts. It models the background from the photograph.
+`find_outlines` needs no description of the parts. It uses a model of the photograph's background.
 """
 
 from __future__ import annotations
@@ -12,20 +12,22 @@ from .background import Background, colours_like, model_background, steepness
 from .segmentation import find_patches
 
 MAX_PIXELS = 1_000_000
-"""Maximum number of pixels; larger images are reduced first. Parts remain large enough."""
+"""Maximum number of pixels that are evaluated. Larger images are reduced first, because parts
+remain large enough."""
 
 ROUND = 0.95
-"""Minimum 4 pi area / length^2 of the hull of a disc. A regular octagon has 0.948."""
+"""Minimum of 4 pi area / length^2 for the hull of a disc. For a regular octagon it is 0.948."""
 
 SURE = 60.0
-"""Contrast above which the confidence is not reduced [grey levels]."""
+"""Contrast from which on the confidence is not reduced [grey levels]."""
 
 SOFT = 0.3
-"""A patch is rejected as no part if the lower quartile of the gradient at its contour, relative to
-the background's limit, is at most this [1/px], and it is `FRAYED`."""
+"""Maximum of the lower quartile of the gradient at the contour of a soft patch, relative to the
+background's limit [1/px]. A patch that is both soft and frayed (`FRAYED`) is rejected, because it
+is not a part."""
 
 FRAYED = 0.85
-"""Maximum fraction of its hull that a frayed patch fills."""
+"""Maximum fraction of the hull that a frayed patch fills."""
 
 OUTLINE = np.dtype(
     [
@@ -40,15 +42,18 @@ OUTLINE = np.dtype(
         ("confidence", "f8"),
     ]
 )
-"""A patch: centroid [px]; radius of the disc of the same area [px]; direction of the longest side,
-0 to pi, counter-clockwise as seen, 0 for discs; difference from the background [grey levels],
-negative if darker; grey level of the background; whether it is a disc; whether it is several parts;
-confidence, 0 to 1: the filled fraction of the hull, less for low contrast."""
+"""One patch.
+
+x_px, y_px: centroid [px]. radius_px: radius of the disc of the same area [px]. angle_rad: direction
+of the longest side, 0 to pi, counter-clockwise in the image; 0 for discs. contrast: difference from
+the background [grey levels], negative if the patch is darker. background: grey level of the
+background. round: whether the patch is a disc. group: whether it consists of several parts.
+confidence: 0 to 1, the filled fraction of the hull, reduced for low contrast."""
 
 
 def find_outlines(image: np.ndarray) -> np.ndarray:
-    """Return the complete patches (n,) OUTLINE of an image (H, W) or (H, W, 3) uint8 without any
-    description of the parts."""
+    """Return the complete patches (n,) OUTLINE of an image (H, W) or (H, W, 3) uint8. No
+    description of the parts is needed."""
     full = np.array(image.shape[1::-1])
     factor = int(np.ceil(np.sqrt(full[0] * full[1] / MAX_PIXELS)))
     if factor > 1:
@@ -83,8 +88,8 @@ def find_outlines(image: np.ndarray) -> np.ndarray:
 
 
 def _slope(image: np.ndarray, background: Background) -> np.ndarray:
-    """Return the maximum gradient of the colours within a pixel (H, W) [1/px], relative to the
-    maximum deviation of the background."""
+    """Return the maximum gradient of the colours within one pixel around each pixel (H, W) [1/px],
+    relative to the maximum deviation of the background."""
     lab = colours_like(image, background)
     smooth = cv2.GaussianBlur(lab, (0, 0), 1.0).reshape(lab.shape)
     weights = (1.0, background.chroma, background.chroma)
@@ -93,7 +98,8 @@ def _slope(image: np.ndarray, background: Background) -> np.ndarray:
 
 
 def _angle(outline: np.ndarray) -> float:
-    """Return the direction [rad] of the longest side of the minimum-area rectangle around it."""
+    """Return the direction [rad] of the longest side of the rectangle with minimum area around an
+    outline."""
     corners = cv2.boxPoints(cv2.minAreaRect(outline))
     sides = np.diff(corners[:3], axis=0)
     x, y = sides[np.argmax(np.hypot(*sides.T))]

@@ -1,4 +1,4 @@
-// Search for a part in a group over all positions and angles: see groups.py.
+// Search for a part at all positions and angles in a group: see groups.py.
 #pragma once
 #include <algorithm>
 #include <cmath>
@@ -13,16 +13,17 @@
 
 namespace plate {
 
-// Maximum distance between the contours of group and part where they coincide [px].
+// Maximum distance between the contours of a group and of a part for which they count as coincident
+// [px].
 constexpr double NEAR_PX = 1.3;
 
-// Maximum distance outside the group at which a point of a part is still accepted [px].
+// Maximum distance of a part's point outside the group for which the point is still accepted [px].
 constexpr double OUTSIDE_PX = 1.6;
 
 // Maximum fraction of a part that is outside the group.
 constexpr double MAX_OUTSIDE = 0.06;
 
-// A value below any count of contour points, for places that are excluded.
+// Count of contour points at places that are excluded. It is lower than any other count.
 constexpr int16_t BARRED = -30'000;
 
 // Number of places along a row that are processed together.
@@ -40,8 +41,8 @@ inline int is_on_rim(double border) {
     return border < NEAR_PX;
 }
 
-// Value of a field (h, w) at the pixel nearest to a point of a part at a pose; -99 outside the
-// window. `to_px` is (2, 3).
+// Value of a field (h, w) at the pixel that is nearest to a point of a part at a pose. It is -99
+// outside the window. `to_px` is (2, 3).
 inline double level(View<const float, 2> field, View<const double, 2> to_px, const double* place,
                     const double* pose, double c, double s) {
     const double u = pose[0] + c * place[0] - s * place[1];
@@ -52,13 +53,15 @@ inline double level(View<const float, 2> field, View<const double, 2> to_px, con
     return inside ? field(j, i) : -99;
 }
 
-// Fraction of a part's contour on the group's contour, and fraction of its inner points outside.
+// Fraction of a part's contour that is on the group's contour, and fraction of the part's inner
+// points that are outside the free area.
 struct Support {
     double seen, outside;
 };
 
-// Return the fraction of a part's contour points (n, 2) on the group's contour, minus the fraction
-// outside; and the fraction of its inner points (m, 2) outside the free area.
+// Return the fraction of a part's contour points (n, 2) that are on the group's contour, minus the
+// fraction that are outside the group; and the fraction of the part's inner points (m, 2) that are
+// outside the free area.
 inline Support support(View<const float, 2> free, View<const float, 2> border,
                        View<const double, 2> to_px, View<const double, 2> rim,
                        View<const double, 2> inner, const double* pose) {
@@ -79,7 +82,8 @@ inline double farthest(View<const double, 2> points, const double* place) {
     return most;
 }
 
-// Write the offsets of points (n, 2) of a rotated part from its pole, as indices in a framed field.
+// Write the offsets of the points (n, 2) of a rotated part from the part's pole, as indices in a
+// field with a frame.
 inline void find_offsets(View<const double, 2> points, View<const double, 2> to_px,
                          const double* pole, double angle, int margin, int width,
                          std::vector<int>& offsets) {
@@ -95,9 +99,9 @@ inline void find_offsets(View<const double, 2> points, View<const double, 2> to_
     }
 }
 
-// Add values of a field to `total` (count,), for places along the row of the field that begins at
-// `row`. For each place, the values at all points of a part at this place are added. Numbers behind
-// `total` are also changed, up to a multiple of PLACES.
+// For each of `count` places along the row of the field that begins at `row`, add the values of the
+// field at all points of a part at this place to `total` (count,). Elements after the end of
+// `total` are changed too, up to a multiple of PLACES.
 PLATE_WIDE inline void add_rows(const int16_t* row, const std::vector<int>& offsets,
                                 int16_t* __restrict total, int count) {
     for (int first = 0; first < count; first += PLACES) {
@@ -111,16 +115,16 @@ PLATE_WIDE inline void add_rows(const int16_t* row, const std::vector<int>& offs
     }
 }
 
-// A place of a part: x, y [m], the angle [rad] at which the largest fraction of its contour is
-// seen, and that fraction.
+// A place of a part: x, y [m], the angle [rad] with which the largest fraction of the part's
+// contour is on the group's contour, and this fraction.
 struct PlaceFound {
     double x, y, angle, seen;
 };
 
-// Return all places at which a part's pole may be: see groups.py.
+// Return all places where a part may be: see groups.py.
 //
-// A part at an angle is a set of pixel offsets, the same at all places. The pixels that it covers
-// are therefore counted for a whole row of places at once.
+// A part at an angle is a set of pixel offsets, which is the same for all places. Therefore, the
+// pixels that the part covers are counted for a whole row of places at once.
 inline std::vector<PlaceFound> search(View<const float, 2> free, View<const float, 2> border,
                                       View<const double, 2> to_px, View<const double, 2> rim,
                                       View<const double, 2> inner, const double* pole, double depth,
@@ -130,7 +134,7 @@ inline std::vector<PlaceFound> search(View<const float, 2> free, View<const floa
                                   length_of(to_px(1, 0), to_px(1, 1)));
     const double reach = scale * std::max(farthest(rim, pole), farthest(inner, pole));
     if (!(reach < MAX_MARGIN)) throw std::invalid_argument("the part is too large");
-    const int margin = 2 + static_cast<int>(reach);  // the frame contains every placed part
+    const int margin = 2 + static_cast<int>(reach);  // the frame is wide enough for a part at any place
     constexpr double FAR = -std::numeric_limits<double>::infinity();
     const int framed = width + 2 * margin;
     const size_t all = static_cast<size_t>(height + 2 * margin) * framed + PLACES;
