@@ -1,4 +1,4 @@
-"""Simulated drives behind the firmware: their motion, and what the judge of the bus sees."""
+"""Simulated drives behind the firmware: their motion, and the check of the setpoints on the bus."""
 
 import re
 import shutil
@@ -11,8 +11,8 @@ from scipy.integrate import solve_ivp
 from plate_core import PlateError, load_rig
 from plate_core.rig import Drive, Limits
 from plate_sim.device import (
-    BusJudge,
     FirmwareOnDesk,
+    SetpointCheck,
     SimulatedDrives,
     SimulatedODrives,
     c_header,
@@ -35,9 +35,9 @@ def frames(drives, place, word=15):
 
 def enabled():
     drives = SimulatedDrives(DRIVES)
-    drives.heard([(0, b"\x82\0"), (0, b"\1\0")])
+    drives.receive([(0, b"\x82\0"), (0, b"\1\0")])
     for word in (6, 7, 15):
-        drives.heard(frames(drives, 0.0, word))
+        drives.receive(frames(drives, 0.0, word))
     assert drives.enabled.all()
     return drives
 
@@ -55,7 +55,7 @@ def test_a_drive_follows_as_the_equation_of_motion_says():
     truth = solve_ivp(change, (0, end), [0, 0], max_step=1e-5, t_eval=np.arange(1, 15) * 1e-3)
     seen = []
     for place in places[1:]:
-        drives.heard(frames(drives, place))
+        drives.receive(frames(drives, place))
         for _ in range(2):
             drives.passed()
             seen.append(drives.motors[:2].copy())
@@ -81,7 +81,7 @@ def test_an_odrive_follows_as_the_equation_of_motion_says():
         [1e-4, 3e-4, 2e-4, 0, 0],
         [0.1, 0.05, -0.1, 0, 0],
     )
-    drives.heard([(d.node << 5 | 7, bytes([8, *[0] * 7])) for d in ODRIVES])
+    drives.receive([(d.node << 5 | 7, bytes([8, *[0] * 7])) for d in ODRIVES])
     assert drives.enabled.all()
 
     def change(t, y, goal, speed):
@@ -89,7 +89,7 @@ def test_an_odrive_follows_as_the_equation_of_motion_says():
 
     truth = [0.0, 0.0]
     for goal, speed in zip(places, ff, strict=True):
-        drives.heard(odrive_frames(drives, goal, speed))
+        drives.receive(odrive_frames(drives, goal, speed))
         for _ in range(2):
             drives.passed()
             truth = solve_ivp(change, (0, 1e-3), truth, max_step=1e-5, args=(goal, speed)).y[:, -1]
@@ -99,7 +99,7 @@ def test_an_odrive_follows_as_the_equation_of_motion_says():
 
 def test_an_odrive_that_is_told_nothing_lets_go():
     drives = SimulatedODrives(ODRIVES)
-    drives.heard([(d.node << 5 | 7, bytes([8, *[0] * 7])) for d in ODRIVES])
+    drives.receive([(d.node << 5 | 7, bytes([8, *[0] * 7])) for d in ODRIVES])
     beats = [frame for _ in range(121) for frame in drives.passed()]
     assert not drives.enabled.any()
     assert beats[-1][1] == struct.pack("<IBBBB", 1 << 24, 1, 0, 0, 0)
@@ -107,21 +107,21 @@ def test_an_odrive_that_is_told_nothing_lets_go():
 
 def test_the_judge_sees_what_odrives_are_told_beyond():
     drives = SimulatedODrives(ODRIVES)
-    judge = BusJudge(ODRIVES, drives.zeros, LIMITS)
+    check = SetpointCheck(ODRIVES, drives.zeros, LIMITS)
     for place in (0.0, 0.0021, 0.0042):
-        judge.heard(odrive_frames(drives, place), True)
-    assert judge.shares[1] == pytest.approx(1.05, rel=1e-3)
+        check.receive(odrive_frames(drives, place), True)
+    assert check.shares[1] == pytest.approx(1.05, rel=1e-3)
 
 
 def test_only_the_states_in_order_give_current():
     drives = SimulatedDrives(DRIVES)
-    drives.heard(frames(drives, 0.0))
+    drives.receive(frames(drives, 0.0))
     assert not drives.enabled.any()  # not operational
-    drives.heard([(0, b"\1\0"), *frames(drives, 0.0)])
+    drives.receive([(0, b"\1\0"), *frames(drives, 0.0)])
     assert not drives.enabled.any()
     drives = enabled()
-    drives.heard(frames(drives, 0.0, 0))
-    answers = drives.heard([(SYNC, b"")])
+    drives.receive(frames(drives, 0.0, 0))
+    answers = drives.receive([(SYNC, b"")])
     assert [struct.unpack("<Hi", data)[0] for _, data in answers] == [OFF] * 4
 
 
@@ -135,13 +135,13 @@ def test_only_the_states_in_order_give_current():
 )
 def test_the_judge_sees_what_is_beyond(places, share, value):
     drives = enabled()
-    judge = BusJudge(DRIVES, drives.zeros, LIMITS)
+    check = SetpointCheck(DRIVES, drives.zeros, LIMITS)
     for place in places:
-        judge.heard(frames(drives, place), True)
-    assert judge.shares[share] == pytest.approx(value, rel=1e-3)
-    before = judge.shares.copy()
-    judge.heard(frames(drives, 1.0), False)  # without current nothing counts
-    assert (judge.shares == before).all()
+        check.receive(frames(drives, place), True)
+    assert check.shares[share] == pytest.approx(value, rel=1e-3)
+    before = check.shares.copy()
+    check.receive(frames(drives, 1.0), False)  # without current nothing counts
+    assert (check.shares == before).all()
 
 
 def test_a_header_has_the_drives():

@@ -6,7 +6,7 @@ only the controller.
 """
 
 from .._kernels import Device
-from .drives import BusJudge, SimulatedDrives, SimulatedODrives
+from .drives import SetpointCheck, SimulatedDrives, SimulatedODrives
 from .emulator import TICK_US, Emulator
 from .faults import FaultSchedule, LineFaults
 from .firmware import FirmwareOnDesk
@@ -17,7 +17,6 @@ from .serial_line import Line
 
 __all__ = [
     "TICK_US",
-    "BusJudge",
     "Device",
     "DeviceLimits",
     "Emulator",
@@ -27,6 +26,7 @@ __all__ = [
     "LineFaults",
     "PseudoTerminal",
     "Segment",
+    "SetpointCheck",
     "SimulatedDrives",
     "SimulatedODrives",
     "SuspendedPlate",

@@ -94,12 +94,12 @@ class _Node:
         SYNC."""
         if not self.operational:
             return []
-        told = struct.pack("<Hi", self.status, counts)
+        data = struct.pack("<Hi", self.status, counts)
         # Without bit 1 (enable voltage), the drive switches off.
         kept = self.status if self.order & 2 else OFF
         self.status = NEXT.get((self.status, self.order), kept)
         self.target = self.goal
-        return [(TPDO + self.drive.node, told)]
+        return [(TPDO + self.drive.node, data)]
 
 
 class SimulatedDrives:
@@ -138,7 +138,7 @@ class SimulatedDrives:
         """Whether each motor has current (4,)."""
         return np.array([node.status == ENABLED for node in self._nodes])
 
-    def heard(self, frames: Sequence[Frame]) -> list[Frame]:
+    def receive(self, frames: Sequence[Frame]) -> list[Frame]:
         """Process the frames of the master, and return the replies of the drives."""
         answers: list[Frame] = []
         for identifier, data in frames:
@@ -220,7 +220,7 @@ class _ODrive:
     goal: float = 0.0  # requested position [turns]
     speed: float = 0.0  # requested speed [turns/s]
 
-    def told(self, message: int, data: bytes, now_ms: int, turns: float) -> list[Frame]:
+    def execute(self, message: int, data: bytes, now_ms: int, turns: float) -> list[Frame]:
         """Execute a message, and return the reply."""
         self.fed_ms = now_ms
         if message == SET_POSITION:
@@ -254,7 +254,7 @@ class SimulatedODrives(SimulatedDrives):
         """Whether each motor has current (4,)."""
         return np.array([node.state == CLOSED_LOOP for node in self._odrives.values()])
 
-    def heard(self, frames: Sequence[Frame]) -> list[Frame]:
+    def receive(self, frames: Sequence[Frame]) -> list[Frame]:
         """Process the frames of the master, and return the replies of the drives."""
         answers: list[Frame] = []
         turns = dict(zip(self._odrives, np.array(self._counts()) / ODRIVE_COUNTS, strict=True))
@@ -262,14 +262,14 @@ class SimulatedODrives(SimulatedDrives):
             number = identifier >> 5 & 63
             if number in self._odrives:
                 message = identifier & (REMOTE | 31)
-                answers += self._odrives[number].told(message, data, self._now_ms, turns[number])
+                answers += self._odrives[number].execute(message, data, self._now_ms, turns[number])
         return answers
 
     def _driven(self) -> np.ndarray:
         # x'' = w^2 (goal - x) + 2 w (speed - x'). The setpoint is constant until the next one
         # arrives.
-        told = np.array([(node.goal, node.speed) for node in self._odrives.values()]).T
-        goals, speeds = ODRIVE_COUNTS * told
+        requests = np.array([(node.goal, node.speed) for node in self._odrives.values()]).T
+        goals, speeds = ODRIVE_COUNTS * requests
         wanted = (goals - self.zeros + 2 / BANDWIDTH * speeds) / self._scale
         return self._followed(wanted, np.zeros(len(wanted)), BANDWIDTH)
 
@@ -284,7 +284,7 @@ class SimulatedODrives(SimulatedDrives):
         return beats
 
 
-class BusJudge:
+class SetpointCheck:
     """Check of the setpoints that the firmware sends to the drives, against the limits of the rig.
     Speed and acceleration are differences of consecutive setpoints.
 
@@ -311,7 +311,7 @@ class BusJudge:
         self.shares = np.zeros(3)
         """Maximum requested stroke, speed and acceleration, as fractions of the limits."""
 
-    def heard(self, frames: Sequence[Frame], led: bool) -> None:
+    def receive(self, frames: Sequence[Frame], led: bool) -> None:
         """Process the firmware's frames of a tick. `led` states whether all motors have current."""
         for identifier, data in frames:
             if identifier in self._places:

@@ -12,7 +12,7 @@ import numpy as np
 from plate_core import PlateError, Rig
 from plate_core.serial_protocol import Fault, State
 
-from .drives import BusJudge, Frame, SimulatedDrives, SimulatedODrives
+from .drives import Frame, SetpointCheck, SimulatedDrives, SimulatedODrives
 from .emulator import TICK_US
 from .faults import FaultSchedule
 from .plate import Recorder, Segment
@@ -63,7 +63,7 @@ class FirmwareOnDesk:
         self.to_device, self.to_host = Line(line, generators[0]), Line(line, generators[1])
         odrive = drives[0].kind == "odrive"
         self.drives = SimulatedODrives(drives) if odrive else SimulatedDrives(drives)
-        self.judge = BusJudge(drives, self.drives.zeros, rig.limits)
+        self.check = SetpointCheck(drives, self.drives.zeros, rig.limits)
         self.now_us = 0
         self.state, self.faults, self._refused = State.OFF, Fault.NONE, 0
         self.triggered = False
@@ -93,7 +93,7 @@ class FirmwareOnDesk:
 
     def values(self) -> Mapping[str, object]:
         """Return values for the diagnostics, by name."""
-        stroke, speed, accel = self.judge.shares
+        stroke, speed, accel = self.check.shares
         return {
             "state": self.state.name.lower(),
             "damaged frames": self._refused,
@@ -110,16 +110,16 @@ class FirmwareOnDesk:
         for identifier, data in self._coming + self.drives.passed():
             self._say(f"can {identifier:x} {data.hex()}")
         self._say(f"run {TICK_US}")
-        frames = self._heard()
-        self._coming = self.drives.heard(frames)
-        self.judge.heard(frames, bool(self.drives.enabled.all()))
+        frames = self._output()
+        self._coming = self.drives.receive(frames)
+        self.check.receive(frames, bool(self.drives.enabled.all()))
         return self._recorder.followed(self.now, None, self.drives.motors, self.triggered)
 
     def _say(self, order: str) -> None:
         assert self._process.stdin is not None
         self._process.stdin.write(order + "\n")
 
-    def _heard(self) -> list[Frame]:
+    def _output(self) -> list[Frame]:
         """Process the output of the firmware in a tick, and return its CAN frames."""
         assert self._process.stdin is not None
         assert self._process.stdout is not None
