@@ -47,7 +47,7 @@ def main() -> int:
 
     folder = args.out / "bench"
     failed: list[str] = []
-    # The project's own pages contain only complete measurements, not quick ones.
+    # The project's own pages contain only complete measurements.
     own = args.out == ROOT / "out" and not args.quick
     if not args.draw:
         needed = dict.fromkeys(name for one in report.CHARTS for name in one.sources)

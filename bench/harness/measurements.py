@@ -47,7 +47,7 @@ def run_all(names: Iterable[str], quick: bool, out: Path, quiet: bool = False) -
     """Run measurements one after the other, print the progress, and write the result of each. If
     `quiet`, each waits until other programs are idle.
 
-    If one fails, the others still run. Return the names of the failed ones.
+    If one fails, the others still run. Return the names of the failed measurements.
     """
     names = list(names)
     failed: list[str] = []

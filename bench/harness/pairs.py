@@ -12,7 +12,7 @@ OUT_OF_REACH = 1e3
 def paired(
     found: np.ndarray, true: np.ndarray, reach: float | np.ndarray
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Assign detected positions (n, 2) to true ones (m, 2), one to one, with as many pairs as
+    """Assign detected positions (n, 2) to true positions (m, 2), one to one, with as many pairs as
     possible.
 
     Parameters

@@ -26,9 +26,10 @@ REQUESTS = 8
 def most_parts(harmonics: int) -> int:
     """Return the maximum number of parts with arbitrary forces: (6 N - 2)/2, and 0 for N = 1.
 
-    N sines and N cosines for each of three degrees of freedom have 6 N parameters. Two of them, the
-    scale of all amplitudes and the time shift, do not change the forces. Section 3.2.2 of the paper
-    omits this. M parts have 2 M force components. A single harmonic has no mean force (3.2.1).
+    N sines and N cosines for each of three degrees of freedom have 6 N parameters. Two parameters,
+    the scale of all amplitudes and the time shift, do not change the forces. Section 3.2.2 of the
+    paper omits this. M parts have 2 M force components. A single harmonic has no mean force
+    (3.2.1).
     """
     return 3 * harmonics - 1 if harmonics > 1 else 0
 

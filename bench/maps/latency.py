@@ -33,7 +33,7 @@ SPEED = 0.1
 KP = FollowOptions().kp
 STEPS = 64
 LEVEL_MM = 2.0
-"""Error that separates unstable loops from stable ones [mm]."""
+"""Minimum error of a loop that counts as unstable [mm]."""
 
 CASES, ASKED_M, SEED = 40, 2e-3, 84
 """Number of motions to which the linear loop is fitted, size of their requests [m], random seed."""

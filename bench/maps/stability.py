@@ -28,7 +28,7 @@ def measure(quick: bool) -> Result:
 
 
 def grids(one: StabilityMap, quick: bool, cache: Cache) -> list[Grid]:
-    """Return a map's grids, from the cache or by measuring them."""
+    """Return a map's grids from the cache, or measure the grids."""
     key = f"{one.key}, quick" if quick else one.key
     if key not in cache:
         cache[key] = rounded([asdict(grid) for grid in one.measure(quick)])

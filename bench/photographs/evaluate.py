@@ -150,7 +150,7 @@ def evaluate(photographs: Iterable[Photograph]) -> tuple[list[dict[str, Any]], l
 
 
 def of_half(half: str) -> tuple[list[Photograph], int]:
-    """Return the photographs of a half whose files exist, and the number of missing ones."""
+    """Return the photographs of a half whose files exist, and the number of missing files."""
     selected = [p for p in load_photographs() if p.half == half]
     there = [p for p in selected if is_there(p)]
     return there, len(selected) - len(there)

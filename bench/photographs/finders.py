@@ -71,7 +71,7 @@ def as_found(seen: np.ndarray, label: Sequence[str] | np.ndarray) -> np.ndarray:
 
 def watershed(image: np.ndarray) -> np.ndarray:
     """Find patches whose colour differs from the median colour by more than Otsu's threshold. Split
-    them by a watershed of the distance to their contour."""
+    the patches by a watershed of the distance to their contour."""
     measure, morphology = optional("skimage.measure"), optional("skimage.morphology")
     segmentation = optional("skimage.segmentation")
     mask = _far_from_background(image)
@@ -100,8 +100,8 @@ def _far_from_background(image: np.ndarray) -> np.ndarray:
 
 
 def _found(x: np.ndarray, y: np.ndarray, area: np.ndarray, image: np.ndarray) -> np.ndarray:
-    """Return patches (n,) FOUND from centres [px] and areas [px2], without too small and too large
-    ones."""
+    """Return patches (n,) FOUND from centres [px] and areas [px2]. Too small and too large patches
+    are omitted."""
     found = np.zeros(len(area), FOUND)
     found["x_px"], found["y_px"] = x, y
     found["radius_px"] = np.sqrt(area / np.pi)

@@ -84,7 +84,8 @@ class Chart:
 
 @dataclass(frozen=True)
 class Sheet:
-    """Rows from which a chart is drawn, all with the same keys. They are its table and CSV file.
+    """Rows from which a chart is drawn, all with the same keys. These rows are the chart's table
+    and CSV file.
 
     Attributes
     ----------

@@ -22,7 +22,8 @@ limits."""
 INK = "#222222"
 
 FIELD = ("#ffffd9", "#7fcdbb", "#2c7fb8")
-"""Colours of a field from low to high. Black and coloured lines are visible on all of them."""
+"""Colours of a field from low to high. Black and coloured lines are visible on all these
+colours."""
 
 SYMBOLS = {
     "o": "circle", "s": "square", "D": "diamond", "^": "triangle-up", "v": "triangle-down",
@@ -258,7 +259,7 @@ class Panel:
         self, name: str, length: Sequence[float], names: Sequence[str], colour: str = OURS,
         labels: Sequence[str] = (),
     ) -> None:  # fmt: skip
-        """Draw bars from the left, stacked on the existing ones."""
+        """Draw bars from the left, stacked on the existing bars."""
         self.traces.append(
             go.Bar(
                 x=list(length), y=list(names), name=name, orientation="h", cliponaxis=False,
@@ -324,7 +325,8 @@ class Panel:
 
 
 def pareto_front(places: Sequence[tuple[float, float]], better: str) -> list[tuple[float, float]]:
-    """Return the corners of the Pareto front as a staircase. Empty if there is no better direction.
+    """Return the corners of the Pareto front as a staircase, or no corners if there is no better
+    direction.
 
     No point beyond the staircase is better in both x and y.
     """

@@ -1,7 +1,8 @@
 """Types of parts: errors of names, centres and angles.
 
 Parts of config/parts.yaml are drawn in colour by counting sub-pixels, apart from each other and at
-random angles. The detector gets the types of the file. Taught types differ from them by 0.1 px.
+random angles. The detector gets the types of the file. Taught types differ from those of the file
+by 0.1 px.
 """
 
 from __future__ import annotations

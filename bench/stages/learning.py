@@ -38,7 +38,7 @@ TRUST = 0.3
 """Weight of an experiment after the calibration."""
 
 MAX_EXPERIMENTS = 10
-"""Number of iterations: the three experiments of the calibration, then further ones."""
+"""Number of iterations: the three experiments of the calibration, then further experiments."""
 
 
 def measure(quick: bool) -> Result:

@@ -74,7 +74,7 @@ def time_rows(rig: Rig, seconds: float) -> list[dict[str, Any]]:
 
 
 def realised_rows(rig: Rig, count: int) -> list[dict[str, Any]]:
-    """Convert guaranteed forces to closed motions, by both methods of closing them."""
+    """Convert guaranteed forces to closed motions, by both methods of closing a motion."""
     rows = []
     for closure in ("sequence", "strokes"):
         solver = RotationSolver(rig, closure=closure, restarts=1)

@@ -69,7 +69,7 @@ class Comparing(SinusoidSteering):
         return self.chosen(best) if self.goal.free_end else best, iterations
 
     def chosen(self, best: Any) -> Any:
-        """Return the motion to use. `best` is the one with the minimum cost."""
+        """Return the motion to use. `best` is the motion with the minimum cost."""
         return best
 
     def family(self, goal: Goal) -> LimitedSinusoids:
@@ -84,7 +84,7 @@ class Comparing(SinusoidSteering):
 
 
 class Judging(Comparing):
-    """Chooses among the best motions the one with the minimum cost-to-go."""
+    """Steering that uses the motion with the minimum cost-to-go among the best motions."""
 
     value: list[float]
 

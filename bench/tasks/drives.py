@@ -33,7 +33,7 @@ VALUES = {
 BUS_STEPS, STEP_S = 4, 5e-4
 
 FIRST_SEED, SEEDS = 83000, 3
-"""First seed and number of seeds. No parameter was tuned with them."""
+"""First seed and number of seeds. No parameter was tuned with these seeds."""
 
 
 class Driven(Direct):

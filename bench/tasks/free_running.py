@@ -30,7 +30,7 @@ ALLOWED_MM = 0.2
 """Maximum root mean square error of a sufficient camera [mm]."""
 
 FIRST_SEED, SEEDS = 82000, 5
-"""First seed and number of seeds. No parameter was tuned with them."""
+"""First seed and number of seeds. No parameter was tuned with these seeds."""
 
 
 def measure(quick: bool) -> Result:

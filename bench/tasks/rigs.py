@@ -31,7 +31,7 @@ FORCES_N = ((10, 5), (20, 10))
 SCENARIOS = ("sort_4", "sort_10", "follow_2")
 
 SEEDS = range(50_000, 50_003)
-"""Seeds. No parameter was tuned with them."""
+"""Seeds. No parameter was tuned with these seeds."""
 
 FULL_PACE = 0.95
 """Fraction of the requested speed from which on the speed is not listed."""

@@ -34,8 +34,8 @@ IDLE_S = 0.1
 
 
 class CmaEs:
-    """Tries about a hundred motions, and returns the one that leaves the smallest distance to
-    go."""
+    """Agent that tries about a hundred motions, and returns the motion with the smallest remaining
+    distance."""
 
     action, observation = "motion", "parts"
 

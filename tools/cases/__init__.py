@@ -37,7 +37,7 @@ class Outcome:
 
 
 def chosen(nodes: Iterable[str], known: Iterable[str]) -> list[str]:
-    """Return the given nodes, or all known ones if none is given.
+    """Return the given nodes, or all known nodes if no node is given.
 
     Raises
     ------

@@ -4,8 +4,8 @@ For each fault the parts are put down again and a new task starts. `kill` sends 
 the node again after 4 s. `freeze` sends SIGSTOP, and SIGCONT after 3 s. `cut` blocks the node's
 main input for 4 s. A row of the result lists the messages in task_status, driver_status and the
 diagnostics with their delays after the fault, when the plate came to rest, whether it moved again
-without a request, and which calls were needed to continue. With --transport serial the plate's
-motion is the one that a simulated motor controller plays.
+without a request, and which calls were needed to continue. With --transport serial, a simulated
+motor controller plays the plate's motion.
 """
 
 from __future__ import annotations

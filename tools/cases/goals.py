@@ -1,4 +1,4 @@
-"""Send random goals to the real graph: valid and invalid ones, cancels, preemptions, stops.
+"""Send random goals to the real graph: valid and invalid goals, cancels, preemptions, stops.
 
 The case passes if every goal has a result, every invalid goal is refused as invalid, and the plate
 is at rest at the end.

@@ -36,7 +36,7 @@ AT_LOADING = (
     "PYTHONOPTIMIZE", "PYTHONPATH", "PYTHONWARNINGS", "ROS_PYTHON_",
 )  # fmt: skip
 """Prefixes of environment variables that may be read when code is loaded. A server can start only
-nodes with the same values of them."""
+nodes with the same values of these variables."""
 
 START_S = 120.0
 """Maximum wait until the server has loaded its code and started a node [s]. The value is large,

@@ -130,8 +130,8 @@ class Received:
 
 @dataclass
 class Record:
-    """Messages of one run. Frequent ones are kept serialised, because deserialising them would slow
-    down the nodes.
+    """Messages of one run. Frequent messages are kept serialised, because their deserialisation
+    would slow down the nodes.
 
     Attributes
     ----------

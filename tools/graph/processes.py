@@ -214,7 +214,7 @@ class Processes:
             )
 
     def add(self, commands: Mapping[str, list[str]]) -> None:
-        """Start other programs, and treat them like nodes."""
+        """Start other programs, which are then treated like nodes."""
         self._commands |= commands
         for name, words in commands.items():
             self._start(name, words)

@@ -20,7 +20,7 @@ from .observer import Observer
 from .processes import Processes
 
 START_S = 180.0
-"""Maximum wait for the nodes [s]. A busy computer may take long to load them."""
+"""Maximum wait for the nodes [s]. A busy computer may take long to load the nodes."""
 
 ANSWER_S = 180.0
 """Maximum wait for the answer to the first image [s]."""

@@ -286,7 +286,7 @@ def draw_strip(scene: Scene, path: Path, title: str) -> None:
 
 def draw_film(scene: Scene, path: Path, title: str) -> float:
     """Draw the camera images with trails and forces, and save them as a GIF. Return the ratio of
-    its speed to real time."""
+    the animation's speed to real time."""
     film = scene.film
     shown = np.flatnonzero((film.image_time >= -NOW) & (film.image_time <= film.end + NOW))
     if not len(shown):
