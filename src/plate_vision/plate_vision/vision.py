@@ -1,4 +1,5 @@
-"""The detection stage without ROS: from an image and its stamp to tracked parts in plate_home.
+"""The detection stage without ROS. Input: an image and its stamp. Output: tracked parts in
+plate_home.
 
 `make_vision` prepares camera, plate and parts from a rig. `observe` finds the parts of one image,
 converts them to plate_home by the calibration, and updates the tracker with them.
@@ -28,41 +29,43 @@ from .shapes.classes import UNKNOWN, is_named
 from .tracking import Prediction, Tracker, update
 
 HOME = np.zeros(3)
-"""The plate at rest."""
+"""Pose of the plate at rest [m, m, rad]."""
 
 EDGE_POINTS = 8
-"""Number of points for each curved edge of the plate: twice as many as its polynomial needs."""
+"""Number of points for each curved edge of the plate. It is twice the number that the edge's
+polynomial needs."""
 
 
 CENTRE_PX = 0.01
-"""Standard deviation of a part's centre along each axis [px]. In synthetic images (radius 5 to 16
-px, noise of 1 to 4 grey levels, parts alone or touching) it is 0.002 to 0.018 px. Errors of the
-lens and of corners_px, and motion blur, are not included."""
+"""Standard deviation of a part's centre along each axis [px]. In synthetic images it is 0.002 to
+0.018 px. They have parts of 5 to 16 px radius that are alone or touch, and a noise of 1 to 4 grey
+levels. Motion blur and errors of the lens and of corners_px are not included."""
 
 MARK_PX = 0.08
-"""Standard deviation of a mark's direction times the part's radius [px], at a radius of 8 px in the
-same synthetic images."""
+"""Product of the part's radius and the standard deviation of a mark's direction [px]. It was
+measured with a radius of 8 px in the same synthetic images."""
 
 SHAPE_PX = 0.04
-"""Standard deviation of the centre of a part of a taught type along each axis [px]; figures:
-`bench/stages/classes.py`."""
+"""Standard deviation of the centre of a part of a taught type along each axis [px]. It was measured
+by `bench/stages/classes.py`."""
 
 UNKNOWN_PX = 0.3
-"""Standard deviation of the centre of an object without a type [px]: only its outline is known."""
+"""Standard deviation of the centre of an object without a type [px]. It is large because only the
+object's outline is known."""
 
 UNKNOWN_RADII = 0.3
-"""Standard deviation of the centre of an object that may be a round part [radii]: its shadow
-belongs to its outline."""
+"""Standard deviation of the centre of an object that may be a round part [part radii]. It is large
+because the object's outline includes its shadow."""
 
 SPECK = 0.3
-"""An object without a type, and smaller than this fraction of the smallest type's area, is ignored
-[-]."""
+"""Minimum area of an object without a type, relative to the smallest type's area [-]. Smaller
+objects are ignored."""
 
 RIG_SIZE = ", that of the rig's camera, for which corners_px hold, or of the first picture"
-"""Origin of the required image size, for messages."""
+"""Source of the required image size, as text for messages."""
 
 ANY_ANGLE = math.pi / math.sqrt(3)
-"""Standard deviation of an unknown angle [rad], uniform from -pi to pi."""
+"""Standard deviation of an unknown angle [rad], which is uniformly distributed from -pi to pi."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -72,7 +75,7 @@ class Vision:
     Attributes
     ----------
     calibration : Calibration
-        Mapping between image and plate_home.
+        Transformation between the image and plate_home.
     region : Region
         Region of the plate in the image.
     options : DetectorOptions
@@ -82,12 +85,12 @@ class Vision:
     radius : float
         Radius of the parts [m].
     catalogue : Catalogue, optional
-        Types of parts; None: all parts are discs of that radius.
+        Types of parts; None: all parts are discs with this radius.
     background : Background, optional
-        The bare plate, for types; None: it is modelled from each image.
+        The bare plate, for parts with types; None: a model of it is made from each image.
     inner : (2,)
-        Half sides of the area that the plate covers at every motor position [m]. Farther out, a
-        object without a type may be the edge of a plate that was not at home.
+        Half side lengths of the area that the plate covers for every motor position [m]. Outside
+        this area, an object without a type may be the edge of a plate that was not at home.
     """
 
     calibration: Calibration
@@ -100,8 +103,8 @@ class Vision:
     inner: np.ndarray = field(default_factory=lambda: np.full(2, np.inf))
 
     def radius_px(self, point_px: np.ndarray) -> np.ndarray:
-        """Return the radius (n,) of a part seen at points (n, 2), of the disc of the same area
-        [px]."""
+        """Return the radius (n,) of the disc with the same area as the image of a part at points
+        (n, 2) [px]."""
         return np.asarray(self.view.silhouettes(point_px)["radius_px"])
 
 
@@ -112,25 +115,25 @@ def make_vision(
     calibration: Calibration | None = None,
     pose: np.ndarray | None = None,
 ) -> Vision:
-    """Prepare a Vision from a rig's camera, plate, and the types or radius of its parts.
+    """Prepare a Vision from a rig's camera, plate, and parts.
 
     Parameters
     ----------
     rig : Rig
     options : DetectorOptions, optional
-        Its radius is replaced by the rig's: the geometric mean of the smallest and the largest
-        radius in the image.
+        Description of the parts. Its radius is replaced by the geometric mean of the smallest and
+        the largest radius of the rig's parts in the image.
     lens : Lens, optional
-        Lens of camera_info; None: the rig's.
+        Lens of camera_info; None: the lens of the rig file.
     calibration : Calibration, optional
-        Lens and mapping to plate_home, if they differ from the rig's.
+        Lens and transformation to plate_home, if they differ from those of the rig file.
     pose : (3,), optional
-        Pose of the plate [m, m, rad], plate_home; None: at home.
+        Pose of the plate [m, m, rad] in plate_home; None: the plate is at home.
 
     Raises
     ------
     PlateError
-        If the plate is not in the image, or its parts are too small or large in it.
+        If the plate is not in the image, or if its parts are too small or too large in the image.
     """
     if calibration is None:
         calibration = calibrate_by_rig(rig, lens)
@@ -168,7 +171,7 @@ def observe(
     stamp: float,
     expected: Prediction | None = None,
 ) -> Tracker:
-    """Find the parts of one image and track them. The result's `parts` holds them.
+    """Find the parts of one image and track them. The field `parts` of the result contains them.
 
     Parameters
     ----------
@@ -186,12 +189,13 @@ def observe(
     Raises
     ------
     ImageError
-        If the image is not uint8, has another shape, or not the rig's size.
+        If the image is not uint8, has another shape, or does not have the size of the rig's images.
     """
     check_size("image: size is", image.shape[1::-1], vision.region.size_px, why=RIG_SIZE)
     if vision.catalogue is not None:
         return _observe_types(vision, vision.catalogue, tracker, image, stamp, expected)
-    # If the search fails, it is repeated only in the 1st, 2nd, 4th, 8th... doubtful image.
+    # If the search for a shadow fails, it is repeated only in the 2nd, 4th, 8th... consecutive
+    # doubtful image, because it takes long.
     search = tracker.doubtful & (tracker.doubtful + 1) == 0
     discs = find_discs(image, vision.region, vision.options, vision.view, tracker.shadow, search)
     found = discs.found
@@ -264,8 +268,8 @@ def _observe_types(
 
 
 def _with_unsettled(vision: Vision, tracker: Tracker) -> Tracker:
-    """Add to the overlooked objects the tracks that have no class yet although the newest detection
-    has one: earlier images did not show them as parts."""
+    """Add tracks to the overlooked objects that have no class yet, although their newest detection
+    has one. They were not detected as parts in earlier images."""
     tracks = [track for track in tracker.found if track.label in NAMELESS]
     tracks = [track for track in tracks if track.votes[-1] not in NAMELESS]
     if not tracks:
@@ -282,20 +286,21 @@ def _with_unsettled(vision: Vision, tracker: Tracker) -> Tracker:
 def follow_plate(
     location: PlateLocation, vision: Vision, image: np.ndarray
 ) -> tuple[PlateLocation, Vision, np.ndarray]:
-    """Find a plate with markers in an image, before `observe` looks for parts.
+    """Find a plate with markers in an image, before `observe` searches for parts.
 
-    Return the new location, a vision whose region is there, and the image (H, W) or (H, W, 3)
-    without the markers, which could be mistaken for parts. Pass both to `observe`.
+    Return the new location, a vision whose region is at this location, and the image (H, W) or
+    (H, W, 3) without the markers, because they could be mistaken for parts. The vision and the
+    image are the input of `observe`.
 
     Raises
     ------
     PlateError
-        If `locate_plate` raises one, or if the image has another size.
+        If the plate cannot be located (see `locate_plate`), or if the image has another size.
     """
     check_size("image: size is", image.shape[1::-1], vision.region.size_px, why=RIG_SIZE)
     now, image = locate_plate(location, image)
     if now.region_pose is not location.region_pose:
-        # Do not build the catalogue again: the present one is used below.
+        # The catalogue is not made again, because the present one is used below.
         rig = replace(now.rig, types={})
         placed = make_vision(rig, vision.options, calibration=now.home, pose=now.region_pose)
         vision = replace(placed, catalogue=vision.catalogue, background=vision.background)
@@ -303,7 +308,8 @@ def follow_plate(
 
 
 def _angles(vision: Vision, found: np.ndarray, centre_px: np.ndarray) -> np.ndarray:
-    """Return the angles (n,) [rad, plate_home] of detected parts; 0 where there is no mark."""
+    """Return the angles (n,) [rad, plate_home] of detected parts. The angle of a part without a
+    mark is 0."""
     turn = found["angle_rad"]
     if not np.any(turn):
         return turn
@@ -316,9 +322,9 @@ def _angles(vision: Vision, found: np.ndarray, centre_px: np.ndarray) -> np.ndar
 def _quality(
     vision: Vision, found: np.ndarray, centre_px: np.ndarray, centre: np.ndarray
 ) -> np.ndarray:
-    """Return the quality of the detections (n, 3), see `Tracker.quality`. The standard deviation of
-    a part that is not completely on the plate is unknown: NaN."""
-    # The plate may reach beyond the image.
+    """Return the quality of the detections (n, 3) (see `Tracker.quality`). If a part is not
+    completely on the plate, the standard deviation of its position is unknown, NaN."""
+    # The plate may extend beyond the image.
     corner_px = np.array(vision.region.size_px) - 1
     border_px = np.minimum(centre_px, corner_px - centre_px).min(axis=1) + 0.5
     depth_px = np.minimum(vision.region.depth(*centre_px.T), border_px)

@@ -1,7 +1,7 @@
-"""A measured outline simplified to a polygon with few corners.
+"""Simplification of a measured outline to a polygon with few corners.
 
-The Douglas-Peucker algorithm gives a first polygon. Its corners are fitted by least squares, and
-corners are removed while the fit remains good.
+The Douglas-Peucker algorithm finds a first polygon. Its corners are fitted by least squares. Then
+corners are removed as long as the fit remains good.
 """
 
 from __future__ import annotations
@@ -18,19 +18,22 @@ from ..errors import TeachError
 from .outlines import distances, make_outline
 
 COARSE = 0.03
-"""Maximum RMS distance of the polygon from the measured outline, relative to the reach."""
+"""Maximum RMS (root mean square) distance of the polygon from the measured outline, relative to the
+part's reach."""
 
 FINE_PX = 0.5
 """Tolerance of the first polygon [px]."""
 
 FINE = 0.012
-"""Tolerance of the first polygon, relative to the reach. The larger of both tolerances is used."""
+"""Tolerance of the first polygon, relative to the part's reach. The larger of the two tolerances is
+used."""
 
 PLAIN_PX = 0.14
 """RMS deviation up to which a polygon with fewer corners is preferred [px]."""
 
 PLAIN = 0.006
-"""RMS deviation up to which a polygon with fewer corners is preferred, relative to the reach."""
+"""RMS deviation up to which a polygon with fewer corners is preferred, relative to the part's
+reach."""
 
 WORSE = 1.1
 """Maximum deviation of a polygon with fewer corners, relative to the deviation of the first polygon
@@ -40,22 +43,24 @@ BULGE_PX = 0.35
 """Maximum distance of the outline from the polygon's edges [px]."""
 
 CLEAR_PX = 2.0
-"""Distance from corners within which the outline is ignored, because blur rounds them [px]."""
+"""Minimum distance from the corners at which this distance is evaluated, because blur rounds the
+corners [px]."""
 
 STAY = 0.05
-"""Weight of a corner's shift relative to the distance of the outline, for regularisation."""
+"""Weight of a corner's shift in the fit, relative to the weight of the outline's distance. It keeps
+corners in place that the outline does not determine."""
 
 
 def simplified(name: str, what: str, ring: np.ndarray, reach: float, scale: float) -> np.ndarray:
     """Return a polygon (n, 2) [m] with at most `MAX_CORNERS` corners along a ring (k, 2) [m].
 
-    `reach` is the part's [m], `scale` the picture's [px/m].
+    `reach` is the part's reach [m], and `scale` is the scale of the picture [px/m].
 
     Raises
     ------
     TeachError
-        If that many corners do not suffice. `name` and `what` are the type and its ring, for the
-        message.
+        If this number of corners does not suffice. The message contains `name`, the name of the
+        type, and `what`, the kind of ring.
     """
     fine = max(FINE_PX / scale, FINE * reach)
     contour = (ring / fine).astype(np.float32)[:, None]
@@ -69,7 +74,7 @@ def simplified(name: str, what: str, ring: np.ndarray, reach: float, scale: floa
         loose *= 1.1
     corner, rms = _fitted(corner, ring)
     most = max(WORSE * rms, PLAIN_PX / scale, PLAIN * reach)
-    # Two corners of the first polygon often represent one corner rounded by blur.
+    # Two corners of the first polygon often represent one corner that blur has rounded.
     while len(corner) > 3:
         side = np.hypot(*(np.roll(corner, -1, axis=0) - corner).T)
         i = int(np.argmin(side))
@@ -94,8 +99,8 @@ def simplified(name: str, what: str, ring: np.ndarray, reach: float, scale: floa
 
 
 def _fitted(corner: np.ndarray, ring: np.ndarray) -> tuple[np.ndarray, float]:
-    """Move the corners (n, 2) of a polygon to fit a ring (k, 2). Return them, and the RMS distance
-    of the ring from the polygon [m]."""
+    """Fit the corners (n, 2) of a polygon to a ring (k, 2). Return the fitted corners, and the RMS
+    distance of the ring from the polygon [m]."""
     size = float(np.max(np.ptp(ring, axis=0)))
 
     def errors(flat: np.ndarray) -> np.ndarray:
@@ -111,8 +116,8 @@ def _fitted(corner: np.ndarray, ring: np.ndarray) -> tuple[np.ndarray, float]:
 
 
 def _bulge(corner: np.ndarray, ring: np.ndarray, clear: float) -> float:
-    """Return the maximum distance of a ring's points (k, 2) from a polygon (n, 2), without the
-    points near its corners [m]."""
+    """Return the maximum distance of a ring's points (k, 2) from a polygon (n, 2) [m]. Points near
+    the polygon's corners are ignored."""
     gap = np.hypot(*(ring[:, None] - corner).transpose(2, 0, 1)).min(axis=1)
     return float(np.max(np.abs(_errors(corner, ring)[gap > clear]), initial=0.0))
 

@@ -9,7 +9,7 @@
 
 namespace plate {
 
-// Minimum area of a part: a disc of 3 px radius.
+// Minimum area of a part [px2]. A disc with a radius of 3 px has this area.
 constexpr double MIN_AREA_PX2 = 30;
 
 // Minimum contrast of a part, relative to the maximum deviation of the background.
@@ -18,18 +18,19 @@ constexpr double STRONG = 1.2;
 // Minimum contrast of a part's second colour, relative to the contrast of its main colour.
 constexpr double WEAKER = 0.35;
 
-// Minimum relative contrast of a second colour on the other side of the plate's lightness. The halo
-// of a sharpened edge has less contrast.
+// Minimum contrast of a second colour, relative to the contrast of the main colour, if one of them
+// is brighter and the other one is darker than the plate. The halo of a sharpened edge has less
+// contrast.
 constexpr double BRIGHTER = 0.25;
 
 // Maximum slope of an even area, relative to the maximum slope of the patch.
 constexpr double EVEN = 0.3;
 
-// Minimum cover of a line of one pixel between two colours of a part.
+// Minimum cover of a pixel between two colours of a part that are one pixel apart.
 constexpr double BRIDGE = 0.3;
 
-// Minimum step in L between colours of a part on both sides of the plate's lightness, relative to
-// the larger of their contrasts.
+// Minimum step in L between two colours of a part, of which one is brighter and the other one is
+// darker than the plate, relative to the larger of their contrasts.
 constexpr double LEAP = 1.2;
 
 // Call `visit(i)` for each pixel that is not 0. Blocks without such pixels are skipped.
@@ -48,7 +49,8 @@ template <class T, class Visit>
     }
 }
 
-// Call `visit(i, k)` for each pixel i of a patch k. Labels must be below `patches`; 0 is outside.
+// Call `visit(i, k)` for each pixel i of a patch k. Labels must be below `patches`. The label 0 is
+// outside of all patches.
 template <class Visit>
 [[gnu::always_inline]] inline void each_labelled(const int32_t* labels, int count, int patches,
                                                  Visit visit) {
@@ -67,9 +69,9 @@ struct Histograms {
     int* operator[](int patch) { return &counts[256 * static_cast<size_t>(patch)]; }
 };
 
-// For each patch (count,) compute: its contrast, the median of the upper half of its deviations, 0
-// if the patch is too small; its maximum slope; and whether most of it is brighter than the
-// background. Images are (h, w).
+// Compute for each patch (count,): its contrast, which is the median of the larger deviations, or 0
+// if the patch is too small; its maximum slope; and whether more of its pixels are brighter than
+// the background than darker. Images are (h, w).
 inline void find_contrasts(View<const int32_t, 2> labels, View<const uint8_t, 2> away,
                            View<const uint8_t, 2> brighter, View<const uint8_t, 2> slope,
                            View<float, 1> contrast, float* steepest, bool* bright) {
@@ -90,7 +92,7 @@ inline void find_contrasts(View<const int32_t, 2> labels, View<const uint8_t, 2>
         int total = 0, above = 0;
         for (int level = 1; level < 256; level++) total += histogram[level];
         if (total < MIN_AREA_PX2) continue;
-        // The upper half is taken from the range below the largest tenth of the deviations.
+        // The larger deviations are those above half of the 90th percentile.
         int high = 255, middle = 255;
         for (int passed = 0; high > 0 && passed + histogram[high] < 0.1 * total; high--)
             passed += histogram[high];
@@ -109,8 +111,8 @@ struct PatchContrasts {
     const bool* bright;
 };
 
-// Write the fraction of each pixel that is part into `cover` (h, w): its deviation relative to that
-// of the part around it; 0 outside of parts.
+// Write the fraction of each pixel that a part covers to `cover` (h, w). It is the deviation of the
+// pixel, relative to the deviation of the part around it, and 0 outside of parts.
 inline void find_cover(View<const uint8_t, 2> away, View<const uint8_t, 2> around,
                        View<const uint8_t, 2> brighter, View<const uint8_t, 2> slope,
                        View<const int32_t, 2> labels, const PatchContrasts& patches,
@@ -125,14 +127,16 @@ inline void find_cover(View<const uint8_t, 2> away, View<const uint8_t, 2> aroun
         // A highlight on a dark part may differ less from the plate than the part does.
         const bool highlight = (brighter.data[i] > 0) != patches.bright[k] &&
                                here > std::max(BRIGHTER * contrast, strong);
-        // A second colour of the part has less contrast, but is far from the background and even.
+        // A second colour of the part may have less contrast, but it differs clearly from the
+        // background and is even.
         const bool weaker = here > WEAKER * contrast && slope.data[i] < EVEN * patches.steepest[k];
         cover.data[i] = highlight || weaker ? 1 : std::min(here / full, 1.f);
     });
 }
 
-// Add the pixels between two colours of a part to a mask (h, w) and to the cover: pixels closed by
-// `near` or `far` at which there is a step in lightness, or cover.
+// Add the pixels between two colours of a part to a mask (h, w) and to the cover. `near` and `far`
+// are the mask after gaps were closed. Pixels of `far` are added if there is a step in lightness,
+// and pixels of `near` are added if their cover is large enough.
 inline void bridge(View<uint8_t, 2> mask, View<float, 2> cover, View<const uint8_t, 2> near,
                    View<const uint8_t, 2> far, View<const uint8_t, 2> step,
                    View<const uint8_t, 2> around) {

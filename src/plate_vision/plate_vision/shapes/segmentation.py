@@ -1,8 +1,9 @@
-"""Segmentation of an image into patches that differ from its background, of any outline and colour.
+"""Segmentation of an image into patches that differ from its background. They may have any outline
+and colour.
 
-Steps: deviation from the background in Lab; removal of shadows, or detection of the lamp that casts
-all of them; contour of each patch at half of its own contrast; distinction of holes and highlights;
-split of patches where parts touch.
+Steps: the deviation from the background is computed in Lab; shadows are removed, or the lamp that
+casts all of them is detected; the contour of each patch is determined at half of its own contrast;
+holes are distinguished from highlights; and patches are split where parts touch.
 """
 
 from __future__ import annotations
@@ -22,61 +23,66 @@ from .patch import HALF, Patch
 from .shadows import Lamp, find_faces, find_lamp, find_sides, take_out_shadows
 
 MIN_AREA_PX2: float = _kernels.MIN_AREA_PX2
-"""Minimum area of a part: a disc of 3 px radius."""
+"""Minimum area of a part [px2]. A disc with a radius of 3 px has this area."""
 
 MAX_PATCHES = 250
-"""Maximum number of patches that are evaluated. They are the largest ones. Further patches are
-noise, or texture that has moved."""
+"""Maximum number of patches that are evaluated. The largest patches are used. Further patches are
+noise, or texture of a plate that has moved."""
 
 MIN_DEPTH_PX = 1.8
-"""Minimum distance of the inside of a part from its contour [px]. A scratch is thinner."""
+"""Minimum of the largest distance between a part's inner points and its contour [px]. A scratch is
+thinner."""
 
 MIN_HOLE_PX2 = 6
-"""Minimum area of a hole. A smaller area is a speck on the part."""
+"""Minimum area of a hole [px2]. A smaller area is a speck on the part."""
 
 NEAR_PX = 12
-"""Distance over which the level of a part's inside is extended to its contour [px]."""
+"""Distance from a pixel within which the maximum deviation is searched [px]. It is used as the
+deviation of the part around this pixel."""
 
 HOLE = 0.35
 """Maximum deviation of a hole from the plate, relative to the part's contrast. A highlight has a
 larger deviation."""
 
 NOISE_STEP = 16
-"""Step between rows and columns that are evaluated for the typical noise."""
+"""Step between the rows and columns that are evaluated for the typical noise."""
 
 REMNANT = 0.35
-"""A patch is the rest of a shadow if its area is below this fraction of a typical part's, and
-`LEFT` holds."""
+"""Maximum area of a patch that is the rest of a shadow, relative to a typical part's area. The
+condition of `LEFT` must be fulfilled too."""
 
 LEFT = 0.25
-"""Fraction of its own area that the removed shadow around the rest exceeds."""
+"""Minimum area of the removed shadow around such a rest, relative to the rest's area."""
 
 FILLED = 0.3
-"""Fraction of the area enclosed by a ring that objects inside must fill to be one part with it."""
+"""Minimum fraction of the area enclosed by a ring that objects inside must fill, so that they and
+the ring count as one part."""
 
 DUST = 0.04
-"""Area of dust, relative to the area of a typical part."""
+"""Maximum area of dust, relative to the area of a typical part."""
 
 MIN_SIDE_PX = 8
-"""Minimum side of an image [px]. Smaller images show no complete part."""
+"""Minimum side of an image [px]. Smaller images cannot show a complete part."""
 
 MIN_CONTOUR_PX = 12
 """Minimum length of a part's contour [px]."""
 
 ROUND = 0.8
-"""4 pi area / length^2 above which an enclosed area is a part's hole, not a gap between parts."""
+"""Minimum of 4 pi area / length^2 for a hole. An enclosed area with a smaller value may be a gap
+between parts."""
 
 CONVEX_HOLE = 0.75
-"""Fraction of its convex hull above which an enclosed area is a hole. A gap has thin corners."""
+"""Minimum fraction of the convex hull that a hole fills. A gap between parts fills less because it
+has thin corners."""
 
 LARGE_HOLE_PX2 = 40.0
-"""Area above which thin corners are visible [px2]."""
+"""Minimum area of an enclosed area with visible thin corners [px2]."""
 
 
 def find_patches(
     image: np.ndarray, background: Background, region: Region | None = None
 ) -> list[Patch]:
-    """Find the patches in front of a background.
+    """Find the patches of an image that differ from a background.
 
     Parameters
     ----------
@@ -107,11 +113,12 @@ class Segments(NamedTuple):
     ----------
     patches : list of Patch
     lamp : Lamp, optional
-        The lamp that casts the shadows of all parts. If given, patches include the shadows.
+        The lamp that casts the shadows of all parts. If there is such a lamp, patches include the
+        shadows.
     labels : (H, W) int32
-        Numbers of the connected regions that differ from the background, 0 elsewhere.
+        Number of the connected region that differs from the background at each pixel, 0 elsewhere.
     cut : (count,) bool
-        Whether part of a region was removed as its shadow, by number.
+        Whether a part of each region was removed as its shadow.
     """
 
     patches: list[Patch]
@@ -120,8 +127,9 @@ class Segments(NamedTuple):
     cut: np.ndarray
 
     def doubtful(self, named: np.ndarray) -> np.ndarray | None:
-        """Return the regions (H, W) bool that have no type after removal of their shadows; None if
-        there are none. `named` (n,): whether each patch has a type."""
+        """Return the pixels (H, W) bool of those regions that have no type after their shadows were
+        removed. Return None if there are no such regions. `named` (n,) is whether each patch has a
+        type."""
         cut = self.cut.copy()
         for patch, known in zip(self.patches, named, strict=True):
             if known:
@@ -141,9 +149,10 @@ def segment(
     """Find patches as `find_patches` does, and the lamp that casts all shadows.
 
     If there is such a lamp, patches are parts together with their shadows. Otherwise, or if `lamps`
-    is False, shadows are removed as far as they differ from parts. If `lamp` is given, no lamp is
-    searched. If parts have a height, `rise` returns the shift (n, 2) of their tops at image points
-    (n, 2) [px]. If `whole` (H, W) bool is given, only its pixels count, and no shadows are removed.
+    is False, shadows are removed if they can be distinguished from parts. If `lamp` is given, it is
+    used and no lamp is searched. If parts have a height, `rise` returns the shifts (n, 2) of their
+    tops at image points (n, 2) [px]. If `whole` (H, W) bool is given, only the pixels where it is
+    true are evaluated, and no shadows are removed.
     """
     lab = colours_like(image, background)
     if min(lab.shape[:2]) < MIN_SIDE_PX:
@@ -186,8 +195,8 @@ def segment(
 def _cover(
     away: np.ndarray, brighter: np.ndarray, limit: np.ndarray, labels: np.ndarray, count: int
 ) -> np.ndarray:
-    """Return the fraction of each pixel that is part (H, W) float32: its deviation relative to the
-    deviation of the part around it; 0 outside of parts."""
+    """Return the fraction of each pixel that a part covers, (H, W) float32. It is the deviation of
+    the pixel, relative to the deviation of the part around it, and 0 outside of parts."""
     slope = cv2.morphologyEx(away, cv2.MORPH_GRADIENT, np.ones((3, 3), np.uint8))
     contrast, steepest = np.empty((2, count), np.float32)
     bright = np.empty(count, np.bool_)
@@ -204,9 +213,9 @@ def _cover(
 def _bridged(cover: np.ndarray, away: np.ndarray, light: np.ndarray) -> np.ndarray:
     """Return the pixels (H, W) uint8 of parts.
 
-    Between two colours of a part there may be pixels like the plate, for example where a highlight
-    ends on a dark part. They are included if the step between the colours is larger than that from
-    the part to the plate.
+    Between two colours of a part there may be pixels that look like the plate, for example at the
+    edge of a highlight on a dark part. They are included if the step between the two colours is
+    larger than the step from the part to the plate.
     """
     mask = (cover >= HALF).astype(np.uint8)
     narrow, wide = np.ones((3, 3), np.uint8), np.ones((5, 5), np.uint8)
@@ -225,7 +234,7 @@ def _patches(
     noise: float,
     region: Region | None,
 ) -> list[Patch]:
-    """Return the patches of a cover (H, W); `mask` (H, W) holds the pixels of parts."""
+    """Return the patches of a cover (H, W). `mask` (H, W) is 1 at the pixels of parts."""
     contours, family = cv2.findContours(mask, cv2.RETR_CCOMP, cv2.CHAIN_APPROX_NONE)
     windows = [
         _window(number, contours, family[0], cover, away)
@@ -243,7 +252,7 @@ def _patches(
 
 
 def _of_shadow(patch: Patch, seen: np.ndarray, away: np.ndarray) -> bool:
-    """Whether a patch is the rest of a shadow that was removed around it."""
+    """Whether a patch is the rest of a shadow. In this case, a shadow was removed around it."""
     here = patch.around(2, seen.shape)
     taken = np.count_nonzero((seen[here] > 0) & (away[here] == 0))
     return bool(taken > LEFT * patch.area_px2)
@@ -259,8 +268,8 @@ def _largest(windows: list[Window]) -> list[Window]:
 
 
 def _without_inner(windows: list[Window]) -> list[Window]:
-    """Merge each ring with the objects that nearly fill it: the contour and the inside of one part
-    that is like the plate between them."""
+    """Merge each ring with the objects inside it if they fill enough of it. Such a ring and objects
+    are the contour and the inside of one part, which looks like the plate between them."""
     kept = []
     inner: set[int] = set()
     low = np.array([window.corner for window in windows]).reshape(-1, 2)
@@ -286,7 +295,8 @@ def _without_inner(windows: list[Window]) -> list[Window]:
 
 
 def _usual_area(patches: list[Patch]) -> float:
-    """Return the area of the part at which larger ones hold half of all parts' pixels."""
+    """Return the typical area of a part: the area for which larger parts contain half of all parts'
+    pixels."""
     area = np.sort([patch.area_px2 for patch in patches if patch.whole and not patch.group])
     if not len(area):
         return 0.0
@@ -301,13 +311,13 @@ class Window(NamedTuple):
     corner : (int, int)
         First column and row in the image.
     solid : (h, w) bool
-        Pixels of parts with their holes filled, without the gaps between parts.
+        Pixels of parts. They include the parts' holes, but not the gaps between parts.
     holes : (h, w) bool
         Pixels of the parts' holes.
     amount : (h, w) float32
-        Fraction of each pixel that is part, with the holes filled.
+        Fraction of each pixel that parts cover. Holes count as covered.
     cover : (h, w) float32
-        Fraction of each pixel that is part, without the holes.
+        Fraction of each pixel that parts cover. Holes do not count as covered.
     enclosed : (h, w) bool
         Pixels of holes and gaps, and of objects inside them.
     """
@@ -321,7 +331,7 @@ class Window(NamedTuple):
 
     @property
     def place(self) -> tuple[slice, slice]:
-        """Rows and columns of the image in the window."""
+        """Rows and columns of the window in the image."""
         (x0, y0), (height, width) = self.corner, self.solid.shape
         return np.s_[y0 : y0 + height, x0 : x0 + width]
 
@@ -339,8 +349,8 @@ def _window(
     cover: np.ndarray,
     away: np.ndarray,
 ) -> Window:
-    """Return the window of one outer contour; each enclosed area is a hole, a gap or a
-    highlight."""
+    """Return the window of one outer contour. Each area that the contour encloses is classified as
+    a hole, a gap or a highlight."""
     x, y, w, h = cv2.boundingRect(contours[number])
     x0, y0 = max(x - 1, 0), max(y - 1, 0)
     here = np.s_[y0 : y + h + 1, x0 : x + w + 1]
@@ -355,7 +365,7 @@ def _window(
     while child >= 0:
         contour = contours[child]
         left, top, wide, high = cv2.boundingRect(contour)
-        # Reject small contours at once, because noise produces thousands of them.
+        # Small contours are skipped at once, because noise causes thousands of them.
         if (wide - 2) * (high - 2) < MIN_HOLE_PX2:
             child = family[child][0]
             continue
@@ -369,14 +379,15 @@ def _window(
             area, hull = cv2.contourArea(contour), cv2.contourArea(cv2.convexHull(contour))
             around = 4 * np.pi * area / max(cv2.arcLength(contour, True), 1) ** 2
             convex = area > max(CONVEX_HOLE * hull, LARGE_HOLE_PX2)
-            # Gaps between touching parts come with dents; a high part's hole looks narrow
-            # obliquely.
+            # If there are gaps between touching parts, the outer contour has concave corners.
+            # Without such corners, the area is a hole that looks narrow because a high part is seen
+            # from the side.
             if not convex and around <= ROUND and alone is None:
                 alone = traits(inside)[2] > CONVEX
             (holes if convex or around > ROUND or alone else gaps)[part][one > 0] = 1
         child = family[child][0]
     solid = inside > gaps
-    # Inside its contour a part covers each pixel completely, also if its colours differ.
+    # Inside its contour, a part covers each pixel completely, even if the part has several colours.
     amount = np.where(solid, np.maximum(own, np.float32(HALF)), own)
     amount[cv2.erode(inside, np.ones((3, 3), np.uint8), borderValue=1) > gaps] = 1
     true = np.where(holes, own, amount) if np.any(holes) else amount
@@ -384,22 +395,23 @@ def _window(
 
 
 def _patch(piece: Piece, window: Window, region: Region | None) -> Patch | None:
-    """Return one patch in its own window; None if the patch is thinner than a part."""
+    """Return one patch in its own window. Return None if the patch is thinner than a part."""
     left, top, width, height = cv2.boundingRect(piece.inside.astype(np.uint8))
     x0, y0 = max(left - 1, 0), max(top - 1, 0)
     here = np.s_[y0 : top + height + 1, x0 : left + width + 1]
     inside = piece.inside[here].astype(np.uint8)
     mask = (inside > 0) & ~window.holes[here]
-    # A piece cut off around a hole is not a part if it is thin.
+    # If a piece that was cut off contains a hole and is thin around it, it is not a part.
     body = inside if piece.alone else mask.astype(np.uint8)
     framed = cv2.copyMakeBorder(body, 1, 1, 1, 1, cv2.BORDER_CONSTANT, value=0)
     if np.max(cv2.distanceTransform(framed, cv2.DIST_L2, 3)) < MIN_DEPTH_PX:
         return None
-    # Pixels at the contour with less than half cover belong to the adjacent piece.
+    # Pixels outside the mask that the part covers by less than half are included, unless they
+    # belong to another piece.
     near = cv2.dilate(inside, np.ones((3, 3), np.uint8)) > 0
     others = window.solid[here] & (inside == 0)
     cover = np.where(near & ~others, window.cover[here], np.float32(0))
-    # A complete patch has a free pixel on each side of its window.
+    # The window of a complete patch has a margin of free pixels on each side.
     whole = not any(np.any(line) for line in (mask[0], mask[:, 0], mask[-1], mask[:, -1]))
     corner = window.corner[0] + x0, window.corner[1] + y0
     patch = Patch(mask, corner, cover, whole, piece.group)

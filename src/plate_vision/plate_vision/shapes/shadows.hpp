@@ -1,5 +1,5 @@
-// Shadows: areas where the background is darker with unchanged chroma, and which fade into the
-// plate. See shadows.py.
+// Shadows: areas where the background is darker, but its chroma is unchanged. Their edges are soft.
+// See shadows.py.
 #pragma once
 #include <algorithm>
 #include <cmath>
@@ -12,28 +12,30 @@
 
 namespace plate {
 
-// Minimum lightness of a shadow, relative to the plate [L].
+// Minimum lightness L of a shadow, relative to the plate's lightness.
 constexpr double DARKEST = 0.45;
 
-// Minimum number of even pixels of a part and of a shadow.
+// Minimum number of pixels in even areas of a part and of a shadow.
 constexpr int MIN_UNIFORM = 12;
 
 // Maximum deviation of a shadow, relative to the deviation of the part that casts the shadow.
 constexpr double LIGHTER = 0.8;
 
-// Fraction of the even pixels of a patch that are darker than the level of its dark side.
+// Fraction of the even pixels of a patch whose deviation is at least the deviation of its dark
+// side.
 constexpr double DARKER = 0.3;
 
 // Range of the deviation in which a shadow's edge is evaluated, relative to the shadow's deviation.
 constexpr double HALFWAY[] = {0.3, 0.7};
 
-// Minimum number of pixels of a shadow's edge for a measurement of its slope.
+// Minimum number of pixels of a shadow's edge from which its slope is measured.
 constexpr int MIN_SEEN = 4;
 
-// Shadow candidates in an image. By pixel (h, w): whether it is like a darker plate; whether it is
-// also light enough for a shadow; and the slope of the lightness [L/px]. By patch (count,): maximum
-// slope and maximum deviation where it is darker, area, and number of pixels brighter than the
-// plate minus number of pixels like a darker plate.
+// Shadow candidates in an image. For each pixel (h, w): whether it looks like a darker plate;
+// whether it is also light enough for a shadow; and the slope of the lightness [L/px]. For each
+// patch (count,): the maximum slope and the maximum deviation of its darker pixels, its area, and
+// the number of its pixels that are brighter than the plate minus the number of its pixels that
+// look like a darker plate.
 struct ShadowEdges {
     int count;
     View<bool, 2> like, lit;
@@ -42,8 +44,8 @@ struct ShadowEdges {
     int64_t *total, *balance;
 };
 
-// Find shadow candidates in the colours `lab` of an image on a background `bare` (h, w, c), by
-// patches; other images are (h, w). All results must be 0 before.
+// Find shadow candidates in the colours `lab` of an image with the background `bare` (h, w, c). The
+// other images are (h, w). All results must be 0 before the call.
 inline void find_shadow_edges(View<const uint8_t, 3> lab, View<const uint8_t, 3> bare,
                               double chroma, View<const uint8_t, 2> limit,
                               View<const int32_t, 2> labels, const ShadowEdges& found) {
@@ -86,9 +88,8 @@ inline void find_shadow_edges(View<const uint8_t, 3> lab, View<const uint8_t, 3>
     }
 }
 
-// For each patch (count,) compute the deviation that separates its light side from its dark side, 0
-// if it has only one side; the deviation of the light side; and the deviation of the dark side or
-// of all.
+// Compute for each patch (count,): the deviation that separates its light side from its dark side,
+// 0 if it has only one side; the deviation of the light side; and the deviation of the dark side.
 //
 // The even pixels are separated by the method of Otsu (1979).
 inline void part_sides(View<const uint8_t, 2> away, View<const bool, 2> like,
@@ -128,15 +129,16 @@ inline void part_sides(View<const uint8_t, 2> away, View<const bool, 2> like,
         for (int64_t passed = 0; level > 0 && passed < DARKER * total; level--)
             passed += histogram[level];
         dark[k] = level;
-        // The light side is a shadow only if most of it is like a darker plate.
+        // The light side is a shadow only if at least half of it looks like a darker plate.
         int64_t under = 0, own = 0;
         for (int l = 0; l < static_cast<int>(bound(k)); l++) under += histogram[l], own += plain[l];
         if (2 * own < under) bound(k) = 0;
     }
 }
 
-// For each patch (count,) compute the slope at the outer edge of its light side [L/px], 0 if it is
-// not visible; and the direction (count, 2) from the dark to the light side, 0 before.
+// Compute for each patch (count,) the slope at the outer edge of its light side [L/px], or 0 if
+// this edge is not visible; and the direction (count, 2) from the dark to the light side. The
+// directions must be 0 before the call.
 inline void find_fade(View<const uint8_t, 2> away, View<const uint8_t, 2> around,
                       View<const bool, 2> like, View<const float, 2> slope,
                       View<const int32_t, 2> labels, View<const float, 1> bound,

@@ -1,10 +1,9 @@
-"""Shadows: areas where the background is darker with unchanged chroma, and which fade into the
-plate.
+"""Shadows: areas where the background is darker, but its chroma is unchanged. Their edges are soft.
 
-The edge of a part is as sharp as the image. Its shadow is lighter than the part, and its edge is
-softer. Therefore each patch is separated into a light and a dark side (Otsu), and the light side is
-tested. `find_lamp` estimates one lamp for all shadows; `take_out_shadows` removes shadows one by
-one.
+The edge of a part is as sharp as the image. The part's shadow is lighter than the part, and the
+edge of the shadow is softer. Therefore, each patch is separated into a light and a dark side (by
+Otsu's method), and the light side is checked. `find_lamp` determines one lamp for all shadows, and
+`take_out_shadows` removes single shadows.
 """
 
 from __future__ import annotations
@@ -19,46 +18,46 @@ import numpy as np
 from .. import _kernels
 
 SOFT = (1.25, 0.8, 1.7)
-"""Minimum width of a shadow's edge, relative to the width of sharp edges. The values are for three
-cases: several patches have a shadow; these shadows are also on the same side; only one patch has a
-shadow."""
+"""Minimum width of a shadow's edge, relative to the width of sharp edges. The first value applies
+if several patches have a shadow, the second value if these shadows are also on the same side, and
+the third value if only few patches have a shadow."""
 
 FEWEST = 3
-"""Minimum number of patches that count as several."""
+"""Minimum number of patches that count as several patches."""
 
 ALIGNED = 0.8
 """Minimum length of the mean of unit vectors that point to the same side."""
 
 DEPTHS = 0.4
-"""Maximum relative difference of the deviations of shadows in an image."""
+"""Maximum relative difference between the deviations of the shadows in an image."""
 
 SHARP_PERCENT = 25
-"""Percentage of the patches whose edges count as sharp."""
+"""Percentile of the patches' edge widths that is the width of sharp edges."""
 
 CLEAR_EDGE = 0.5
-"""Minimum deviation of patches with clear edges, relative to the upper quartile of all."""
+"""Minimum deviation of patches with clear edges, relative to the upper quartile of all patches."""
 
 WIDE_PERCENT = 80
-"""Percentile of the parts' edge widths that is the width of an image's edges."""
+"""Percentile of the parts' edge widths that is the width of the parts' edges in an image."""
 
 LIGHTER: float = _kernels.LIGHTER
 """Maximum deviation of a shadow, relative to the deviation of the part that casts the shadow."""
 
 AGREE = 0.25
-"""Fraction of patches with a shadow above which all are assumed to have one."""
+"""Minimum fraction of patches with a shadow from which all patches are assumed to have a shadow."""
 
 MOSTLY = 0.7
-"""Minimum fraction of a separate shadow that is like a darker plate."""
+"""Minimum fraction of a separate shadow that looks like a darker plate."""
 
 ALONE = 3.0
-"""Minimum edge width of a separate shadow, relative to sharp edges."""
+"""Minimum edge width of a separate shadow, relative to the width of sharp edges."""
 
 WIDE_PX = 25.0
 """Edge width above which a patch is always a shadow [px]."""
 
 THICK = 0.6
-"""Minimum thickness of a part, relative to the thickness of its shadow. A thin dark side is a side
-face of a high part seen obliquely, and the light side is its top."""
+"""Minimum thickness of a part, relative to the thickness of its shadow. If the dark side is
+thinner, it is the side face of a high part, and the light side is the top of this part."""
 
 MIN_AREA_PX2 = 30
 """Minimum area of a patch whose edges are evaluated."""
@@ -68,52 +67,56 @@ SQUARE = np.ones((3, 3), np.uint8)
 """Kernel of the morphological operations: a pixel and its eight neighbours."""
 
 MIN_CAST = (0.06, 0.75)
-"""Range of the fraction of a patch that is shadow, for a measurement of the shadow's length."""
+"""Range of the fraction of a patch that is shadow. If the fraction is outside this range, the
+shadow's length is not measured."""
 
 MIN_PART = 0.2
-"""Minimum fraction of a patch whose colour shows that it is not shadow."""
+"""Minimum fraction of a patch that certainly is not shadow, because of its colour."""
 
 ONE_LAMP = 0.85
-"""Minimum cosine of the angle between two shadows of one lamp; and minimum length of the mean of
-the unit vectors to the shadows if one lamp casts them all."""
+"""Minimum cosine of the angle between two shadows from one lamp. It is also the minimum length of
+the mean of the unit vectors to the shadows, if one lamp casts all of them."""
 
 OF_ONE_LAMP = 0.6
-"""Minimum fraction of the patches with a clear shadow that one lamp must cast. The light and dark
-sides of touching parts have random directions."""
+"""Minimum fraction of the clear shadows that one lamp must cast. Without this minimum, the light
+and dark sides of touching parts, which have random directions, could be mistaken for shadows."""
 
 SPREAD = 0.35
-"""Maximum median deviation of the shadows' lengths, relative to their median."""
+"""Maximum of the median deviation of the shadows' lengths from their median, relative to this
+median."""
 
 DEEP = 30.0
-"""Minimum deviation of a shadow whose length is subtracted [L]: a fifth of the light. A fainter or
-softer shadow surrounds a part on all sides, and is recognised by its softness."""
+"""Minimum deviation of a shadow whose length is subtracted [L]. It is a fifth of the light. A
+fainter or softer shadow surrounds a part on all sides and is recognised by its soft edge."""
 
 MIN_PX = 1.0
 """Minimum length of a shadow that is subtracted [px]."""
 
 FACE = 0.9
-"""Minimum fraction of a patch's dark side that must lie within the top's shift of the light side,
-so that the dark side counts as side faces. The rest is noise."""
+"""Minimum fraction of a patch's dark side from which the light side is at most the shift of the top
+away, so that the dark side counts as side faces. The rest is noise."""
 
 FACE_SLACK_PX = 1.5
-"""Maximum distance of the top beyond the shift by its height [px]. Blur causes this distance."""
+"""Maximum distance of the top beyond the shift that its height causes [px]. Blur causes this
+distance."""
 
 
 class Sides(NamedTuple):
-    """Areas where patches are like a darker background: see `ShadowEdges` in shadows.hpp.
+    """Areas where patches look like a darker background: see `ShadowEdges` in shadows.hpp.
 
     Attributes
     ----------
     like, lit : (H, W) bool
-        Whether a pixel is darker than the background with its chroma; and whether it is also light
-        enough for a shadow.
+        Whether a pixel is darker than the background but has its chroma; and whether it is also
+        light enough for a shadow.
     slope : (H, W) float32
         Gradient of the lightness [L/px].
     steepest, largest : (count,) float32
-        For each patch: maximum slope [L/px], and maximum deviation where it is darker [L].
+        For each patch: the maximum slope [L/px], and the maximum deviation of its darker pixels
+        [L].
     total, balance : (count,) int64
-        For each patch: number of pixels; number of brighter pixels minus number of pixels like a
-        darker background.
+        For each patch: the number of pixels; and the number of brighter pixels minus the number of
+        pixels that look like a darker background.
     """
 
     like: np.ndarray
@@ -152,7 +155,7 @@ def find_sides(
     labels: np.ndarray,
     count: int,
 ) -> Sides:
-    """Find the areas where patches are like a darker background.
+    """Find the areas where patches look like a darker background.
 
     Parameters
     ----------
@@ -186,16 +189,17 @@ def find_faces(
     """Return which patches (count,) bool have no shadow, because their dark side consists of side
     faces and their light side is the top of a high part.
 
-    The camera sees the top farther outwards than the part's base. So the top is found at that shift
-    outwards from each pixel of a side face, also of the side face of a hole. In contrast, shadows
-    of a lamp have the same direction everywhere, and parts are wider than side faces.
+    In the image, the top is farther outwards than the part's base. Therefore, there is a pixel of
+    the top within this shift outwards from each pixel of a side face, including the side face of a
+    hole. This is not so for shadows, because the shadows from a lamp have the same direction
+    everywhere, and parts are wider than side faces.
 
     Parameters
     ----------
     sides, away, labels
-        As for `find_lamp`.
+        As in `find_lamp`.
     rise : callable
-        Returns the shift of the tops of parts in the image (n, 2), at points (n, 2) [px].
+        Returns the shifts (n, 2) of the tops of parts at image points (n, 2) [px].
     """
     count = len(sides.total)
     faces = np.zeros(count, bool)
@@ -224,7 +228,7 @@ def _two_sides(
     sides: Sides, away: np.ndarray, labels: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Return for each patch (count,) the deviation that separates its light side from its dark
-    side, 0 if it has only one, and the deviations of both sides."""
+    side, or 0 if it has only one side; and the deviations of both sides."""
     bound, light, dark = np.empty((3, len(sides.total)), np.float32)
     _kernels.part_sides(away, sides.lit, sides.slope, sides.steepest, labels, bound, light, dark)
     return bound, light, dark
@@ -233,16 +237,17 @@ def _two_sides(
 def find_lamp(
     sides: Sides, away: np.ndarray, labels: np.ndarray, faces: np.ndarray | None = None
 ) -> Lamp | None:
-    """Find the one lamp of an image, if a lamp casts shadows on the same side of most parts.
+    """Find the one lamp of an image that casts shadows on the same side of most parts. Return None
+    if there is no such lamp.
 
-    The length of a shadow is the distance along its direction by which a part with its shadow
-    extends beyond the part. It is measured where the part has another colour, or is darker.
+    The length of a shadow is the distance along its direction by which the shadow extends beyond
+    the part. It is measured for parts that have another colour than their shadow, or are darker.
 
     Parameters
     ----------
     sides : Sides
     away : (H, W) uint8
-        Deviation of each pixel from the background, 0 if it shows it [L].
+        Deviation of each pixel from the background [L]; 0 if it shows the background.
     labels : (H, W) int32
         Number of the patch of each pixel, 0 outside.
     faces : (count,) bool, optional
@@ -265,7 +270,7 @@ def find_lamp(
     if np.count_nonzero(large & (shade > MIN_CAST[0] * sides.total)) < fewest:
         return None
     grey = np.bincount(patch[own], minlength=count) < MIN_PART * sides.total
-    # In a part as grey as a shadow, the darker side is the part.
+    # If a part is as grey as its shadow, the darker side is the part.
     bound, *_ = _two_sides(sides, away, labels)
     darker = (grey & (bound > 0))[patch] & (away[rows, columns] > bound[patch])
     own |= darker
@@ -319,19 +324,20 @@ def take_out_shadows(
     faces: np.ndarray | None = None,
 ) -> np.ndarray:
     """Set `away` to 0 where an image deviates from the background because of a shadow. Return for
-    each patch (count,) bool whether a part of it was removed as shadow.
+    each patch (count,) bool whether any of its pixels were removed as shadow.
 
     Parameters
     ----------
     sides : Sides
-        Areas where patches are like a darker background.
+        Areas where patches look like a darker background.
     away : (H, W) uint8
-        Deviation of each pixel from the background, 0 if it shows it [L].
+        Deviation of each pixel from the background [L]; 0 if it shows the background.
     labels : (H, W) int32
         Number of the patch of each pixel, 0 outside.
     plate_known : bool
-        Whether the background was learned. Then a patch that is neither like a darker plate nor
-        faint is a part, and its edges have the width of the parts' edges in this image.
+        Whether the background was learned. If it was, a patch is a part if it neither looks like a
+        darker plate nor is faint. The width of sharp edges in this image is then measured at such
+        parts.
     faces : (count,) bool, optional
         Whether a patch certainly has no shadow: see `find_faces`.
     """
@@ -373,11 +379,11 @@ def _part_width(
     balance: np.ndarray,
     large: np.ndarray,
 ) -> float:
-    """Return the width of the parts' edges [px] from the widths (count,) of patches. Only the
-    patches `large` (n,) are evaluated.
+    """Return the width of the parts' edges [px], determined from the edge widths (count,) of
+    patches. Only the patches `large` (n,) are evaluated.
 
-    The image may be out of focus, or blurred by motion in one direction. Edges across this
-    direction have the maximum width. Slivers and faint patches are ignored.
+    A high percentile is used because motion may blur the image in one direction. Edges across this
+    direction have the maximum width. Faint patches are ignored.
     """
     usual = np.sort(largest[large])[3 * len(large) // 4]
     clear = large[largest[large] >= CLEAR_EDGE * usual]
@@ -390,8 +396,8 @@ def _part_width(
 def _clear_bright(
     away: np.ndarray, like: np.ndarray, labels: np.ndarray, bright: np.ndarray
 ) -> None:
-    """Set the deviation to 0 in the shadows of parts brighter than the plate: pixels like a darker
-    plate that are connected with the plate."""
+    """Set the deviation to 0 in the shadows of parts that are brighter than the plate. These
+    shadows are the pixels that look like a darker plate and are connected with the plate."""
     if not np.any(bright):
         return
     shadow = (like & bright[labels]).astype(np.uint8)
@@ -404,7 +410,8 @@ def _clear_bright(
 
 
 def _parts_are_thick(shadow: np.ndarray, parts: np.ndarray, labels: np.ndarray) -> bool:
-    """Whether the parts are as thick as their shadows in most patches with a shadow."""
+    """Whether the parts are at least `THICK` times as thick as their shadows in most patches with a
+    shadow."""
     thickness = np.zeros((2, labels.max() + 1), np.float32)
     for most, side in zip(thickness, (shadow, parts), strict=True):
         depth = cv2.distanceTransform(side.astype(np.uint8), cv2.DIST_L2, 3)
@@ -421,10 +428,10 @@ def _of_shadows(
     way: np.ndarray,
     patches: int,
 ) -> np.ndarray:
-    """Return the deviations (count,) below which pixels like a darker plate are shadow.
+    """Return the deviations (count,) below which pixels that look like a darker plate are shadow.
 
-    The light is the same for all parts. If many have a light side that is soft, or on the same
-    side, all parts have a shadow of one depth.
+    The light is the same for all parts. If the light sides of many patches have soft edges, or are
+    in the same direction, all parts are assumed to have shadows with the same deviation.
     """
     seen = (bound > 0) & (softness > 0)
     if np.count_nonzero(seen) >= max(AGREE * patches, FEWEST):

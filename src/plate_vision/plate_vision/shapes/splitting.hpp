@@ -1,4 +1,4 @@
-// Touching parts: a patch is split at narrow places. See splitting.py.
+// Separation of touching parts: a patch is split at narrow places. See splitting.py.
 #pragma once
 #include <algorithm>
 #include <cmath>
@@ -11,20 +11,21 @@
 
 namespace plate {
 
-// Half the width [px] below which an area, for example a wire or a ragged edge, is never separated
-// from a wider area; and the same limit relative to the wider area.
+// THIN_PX: minimum half width [px] of an area that is separated from a wider area. THINNER: the
+// same minimum, relative to the wider area. An area that is below both, for example a wire or an
+// irregular edge, is not separated.
 constexpr double THIN_PX = 2.2, THINNER = 0.3;
 
 // Maximum number of necks that are kept for a patch.
 constexpr int MAX_NECKS = 200;
 
-// Two parts, numbered from 1, and the width of the neck between them, relative to the narrower
-// part.
+// The numbers of two parts, from 1, and the width of the neck between them, relative to the width
+// of the narrower part.
 struct Neck {
     double one, other, width;
 };
 
-// Maximum number of steps of the distance by which pixels are sorted.
+// Maximum number of steps into which distances are divided when pixels are sorted.
 constexpr double MAX_STEPS = 1e6;
 
 struct Basins {
@@ -32,8 +33,8 @@ struct Basins {
     std::vector<Neck> necks;
 };
 
-// Pixels (h, w) with a depth above 0, the deepest first, by counting sort in steps of 1 / `levels`;
-// within a step row by row.
+// Pixels (h, w) with a depth above 0, sorted by counting sort in steps of 1 / `levels`. The deepest
+// pixels come first. Within a step, the pixels are in order of their rows.
 inline std::vector<int> from_the_deepest(View<const float, 2> depth, int levels) {
     const int size = depth.size(0) * depth.size(1);
     std::vector<int> inside(size), steps;
@@ -56,15 +57,15 @@ inline std::vector<int> from_the_deepest(View<const float, 2> depth, int levels)
     return order;
 }
 
-// Watershed: flood a distance (h, w) from its peaks downwards. Set the labels (h, w), 0 before, and
-// return their number and the necks between them.
+// Watershed of a distance (h, w): flood it from its peaks downwards. Set the labels (h, w), which
+// must be 0 before, and return the number of basins and the necks between them.
 //
-// Two floods that meet are merged, unless both peaks are far enough above the saddle.
+// If two floods meet, they are merged, unless both of their peaks are far enough above the saddle.
 inline Basins find_basins(View<const float, 2> depth, double neck, double least_drop, int levels,
                           View<int32_t, 2> labels) {
     const int height = depth.size(0), width = depth.size(1);
     struct Flood {
-        int parent;  // the flood with which this one was merged, or this one
+        int parent;  // index of the flood with which this one was merged, or its own index
         double peak;
     };
     struct Meeting {

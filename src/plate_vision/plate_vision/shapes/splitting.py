@@ -1,8 +1,8 @@
-"""Touching parts: a patch is split where it is narrow between two wide areas.
+"""Separation of touching parts: a patch is split where it is narrow between two wide areas.
 
-The width is measured by the distance to the patch's contour. Between two wide areas this distance
-has a saddle, the neck. The areas are two parts if the neck is clearly narrower than the narrower
-area (a watershed of the distance transform).
+The width is measured by the distance to the patch's contour. Between two wide areas, this distance
+has a saddle point, which is called the neck. If the neck is clearly narrower than the narrower
+area, the areas are two parts. The method is a watershed of the distance transform.
 """
 
 from __future__ import annotations
@@ -13,22 +13,22 @@ import numpy as np
 from .. import _kernels
 
 ZOOM = 2
-"""Factor of resolution for the split."""
+"""Factor by which the resolution is increased for the split."""
 
 NECK = 0.78
-"""Maximum width of a neck between two parts, relative to the width of the narrower one. The neck of
-a bracket or a screw is as wide as its arm."""
+"""Maximum width of a neck between two parts, relative to the width of the narrower part. Within one
+part, such as a bracket or a screw, the neck is as wide as the arm."""
 
 MIN_DROP_PX = 0.6
-"""Minimum difference between half widths of a part and the neck [px]. A smaller difference is
-noise."""
+"""Minimum difference between the half width of a part and the half width of the neck [px]. A
+smaller difference is noise."""
 
 LEVEL = 0.8
-"""Minimum cover of a pixel that counts for the width. The gap between blurred parts has a smaller
-cover."""
+"""Minimum cover (fraction that the part covers) of a pixel that counts for the width. The cover is
+smaller in the gap between blurred parts."""
 
 LEVELS_PX = 16
-"""Number of steps of the distance per pixel by which pixels are sorted."""
+"""Number of steps per pixel into which distances are divided when pixels are sorted."""
 
 
 def split(cover: np.ndarray, mask: np.ndarray) -> tuple[np.ndarray, int, np.ndarray]:
@@ -37,16 +37,18 @@ def split(cover: np.ndarray, mask: np.ndarray) -> tuple[np.ndarray, int, np.ndar
     Parameters
     ----------
     cover : (h, w) float32
-        Fraction of each pixel that is part.
+        Fraction of each pixel that the part covers.
     mask : (h, w) bool
         Pixels of the patch.
 
     Returns
     -------
     (h, w) int32, int
-        Number of the part to which each pixel belongs, from 1, 0 outside; number of parts.
+        Number of the part to which each pixel belongs, from 1, and 0 outside; and the number of
+        parts.
     (n, 3) float64
-        Necks: numbers of the two parts, and the width relative to the narrower part.
+        Necks: the numbers of the two parts, and the width of the neck, relative to the width of the
+        narrower part.
     """
     framed = _framed(np.where(mask, cover, np.float32(0)))
     size = (ZOOM * framed.shape[1], ZOOM * framed.shape[0])

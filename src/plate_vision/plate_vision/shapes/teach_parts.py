@@ -26,7 +26,7 @@ from .part_files import OUT, add_type, colour_text, lesson_text, load_bare, save
 from .teaching import Example, apart, drawn_name, merged
 
 COMMANDS = ("list", "merge", "rename", "delete")
-"""Words that are commands, not names of types, in the order of `_managing_parser`."""
+"""Words that are commands and not names of types, in the order of `_managing_parser`."""
 
 BOX = (
     "use only the part in this box; X and Y are its upper left corner [px]. Up to five boxes, each "
@@ -34,7 +34,7 @@ BOX = (
 )
 
 HEIGHT = (
-    "height of the part [m], so that side faces are not learned (default: that of the type in the "
+    "height of the part [m], so that side faces are not learned (default: the type's height in the "
     "file, or 0); requires a known position of the camera"
 )
 
@@ -43,12 +43,12 @@ SCALE = (
 )
 
 AROUND = 1.0
-"""Width of the surround of a box that is also evaluated, relative to its sides."""
+"""Width of the surround of a box that is evaluated too, relative to the sides of the box."""
 
 
 @piped()
 def main(arguments: Sequence[str] | None = None) -> None:
-    """Run the command line. Errors print one line and end with exit code 2."""
+    """Run the command line. If there is an error, print it in one line and exit with code 2."""
     words = list(sys.argv[1:] if arguments is None else arguments)
     managing = bool(words) and words[0] in COMMANDS
     args = (_managing_parser() if managing else _parser()).parse_args(words)
@@ -71,7 +71,7 @@ def _parser() -> argparse.ArgumentParser:
     add("name", metavar="NAME", help="name of the type, such as nut")
     add("pictures", metavar="PICTURES", type=Path, nargs="+", help="one to five files, or a folder")
     add("--rig", default="", help="rig file, or a name in config/rigs (default rig)")
-    add("--bare", type=Path, help="picture of the bare plate, or a folder of them")
+    add("--bare", type=Path, help="picture of the bare plate, or a folder of pictures")
     add("--box", type=_box, action="append", default=[], metavar="X,Y,WIDTH,HEIGHT", help=BOX)
     add("--scale", type=_scale, metavar="PX_PER_MM", help=SCALE)
     add("--height", type=_height, metavar="M", help=HEIGHT)
@@ -161,7 +161,8 @@ def _teach(args: argparse.Namespace) -> None:
         text = "it is estimated from each picture, so a hole may be learned instead of its part"
         print(f"no bare plate (--bare): {text}: check the drawn outline", file=sys.stderr)
     if args.box:
-        # With a known scale and without a bare plate, the position is irrelevant.
+        # With a known scale and without a bare plate, the position of the part in the picture has
+        # no effect.
         cuts = args.scale is not None and bare is None
         examples = [
             _boxed(picture, box, f"{name}, box {','.join(map(str, box))}", cuts) for box in args.box
@@ -178,7 +179,7 @@ def _teach(args: argparse.Namespace) -> None:
 
 
 def _boxed(picture: np.ndarray, box: tuple[int, int, int, int], name: str, cuts: bool) -> Example:
-    """Return the example in a box. If `cuts`, only the surround of the box is kept."""
+    """Return the example in a box. If `cuts`, the picture is cut to the box and its surround."""
     x, y, width, height = box
     if not cuts:
         return Example(picture, (x, y, x + width, y + height), name)

@@ -1,8 +1,8 @@
-"""Part types learned from pictures of parts.
+"""Learning of part types from pictures of parts.
 
-The outline of each part is measured. The outlines are fitted to each other and averaged, and the
-mean is simplified to a polygon. The symmetry is the number of rotations that map the mean outline
-to itself. `check_alike` refuses types that cannot be distinguished.
+The outline of each part is measured. The outlines are fitted to each other and averaged. The mean
+outline is simplified to a polygon. The symmetry is the number of rotations that transform the mean
+outline into itself. `check_alike` raises an error if two types cannot be distinguished.
 """
 
 from __future__ import annotations
@@ -39,42 +39,44 @@ from .polygons import simplified
 from .segmentation import find_patches
 
 MAX_PICTURES = 5
-"""Maximum number of pictures of one type. More pictures have little effect."""
+"""Maximum number of pictures of one type. With more pictures, the result would hardly change."""
 
 RIM_POINTS = 256
 """Number of points on the outline of an example."""
 
 DIFFER, DIFFER_SIZE = 0.1, 0.35
-"""Examples are not of one type if their outlines, or their sizes, differ by more than this fraction
-of their reach and by more than `DIFFER_PX`. Seeds and coins of one sort differ in size."""
+"""Maximum differences between examples of one type: of their outlines and of their sizes, relative
+to their reach [-]. Sizes may differ more, because seeds or coins of the same kind differ in
+size."""
 
 DIFFER_PX = 1.5
-"""Minimum of these limits [px]."""
+"""Minimum of both maximum differences [px]."""
 
-ALIKE_SHARE = 0.66
-"""Minimum fraction of examples that agree. The others are then not used."""
+MIN_ALIKE_FRACTION = 0.66
+"""Minimum fraction of the parts that must agree. The other parts are then not used."""
 
 ROUND = 0.018
-"""RMS deviation from a circle, relative to the radius, below which a part is a disc. A regular
-octagon has 0.024."""
+"""RMS (root mean square) deviation from a circle, relative to the radius, below which a part is a
+disc. For a regular octagon, it is 0.024."""
 
 ROUND_PX = 0.12
-"""Minimum of this limit, for the noise of small parts [px]."""
+"""Minimum of this deviation, because of the noise of small parts [px]."""
 
 UNEVEN = 2.0
-"""Factor between the deviation of the mean outline from a circle and the deviation of the examples
-from the mean, below which a part has no angle. Random outlines fitted to each other have 1.5."""
+"""Minimum ratio between the deviation of the mean outline from a circle and the deviation of the
+examples from the mean. If the ratio is smaller, the part has no angle. For random outlines that are
+fitted to each other, the ratio is 1.5."""
 
 ALIKE = 2.0
-"""Minimum distance of two types that can be distinguished, in standard deviations of parts of one
-type."""
+"""Minimum distance between two types that can be distinguished, in standard deviations of parts of
+one type."""
 
 TURNED = 0.015
-"""RMS deviation of a ring from its rotated copy, relative to the reach, below which they are
-equal."""
+"""RMS deviation between a ring and its rotated copy, relative to the reach, below which they count
+as equal."""
 
 TURNED_PX = 0.25
-"""Minimum of this limit for small parts [px]."""
+"""Minimum of this deviation, for small parts [px]."""
 
 MAX_SYMMETRY = 12
 """Maximum symmetry of a part that is not round."""
@@ -83,24 +85,26 @@ PICTURE_PX = 320
 """Side of a type's picture [px]."""
 
 BLUR_PX, BLUR_RADIUS = 2.0, 0.1
-"""Maximum blur of a part's contour, standard deviation, the larger of the two: in pixels, and
-relative to its radius."""
+"""Maximum blur (standard deviation) of a part's contour: the larger one of `BLUR_PX` [px] and
+`BLUR_RADIUS`, relative to the part's radius [-]."""
 
 HEIGHTS = (0.25, 0.5, 0.75, 1.0, 1.5)
-"""Heights that are tried for a part assumed flat, relative to its reach [-]."""
+"""Heights that are tried for a part that is assumed to be flat, relative to its reach [-]."""
 
 HIGHEST = 0.5
 """Maximum of these heights, relative to the height of the camera [-]."""
 
 BETTER, BETTER_PX = 2.0, 0.05
-"""A part is possibly not flat if a height reduces the difference of its examples, at equal size, by
-more than the first factor, and the difference of flat parts is above the second [px]. In synthetic
-images at 0.43 m none of 48 sets of flat parts caused a warning, but 6, 9 and 11 of 12 sets of four
-examples of parts 4, 6 and 8 mm high did; at 0.91 m half of those of 8 mm."""
+"""Conditions for the warning that a part may not be flat. BETTER: minimum factor by which a height
+must reduce the difference between the examples, after their sizes are made equal. BETTER_PX:
+minimum of this difference for height 0 [px]. In synthetic images from a height of 0.43 m, none of
+48 sets of flat parts caused a warning. Of 12 sets of four examples with parts of 4, 6 and 8 mm
+height, 6, 9 and 11 sets caused a warning. From a height of 0.91 m, half of the sets with parts of 8
+mm height did."""
 
 BESIDE_PX, BESIDE_RADIUS = 9.0, 0.6
-"""Distance to both sides of a contour over which blur is measured, in pixels and relative to the
-radius. The smaller of both is used."""
+"""Distance on both sides of a contour over which blur is measured: the smaller one of `BESIDE_PX`
+[px] and `BESIDE_RADIUS`, relative to the radius [-]."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -112,9 +116,10 @@ class Example:
     image : (H, W) or (H, W, 3) uint8
         Grey levels, or blue, green, red.
     box_px : (4,), optional
-        x0, y0, x1, y1: only parts with their centre in this box are used. None: all parts.
+        x0, y0, x1, y1 of a box: only the largest part in this box is used. None: all parts are
+        used.
     name : str
-        Name for messages.
+        Name of the example in messages.
     """
 
     image: np.ndarray
@@ -130,15 +135,15 @@ class Lesson:
     ----------
     part : PartType
     count : int
-        Number of parts from which it was learned.
+        Number of parts from which the type was learned.
     size_m : (2,)
         Diameter of the disc of the same area: mean and standard deviation [m].
     picture : (H, W, 3) uint8
-        The first example, with the outline and the direction of the angle 0.
+        The first example, with the type's outline and the direction of the angle 0 drawn into it.
     unused : tuple of str
         Reasons why examples were not used.
     doubts : tuple of str
-        Warnings that the type is hard to recognise.
+        Warnings about reasons why the type may be difficult to recognise.
     """
 
     part: PartType
@@ -152,7 +157,7 @@ class Lesson:
 @dataclass(frozen=True, eq=False)
 class _Shown:
     """A part in an example: its outline, its colour (3,) CIE L, a, b, and the blur of its contour,
-    relative to the maximum."""
+    relative to the maximum blur."""
 
     example: Example
     outline: Outline
@@ -166,23 +171,23 @@ def teach(
     background: Background | None = None,
     region: Region | None = None,
 ) -> dict[str, PartType]:
-    """Learn part types from examples of each.
+    """Learn part types from examples of each type.
 
     Parameters
     ----------
     examples : mapping of str to sequence of Example
         Examples by the names of types.
     calibration : Calibration
-        Mapping between the pictures and plate_home; see `calibrate_by_scale`.
+        Transformation between the pictures and plate_home; see `calibrate_by_scale`.
     background : Background, optional
-        The bare plate; None: it is modelled from each picture.
+        The bare plate; None: a model of it is made from each picture.
     region : Region, optional
         Region of the plate; None: the whole picture.
 
     Raises
     ------
     TeachError
-        If `learn_type` raises one, or if two types look alike.
+        If a type cannot be learned (see `learn_type`), or if two types look alike.
     """
     types: dict[str, PartType] = {}
     for name, pictures in examples.items():
@@ -200,16 +205,16 @@ def learn_type(
     region: Region | None = None,
     height: float = 0.0,
 ) -> Lesson:
-    """Learn one part type with a height [m]; other parameters as in `teach`.
+    """Learn one part type with a height [m]. The other parameters are as in `teach`.
 
-    If the camera's position is known, the outline is the outline of the part's base, without the
-    side faces and the shift of the top.
+    If the camera's position is known, the learned outline is the outline of the part's base. The
+    side faces and the shift of the top are removed.
 
     Raises
     ------
     TeachError
-        If there is no example, or no example with complete parts that do not touch; if examples
-        differ too much; or if the outline needs more corners than are allowed.
+        If there are no examples or too many; if no example shows complete parts that do not touch;
+        if the examples differ too much; or if the outline needs more corners than are allowed.
     """
     if not 1 <= len(examples) <= MAX_PICTURES:
         count = len(examples) or "no"
@@ -250,17 +255,18 @@ def learn_type(
 
 
 def drawn_name(name: str) -> str:
-    """Return the file name of a type's drawn picture. `nut.png` may be a photograph of it."""
+    """Return the file name of a type's drawn picture. It is not `nut.png` for a type `nut`, because
+    this may be the name of a photograph."""
     return f"{name}_taught.png"
 
 
 def check_alike(part: PartType, types: Mapping[str, PartType], calibration: Calibration) -> None:
-    """Refuse a type that cannot be distinguished from one of the others.
+    """Raise an error if a type cannot be distinguished from one of the others.
 
     Raises
     ------
     TeachError
-        With the other type, and the distance.
+        The message contains the other type and the distance.
     """
     scale = float(calibration.scale(np.zeros((1, 2)))[0])
     for other in types.values():
@@ -270,8 +276,8 @@ def check_alike(part: PartType, types: Mapping[str, PartType], calibration: Cali
 
 
 class Gap(NamedTuple):
-    """Distance between two types: in total and by size [standard deviations]; difference in size
-    [px]; and a text of it."""
+    """Distance between two types: the total distance and the distance in size [standard
+    deviations]; the difference in size [px]; and the distance as text."""
 
     far: float
     size: float
@@ -280,7 +286,7 @@ class Gap(NamedTuple):
 
 
 def gap_between(a: PartType, b: PartType, scale: float) -> Gap:
-    """Return the distance between two types in an image of a scale [px/m]."""
+    """Return the distance between two types in an image with a scale [px/m]."""
     rest_px, swell_px, colour = apart(a, b, scale)
     reach_px = scale * max(a.reach_m, b.reach_m)
     size = swell_px / math.hypot(SIZE_PX, SIZE_REACH * reach_px)
@@ -297,9 +303,9 @@ def gap_between(a: PartType, b: PartType, scale: float) -> Gap:
 
 
 def apart(a: PartType, b: PartType, scale: float) -> tuple[float, float, float]:
-    """Return the differences between two types. The first is the RMS distance of the outlines after
-    one of them has grown evenly [px at `scale` px/m]. The second is this growth [px], and the third
-    the distance of the colours in Lab, 0 if unknown."""
+    """Return three differences between two types. The first is the RMS distance between the
+    outlines after one of them has grown evenly [px at `scale` px/m]. The second is this growth
+    [px]. The third is the distance between the colours in Lab, or 0 if a colour is unknown."""
     one, other = make_template(a), make_template(b)
     fit = lay_on(one, other.outline, scale)
     gap = 0.0
@@ -309,8 +315,8 @@ def apart(a: PartType, b: PartType, scale: float) -> tuple[float, float, float]:
 
 
 def merged(a: PartType, b: PartType) -> PartType:
-    """Return the mean of two types that are one type in reality, with the name, mass and friction
-    of the first."""
+    """Return the mean of two types that are one type in reality. The mean has the name, mass and
+    friction of the first type."""
     one, other = make_template(a), make_template(b)
     scale = 1 / (0.02 * a.reach_m)
     mean, _, scatter, _ = _mean_outline([one.outline, other.outline], scale)
@@ -337,7 +343,7 @@ def _measured(
     background: Background | None,
     region: Region | None,
 ) -> list[_Shown]:
-    """Return the parts of an example with their measures."""
+    """Return the parts of an example with their outlines, colours and blurs."""
     bare = model_background(example.image) if background is None else background
     patches = find_patches(example.image, bare, region)
     if example.box_px is not None:
@@ -361,8 +367,8 @@ def _measured(
 
 
 def _blur_px(image: np.ndarray, patch: Patch) -> float:
-    """Return the blur of a patch's contour, standard deviation [px]: contrast / (sqrt(2 pi) slope),
-    the median over the contour."""
+    """Return the blur of a patch's contour, which is a standard deviation [px]: contrast / (sqrt(2
+    pi) slope), of which the median over the contour is used."""
     grey = image if image.ndim == 2 else cv2.cvtColor(image, cv2.COLOR_BGR2GRAY)
     outline = patch.outline
     along = np.roll(outline, -3, axis=0) - np.roll(outline, 3, axis=0)
@@ -380,7 +386,8 @@ def _blur_px(image: np.ndarray, patch: Patch) -> float:
 def _doubts(
     name: str, shown: Sequence[_Shown], colour: np.ndarray, coloured: bool
 ) -> tuple[str, ...]:
-    """Return warnings that a type is hard to recognise: blurred examples, differing colours."""
+    """Return warnings about reasons why a type may be difficult to recognise: blurred examples, or
+    examples with different colours."""
     blurs: dict[str, float] = {}
     for one in shown:
         blurs[one.example.name] = max(one.blur, blurs.get(one.example.name, 0.0))
@@ -403,10 +410,10 @@ def _doubts(
 def _height_doubt(
     name: str, outlines: Sequence[Outline], calibration: Calibration, scale: float, unlike: float
 ) -> tuple[str, ...]:
-    """Return a warning if the outlines of a type agree much better with a height than without.
+    """Return a warning if the outlines of a type agree much better with a height than without it.
 
-    `unlike` is their RMS difference as flat parts of one size [m]. With a height, side faces are
-    visible, and they are longer at places farther from the camera."""
+    `unlike` is the RMS difference between the outlines as flat parts of the same size [m]. If parts
+    have a height, side faces are visible, and they are longer at places farther from the camera."""
     if calibration.place is None or unlike * scale < BETTER_PX:
         return ()
     reach = float(np.median([outline.reach for outline in outlines]))
@@ -422,14 +429,14 @@ def _height_doubt(
         return ()
     return (
         f"type {name}: its examples agree best with a height of about {1e3 * height:.0f} mm: "
-        f"their outlines then differ by {scale * rest:.2f} px, with height 0 by "
+        f"their outlines then differ by {scale * rest:.2f} px, and with height 0 by "
         f"{scale * unlike:.2f} px; if it is not flat, its positions are wrong: teach it again with "
         "--height, or with height_m in the file of types",
     )
 
 
 def _is_in(patch: Patch, box_px: tuple[float, float, float, float]) -> bool:
-    """Whether a patch has its centre in a box, or covers the centre of the box."""
+    """Whether the centre of a patch is in a box, or the patch covers the centre of the box."""
     x0, y0, x1, y1 = box_px
     x, y = patch.centre_px
     column, row = round(0.5 * (x0 + x1)) - patch.corner[0], round(0.5 * (y0 + y1)) - patch.corner[1]
@@ -440,14 +447,15 @@ def _is_in(patch: Patch, box_px: tuple[float, float, float, float]) -> bool:
 
 
 def _agreeing(name: str, shown: Sequence[_Shown], scale: float, unused: list[str]) -> list[_Shown]:
-    """Return the parts that agree, and add the reasons why others are not used to `unused`.
+    """Return the parts that agree with each other. Add the reasons why other parts are not used to
+    `unused`.
 
     Raises
     ------
     TeachError
-        If less than `ALIKE_SHARE` of them agree.
+        If less than `MIN_ALIKE_FRACTION` of them agree.
     """
-    # The part of median size is the reference.
+    # The part with the median size is the reference.
     middle = sorted(shown, key=lambda one: one.outline.filled.area)[len(shown) // 2].outline
     template = _as_template(_shifted(middle, middle.centre))
     kept, problems = [], []
@@ -470,7 +478,7 @@ def _agreeing(name: str, shown: Sequence[_Shown], scale: float, unused: list[str
                 break
         else:
             kept.append(one)
-    if len(kept) < ALIKE_SHARE * len(shown):
+    if len(kept) < MIN_ALIKE_FRACTION * len(shown):
         raise TeachError(problems[0])
     unused += problems
     return kept
@@ -479,9 +487,10 @@ def _agreeing(name: str, shown: Sequence[_Shown], scale: float, unused: list[str
 def _mean_outline(
     outlines: Sequence[Outline], scale: float
 ) -> tuple[Outline, np.ndarray, float, float]:
-    """Return the mean of outlines, rotated like the first one; its pose (3,) in the first; the RMS
-    distance of the outlines from it [m]; and the same after correction of their sizes."""
-    # Start with the outline of median size; the others are fitted to it.
+    """Return the mean of outlines, rotated like the first outline; the pose (3,) of this mean in
+    the first example; the RMS distance of the outlines from the mean [m]; and this distance after
+    the sizes of the outlines are made equal [m]."""
+    # Start with the outline of median size, and fit the others to it.
     first = int(np.argsort([outline.area for outline in outlines])[len(outlines) // 2])
     mean = _shifted(outlines[first], outlines[first].centre)
     scatter = unlike = 0.0
@@ -517,7 +526,8 @@ def _turned(outline: Outline, pose: np.ndarray) -> Outline:
 
 
 def _average(mean: Outline, outlines: Sequence[Outline]) -> Outline:
-    """Return a mean outline (about its centre) moved to the average of outlines fitted to it."""
+    """Return a mean outline (about its centre) after its points were moved to the average of
+    outlines that are fitted to it."""
     shift = np.zeros_like(mean.points)
     for outline in outlines:
         distance = distances(outline.edges, mean.points)
@@ -541,8 +551,9 @@ def _symmetry(mean: Outline, scale: float) -> int:
 
 
 def _simplified(name: str, mean: Outline, scale: float, unlike: float = 0.0) -> PartType:
-    """Return a type with the mean outline as a polygon. It is a disc if the outline is round, or if
-    the difference of the examples (`unlike`, RMS [m]) is too large to measure an angle.
+    """Return a type whose outline is the mean outline as a polygon. The type is a disc if the
+    outline is round, or if the difference between the examples (`unlike`, RMS [m]) is so large that
+    no angle can be measured.
 
     Raises
     ------
@@ -571,7 +582,8 @@ def _simplified(name: str, mean: Outline, scale: float, unlike: float = 0.0) -> 
 def _picture(
     part: PartType, example: Example, pose: np.ndarray, calibration: Calibration
 ) -> np.ndarray:
-    """Return a picture (H, W, 3) of an example with the type's outline and its angle 0."""
+    """Return a picture (H, W, 3) of an example. The type's outline and the direction of the angle 0
+    are drawn into it."""
     colour = example.image
     if colour.ndim == 2:
         colour = cv2.cvtColor(colour, cv2.COLOR_GRAY2BGR)

@@ -1,7 +1,7 @@
 """Tracking: each part keeps its id from image to image, and its drift is measured.
 
-A `Track` holds one part. `assignment` finds the most likely assignment of the detections in an
-image to tracks. `update` applies it to the `Tracker`.
+A `Track` is the track of one part. The module `assignment` determines the most likely assignment of
+the detections in an image to tracks. `update` applies this assignment to the `Tracker`.
 """
 
 from .track import Prediction, Sighting, Track

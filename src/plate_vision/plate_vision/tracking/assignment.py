@@ -1,9 +1,10 @@
 """Assignment of the detections in an image to tracks by maximum likelihood.
 
-The gain of a pair is the log ratio of two likelihoods: the detection is of this part; or the part
-is missed and the detection is new or false. It depends on position, class and angle. The sum of the
-gains is maximised (scipy's linear_sum_assignment). The expected position is the prediction of the
-planner's filter, which knows the plate's motion, or else the extrapolated drift.
+The gain of a pair (track and detection) is the logarithm of the ratio of two likelihoods: that the
+detection shows this part, and that the part is missed and the detection is new or false. The gain
+depends on position, class and angle. The sum of the gains is maximised (linear_sum_assignment of
+scipy). The expected position is the prediction of the planner's filter, which uses the plate's
+motion. Without such a prediction, it is extrapolated from the drift.
 """
 
 from __future__ import annotations
@@ -17,44 +18,49 @@ from scipy.optimize import linear_sum_assignment
 from .track import Prediction, Sighting, Track
 
 MISSED_RATE, FALSE_RATE = 0.05, 0.02
-"""Fraction of parts that an image does not show; number of false detections per part. Only the
-logarithms of both are used, so a factor of three changes little."""
+"""Fraction of parts that are not detected in an image; and number of false detections per part. A
+factor of three has little effect, because only the logarithms of both values are used."""
 
 CROWD = 200.0
-"""Parts per square metre of a full plate; times FALSE_RATE, the density of false detections."""
+"""Number of parts per square metre of a full plate. Its product with FALSE_RATE is the density of
+false detections."""
 
 NEW_RATE = 0.02
-"""Fraction of detections without a track that are of a part, not false."""
+"""Fraction of the detections without a track that show a part and are not false."""
 
 PREDICTED_M, POOR_M = 0.4e-3, 3e-3
-"""Standard deviation along each axis between parts and their predictions one cycle ahead, usually
-and for poor predictions. In tasks with 30 parts it is 0.1 to 0.2 mm. While the age of images is not
-known yet, it is millimetres for all parts."""
+"""Standard deviation along each axis of the difference between parts and their predictions for the
+next cycle [m]: for usual and for poor predictions. In tasks with 30 parts it is 0.1 to 0.2 mm. As
+long as the age of images is not known, it is several millimetres for all parts."""
 
 PUSHED_M, PUSHED_RATE = 5e-3, 1e-4
-"""Standard deviation for a part that was pushed by another one, and the fraction of such parts."""
+"""Standard deviation of the position of a part that another part has pushed [m]; and the fraction
+of such parts [-]."""
 
 SWING_M = 2e-3
-"""Additional standard deviation half way to the prediction, because parts oscillate in a cycle."""
+"""Additional standard deviation at half of the time to the prediction, because parts oscillate
+during a cycle [m]."""
 
 MAX_FRACTION = 2.0
-"""Maximum fraction of a predicted displacement that is applied. A fraction above 1 extrapolates
-beyond the instant of the prediction."""
+"""Maximum fraction of a predicted displacement that is applied [-]. If the fraction is above 1, the
+displacement is extrapolated beyond the time of the prediction."""
 
 GATES, DRIFT, TURNED_RATE = 3.0, 0.3, 0.2
-"""Ratio of the gate to the standard deviation of parts without a prediction; factor of this
-deviation for parts whose drift continues; fraction of parts whose drift does not."""
+"""GATES: ratio between the gate and the standard deviation of parts without a prediction. DRIFT:
+factor by which this deviation is multiplied for parts whose drift continues. TURNED_RATE: fraction
+of parts whose drift does not continue."""
 
 PREDICTIONS_FAIL = 1e-3
-"""Fraction of images in which predictions are poor or wrong, for example because the plate ran
-another cycle."""
+"""Fraction of images in which predictions are poor or wrong, for example because the plate executed
+another cycle than the predicted one."""
 
 TURN_RAD = 0.15
-"""Standard deviation of the rotation between two images, relative to that by the last spin
-[rad]."""
+"""Standard deviation of the difference between a part's rotation from image to image and the
+rotation expected from its last spin [rad]."""
 
 ANY_TURN = 0.05
-"""Fraction of rotations of any size: a misread mark, a part that was hit."""
+"""Fraction of rotations that may have any size, for example because a mark was misread or a part
+was hit."""
 
 VAGUE_RAD = 1.0
 """Standard deviation of an angle above which the angle is ignored [rad]."""
@@ -67,10 +73,10 @@ def assign(
     gate: float,
     expected: Prediction | None = None,
 ) -> np.ndarray:
-    """Return for each track the index of its detection (T,), or -1.
+    """Return the index (T,) of the detection for each track, or -1 if it has none.
 
-    A pair is chosen if it makes the image more likely than a missed part with a new or false
-    detection.
+    A pair is chosen only if it is more likely than the combination of a missed part and a new or
+    false detection.
 
     Parameters
     ----------
@@ -83,7 +89,7 @@ def assign(
     gate : float
         Maximum distance between a part and its expected position, per image [m].
     expected : Prediction, optional
-        Prediction for an instant after the last image.
+        Prediction for a time after the last image.
     """
     found = np.full(len(tracks), -1)
     if not len(found) or not seen:
@@ -94,7 +100,7 @@ def assign(
     if expected is not None:
         usual, poor = _known_gains(tracks, stamp, seen, gate, expected, drift)
         rows, columns, gain = _best(usual + other)
-        # If the predictions are right, they explain the image better than any alternative.
+        # The gain of usual predictions is increased, because predictions are rarely wrong.
         choices = [
             (rows, columns, gain - math.log(PREDICTIONS_FAIL)),
             _best(poor + other),
@@ -106,8 +112,8 @@ def assign(
 
 
 def _best(gain: np.ndarray) -> tuple[np.ndarray, np.ndarray, float]:
-    """Return rows, columns and sum of the assignment with the greatest sum, without pairs below
-    0."""
+    """Return the rows, the columns and the sum of the assignment with the largest sum of gains.
+    Pairs with a gain of 0 or less are omitted."""
     rows, columns = linear_sum_assignment(np.maximum(gain, 0.0), maximize=True)
     value = gain[rows, columns]
     kept = value > 0
@@ -115,10 +121,10 @@ def _best(gain: np.ndarray) -> tuple[np.ndarray, np.ndarray, float]:
 
 
 def _other_gain(tracks: Sequence[Track], seen: Sequence[Sighting]) -> np.ndarray:
-    """Return the log likelihood gain of each pair (T, M), without the position.
+    """Return the log likelihood gain of each pair (T, M), without the contribution of the position.
 
-    It is log(P(class)) + log(shown / (1 - shown)) - log(density of false detections), where `shown`
-    is the probability that the part exists and is detected.
+    The gain is log(P(class)) + log(shown / (1 - shown)) - log(density of false detections), where
+    `shown` is the probability that the part exists and is detected.
     """
     labels = [one.label for one in seen]
     among = [*dict.fromkeys(labels)]
@@ -132,8 +138,8 @@ def _other_gain(tracks: Sequence[Track], seen: Sequence[Sighting]) -> np.ndarray
 def _angle_gain(
     tracks: Sequence[Track], stamp: float, seen: Sequence[Sighting]
 ) -> np.ndarray | float:
-    """Return the log likelihood gain from the angles (T, M). Angles of false detections are
-    uniform."""
+    """Return the log likelihood gain from the angles (T, M). The angles of false detections are
+    assumed to be uniformly distributed."""
     unsure = np.array([track.quality[1] for track in tracks])
     scatter = np.array([one.quality[1] if one.symmetry else math.nan for one in seen])
     known = (unsure < VAGUE_RAD)[:, None] & (scatter < VAGUE_RAD)
@@ -152,8 +158,8 @@ def _angle_gain(
 def _drift_gain(
     tracks: Sequence[Track], stamp: float, seen: Sequence[Sighting], gate: float
 ) -> np.ndarray:
-    """Return the log density [1/m2] of detections (T, M) of parts whose drift continues; minus
-    infinity beyond the gate."""
+    """Return the log density [1/m2] of detections (T, M) if the drift of the parts continues. It is
+    minus infinity outside the gate."""
     reach = gate * np.array([1 + track.missed for track in tracks])
     place = [track.predicted(stamp, most) for track, most in zip(tracks, reach, strict=True)]
     square = _square(np.array(place), seen)
@@ -171,8 +177,9 @@ def _known_gains(
     expected: Prediction,
     drift: np.ndarray,
 ) -> list[np.ndarray]:
-    """Return the log densities like `_drift_gain`, but with predictions for the parts that have
-    one, (T, M) each: with usual predictions, and with poor ones."""
+    """Return log densities (T, M) like `_drift_gain`, but with the predicted positions of the parts
+    that have a prediction. The first result is for usual predictions, and the second is for poor
+    predictions."""
     row = {name: i for i, name in enumerate(expected.ids)}
     rows = [i for i, track in enumerate(tracks) if track.id in row]
     if not rows:
@@ -207,8 +214,9 @@ def _square(place: np.ndarray, seen: Sequence[Sighting]) -> np.ndarray:
 def _log_density(
     square: np.ndarray, usual: np.ndarray, wide: np.ndarray, rate: np.ndarray | float
 ) -> np.ndarray:
-    """Return the log density [1/m2] at squared distances (T, M) [m2] from the mean of a planar
-    mixture: normal with deviation `usual`, and a fraction `rate` with deviation `wide`."""
+    """Return the log density [1/m2] of a mixture of two planar normal distributions at squared
+    distances (T, M) [m2] from their mean. The fraction `rate` has the standard deviation `wide`,
+    and the rest has the standard deviation `usual`."""
     parts = [
         np.log(weight) - 0.5 * square / deviation**2 - np.log(math.tau * deviation**2)
         for weight, deviation in ((1 - rate, usual), (rate, wide))

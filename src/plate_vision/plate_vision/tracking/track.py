@@ -1,5 +1,5 @@
-"""The track of one part: its last detections, and the class, position, drift and angle computed
-from them. A `Track` is never modified; `extended` returns a new one."""
+"""The track of one part. It consists of the part's last detections, and of the class, position,
+drift and angle computed from them. A `Track` is never modified: `extended` returns a new one."""
 
 from __future__ import annotations
 
@@ -16,8 +16,9 @@ MISREAD_RATE = 0.03
 """Fraction of detections whose class is wrong."""
 
 VOTES, MAJORITY = 11, 2
-"""Number of last detections that vote on a part's class, and the lead of votes that another class
-needs. A class held for long changes after seven of eleven detections."""
+"""VOTES: number of the last detections from which the class of a part is determined, one vote each.
+MAJORITY: minimum number of votes by which another class must exceed the present one. Usually, the
+class changes after seven of eleven detections."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -29,7 +30,7 @@ class Prediction:
     ids : tuple of str
         Ids of the M parts.
     stamp : float
-        Instant of the prediction, the end of the running cycle [s].
+        Time for which the prediction is made: the end of the running cycle [s].
     position : (M, 2)
         Centres [m, plate_home].
     """
@@ -57,19 +58,19 @@ class Track:
     Attributes
     ----------
     label : str
-        Class: the majority of the last detections.
+        Class of the part, determined by the votes of the last detections.
     number : int
-        Running number within the class, from 1; 0 until it is confirmed.
+        Number of the part within its class, from 1; 0 until the part is confirmed.
     history : tuple of (stamp [s], x [m], y [m])
-        Detections in plate_home, oldest first; at most `velocity_frames` + 1. Tuples of numbers,
-        because for so few they are ten times faster than arrays.
+        Detections in plate_home, oldest first, at most `velocity_frames` + 1. They are tuples of
+        numbers, because for so few numbers, tuples are ten times faster than arrays.
     missed : int
         Number of images since the last detection.
     hits : int
         Number of images with a detection.
     angles : tuple of (stamp [s], angle [rad])
-        Angles in the same images. They are unwrapped, so they do not jump by 2 pi or by the angle
-        of the part's symmetry.
+        Angles in the same images. They are unwrapped, so that they do not jump by 2 pi or by the
+        angle of the part's symmetry.
     quality : tuple of 3 float
         Quality of the last detection, see `Tracker.quality`.
     votes : tuple of str
@@ -97,7 +98,7 @@ class Track:
 
     @property
     def velocity(self) -> tuple[float, float]:
-        """Drift along x, y [m/s]; zero before the second detection."""
+        """Drift along x and y [m/s]. It is zero before the second detection."""
         (t0, x0, y0), (t1, x1, y1) = self.history[0], self.history[-1]
         if t1 == t0:
             return 0.0, 0.0
@@ -110,17 +111,19 @@ class Track:
 
     @property
     def spin(self) -> float:
-        """Angular velocity [rad/s]; zero before the second detection."""
+        """Angular velocity [rad/s]. It is zero before the second detection."""
         if len(self.angles) < 2:
             return 0.0
         (t0, angle0), (t1, angle1) = self.angles[0], self.angles[-1]
         return (angle1 - angle0) / (t1 - t0)
 
     def predicted(self, stamp: float, reach: float) -> tuple[float, float]:
-        """Extrapolated position x, y [m] at `stamp` [s], by at most `reach` [m].
+        """Return the extrapolated position x, y [m] at `stamp` [s]. It is at most `reach` [m] from
+        the last position.
 
-        Stamps of a free-running camera are noisy, and two may be close together. Therefore the
-        extrapolation is at most one displacement of the history per missed image, plus two.
+        The stamps of a camera without trigger are noisy, and two stamps may be close together.
+        Therefore, the extrapolation is limited to the displacement of the history times the number
+        of missed images plus two.
         """
         (_, x0, y0), (_, x, y) = self.history[0], self.history[-1]
         factor = self._extrapolation(stamp, self.history[0][0], self.history[-1][0])
@@ -128,15 +131,15 @@ class Track:
         return x + (x - x0) * factor, y + (y - y0) * factor
 
     def angle_at(self, stamp: float) -> float:
-        """Extrapolated angle [rad] at `stamp` [s]."""
+        """Return the extrapolated angle [rad] at `stamp` [s]."""
         if not self.angles:
             return 0.0
         (first, angle0), (last, angle) = self.angles[0], self.angles[-1]
         return angle + (angle - angle0) * self._extrapolation(stamp, first, last)
 
     def _extrapolation(self, stamp: float, first: float, last: float) -> float:
-        """Return the time since `last` [s] in units of the time from `first` to `last`, limited to
-        one per missed image, plus two."""
+        """Return the time from `last` to `stamp`, relative to the time from `first` to `last` [s].
+        It is limited to the number of missed images plus two."""
         return 0.0 if last == first else min((stamp - last) / (last - first), self.missed + 2)
 
     def extended(self, stamp: float, seen: Sighting, keep: int) -> Track:
@@ -164,7 +167,7 @@ class Track:
 
 
 def _majority(label: str, votes: Sequence[str]) -> str:
-    """Return the class after the last vote; `label` is the class before it."""
+    """Return the class after the last vote. `label` is the class before this vote."""
     if votes[-1] == label:
         return label
     most = max(dict.fromkeys(votes), key=votes.count)

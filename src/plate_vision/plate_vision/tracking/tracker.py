@@ -1,7 +1,8 @@
-"""The tracker: all tracks, updated with the detections of each image.
+"""The tracker: all tracks, which are updated with the detections of each image.
 
 `update` assigns detections to tracks, gives ids to confirmed new parts, and gives up parts that
-were missed for too long. Input are positions, classes and angles; output is a new `Tracker`.
+were missed for too long. The input consists of positions, classes and angles. The output is a new
+`Tracker`.
 """
 
 from __future__ import annotations
@@ -22,8 +23,9 @@ from .assignment import assign
 from .track import UNKNOWN, Prediction, Sighting, Track
 
 UNKNOWN_MISSED = 30
-"""Minimum number of consecutive images that an object of the class `unknown` may be missed. Such an
-object is at the limit of detection, and must not need a new confirmation each time."""
+"""Minimum number of consecutive images in which an object of the class `unknown` may be missed. It
+is larger than for parts, because such an object is at the limit of detection and would otherwise
+have to be confirmed again after each gap."""
 
 
 @dataclass(frozen=True)
@@ -33,18 +35,21 @@ class TrackerOptions:
     Attributes
     ----------
     gate_m : float
-        Maximum distance [m] between a part and its expected position, per image, 0.001 to 1. At 100
-        mm/s, reversed within a cycle of 0.2 s, a part is 40 mm from its expected position.
+        Maximum distance [m] between a part and its expected position, per image, 0.001 to 1. If a
+        part with a velocity of 100 mm/s reverses its direction, it is 40 mm from its expected
+        position after a cycle of 0.2 s.
     max_missed : int
-        Number of consecutive images that a part may be missed before its id is given up, 0 to 1000.
+        Number of consecutive images in which a part may be missed before its id is given up, 0 to
+        1000.
     confirm : int
         Number of consecutive images in which a new part must be detected before it gets an id, 1 to
         100. Parts in the first image get their ids at once. If `confirm` is 2 or more, a single
         false detection gets no id.
     velocity_frames : int
-        Number of images over which the drift is measured, 1 to 100. With 1 it is the drift of the
-        last cycle, without delay, as the planner controls it. The noise of the drift is the noise
-        of two positions, 0.014 mm per cycle. More images smooth and delay the drift.
+        Number of images over which the drift is measured, 1 to 100. With 1, the drift is the
+        displacement in the last cycle, without delay. The planner controls this drift. Its noise is
+        the noise of two positions, 0.014 mm per cycle. With more images, the drift is smoother but
+        delayed.
     """
 
     RANGES: ClassVar[Mapping[str, tuple[float, float]]] = {
@@ -72,11 +77,11 @@ class Tracker:
     stamp : float or None
         Stamp of the last image [s].
     tracks : tuple of Track
-        Tracks by class and number, including those that were missed in the last image.
+        Tracks, sorted by class and number. They include tracks that were missed in the last image.
     last_number : mapping of str to int
-        Greatest number given so far, by class. Numbers are not reused.
+        Largest number that was given so far in each class. Numbers are not reused.
     given_up : tuple of str
-        Ids given up with the last image.
+        Ids that were given up with the last image.
     renamed : tuple of (id before, id now)
         Parts whose class changed with the last image.
     overlooked : (n,) OVERLOOKED
@@ -86,8 +91,8 @@ class Tracker:
     lamp : Lamp, optional
         Lamp that casts the shadows of parts with types.
     doubtful : int
-        Number of consecutive images in which many objects did not look like parts, without a shadow
-        that explains it.
+        Number of consecutive images in which many objects did not look like parts and no shadow was
+        found as the cause.
     """
 
     options: TrackerOptions = field(default_factory=TrackerOptions)
@@ -103,12 +108,12 @@ class Tracker:
 
     @property
     def found(self) -> tuple[Track, ...]:
-        """Tracks with a detection in the last image, confirmed or not."""
+        """Tracks with a detection in the last image, including unconfirmed ones."""
         return tuple(track for track in self.tracks if track.missed == 0)
 
     @property
     def parts(self) -> Parts:
-        """The confirmed parts detected in the last image."""
+        """The confirmed parts that were detected in the last image."""
         seen = self._seen
         return Parts.make(
             tuple(track.id for track in seen),
@@ -120,8 +125,9 @@ class Tracker:
 
     @property
     def quality(self) -> np.ndarray:
-        """Quality of each of `parts` (M, 3): standard deviations of its position along each axis
-        [m] and of its angle [rad], and confidence, 0 to 1; NaN: unknown."""
+        """Quality of each of `parts` (M, 3): standard deviation of the position along each axis
+        [m], standard deviation of the angle [rad], and confidence, 0 to 1. Unknown values are
+        NaN."""
         return np.array([track.quality for track in self._seen]).reshape(-1, 3)
 
     @property
@@ -153,16 +159,16 @@ def update(
 ) -> Tracker:
     """Update the tracks with the detections of one image.
 
-    If the stamp is the same as before, this is the same image, and nothing changes. An earlier
-    stamp means that the clock was set back, because a simulator was restarted. All parts are then
-    new.
+    If the stamp is the same as before, it is the same image, and nothing changes. If the stamp is
+    earlier, the clock was set back, for example because a simulator was restarted. In this case,
+    all parts are new.
 
     Parameters
     ----------
     tracker : Tracker
         State after the previous image.
     stamp : float
-        Time at which the image was taken [s].
+        Time when the image was taken [s].
     position : (M, 2)
         Centres [m, plate_home].
     label : (M,) str
@@ -170,12 +176,12 @@ def update(
     angle : (M,), optional
         Angles [rad, plate_home]. Default: zero.
     quality : (M, 3), optional
-        Quality of the detections, see `Tracker.quality`. Default: unknown.
+        Quality of the detections (see `Tracker.quality`). Default: unknown.
     symmetry : (M,) int, optional
-        Number of directions in which the parts look the same; 0: all. Default: 1.
+        Number of directions in which the parts look the same; 0 for all directions. Default: 1.
     expected : Prediction, optional
-        Positions of parts predicted from the plate's motion. Used if its instant is after the last
-        image. The positions of other parts are extrapolated from their drift.
+        Positions of parts, predicted from the plate's motion. The prediction is used if its time is
+        after the last image. The positions of other parts are extrapolated from their drift.
     overlooked : (n,) OVERLOOKED, optional
         Objects in the image that are rejected as parts. Default: none.
 
@@ -186,7 +192,7 @@ def update(
     Raises
     ------
     TrackError
-        If shapes disagree, a value is not finite or a reason is not one of `REASONS`.
+        If shapes do not fit each other, a value is not finite, or a reason is not one of `REASONS`.
     """
     position, labels = _checked(stamp, position, label)
     overlooked = _checked_overlooked(overlooked)
@@ -232,15 +238,17 @@ def update(
 
 
 def _max_missed(track: Track, options: TrackerOptions) -> int:
-    """Return the number of consecutive images that a part or object may be missed."""
+    """Return the number of consecutive images in which a part or an object may be missed."""
     unknown = track.label == NAMELESS[0]
     return max(options.max_missed, UNKNOWN_MISSED) if unknown else options.max_missed
 
 
 def _number(tracks: list[Track], numbers: Mapping[str, int], confirm: int) -> dict[str, int]:
-    """Number, in place, the tracks detected `confirm` times. Return the last numbers."""
+    """Give numbers to the new tracks in the list that were detected at least `confirm` times.
+    Return the last number of each class."""
     numbers = dict(numbers)
-    # In order of x, so that the first ids do not depend on the order of detection.
+    # The tracks are numbered in order of x, so that the first ids do not depend on the order of
+    # detection.
     for i in sorted(range(len(tracks)), key=lambda i: (*tracks[i].position, tracks[i].label)):
         track = tracks[i]
         if track.number == 0 and track.hits >= confirm:
@@ -250,7 +258,8 @@ def _number(tracks: list[Track], numbers: Mapping[str, int], confirm: int) -> di
 
 
 def _checked_overlooked(overlooked: np.ndarray | None) -> np.ndarray:
-    """Return the overlooked objects (n,) OVERLOOKED after a check of their type and reasons."""
+    """Return the overlooked objects (n,) OVERLOOKED. Raise an error if their type or a reason is
+    wrong."""
     if overlooked is None:
         return NONE_OVERLOOKED
     if overlooked.dtype != OVERLOOKED or overlooked.ndim != 1:
@@ -265,7 +274,8 @@ def _checked_overlooked(overlooked: np.ndarray | None) -> np.ndarray:
 
 
 def _column(name: str, values: Sequence[Any] | np.ndarray, shape: tuple[int, ...]) -> np.ndarray:
-    """Return the values of each detection as an array of this shape, after a check."""
+    """Return the values of all detections as an array of this shape. Raise an error if they have
+    another shape."""
     array = np.asarray(values, dtype=float)
     if array.size == 0:
         array = array.reshape(-1, *shape[1:])
