@@ -9,7 +9,7 @@ from plate_core import PlateCycle
 from plate_core.motion import motor_state
 from plate_core.serial_protocol import State, Status
 from plate_driver.cycle_starts import CycleStarts
-from plate_driver.setpoints import MotorTable
+from plate_driver.setpoints import MotorTable, prepare
 from plate_driver.transports import LATE_IN_MOTION
 
 TAIL_S = 0.05
@@ -112,3 +112,30 @@ def test_a_table_with_a_tail_is_played_once(firmware):
     pass_time(firmware, transport, 0.1)
     [trouble] = transport.troubles()
     assert Status.REPEATS.name.lower() in trouble
+
+
+def towards(state: np.ndarray, period: float) -> PlateCycle:
+    """One quintic from rest to a state (3, 3), and a tail."""
+    times = np.array([0, period, period, period + TAIL_S])
+    rows = [np.vstack([np.zeros(3), own, own, np.zeros(3)]) for own in state]
+    return PlateCycle.from_knots(times, *rows)
+
+
+def test_of_two_tables_with_equal_ends_the_latest_is_continued(firmware):
+    """The first one plays, the second one waits, and a third one begins where both end."""
+    first, third = shaken(0), table(1)
+    second = towards(first.state(-1), 0.12)
+    tables = [table(0), prepare(RIG, second, 2)[0], third]
+    np.testing.assert_array_equal(second.state(-1), first.state(-1))
+    transport = enabled(firmware)
+    measured = []
+    for each in tables:
+        transport.send(each, 1)
+        measured += pass_time(firmware, transport, 0.03)
+    measured += pass_time(firmware, transport, 0.6)
+    assert transport.troubles() == []
+    assert firmware.states[-1] is State.READY
+    firmware.check_limits()
+    firmware.check_smooth()
+    periods = [period for _, period in cycle_starts(measured)]
+    assert periods == pytest.approx([PERIOD, TAIL_S, 0.12, PERIOD, TAIL_S])
