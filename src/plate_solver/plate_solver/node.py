@@ -100,9 +100,13 @@ class Sent:
 
 @dataclass
 class Tally:
-    """Statistics since the last report: number of requests, number of refused requests, reason of
-    the last refusal, reason of the last request without a solution, solving times [ms], and pairs
-    of displacement error and requested displacement [m]."""
+    """Statistics since the last report.
+
+    - number of requests, and number of refused requests
+    - reason of the last refusal, and reason of the last request without a solution
+    - solving times [ms]
+    - pairs of displacement error and requested displacement [m]
+    """
 
     messages: int = 0
     refused: int = 0

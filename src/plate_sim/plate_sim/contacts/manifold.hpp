@@ -17,8 +17,10 @@ constexpr double INFINITE = std::numeric_limits<double>::infinity();
 // Excess of separation [m] that a side of the second part needs to become the reference side.
 constexpr double PREFER = 1e-6;
 
-// Contact of two parts: number of points (0 to 2), unit normal from the second part to the first,
-// points [m] in the middle of the overlap, and depth of the overlap [m] at each point.
+// Contact of two parts:
+// - number of points (0 to 2)
+// - unit normal from the second part to the first
+// - points [m] in the middle of the overlap, and depth of the overlap [m] at each point
 struct Manifold {
     int count = 0;
     Vec normal{};

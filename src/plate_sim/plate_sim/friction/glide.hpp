@@ -13,9 +13,11 @@ namespace plate::gliding {
 // groups, a group does not wait for the latency of its own square roots and sums.
 constexpr int BLOCK = 16;
 
-// Quantities at the start (a) and in the middle (b) of a step: slip of the centre and spin; its
-// squared speed; and the squared ratio of the rotational slip at the edge to this speed. The
-// friction is computed in the middle.
+// Quantities at the start (a) and in the middle (b) of a step:
+// - slip of the centre and spin
+// - its squared speed
+// - squared ratio of the rotational slip at the edge to this speed
+// The friction is computed in the middle.
 struct Stages {
     double ax[LANES], ay[LANES], ac[LANES], a2[LANES], ak2[LANES];
     double bx[LANES], by[LANES], bc[LANES], b2[LANES], bk2[LANES];

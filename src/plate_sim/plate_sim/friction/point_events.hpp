@@ -47,9 +47,12 @@ struct Bounds {
     double limit, period, accel, rate;
 };
 
-// A sliding part at the start of a step: magnitudes of its slip [m/s] and of the surface's
-// acceleration [m/s2]; scalar product of this acceleration and friction [m2/s4]; allowed error [m];
-// whether the slip stays on a line; and whether the maximum number of steps is exceeded.
+// A sliding part at the start of a step:
+// - magnitudes of its slip [m/s] and of the surface's acceleration [m/s2]
+// - scalar product of this acceleration and friction [m2/s4]
+// - allowed error [m]
+// - whether the slip stays on a line
+// - whether the maximum number of steps is exceeded
 struct Slide {
     double slip, surface, power, allowed;
     bool line, crude;

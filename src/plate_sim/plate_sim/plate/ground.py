@@ -25,10 +25,13 @@ TILT = 0.5
 
 
 class GroundEffect(NamedTuple):
-    """Effects of the ground on parts, for compiled code: gravity along the plate [m/s2,
-    plate_home], ratio of static to dynamic friction, relative change of friction with the slip
-    [1/(m/s)], and relative change of the weight with the plate's acceleration along x
-    [1/(m/s2)]."""
+    """Effects of the ground on parts, for compiled code.
+
+    - gravity along the plate [m/s2, plate_home]
+    - ratio of static to dynamic friction
+    - relative change of friction with the slip [1/(m/s)]
+    - relative change of the weight with the plate's acceleration along x [1/(m/s2)]
+    """
 
     gravity_x: float
     gravity_y: float

@@ -9,19 +9,15 @@
 
 namespace plate {
 
-// A piece between two knots: times of its start and end [s]; coefficients of the six powers of the
-// time since its start, for x, y [m] and theta [rad]; bounds of the acceleration of a part that
-// sticks (see `ride_bound`); whether theta changes at any time; and whether the cycle is closed. A
-// piece is one row of a table (K, 24).
+// A piece between two knots. A piece is one row of a table (K, 24), which pieces.py describes.
 struct Piece {
     double start, end, x[6], y[6], theta[6], line, push, turns, wraps;
 };
 static_assert(sizeof(Piece) == 24 * sizeof(double));
 using Table = std::span<const Piece>;
 
-// Bounds of the rates of O' [m/s2], theta' [rad/s2], O'' [m/s3] and theta'' [rad/s3]; direction of
-// the line along which the plate accelerates, 0 if there is no such line; gravity along the plate
-// [m/s2].
+// Scales of a cycle, which pieces.py describes: four bounds, the direction of the line along which
+// the plate accelerates, and gravity along the plate.
 struct Scales {
     double accel, push, jerk, push_rate;
     Vec line, gravity;

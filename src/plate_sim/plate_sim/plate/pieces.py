@@ -12,10 +12,13 @@ If the plate is tilted, `friction.point_events` works in a frame that falls free
 from the start of each cycle. In this frame, gravity has no component along the plate, and the
 plate's acceleration is O'' minus gravity along the plate. Slips are the same in both frames.
 
-A table (K, 24) has one row per piece between two knots: times of its start and end [s];
-coefficients of the six powers of the time since its start, for x, y [m] and theta [rad]; bounds of
-the acceleration of a part that sticks (see `ride_bound`); whether theta changes at any time; and
-whether the cycle is closed.
+A table (K, 24) has one row for each piece between two knots. The columns are:
+
+- times of its start and end [s]
+- coefficients of the six powers of the time since its start, for x, y [m] and theta [rad]
+- bounds of the acceleration of a part that sticks (see `ride_bound`)
+- whether theta changes at any time
+- whether the cycle is closed
 """
 
 from __future__ import annotations
@@ -36,9 +39,11 @@ def tabulate(
 ) -> tuple[np.ndarray, np.ndarray]:
     """Return the table (K, 24) of a cycle, and the scales (8,) of the table.
 
-    The scales are bounds of the rates of O' [m/s2], theta' [rad/s2], O'' [m/s3] and theta''
-    [rad/s3]; the direction (2,) of the line along which the plate accelerates, 0 if there is no
-    such line; and gravity along the plate (2,) [m/s2].
+    The scales are:
+
+    - bounds of the rates of O' [m/s2], theta' [rad/s2], O'' [m/s3] and theta'' [rad/s3]
+    - direction (2,) of the line along which the plate accelerates, 0 if there is no such line
+    - gravity along the plate (2,) [m/s2]
     """
     table, scales = np.empty((len(cycle.coefficients), WIDTH)), np.empty(8)
     closed = isinstance(cycle, PlateCycle) and cycle.closes

@@ -49,9 +49,12 @@ class Shot:
 
 @dataclass(frozen=True)
 class Sight:
-    """Exact content of an image: positions (M, 2) [m, plate_home] and angles (M,) [rad] of the
-    parts, whether the image shows each part (`seen`, (M,)), and positions (F, 2) of false parts
-    [m]."""
+    """Exact content of an image.
+
+    - positions (M, 2) [m, plate_home] and angles (M,) [rad] of the parts
+    - `seen` (M,): whether the image shows each part
+    - positions (F, 2) of false parts [m]
+    """
 
     position: np.ndarray
     angle: np.ndarray

@@ -11,10 +11,10 @@ two ways:
   maximum force in a direction is the extent of the hull in this direction. A linear programme
   computes the minimum time for a unit of force. The maximum force is the reciprocal of this time.
 
-A real cycle may produce less force, because the model neglects the ramps between rotations, the
-closure of the motion, the limits of stroke, speed and acceleration, and the displacement of parts
-within a cycle. A real cycle may also produce a few per cent more, because its rotations may be
-between the rotations of the library.
+A real cycle may produce less force, because the model neglects several effects: the ramps between
+rotations, the closure of the motion, the limits, and the displacement of parts within a cycle. A
+real cycle may also produce a few per cent more, because its rotations may be between the rotations
+of the library.
 """
 
 from __future__ import annotations

@@ -14,9 +14,11 @@ namespace stick_slip {
 // Rows of parts: position [m], velocity [m/s], mu g [m/s2].
 constexpr int X = 0, Y = 1, VX = 2, VY = 3, ACCEL = 4, ROWS = 5;
 
-// Rows of the data stored per step: vector from the plate's centre to the part, derivative of the
-// velocity change with respect to the slip velocity, friction acceleration during slip, and
-// velocity.
+// Rows of the data stored per step:
+// - vector from the plate's centre to the part
+// - derivative of the velocity change with respect to the slip velocity
+// - friction acceleration during slip
+// - velocity
 constexpr int ARM_X = 0, ARM_Y = 1, XX = 2, XY = 3, YY = 4, FX = 5, FY = 6;
 constexpr int AFTER_X = 7, AFTER_Y = 8, PAST = 9;
 

@@ -20,9 +20,10 @@ using blocks::X, blocks::Y, blocks::VX, blocks::VY, blocks::BOUND;
 constexpr int TURN = 5 * LANES, SPIN = 6 * LANES;
 constexpr int SXX = 7 * LANES, SXY = 8 * LANES, SYY = 9 * LANES;
 
-// Rows of the data stored per step: derivatives (3, 3) of the changes of velocity and spin with
-// respect to slip and relative spin, row by row, and vector from the plate's centre to the part
-// [m].
+// Rows of the data stored per step:
+// - derivatives (3, 3) of the changes of velocity and spin with respect to slip and relative spin,
+//   row by row
+// - vector from the plate's centre to the part [m]
 constexpr int ARM_X = 9 * LANES, ARM_Y = 10 * LANES;
 
 // Minimum squared slip velocity [m2/s2]. For a slower slip, J tends to its mean over all
@@ -124,9 +125,11 @@ namespace end_turning_rows {
 using stick_slip::X, stick_slip::Y, stick_slip::VX, stick_slip::VY, stick_slip::ACCEL;
 constexpr int TURN = 5, SPIN = 6, SXX = 7, SXY = 8, SYY = 9, ROWS = 10;
 
-// Rows of the data stored per step: derivatives of the changes of velocity and spin (3, 3), vector
-// from the plate's centre to the part, derivatives of velocity and spin with respect to dt,
-// velocity and spin.
+// Rows of the data stored per step:
+// - derivatives (3, 3) of the changes of velocity and spin
+// - vector from the plate's centre to the part
+// - derivatives of velocity and spin with respect to dt
+// - velocity and spin
 constexpr int ARM_X = 9, ARM_Y = 10, BY_DT = 11, AFTER = 14, PAST = 17;
 
 }  // namespace end_turning_rows
