@@ -278,7 +278,7 @@ def committed(host: Host, pieces: int, table: int) -> tuple[Status, Ticks]:
 
 @dataclass
 class Attack:
-    """Random hostile packets. All have a valid CRC."""
+    """Random hostile packets. All packets have a valid CRC."""
 
     rng: np.random.Generator
     host: Host
@@ -333,7 +333,7 @@ class Attack:
         yield self.host.numbered(Commit(self.table, int(self.rng.integers(1, 8))))
 
     def repeated(self) -> Iterator[bytes]:
-        """Yield repeated Hello, Begin and Commit."""
+        """Yield the frames of Hello, Begin and Commit, each repeatedly."""
         for _ in range(30):
             yield self.host.again()
             yield self.host.numbered(Begin(self.another(), 512, 1))

@@ -107,7 +107,7 @@ class EmulatedBoard:
     elf : Path
         Program to run.
     idle : str
-        Name of an array of two words. The idle board reads one of them, the other one after the
+        Name of an array of two words. The idle board reads one word, and the other word after the
         next tick.
     more : sequence of str
         Additional arguments of QEMU.

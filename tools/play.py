@@ -76,8 +76,7 @@ def checked(args: argparse.Namespace):
 
     Raises
     ------
-    PlateError
-        If one is invalid. The message names it, its value and the allowed values.
+    PlateError If one is invalid. The message has the argument, its value and the allowed values.
     """
     from plate_core import PlateError, load_rig
     from plate_core.tasks import load_scenario, start_positions

@@ -137,8 +137,7 @@ def checked(args: argparse.Namespace) -> Plan:
 
     Raises
     ------
-    PlateError
-        If one is invalid. The message names it, its value and the allowed values.
+    PlateError If one is invalid. The message has the argument, its value and the allowed values.
     """
     scenario = load_scenario(args.scenario)
     drives = args.transport in DRIVES

@@ -16,9 +16,9 @@ DOMAINS = range(1, 102)
 def own_domain(chosen: int | None = None) -> Iterator[int]:
     """Reserve a ROS domain until the context ends.
 
-    A domain is reserved by binding a Unix socket whose name only one process can bind. So two
-    programs never get the same domain. Other programs are detected by the UDP port that the first
-    participant of a domain binds (DDSI-RTPS 9.6.1.1: port = 7410 + 250 domain).
+    A domain is reserved by binding a Unix socket whose name only one process can bind. Therefore
+    two programs never get the same domain. Other programs are detected by the UDP port that the
+    first participant of a domain binds (DDSI-RTPS 9.6.1.1: port = 7410 + 250 domain).
 
     Parameters
     ----------

@@ -1,8 +1,8 @@
 """Starts nodes as forks of one server process that has loaded their code.
 
-They start in a fraction of the time, and share the memory of the code. Each runs the file that
-`ros2 run` would start. The server forks twice, so that the kernel makes the node a child of the
-program that requested it: this program is a subreaper, and the process between them ends.
+Such nodes start in a fraction of the time, and share the memory of the code. Each node runs the
+file that `ros2 run` would start. The server forks twice, so that the kernel makes the node a child
+of the program that requested it: this program is a subreaper, and the process between them ends.
 
 python tools/graph/forks.py MODULE ...    runs the server. It reads requests from stdin, one JSON
                                           object per line.
@@ -125,8 +125,8 @@ class Fork:
     ----------
     pid : int
     returncode : int, optional
-        Exit code. A negative one is the signal that ended the node. None if it ran at the last
-        `poll`.
+        Exit code. A negative exit code is the signal that ended the node. None if it ran at the
+        last `poll`.
     """
 
     def __init__(self, pid: int) -> None:

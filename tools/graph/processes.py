@@ -149,7 +149,8 @@ class Processes:
     Attributes
     ----------
     exit_codes : dict of str to int
-        Exit code by process, after `stop`. A negative one is the signal that ended the process.
+        Exit code by process, after `stop`. A negative exit code is the signal that ended the
+        process.
     """
 
     def __init__(

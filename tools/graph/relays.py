@@ -67,8 +67,8 @@ def command(*words: str) -> list[str]:
 
 
 class Gate(Node):
-    """Node `gate`. Its parameter `cut` names the node whose input is blocked. If it is empty, all
-    inputs are forwarded."""
+    """Node `gate`. Its parameter `cut` names the node whose input is blocked. If the parameter is
+    empty, all inputs are forwarded."""
 
     def __init__(self, transport: str) -> None:
         super().__init__(GATE)

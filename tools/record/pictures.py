@@ -264,8 +264,8 @@ class Arrows:
 
 
 def draw_strip(scene: Scene, path: Path, title: str) -> None:
-    """Draw snapshots in rows, with the parts, their trails and the force field. Save them as an
-    image."""
+    """Draw snapshots in rows, with the parts, their trails and the force field. Save the picture as
+    an image."""
     times, half = np.linspace(0, scene.film.end, SNAPSHOTS), scene.rig.plate.half
     counts = np.maximum(1, np.round(half * np.sqrt(ARROWS / np.prod(half))).astype(int))
     x, y = (np.linspace(-h + h / n, h - h / n, n) for h, n in zip(half, counts, strict=True))

@@ -11,7 +11,8 @@ from PIL import Image
 def save_film(
     frames: Sequence[Image.Image], durations: list[int], path: Path, width: int, quality: int
 ) -> None:
-    """Write frames with their durations [ms] as an animation. Scale them to a width [px]."""
+    """Write frames with their durations [ms] as an animation. The frames are scaled to a width
+    [px]."""
     size = width, round(frames[0].height * width / frames[0].width)
     small = [frame.convert("RGB").resize(size, Image.Resampling.LANCZOS) for frame in frames]
     small[0].save(
