@@ -1,4 +1,4 @@
-"""Processes messages until a condition is true, and defers signals meanwhile."""
+"""Processes messages until a condition is true. Signals are deferred until then."""
 
 from __future__ import annotations
 

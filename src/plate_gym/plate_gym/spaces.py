@@ -46,12 +46,14 @@ class CycleSpace(spaces.Space):
 def action_space(plates: Plates) -> spaces.Space:
     """Return the space of a kind of action, for M parts.
 
-    `motion` (18,): see `Motions`. `forces` (M, 2): mean force on each part over a cycle along x and
-    y. The range -1 to 1 represents -mu m g to mu m g. `progress` (M, 3): target of each part as a
-    fraction of the plate's half sides, and the weight per metre of its distance. The weight is
-    relative to a weight of 1 for parts too close to an edge or to each other. If parts have angles,
-    it is (M, 5): then follow the angle divided by pi, and the weight of the distance that its
-    contour moves. `cycle`: a `CycleSpace`.
+    - `motion` (18,): see `Motions`.
+    - `forces` (M, 2): mean force on each part over a cycle along x and y. The range -1 to 1
+      represents -mu m g to mu m g.
+    - `progress` (M, 3): target of each part as a fraction of the plate's half sides, and the weight
+      per metre of its distance. The weight is relative to a weight of 1 for parts too close to an
+      edge or to each other. If parts have angles, there are two more columns, (M, 5): the angle
+      divided by pi, and the weight of the distance that the contour of the part moves.
+    - `cycle`: a `CycleSpace`.
     """
     count = len(plates.friction_limit)
     if plates.action == "cycle":
@@ -67,14 +69,15 @@ def action_space(plates: Plates) -> spaces.Space:
 def observation_space(plates: Plates) -> spaces.Space:
     """Return the space of observations.
 
-    `parts` (M, 6): one fixed row for each part. A row contains x, y [m, plate_home], drift along x
-    and y [m/s], angle [rad], and the time since the part was last detected [s]. A part that was
-    never detected has the position 0. For paths, it is (M, 10). Then follow the references of the
-    part, x and y [m, plate_home], at the start of the next cycle and 0.1 s later. If parts come and
-    go, it is (M, 7). The last number is 1 for a part that must be picked, -1 for a part that must
-    not, and 0 for an empty row. An empty row is otherwise the same as a part that was never
-    detected.
-    `image`: grey levels (height, width), or colours (height, width, 3), of the rig's camera.
+    - `parts` (M, 6): one fixed row for each part. A row contains x, y [m, plate_home], drift along
+      x and y [m/s], angle [rad], and the time since the part was last detected [s]. A part that was
+      never detected has the position 0.
+    - `parts` (M, 10) for paths: four more columns contain the references of the part, x and y [m,
+      plate_home], at the start of the next cycle and 0.1 s later.
+    - `parts` (M, 7) if parts are added and removed: the last column is 1 for a part that must be
+      picked, -1 for a part that must not be picked, and 0 for an empty row. The other columns of an
+      empty row are the same as for a part that was never detected.
+    - `image`: grey levels (height, width), or colours (height, width, 3), of the rig's camera.
     """
     if plates.observation == "image":
         return spaces.Box(0, 255, plates.image_shape, np.uint8)

@@ -2,7 +2,7 @@
 
 The frames have regular intervals, but their stamps are noisy. A Kalman filter estimates the time of
 the last frame and the frame interval. If a stamp is several intervals after the previous one,
-images were dropped. The input are the stamps. The outputs are the time of the last frame, its
+images were dropped. The inputs are the stamps. The outputs are the time of the last frame, its
 standard deviation and the image rate.
 """
 

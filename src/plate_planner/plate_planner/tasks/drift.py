@@ -1,7 +1,7 @@
 """Drift intervals, which tasks request, and the mean forces that produce these drifts.
 
-A drift is the mean velocity of a part over a cycle. The input are the parts with their present
-drift. The output are intervals of drifts and forces.
+A drift is the mean velocity of a part over a cycle. The inputs are the parts with their
+present drift. The outputs are intervals of drifts and forces.
 """
 
 from __future__ import annotations

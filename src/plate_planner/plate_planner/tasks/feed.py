@@ -58,7 +58,7 @@ weight is relative to the weight of other parts [-]. With a larger weight, many 
 push the others against the wall, and no part would move."""
 
 MANY_UNWANTED = 5
-"""Number of unwanted parts. If there are at least so many, all of them move to the chute, even if
+"""Number of unwanted parts. If this number is reached, all of them move to the chute, even if
 enough other parts are ready."""
 
 PURGED = 6.0

@@ -92,7 +92,7 @@ struct Separation {
     }
 };
 
-// Manifold of a side of `flat` with `other`. The normal points to `other`.
+// Contact of a side of the polygon `flat` with the polygon `other`. The normal points to `other`.
 inline Manifold clip(Corners flat, int side, Corners other) {
     const double x0 = flat[side].x, y0 = flat[side].y;
     const double nx = flat[side].out_x, ny = flat[side].out_y, tx = -ny, ty = nx;

@@ -1,6 +1,6 @@
 // Contacts between parts and with walls in one step.
 //
-// The input are the near pairs of the broad phase. Each Gauss-Seidel pass collides each touching
+// The inputs are the near pairs of the broad phase. Each Gauss-Seidel pass collides each touching
 // pair, and each part at a wall. The passes end when the maximum overlap is small enough. The
 // passes change velocities and positions in place.
 #pragma once

@@ -1,5 +1,5 @@
-"""Emulator of device, serial line and plate with their faults, in steps of 1 ms. The input are
-bytes from the host. The output are bytes to the host, and the motion of the motors. The emulator
+"""Emulator of device, serial line and plate with their faults, in steps of 1 ms. The inputs are
+bytes from the host. The outputs are bytes to the host, and the motion of the motors. The emulator
 does not use a clock."""
 
 from __future__ import annotations

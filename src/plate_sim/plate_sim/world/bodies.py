@@ -196,7 +196,7 @@ def simulate_bodies(
     if samples != 0:
         samples = whole("samples", samples)
     if contacts is not None and contacts.walls and half is None:
-        raise PlateError("contacts have walls, allowed: none on an endless plate")
+        raise PlateError("contacts have walls, allowed: none on an unbounded plate")
     every = equal_steps(cycle.period / max(1, samples), step)
     count = len(position)
     parts = [footprint] * count if isinstance(footprint, Footprint) else list(footprint)

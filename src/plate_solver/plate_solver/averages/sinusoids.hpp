@@ -205,7 +205,7 @@ private:
         return theta;
     }
 
-    // Returns a fresh start. Continuation has moved it towards the request.
+    // Returns a fresh start that continuation has moved towards the request.
     std::vector<double> led(int number) {
         std::vector<double> theta = fresh(number), part = wanted;
         const double left = LEG_ERROR * std::sqrt(squared(wanted) / (2 * parts));
@@ -216,8 +216,8 @@ private:
         return theta;
     }
 
-    // Compares the next random motions of the pool and their opposites. Returns the one with the
-    // smallest force error.
+    // Compares the next random motions of the pool and their opposites. Returns the motion with
+    // the smallest force error.
     std::vector<double> fresh(int number) {
         const int count = pool.size(0), most = motions.candidates;
         // Every fresh start takes its motions from another place in the pool.

@@ -137,6 +137,5 @@ def _best(value: np.ndarray) -> tuple[float, tuple[int, int, int, int]]:
 def _proves(
     cells: np.ndarray, position: np.ndarray, arm_m: float, separating: np.ndarray, limit: float
 ) -> bool:
-    """Return whether T is proven to be below a limit on all great circles. The cells are checked
-    one by one."""
+    """Return whether T is proven to be below a limit on all great circles. Each cell is checked."""
     return _kernels.proves(cells, position, arm_m, separating, limit)
