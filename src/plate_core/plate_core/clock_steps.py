@@ -51,7 +51,8 @@ class ClockSteps:
     Attributes
     ----------
     offset_ns : int or None
-        Last difference between the clock and the steady clock [ns]. None before the first reading.
+        Last difference between the clock and the steady clock [ns]. It is None before the first
+        reading.
     steps : tuple of Step
         Steps, the oldest first.
     """

@@ -28,7 +28,7 @@ class FrameError(PlateError):
 
 
 def did_you_mean(word: str, known: Iterable[str]) -> str:
-    """Return a hint with the most similar known word, such as ` (did you mean mu?)`. Empty if no
-    word is similar."""
+    """Return a hint with the most similar known word, such as ` (did you mean mu?)`. The result is
+    empty if no word is similar."""
     near = difflib.get_close_matches(word, list(known), n=1)
     return f" (did you mean {near[0]}?)" if near else ""

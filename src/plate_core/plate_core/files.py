@@ -60,7 +60,8 @@ def read_file(path: str | Path, most_bytes: int, error: type[PlateError] = Plate
 
 def kind_of(path: str | Path) -> str:
     """Return the kind of file at a path, after following links: `a file`, `a folder`, `a FIFO`,
-    `a socket` or `a device`. Empty if the path does not exist or cannot be examined."""
+    `a socket` or `a device`. The result is empty if the path does not exist or cannot be
+    examined."""
     try:
         found = os.stat(path)
     except (OSError, ValueError):

@@ -39,7 +39,8 @@ def choose_network(environ: MutableMapping[str, str]) -> str:
     Returns
     -------
     str
-        Warning that states why the nodes are reachable over the network. Empty if they are not.
+        Warning that states why the nodes are reachable over the network. It is empty if they are
+        not.
     """
     reach, peers = environ.setdefault(RANGE, "LOCALHOST") or "SUBNET", environ.get(PEERS, "")
     is_open = bool(peers) or reach not in ("LOCALHOST", "OFF")

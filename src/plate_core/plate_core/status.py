@@ -94,7 +94,7 @@ class Input:
     since : float
         Time of the subscription [s, steady clock].
     came : float or None
-        Arrival time of the last message [s, steady clock]. None if no message has arrived.
+        Arrival time of the last message [s, steady clock]. It is None if no message has arrived.
     """
 
     what: str

@@ -79,7 +79,7 @@ class Targets:
     gap_m : float
         Minimum clearance between any two parts, each modelled as a disc about its centre [m].
     angles : AngleTargets or None
-        Requested angles. None if no angles are requested.
+        Requested angles. They are None if no angles are requested.
     """
 
     low: np.ndarray
@@ -102,14 +102,15 @@ class Wanted:
         They are then the forces that would move the parts towards their targets, for display only
         (markers, the page, recordings).
     targets : Targets or None
-        The request. None if forces are requested.
+        The request. It is None if forces are requested.
     start : (M, 4) or None
-        Position and velocity of each part at the start of the cycle [m, m/s]. None if unknown. In
-        this case `parts` is the state in an image, and the solver predicts the state at the start.
+        Position and velocity of each part at the start of the cycle [m, m/s]. It is None if
+        unknown. In this case `parts` is the state in an image, and the solver predicts the state at
+        the start.
     plate : (3, 3) or None
         Pose, twist and acceleration of the plate at the start of the cycle, in the form of
-        `PlateCycle.state`. None if they are uncertain. In this case the cycle starts at rest at
-        home.
+        `PlateCycle.state`. It is None if they are uncertain. In this case the cycle starts at rest
+        at home.
     """
 
     parts: Parts

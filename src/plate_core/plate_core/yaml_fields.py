@@ -549,7 +549,8 @@ reads the number 0 and a key 3 without a value."""
 
 def _mistake(node: yaml.Node | None, seen: set[yaml.Node]) -> str:
     """Return a message about the first decimal comma, or the first key that occurs twice in one
-    mapping, at any depth. Empty if there is none. PyYAML accepts both without an error.
+    mapping, at any depth. The result is empty if there is none. PyYAML accepts both without an
+    error.
 
     A node with several references (YAML aliases) is examined only once, even if it contains itself.
     """

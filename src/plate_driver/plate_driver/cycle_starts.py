@@ -79,9 +79,9 @@ class CycleStarts:
         -------
         starts : CycleStarts
         began : float or None
-            Start of a cycle that was not reported before. None if there is no new cycle.
+            Start of a cycle that was not reported before. It is None if there is no new cycle.
         problem : str
-            Reason why the telemetry is inconsistent. Empty if it is consistent.
+            Reason why the telemetry is inconsistent. It is empty if it is consistent.
         """
         if new.clock_problem:
             return replace(self, last=None, slip=0.0), None, new.clock_problem

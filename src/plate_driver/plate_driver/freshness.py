@@ -54,7 +54,7 @@ class Freshness:
     ended_ns : int
         Stamp of the last request of a task that has ended.
     number : int or None
-        Number of stops before the motors became ready. None if they are not ready.
+        Number of stops before the motors became ready. It is None if they are not ready.
     updated_at : float
         Time of the last call of `with_state` [s, steady clock].
     last_cycles : dict of bytes to float

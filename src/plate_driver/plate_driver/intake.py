@@ -46,7 +46,7 @@ class CycleIntake:
     task_runs : bool
         Whether a task runs, according to the planner's last report.
     refusal : str
-        Reason why the last cycle was refused. Empty if it was accepted.
+        Reason why the last cycle was refused. It is empty if it was accepted.
     """
 
     def __init__(
@@ -79,7 +79,7 @@ class CycleIntake:
         running : bool
             Whether a task runs.
         stamp_ns : int or None
-            Stamp of the planner's last request [ns]. None if it is unknown.
+            Stamp of the planner's last request [ns]. It is None if it is unknown.
         """
         self.task_runs = running
         if stamp_ns is not None and not running:

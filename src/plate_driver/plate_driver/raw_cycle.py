@@ -42,7 +42,7 @@ def check_length(data: bytes, size: int, most_points: int) -> None:
 
 
 def _points(data: bytes) -> int | None:
-    """Return the number of points. None if the number cannot be read from `data`."""
+    """Return the number of points. The result is None if the number cannot be read from `data`."""
     if len(data) < 4 or data[0] != 0 or data[1] not in (0, 1):
         return None
     order = "<" if data[1] == 1 else ">"

@@ -43,7 +43,7 @@ def driver_status(
     latch : Latch
         Latch that blocks cycles after a stop, and stores the reason of the stop.
     report : Report or None
-        Report of the transport. None if no transport is open (node not configured).
+        Report of the transport. It is None if no transport is open (node not configured).
     calibrating : bool
     """
 
@@ -113,7 +113,8 @@ def health(
     lasting : sequence of str
         Faults that last until somebody corrects them.
     unplayed : str
-        Reason why the motors have not played a sent cycle for a long time. Empty if they play.
+        Reason why the motors have not played a sent cycle for a long time. It is empty if they
+        play.
     """
     if status.state in (DriverState.ERROR, DriverState.STOPPED):
         return Finding(Level.ERROR, status.text)

@@ -71,7 +71,8 @@ class TransportOwner:
             return self.current
 
     def close(self) -> None:
-        """Stop and close the open transports. A concurrent stop still reaches them."""
+        """Stop and close the open transports. If another thread calls `stop` meanwhile, they still
+        execute the stop."""
         if self.current is not None:
             self.current.close()
             self.current = None

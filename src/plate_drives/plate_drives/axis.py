@@ -114,8 +114,8 @@ class Axis:
     motor, node : int
         Numbers of the motor, 1 to 4, and of its drive.
     scale : float
-        Estimated counts per metre along the motor's direction. Negative if the drive counts against
-        it.
+        Estimated counts per metre along the motor's direction. It is negative if the drive counts
+        against it.
     limits : Limits
 
     Attributes

@@ -135,8 +135,8 @@ def _files_read(rules: Path, places: dict[str, Path]) -> bytes:
 
 def _key(first: str, read: bytes, places: dict[str, Path], since: float = math.inf) -> str:
     """Return the key of an object: a digest of `first` and of the content of all files that were
-    read. Empty if a file is missing or has changed after `since`, because the compiler may have
-    read another content."""
+    read. The result is empty if a file is missing or has changed after `since`, because the
+    compiler may have read another content."""
     lines = (line.partition("//") for line in os.fsdecode(read).split("\n"))
     files = [Path(places[at], name) for at, _, name in lines]
     try:

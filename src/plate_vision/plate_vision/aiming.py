@@ -51,9 +51,9 @@ BLURRED = 0.85
 a part that is moved, changes sharpness by less than 5 %."""
 
 PASSED, BACK = 0.9, 0.95
-"""Sharpness relative to the maximum of the last minute [-]. The focus was passed if the sharpness
-was below the first fraction before and after its maximum. It is back in focus if it is above the
-second fraction now."""
+"""Sharpness relative to the maximum of the last minute [-]. The lens was moved through the focus if
+the sharpness was below the first fraction both before and after its maximum. The image is in focus
+again if the present sharpness is above the second fraction."""
 
 SHARP_PX = 1.5
 """Maximum standard deviation of the blur of the plate's edges in a sharp picture [px]. Drawn
@@ -169,8 +169,8 @@ def sharpness_of(image: np.ndarray, field: AimField) -> float:
     """Return the sharpness of an image (H, W) or (H, W, 3) uint8 around the plate [1/px].
 
     It is the root mean square of the gradient (Tenengrad), divided by the standard deviation of the
-    grey levels, so that it does not depend on the brightness. NaN if the contrast is less than
-    `MIN_CONTRAST`.
+    grey levels, so that it does not depend on the brightness. The result is NaN if the contrast is
+    less than `MIN_CONTRAST`.
     """
     grey = grey_levels(np.ascontiguousarray(image[field.rows, field.columns])).astype(np.float32)
     _, deviation = cv2.meanStdDev(grey, mask=field.around)
@@ -186,8 +186,8 @@ def sharpness_of(image: np.ndarray, field: AimField) -> float:
 
 def edge_blur_px(image: np.ndarray, outline: Outline, field: AimField) -> float:
     """Return the standard deviation of the blur of the plate's edges in an image (H, W) or
-    (H, W, 3) [px]. It is the median of contrast / (sqrt(2 pi) slope) over the visible edges. NaN if
-    no edge is visible."""
+    (H, W, 3) [px]. It is the median of contrast / (sqrt(2 pi) slope) over the visible edges. The
+    result is NaN if no edge is visible."""
     calibration, along = field.vision.calibration, field.grid.along
     grey = contrasted(image, field.grid)
     middle, slope, bow = (column[:, None] for column in outline.edges.T)
@@ -219,7 +219,7 @@ class Focus:
     values : tuple of (float, float)
         Stamps [s] and sharpness [1/px] of the images, oldest first.
     blur_px : float
-        Blur of the plate's edges in the newest image [px]. NaN if unknown.
+        Blur of the plate's edges in the newest image [px]. It is NaN if unknown.
     peaked : bool
         Whether the maximum was passed.
     sharp : bool
@@ -258,19 +258,20 @@ class Focus:
 
     @property
     def now(self) -> float:
-        """The newest sharpness [1/px]. NaN if it could not be measured."""
+        """The newest sharpness [1/px]. It is NaN if it could not be measured."""
         return self.values[-1][1] if self.values else math.nan
 
     @property
     def best(self) -> float:
-        """The maximum sharpness of the last minute [1/px]. NaN if no sharpness was measured."""
+        """The maximum sharpness of the last minute [1/px]. It is NaN if no sharpness was
+        measured."""
         known = [value for _, value in self.values if math.isfinite(value)]
         return max(known, default=math.nan)
 
     @property
     def change(self) -> float:
         """Relative change during the last `LATELY_S` [-]: the mean of the second half divided by
-        the mean of the first half, minus one. NaN if a half has no value."""
+        the mean of the first half, minus one. It is NaN if a half has no value."""
         if not self.values:
             return math.nan
         age = self.values[-1][0] - np.array([stamp for stamp, _ in self.values])
@@ -374,11 +375,11 @@ class Thing:
     Attributes
     ----------
     id : str
-        Id of the part. Empty if the object is not a part.
+        Id of the part. It is empty if the object is not a part.
     x_px, y_px, radius_px : float
         Centre of the object, and radius of the disc with the same area [px].
     reason, remedy : str
-        Reason why it is rejected as a part, and the remedy. Empty for a part.
+        Reason why it is rejected as a part, and the remedy. It is empty for a part.
     """
 
     id: str

@@ -43,7 +43,7 @@ class PlateCycle:
     knot_pose, knot_twist, knot_accel : (k + 1, 3)
         x, y, theta [m, m, rad], and their first and second time derivatives.
     tail : PlateCycle or None
-        Motion from the state of the last knot to rest at home. None if there is no tail.
+        Motion from the state of the last knot to rest at home. It is None if there is no tail.
     """
 
     times: np.ndarray
@@ -104,7 +104,7 @@ class PlateCycle:
 
     @property
     def moves(self) -> bool:
-        """Whether the plate moves. False if it stays at rest at home."""
+        """Whether the plate moves. It is False if it stays at rest at home."""
         return any(np.any(k) for k in (self.knot_pose, self.knot_twist, self.knot_accel))
 
     def pose(self, t: np.ndarray | float) -> np.ndarray:

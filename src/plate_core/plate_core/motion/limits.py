@@ -181,9 +181,10 @@ def _peaks(
 ) -> np.ndarray:
     """Return the peak of each group of curves. `group` (k,) is the group of each piece.
 
-    `bend` (k,) bounds the second derivative of the curve's vector. Between two times a distance h
-    apart, a curve therefore deviates from its chord by at most h^2 bend/8. Pieces that may contain
-    a higher peak are cut into `CUTS` parts. If a bound is not finite, all peaks are infinite.
+    `bend` (k,) is an upper limit of the second derivative of the curve's vector. Therefore, a curve
+    deviates from its chord between two times by at most h^2 bend/8, where h is the difference of
+    the times. Pieces that may contain a higher peak are cut into `CUTS` parts. If a bound is not
+    finite, all peaks are infinite.
     """
     low = np.zeros(int(np.max(group)) + 1)
     piece, start, length = np.arange(len(steps)), np.zeros(len(steps)), np.asarray(steps, float)

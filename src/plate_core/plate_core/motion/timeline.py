@@ -72,8 +72,8 @@ class Timeline:
     filling : bool
         Whether the running cycle is a tail or rest, which only fills the time until the next cycle.
     waiting : PlateCycle or None
-        The cycle to run next, if it begins in the final state of the running one. None if no cycle
-        has been received.
+        The cycle to run next, if it begins in the final state of the running one. It is None if no
+        cycle has been received.
     """
 
     cycle: PlateCycle

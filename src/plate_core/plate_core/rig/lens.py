@@ -197,8 +197,8 @@ class Lens:
         return np.where(shown[..., None], straight, np.nan)
 
     def folds(self, corners_px: np.ndarray, straight: bool = False) -> str:
-        """Return a message if the lens folds the image of a plate. Empty if each image point shows
-        one point of the plate.
+        """Return a message if the lens folds the image of a plate. The result is empty if each
+        image point shows one point of the plate.
 
         Parameters
         ----------
@@ -245,7 +245,8 @@ class Lens:
 
     @cached_property
     def _tilt(self) -> np.ndarray | None:
-        """The projection (3, 3) onto a tilted image plane. None if the plane is not tilted."""
+        """The projection (3, 3) onto a tilted image plane. It is None if the plane is not
+        tilted."""
         tau_x, tau_y = self._all[12:]
         if self.model == "equidistant" or (tau_x == 0 and tau_y == 0):
             return None
@@ -361,7 +362,7 @@ def lens_of_matrix(matrix: np.ndarray, distortion: Sequence[float], model: str) 
 
 def _first_root(powers: np.ndarray) -> float:
     """Return the smallest positive root of a polynomial with these coefficients, lowest power
-    first. Infinite if there is none."""
+    first. The result is infinite if there is none."""
     roots = np.polynomial.Polynomial(powers).trim().roots()
     real = roots.real[np.abs(roots.imag) <= 1e-9 * np.abs(roots)]
     return float(np.min(real[real > 0], initial=np.inf))

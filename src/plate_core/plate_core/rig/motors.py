@@ -19,7 +19,8 @@ if TYPE_CHECKING:
 
 PEAK_OVER_RMS = 1.6
 """Approximate minimum ratio of a motor's peak force to its root mean square force in the solvers'
-motions. Rotations have ratios of 1.6 to 2, sinusoids of 2 to 2.5 (`test_weak_motors.py`)."""
+motions. For rotations, the ratio is 1.6 to 2. For sinusoids, it is 2 to 2.5
+(`test_weak_motors.py`)."""
 
 TURN_STEPS = 400
 """Number of steps of angular acceleration, from 0 to the maximum for the plate's corners."""

@@ -122,7 +122,7 @@ class PartType:
     mass_kg, mu : float or None
         Mass [kg] and friction coefficient [-]. None: the values of the rig.
     colour_lab : tuple of 3 float, or None
-        Colour in CIE L, a, b. None if unknown.
+        Colour in CIE L, a, b. It is None if unknown.
     symmetry : int
         Order of rotational symmetry. 0 for a disc.
     scatter_m : float

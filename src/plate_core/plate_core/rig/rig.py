@@ -215,7 +215,7 @@ class Camera:
     colour : bool
         Whether the images have colours.
     height_m : float or None
-        Height of the lens above the plate [m]. None if the rig file does not give it.
+        Height of the lens above the plate [m]. It is None if the rig file does not give it.
         `camera_place` needs it if the lens is not calibrated.
     """
 

@@ -119,7 +119,7 @@ def parts_to_msg(
         Measurement method of all parts, a constant of the message Part.
     quality : (M, 3), optional
         Standard deviation of the position along each axis [m] and of the angle [rad], and the
-        confidence that the object is a part [-]. NaN if unknown.
+        confidence that the object is a part [-]. It is NaN if unknown.
     overlooked : sequence of OverlookedThing
         Objects in the image that vision does not recognise as parts.
     """

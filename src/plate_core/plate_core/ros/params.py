@@ -53,7 +53,8 @@ class Spec:
 
     @property
     def allowed(self) -> str:
-        """Description of the allowed values. Empty if all values of the right type are allowed."""
+        """Description of the allowed values. It is empty if all values of the right type are
+        allowed."""
         if self.choices:
             return "one of " + ", ".join(self.choices)
         if self.low is not None and self.high is not None:

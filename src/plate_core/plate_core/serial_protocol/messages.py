@@ -280,7 +280,8 @@ def abort_words(code: int) -> str:
 
 
 def emergency_words(code: int) -> str:
-    """Return the meaning of an emergency code (also object 603Fh) in brackets. Empty if unknown."""
+    """Return the meaning of an emergency code (also object 603Fh) in brackets. The result is empty
+    if unknown."""
     fitting = [text for start, text in EMERGENCIES.items() if f"{code:04X}".startswith(start)]
     return f" ({fitting[0]})" if fitting else ""
 

@@ -50,8 +50,8 @@ def goal_places(scenario: Scenario) -> list[Place]:
 
 
 def edge_problem(label: str, point: Point, rig: Rig) -> str:
-    """Return the reason why parts of a class cannot be moved to a point [m, plate_home]. Empty if
-    they can."""
+    """Return the reason why parts of a class cannot be moved to a point [m, plate_home]. The result
+    is empty if they can."""
     least = rig.edge_margin(label).least_m
     limit, (x, y) = rig.plate.half - least, point
     # This condition is false for NaN.

@@ -138,8 +138,8 @@ def check_feed(task: FeedTask, where: str, rig: Rig) -> None:
 
 
 def _space_problem(pick: Pick, clearance_m: float, rig: Rig) -> str:
-    """Return the reason why the window is too small for `pick.ready` parts. Empty if it may be
-    large enough.
+    """Return the reason why the window is too small for `pick.ready` parts. The result is empty if
+    it may be large enough.
 
     The estimate gives each part a disc: the largest disc about its centre inside its outline,
     enlarged by half the clearance. These discs do not overlap, and they are inside the window
@@ -166,7 +166,8 @@ def _space_problem(pick: Pick, clearance_m: float, rig: Rig) -> str:
 
 
 def pick_problem(pick: Pick, rig: Rig) -> str:
-    """Return the reason why a pick is impossible on this rig. Empty if it is possible."""
+    """Return the reason why a pick is impossible on this rig. The result is empty if it is
+    possible."""
     low, high = pick_window(pick, rig)
     limit = rig.plate.half - rig.part_type(pick.label).reach_m
     if not (np.all(low <= high) and np.all(low >= -limit - 1e-9) and np.all(high <= limit + 1e-9)):

@@ -145,7 +145,8 @@ def read_scenario(fields: Fields, name: str, folder: Path = Path()) -> Scenario:
 
 
 def _rig(fields: Fields, folder: Path) -> str:
-    """Return the rig in the form that `load_rig` accepts. Empty if no rig is given."""
+    """Return the rig in the form that `load_rig` accepts. The result is empty if no rig is
+    given."""
     text = fields.value(keys.FILE["rig"])
     if text.endswith((".yaml", ".yml")):
         return str(folder / text)
@@ -422,7 +423,8 @@ def check_scenario(scenario: Scenario, rig: Rig) -> None:
 
 
 def target_problem(target: PartTarget, scenario: Scenario, rig: Rig) -> str:
-    """Return the reason why a target of a part is impossible. Empty if it is possible."""
+    """Return the reason why a target of a part is impossible. The result is empty if it is
+    possible."""
     label = part_class(target.id)
     if label not in scenario.labels:
         known = ", ".join(sorted(set(scenario.labels)))

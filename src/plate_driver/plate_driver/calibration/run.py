@@ -57,8 +57,8 @@ class CalibrationRun:
 
     @property
     def text(self) -> str:
-        """Progress of the running calibration, or result of the last one. Empty before the first
-        calibration."""
+        """Progress of the running calibration, or result of the last one. It is empty before the
+        first calibration."""
         experiment = self._experiment
         return self._outcome if experiment is None else experiment.calibration.progress
 

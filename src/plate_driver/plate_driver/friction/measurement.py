@@ -199,7 +199,7 @@ class PartFriction:
     mu, error : float
         Mean coefficient of dynamic friction along the part's path, and its standard error.
     static_ratio : float
-        Ratio of static to dynamic friction. NaN if the onset was not observed.
+        Ratio of static to dynamic friction. It is NaN if the onset was not observed.
     """
 
     id: str
@@ -223,8 +223,8 @@ class FrictionResult:
         second along one part's path on the plate. The contribution of the camera's noise is
         subtracted.
     static_ratio, static_error : float
-        Mean ratio of static to dynamic friction over the parts, and its standard error. NaN if no
-        onset was observed.
+        Mean ratio of static to dynamic friction over the parts, and its standard error. Both are
+        NaN if no onset was observed.
     notes : tuple of str
         Further remarks for the user.
     """
@@ -535,8 +535,9 @@ class FrictionMeasurement:
 
         local, errors, _ = self._local(name)
         fit = least_squares(misses, [float(np.median(local))], diff_step=1e-3)
-        # The position between two pushes affects both lags, so their errors are correlated. They
-        # cancel for two pushes in one direction, and add up if the direction changes.
+        # The position between two pushes affects both lags, so their errors are correlated. The
+        # errors have opposite signs if both pushes have the same direction, and equal signs if the
+        # direction changes.
         correlation = np.eye(len(trials))
         for k, (one, other) in enumerate(pairwise(trials)):
             if one.push.axis == other.push.axis:
@@ -558,7 +559,8 @@ class FrictionMeasurement:
         return held, None
 
     def _static_ratio(self, name: str) -> float:
-        """Return the ratio of static to dynamic friction of a part. NaN if no onset was observed.
+        """Return the ratio of static to dynamic friction of a part. The result is NaN if no onset
+        was observed.
 
         If the part did not slide in a push, its mu_s g exceeds the push's acceleration. This is
         certain only if the part would have slid visibly without static friction.

@@ -112,16 +112,16 @@ class Guard:
         `hold_cycles` is the number of plays of a cycle from rest to rest if no new cycle arrives.
         See `with_fades` for `repeats`.
     correction : callable or None
-        Correction by a calibration. None if the rig is not calibrated.
+        Correction by a calibration. It is None if the rig is not calibrated.
     hold_s : float
         Maximum time for which the motors repeat a table [s].
     last_ns : int or None
         Stamp of the last accepted cycle.
     table : MotorTable or None
-        Last table sent. None if the plate rests.
+        Last table sent. It is None if the plate rests.
     sent : tuple of PlateCycle
-        The last sent cycles that the device may be playing, oldest first. Empty if the plate rests.
-        The device itself checks whether a new table continues the table that plays.
+        The last sent cycles that the device may be playing, oldest first. The tuple is empty if the
+        plate rests. The device itself checks whether a new table continues the table that plays.
     sent_at, lasts_s : float
         Time at which the last table was sent, and the time from then until the plate rests if no
         new table arrives [s].

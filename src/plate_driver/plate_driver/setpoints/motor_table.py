@@ -89,8 +89,8 @@ class MotorTable:
 
     @property
     def tail(self) -> MotorTable | None:
-        """Table that is played after the cycle if no other table follows. None if the cycle has no
-        tail."""
+        """Table that is played after the cycle if no other table follows. It is None if the cycle
+        has no tail."""
         if self.cycle.tail is None:
             return None
         k = len(self.cycle.times)

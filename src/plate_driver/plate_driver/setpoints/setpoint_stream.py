@@ -125,8 +125,8 @@ class SetpointStream:
         return stream, tuple(knots)
 
     def _after(self) -> SetpointStream | None:
-        """Return the stream at the start of the next cycle or tail. None if the stream ends at
-        rest."""
+        """Return the stream at the start of the next cycle or tail. The result is None if the
+        stream ends at rest."""
         tail, begin, newest = (
             self.playing.tail,
             self.begin + self.knots[-1].ticks,

@@ -45,8 +45,8 @@ class DeviceClock:
     Attributes
     ----------
     earliest, latest : float
-        Bounds of host time minus device time at the last message [s]. Infinite before the first
-        pulse and after implausible telemetry.
+        Bounds of host time minus device time at the last message [s]. They are infinite before the
+        first pulse and after implausible telemetry.
     at, pulse_at : float
         Arrival times of the last message and of the last pulse [s].
     since : tuple of float
@@ -129,7 +129,8 @@ class DeviceClock:
         return now - self.wrong_at < REJECTED_S
 
     def rejection(self, now: float) -> str:
-        """Return the reason why device times are rejected at `now` [s]. Empty if they are accepted.
+        """Return the reason why device times are rejected at `now` [s]. The result is empty if they
+        are accepted.
 
         The times of a slow clock are accepted, because each pulse that shows its delay also gives
         the correct offset.

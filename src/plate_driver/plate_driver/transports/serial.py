@@ -729,8 +729,8 @@ def named(faults: Fault) -> str:
 
 
 def differing(device: Capabilities, limits: Limits) -> str:
-    """Return a text about the device limits that differ from the rig file. Empty if all are
-    equal."""
+    """Return a text about the device limits that differ from the rig file. The result is empty if
+    all are equal."""
     pairs = {
         "stroke [m]": (device.stroke_m, limits.stroke_m),
         "speed [m/s]": (device.speed, limits.speed),

@@ -215,7 +215,7 @@ class TransportThread:
                 self._latch.late = None
 
     def _follow(self) -> None:
-        """Open the latch when the motors of a running enable are ready."""
+        """Open the latch as soon as the motors are ready after an Enable command."""
         for each in list(self._enables):
             settled, failure = each.order.settled, each.order.failure
             if not settled and time.monotonic() < each.end:

@@ -81,11 +81,11 @@ class Measured:
     position, acceleration : tuple of 4 float
         Travel [m] and acceleration [m/s2] of each motor.
     playing : MotorTable or None
-        Table that plays. If its tail plays, this is the tail. None if unknown.
+        Table that plays. If its tail plays, this is the tail. It is None if unknown.
     began : float
         Time at which this table or tail started, on the context's clock [s].
     clock_problem : str
-        Reason why these times are rejected. Empty if they are accepted.
+        Reason why these times are rejected. It is empty if they are accepted.
     """
 
     time: float

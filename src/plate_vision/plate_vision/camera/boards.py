@@ -350,7 +350,7 @@ class LensFit:
 
     @property
     def warning(self) -> str | None:
-        """Advice on better pictures. None if no advice is needed."""
+        """Advice on better pictures. It is None if no advice is needed."""
         if min(self.cover) < MIN_COVER:
             return (
                 f"the board covered {self.cover[0]:.0%} of the width and {self.cover[1]:.0%} "
@@ -527,8 +527,8 @@ def _fit_equidistant(
 
 
 def _pose(point: np.ndarray, lens: Lens, place: np.ndarray) -> np.ndarray:
-    """Return the rotation vector and translation (6,) of a board for a given lens. NaN if there is
-    no solution."""
+    """Return the rotation vector and translation (6,) of a board for a given lens. The result is
+    NaN if there is no solution."""
     straight = lens.straighten(place)
     if not np.all(np.isfinite(straight)):
         return np.full(6, np.nan)

@@ -31,8 +31,8 @@ CODES = {
     "yuv422_yuy2": cv2.COLOR_YUV2BGR_YUY2,
     **BAYER,
 }
-"""OpenCV's conversion codes from a kind of pixels to blue, green, red. None if no conversion is
-needed."""
+"""OpenCV's conversion codes from a kind of pixels to blue, green, red. The code is None if no
+conversion is needed."""
 
 CHANNELS = {"bgr": 3, "rgb": 3, "bgra": 4, "rgba": 4, "yuv422": 2, "yuv422_yuy2": 2}
 """Number of channels for each kind of pixels with more than one channel."""
@@ -188,8 +188,8 @@ def is_wide_file(content: bytes | bytearray | memoryview) -> bool:
 
 def bits_hint(image: np.ndarray, bits: int) -> str:
     """Return a hint for an image (H, W) or (H, W, 3) uint8 that had 16 bits and is too dark or too
-    bright. The hint suggests another value of `bits`. Empty if `bits` is not the reason, or if the
-    image is black."""
+    bright. The hint suggests another value of `bits`. The result is empty if `bits` is not the
+    reason, or if the image is black."""
     brightest = int(image.max(initial=0))
     used = bits - 8 + brightest.bit_length()
     if brightest > BRIGHT:

@@ -72,8 +72,8 @@ class Header(NamedTuple):
 
 
 def read_header(content: bytes) -> Header | None:
-    """Return the header of a picture's file. None if the kind of file is unknown or the file is
-    malformed."""
+    """Return the header of a picture's file. The result is None if the kind of file is unknown or
+    the file is malformed."""
     try:
         if content.startswith(PNG):
             return _png(content)
@@ -102,7 +102,8 @@ def not_turned(content: bytes, header: Header) -> bytes:
 
 
 def turned_text(header: Header) -> str:
-    """Return a warning about a picture that viewers rotate or mirror. Empty for other pictures."""
+    """Return a warning about a picture that viewers rotate or mirror. The result is empty for other
+    pictures."""
     if header.orientation == 1:
         return ""
     do = TURNS[header.orientation]

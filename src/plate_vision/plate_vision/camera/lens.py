@@ -126,7 +126,7 @@ class Calibration:
     lens : Lens, optional
         A distorting lens. If it is given, the homographies refer to the undistorted image.
     place : (3,), optional
-        Centre of projection of the camera [m, plate_home]. None if unknown.
+        Centre of projection of the camera [m, plate_home]. It is None if unknown.
     """
 
     image_from_home: np.ndarray
@@ -180,7 +180,7 @@ class Calibration:
         ratio of areas.
 
         A homography H scales a small area by det(H) / w^3, where w is the third homogeneous
-        coordinate of the image point. With a lens the ratio comes from central differences.
+        coordinate of the image point. With a lens, the ratio is computed from central differences.
         """
         point = _points(point)
         if self.lens is not None:
@@ -311,7 +311,7 @@ def lens_keys(lens: Lens) -> dict[str, str]:
 
 
 def rig_lens(rig: Rig) -> Lens | None:
-    """Return the lens of the rig file. None if the file has no lens."""
+    """Return the lens of the rig file. The result is None if the file has no lens."""
     lens = rig.camera.lens
     return None if lens is None else Lens(lens.matrix, np.array(lens.distortion), lens.model)
 

@@ -160,7 +160,8 @@ def _refine(grey: np.ndarray, corners: np.ndarray) -> np.ndarray:
     foot = corners[:, :, None] + at[:, None] * along[:, :, None]
     place = foot[..., None, :] + across[:, None] * outward[:, :, None, None]
     crossing = _crossings(_values(grey, place), across)
-    # Offset at the edge's first corner, and the change of the offset up to the edge's last corner.
+    # `line` is the offset of the edge at its first corner, and the change of this offset up to its
+    # last corner.
     line = _lines(at, crossing)
     first = corners + line[..., :1] * outward
     last = corners + along + line.sum(axis=2, keepdims=True) * outward

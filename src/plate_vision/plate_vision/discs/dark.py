@@ -1,10 +1,12 @@
 """Parts that are clearly darker than the plate.
 
 Each part is measured by the fastest method that is suitable. A part without neighbours is measured
-by the moments of its darkness, with an error of about a hundredth of a pixel. For an evenly dark
-disc of radius r, with the darkness m of a pixel and its distance d from the centre,
+by the moments of its darkness, with an error of about a hundredth of a pixel. For the
+pixels of an evenly dark disc, this equation is valid:
 
-    sum(m d^2) / sum(m) = r^2 / 2.
+    sum(m d^2) / sum(m) = r^2 / 2
+
+where m is the darkness of a pixel, d its distance from the centre, and r the radius of the disc.
 
 The misfit is the larger one of two deviations: the relative deviation of these moments from r^2 /
 2, with the radius r by area, and the deviation from the silhouette's second moments. The other

@@ -110,7 +110,7 @@ class Template:
 
     @cached_property
     def mirrored(self) -> Template | None:
-        """The template of the part's other face. None if both faces look the same."""
+        """The template of the part's other face. It is None if both faces look the same."""
         flip = np.array([-1.0, 1.0])
         outline = make_outline([flip * ring for ring in self.outline.rings])
         fit = lay_on(self, outline, 100 / outline.reach)

@@ -173,7 +173,7 @@ def fit_pose(
     unit : float
         Distance above which a point has less weight [m]. It should be one or two pixels.
     turns : bool
-        Whether the angle is fitted. False for a disc.
+        Whether the angle is fitted. It is False for a disc.
     steps : int
         Maximum number of Gauss-Newton steps.
     gate : float
