@@ -479,7 +479,7 @@ def test_a_planner_that_stood_still_does_not_go_on(silenced):
 def test_a_goal_that_was_sent_while_the_planner_stood_still_is_not_begun(graph):
     graph = graph(input_timeout_s=30.0)
     graph.image(0.0, APART)
-    graph.planner._monitor._standstill._looked -= 2.0
+    graph.planner._monitor._standstill._checked -= 2.0
     reason, text = graph.refused()
     assert (reason, text) == (
         TaskStatus.NOT_READY, "the planner was stalled: send the goal again"
