@@ -26,7 +26,7 @@ from launch.event_handlers import OnProcessIO
 from launch_ros.actions import Node
 
 from plate_core import PlateError, config_path, did_you_mean, load_rig
-from plate_core.files import YAML_BYTES, check_file
+from plate_core.files import YAML_BYTES, check_file, read_file
 from plate_core.rig import unmeasured
 from plate_core.tasks import load_scenario
 
@@ -224,8 +224,8 @@ def rigs_in(parameters: Sequence[Any]) -> list[str]:
             rigs += [str(each[1])] if each[0] == "rig_file" else []
             continue
         try:
-            rigs += _rigs_below(yaml.safe_load(Path(str(each)).read_text(encoding="utf-8")))
-        except (OSError, UnicodeError, yaml.YAMLError):
+            rigs += _rigs_below(yaml.safe_load(read_file(str(each), YAML_BYTES)))
+        except (PlateError, yaml.YAMLError):
             continue
     return list(dict.fromkeys(rigs))
 

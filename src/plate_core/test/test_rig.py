@@ -1,6 +1,7 @@
 """The rig file: what is read, and how a wrong one is refused."""
 
 import dataclasses
+import os
 
 import numpy as np
 import pytest
@@ -255,3 +256,15 @@ def test_a_lens_is_added_to_a_rig_file(tmp_path, data, block):
     values = {**LENS, "distortion": "[-0.1, 1e-05, 0, 0]", "distortion_model": "plumb_bob"}
     edit_rig(path, {("camera",): values}, lambda rig: rig == after)
     assert load_rig(path) == after
+
+
+def test_a_rig_file_that_is_edited_is_a_regular_file(tmp_path):
+    path = tmp_path / "rig.yaml"
+    os.mkfifo(path)  # that nobody writes to
+    with pytest.raises(PlateError, match=r"rig\.yaml: is a FIFO, allowed: a regular file"):
+        edit_rig(path, {}, lambda rig: True)
+    path.unlink()
+    path.write_bytes(b"\xff")
+    with pytest.raises(PlateError, match=r"rig\.yaml: cannot be read \('utf-8'"):
+        edit_rig(path, {}, lambda rig: True)
+    assert path.read_bytes() == b"\xff"

@@ -14,7 +14,7 @@ from typing import Any
 import yaml
 
 from ..errors import PlateError
-from ..files import draft
+from ..files import YAML_BYTES, draft, read_file
 from .rig import Rig, load_rig
 
 Values = Mapping[tuple[str, ...], Mapping[str, str]]
@@ -40,8 +40,8 @@ def edit_rig(path: Path, values: Values, expected: Callable[[Rig], bool]) -> Non
     """
     path = path.resolve()  # if the file is a symbolic link, change its target
     try:
-        text = path.read_text(encoding="utf-8")
-    except OSError as error:
+        text = read_file(path, YAML_BYTES).decode()
+    except UnicodeDecodeError as error:
         raise PlateError(f"rig file {path}: cannot be read ({error})") from None
     with draft(path, "rig file") as file:
         file.write(edited(text, values).encode())

@@ -8,7 +8,7 @@ import zlib
 from dataclasses import dataclass, replace
 from io import BytesIO
 from pathlib import Path
-from zipfile import BadZipFile
+from zipfile import BadZipFile, ZipFile
 
 import numpy as np
 
@@ -63,8 +63,8 @@ harmonics."""
 AXES = ("x", "y", "theta")
 
 FILE_ERRORS = (
-    OSError, ValueError, KeyError, TypeError, AttributeError, EOFError, BadZipFile, zlib.error,
-    PlateError,
+    OSError, ValueError, KeyError, TypeError, AttributeError, EOFError, MemoryError, BadZipFile,
+    zlib.error, PlateError,
 )  # fmt: skip
 """Exceptions that can occur when a damaged file is read."""
 
@@ -270,7 +270,12 @@ def saved_response(path: str | Path) -> Response:
         If the file is not a valid response.
     """
     try:
-        with np.load(BytesIO(read_file(path, MAX_BYTES)), allow_pickle=False) as data:
+        content = read_file(path, MAX_BYTES)
+        with ZipFile(BytesIO(content)) as packed:
+            size = sum(each.file_size for each in packed.infolist())
+        if size > MAX_BYTES:  # a small file can contain a much larger array
+            raise PlateError(f"it unpacks to {size} bytes, allowed: up to {MAX_BYTES}")
+        with np.load(BytesIO(content), allow_pickle=False) as data:
             return Response(data["frequency"], data["matrix"], float(data["lever"]))
     except FILE_ERRORS as error:
         raise PlateError(f"calibration_file {path}: not a valid calibration ({error})") from None
