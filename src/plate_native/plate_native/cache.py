@@ -1,11 +1,11 @@
 """The user's cache of compiled files, for all clones: python cache.py take|keep PACKAGE BUILT ROOT
 
-The key of an entry is a digest of everything from which it was made. A damaged entry is ignored. If
-the folder cannot be written, nothing is kept.
+The key of an entry is a digest of all inputs from which the entry was made. A damaged entry is
+ignored. If the folder cannot be written, no entries are stored.
 
-As a program it takes or keeps the folder BUILT, a package of messages built from the folder
-PACKAGE. Both are below the folder ROOT, whose path replaces that of the clone which made the entry.
-The exit code is not 0 if there is no such entry.
+The command line restores (`take`) or stores (`keep`) the folder BUILT, a package of messages that
+was built from the folder PACKAGE. Both are below the folder ROOT of the clone. The path of the
+clone that made the entry is replaced by ROOT. The exit code is not 0 if there is no such entry.
 """
 
 from __future__ import annotations
@@ -22,10 +22,11 @@ from contextlib import suppress
 from pathlib import Path
 
 MAX_BYTES = 100_000_000
-"""Maximum size of all entries [bytes]. The entries unused for longest are removed."""
+"""Maximum size of all entries [bytes]. If it is exceeded, the entries that were not used for the
+longest time are removed."""
 
 ROOT = b"@the root of the clone@"
-"""Placeholder of the clone's path in kept packages."""
+"""Placeholder of the clone's path in stored packages."""
 
 TOOLS = ("ros_", "catkin", "cmake", "empy", "lark", "numpy")
 """Name prefixes of the Python packages on which a package of messages depends."""
@@ -38,7 +39,7 @@ def of_user() -> Path:
 
 
 def key_of(*made_of: str | bytes) -> str:
-    """Return the key of an entry made from these contents."""
+    """Return the key of an entry that is made from these contents."""
     digest = hashlib.sha256()
     for part in made_of:
         content = part.encode() if isinstance(part, str) else part
@@ -47,7 +48,7 @@ def key_of(*made_of: str | bytes) -> str:
 
 
 def take(folder: Path, key: str) -> bytes | None:
-    """Return the content of an entry; None if it is missing or damaged."""
+    """Return the content of an entry. None if it is missing or damaged."""
     with suppress(OSError):
         data = (folder / key).read_bytes() if (folder / key).is_file() else b""
         if hashlib.sha256(data[32:]).digest() == data[:32]:
@@ -79,7 +80,7 @@ def compiler(words: list[str]) -> bytes:
     command = [*words, "-v", "-E", "-x", "c++", os.devnull]
     try:
         return subprocess.run(command, capture_output=True, check=False).stderr
-    except FileNotFoundError:  # reported by the compilation itself
+    except FileNotFoundError:  # the compilation will report this error
         return b""
 
 
@@ -103,7 +104,8 @@ def _moved(content: bytes, here: bytes, there: bytes) -> bytes:
 
 
 def _is_clear(content: bytes, root: bytes) -> bool:
-    """Whether the path occurs in a text only as a whole path, not within other words."""
+    """Whether all occurrences of the path in a text are whole paths and not parts of other
+    words."""
     meant = re.findall(rb"(?<![\w.+-])" + re.escape(root) + rb"(?![\w.+-])", content)
     return b"\0" in content or len(meant) == content.count(root)
 
@@ -132,10 +134,10 @@ def _unpack(packed: bytes, built: Path, root: str) -> None:
 
 
 def main(action: str, package: str, built: str, root: str) -> int:
-    """Take or keep a package. Return the exit code."""
+    """Restore or store a package. Return the exit code."""
     key = _key_of_messages(Path(package), root)
     if action == "keep":
-        if root == os.path.realpath(root):  # otherwise tools may have written either path
+        if root == os.path.realpath(root):  # otherwise files may contain either of two paths
             with suppress(PermissionError):
                 keep(of_user(), key, _packed(Path(built), root))
         return 0
