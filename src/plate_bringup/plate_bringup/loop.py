@@ -652,7 +652,7 @@ def summary(setup: Setup, rig: Rig, transport: Transport | None = None) -> dict[
             solve_s.append(moment.solve_s)
             step_s.append(moment.step_s)
             misses.append(moment.answer.error_m)
-            requests.append(moment.answer.asked_m)
+            requests.append(moment.answer.requested_m)
         shares.append((moment.limit_share, moment.force_share, moment.heat_share))
         scaled += moment.scaled
         errors.append(moment.error_m)

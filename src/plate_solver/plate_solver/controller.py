@@ -84,7 +84,7 @@ class Answer:
         Solution of the search. None if nothing was requested.
     message : str
         Text for the log.
-    error_m, asked_m : float
+    error_m, requested_m : float
         Displacement error and requested displacement [m]. Both values are root mean squares over
         parts and axes. Rotations count as arc lengths at the edge of the part. With targets, both
         values are 0.
@@ -97,7 +97,7 @@ class Answer:
     solution: Solution | None
     message: str
     error_m: float
-    asked_m: float
+    requested_m: float
     fraction: float = 1.0
 
 

@@ -221,7 +221,7 @@ class SolverNode(SafeLifecycleNode[Options]):
         self._last, self._parts = answer, wanted.parts.position
         if answer.solution is not None:
             self._tally.solve_ms.append(1e3 * took)
-            self._tally.errors.append((answer.error_m, answer.asked_m))
+            self._tally.errors.append((answer.error_m, answer.requested_m))
         return answer.cycle
 
     def _adapt(self, plate: np.ndarray | None) -> None:

@@ -116,8 +116,8 @@ def test_force_times_time_over_mass_is_the_change_of_drift(rig):
     moved = (run.position[-1] - position) / period
     expected = drift + force * period / rig.parts.mass_kg
     np.testing.assert_allclose(moved, expected, atol=0.15 * np.max(np.abs(expected)))
-    assert answer.asked_m == pytest.approx(np.sqrt(np.mean(expected**2)) * period)
-    assert answer.error_m <= 0.15 * answer.asked_m
+    assert answer.requested_m == pytest.approx(np.sqrt(np.mean(expected**2)) * period)
+    assert answer.error_m <= 0.15 * answer.requested_m
 
 
 @METHOD
@@ -145,7 +145,7 @@ def test_no_parts_no_motion(rig, scene, method):
     assert np.all(answer.cycle.knot_pose == 0)
     assert answer.cycle.starts_at_rest
     assert answer.solution is None
-    assert (answer.error_m, answer.asked_m) == (0, 0)
+    assert (answer.error_m, answer.requested_m) == (0, 0)
     # And on again.
     loop.pass_cycle()
     drift = [loop.step(np.full((2, 2), 0.005)).copy() for _ in range(6)]

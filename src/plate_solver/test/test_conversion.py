@@ -286,7 +286,7 @@ def test_the_error_of_a_fraction_is_relative_to_the_whole_request(rig):
     assert whole.error_m == pytest.approx(np.sqrt((1e-6 + 4e-6) / 2))
     assert half.error_m == pytest.approx(np.sqrt((4e-6 + 0.0) / 2))
     assert half.solution.residual == pytest.approx(np.array([[0.02, 0.0]]))
-    assert half.asked_m == whole.asked_m == pytest.approx(np.sqrt((4e-6 + 16e-6) / 2))
+    assert half.requested_m == whole.requested_m == pytest.approx(np.sqrt((4e-6 + 16e-6) / 2))
     assert (half.solution.success, half.solution.status) == (False, Status.PARTIAL)
     assert (half.fraction, half.message) == (0.5, "0.5 of the request; found")
 
@@ -294,7 +294,7 @@ def test_the_error_of_a_fraction_is_relative_to_the_whole_request(rig):
 def test_a_goal_that_lasts_is_never_missed(rig):
     goal, found = half_way(rig, lasting=True)
     answer = answer_of(goal, found, 0.5, 0.2)
-    assert (answer.error_m, answer.asked_m, answer.fraction) == (0.0, 0.0, 0.5)
+    assert (answer.error_m, answer.requested_m, answer.fraction) == (0.0, 0.0, 0.5)
     assert answer.solution is found
 
 
@@ -303,12 +303,12 @@ def test_in_place_of_a_refused_motion_the_plate_rests_and_all_is_missed(rig):
     answer = refusal(goal, found, PlateCycle.rest(0.2))
     assert not answer.cycle.moves
     assert answer.solution.cycle is answer.cycle
-    assert answer.error_m == answer.asked_m == pytest.approx(np.sqrt(10e-6))
+    assert answer.error_m == answer.requested_m == pytest.approx(np.sqrt(10e-6))
     assert answer.solution.residual == pytest.approx(np.array([[0.02, -0.04]]))
     assert (answer.solution.success, answer.solution.status) == (False, Status.FAILED)
     assert (answer.fraction, answer.solution.fraction) == (0.0, 0.0)
     lasting, found = half_way(rig, lasting=True)
-    assert refusal(lasting, found, PlateCycle.rest(0.2)).asked_m == 0.0
+    assert refusal(lasting, found, PlateCycle.rest(0.2)).requested_m == 0.0
 
 
 def test_a_missed_rotation_counts_by_its_arc(rig):

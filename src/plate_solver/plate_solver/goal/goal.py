@@ -163,18 +163,18 @@ class Goal:
         return self.position.size + (0 if self.turns is None else len(self.position))
 
     @property
-    def asked(self) -> int:
+    def requested_count(self) -> int:
         """Number of requested coordinates: positions, and angles with a weight above 0."""
         return self.position.size + (0 if self.turns is None else self.turns.count)
 
     @property
     def size(self) -> float:
         """Root mean square of the requested displacements and weighted rotations [m]."""
-        asked = self.displacement.ravel()
+        requested = self.displacement.ravel()
         if self.turns is not None:
             arc = self.turns.weight * self.turns.middle
-            asked = np.concatenate([asked, arc[self.turns.weight > 0]])
-        return float(np.sqrt(np.mean(asked**2)))
+            requested = np.concatenate([requested, arc[self.turns.weight > 0]])
+        return float(np.sqrt(np.mean(requested**2)))
 
     def times(self, fraction: float) -> Goal:
         """Return the goal reduced to a fraction.
@@ -326,7 +326,8 @@ def goal_solution(
     else:
         message = f"displacement error {1e3 * float(np.max(np.abs(error))):.3g} mm"
     return Solution(
-        success=goal.lasting or bool(np.sqrt(np.sum(error**2) / goal.asked) <= good_enough),
+        success=goal.lasting
+        or bool(np.sqrt(np.sum(error**2) / goal.requested_count) <= good_enough),
         message=f"{message} after {iterations} iterations",
         cycle=cycle,
         residual=left / unit,

@@ -144,7 +144,7 @@ class RotationCycles(MotionSolver):
     def steer(
         self, goal: Goal, tolerance: float, good_enough: float, until: float = math.inf
     ) -> Solution:
-        options, enough = self.options, good_enough**2 * goal.asked
+        options, enough = self.options, good_enough**2 * goal.requested_count
         period = self.steering_period(len(goal.position))
         if self._warm is not None and self._warm.family.period != period:
             self._warm = None  # number of parts has changed

@@ -110,7 +110,7 @@ class SinusoidCycles(MotionSolver):
     def steer(
         self, goal: Goal, tolerance: float, good_enough: float, until: float = math.inf
     ) -> Solution:
-        number, period = self._steering_key(goal.asked, goal.lasting, goal.free_end)
+        number, period = self._steering_key(goal.requested_count, goal.lasting, goal.free_end)
         cycle, iterations, condition = self._steering.steer(
             goal, number, period, tolerance, good_enough, self._rng, until
         )

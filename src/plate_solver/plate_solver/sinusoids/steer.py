@@ -174,7 +174,7 @@ class SinusoidSteering:
             return descend(problem, start, tolerance, self._iterations)
 
         begin = family.random(rng) if known is None else family.nearest(known)
-        enough, most = good_enough**2 * goal.asked, -(-self._restarts // plays) + fresh
+        enough, most = good_enough**2 * goal.requested_count, -(-self._restarts // plays) + fresh
         best, iterations = self._search(improved, start, begin, most, enough, until)
         began = self._clock()
         last = self._within(goal, motions, best.parameters, tolerance)
