@@ -109,7 +109,7 @@ class Supervisor:
         while len(received) < REPLY_BYTES:
             wait_s = SILENT_S if self._begun else START_S
             if not select.select([self._process.stdout], [], [], wait_s)[0]:
-                raise OSError(f"no sign of life within {wait_s:g} s")
+                raise OSError(f"no message within {wait_s:g} s")
             data = self._process.stdout.read(REPLY_BYTES)
             if not data:
                 raise OSError("it has ended")

@@ -122,7 +122,7 @@ class PlannerParameters(NodeOptions):
         3600.0,
     )
     image_age_s: float = parameter(
-        -1.0, "Age of an image at its stamp [s]. A negative value: the age is estimated", -1.0, 0.5
+        -1.0, "Age of an image at its stamp [s]. If it is negative, it is estimated.", -1.0, 0.5
     )
     kp: float = parameter(
         FollowOptions.kp,

@@ -98,8 +98,8 @@ class Sorter(TaskRules):
             if gap < 2 * SLOT_CLEAR * radius - 1e-9:
                 raise ScenarioError(
                     f"{scenario.where}: task: regions: bin_m of {one} and of {other} overlap "
-                    f"(their parts would be {1e3 * gap:.0f} mm apart), allowed: one beside "
-                    "the other"
+                    f"(their parts would be {1e3 * gap:.0f} mm apart), allowed: bins that "
+                    "do not overlap"
                 )
 
     def _room(self, label: str, region: Side) -> int:
