@@ -32,7 +32,7 @@ static void acknowledge(Controller *c, uint16_t sequence, uint8_t status)
     send(c, ACKNOWLEDGEMENT, fields, sizeof fields);
 }
 
-static void tell_capabilities(Controller *c, uint32_t session)
+static void send_capabilities(Controller *c, uint32_t session)
 {
     const Limits *limits = &c->limits;
     uint8_t fields[48], *at = fields;
@@ -49,7 +49,7 @@ static void tell_capabilities(Controller *c, uint32_t session)
     send(c, CAPABILITIES, fields, (size_t)(at - fields));
 }
 
-static void tell_pulse(Controller *c, const uint8_t host_ns[8])
+static void send_pulse(Controller *c, const uint8_t host_ns[8])
 {
     uint8_t fields[16];
     memcpy(fields, host_ns, 8);
@@ -64,9 +64,9 @@ static float continuous_square(const Controller *c)
 }
 
 /* Value for telemetry. The host would refuse the packet if it had a value that is not finite. */
-static float told(float value) { return isfinite(value) ? value : 0; }
+static float finite_or_zero(float value) { return isfinite(value) ? value : 0; }
 
-static void tell_state(Controller *c)
+static void send_state(Controller *c)
 {
     uint8_t fields[72], *at = put_u64(fields, c->now_us);
     *at++ = c->state;
@@ -82,16 +82,17 @@ static void tell_state(Controller *c)
     for (int m = 1; m < MOTORS; m++)
         hottest = fmaxf(hottest, c->heat[m]);
     for (int m = 0; m < MOTORS; m++)
-        at = put_f32(at, told(c->measured[m]));
+        at = put_f32(at, finite_or_zero(c->measured[m]));
     for (int m = 0; m < MOTORS; m++)
-        at = put_f32(at, told(c->accelerations[m]));
-    at = put_f32(put_f32(put_f32(at, hottest / continuous_square(c)), told(c->following_m)), hal_load());
+        at = put_f32(at, finite_or_zero(c->accelerations[m]));
+    at = put_f32(at, hottest / continuous_square(c));
+    at = put_f32(put_f32(at, finite_or_zero(c->following_m)), hal_load());
     c->following_m = 0;
     send(c, TELEMETRY, fields, (size_t)(at - fields));
 }
 
 /* Report of a drive's fault, in addition to telemetry, while there is one. */
-static void tell_trouble(Controller *c)
+static void send_trouble(Controller *c)
 {
     Trouble trouble;
     uint8_t fields[8];
@@ -324,7 +325,7 @@ static void hello(Controller *c, uint16_t sequence, const uint8_t *fields)
 {
     uint32_t session = get_u32(fields + 1);
     if (fields[0] != VERSION) {
-        tell_capabilities(c, 0);
+        send_capabilities(c, 0);
         return;
     }
     if (!c->session_open || session != c->session) {
@@ -338,7 +339,7 @@ static void hello(Controller *c, uint16_t sequence, const uint8_t *fields)
         c->answered = sequence;
         c->answer = STATUS_DONE;
     }
-    tell_capabilities(c, session);
+    send_capabilities(c, session);
 }
 
 /* Allowed at any time, because it moves nothing. */
@@ -416,7 +417,7 @@ static void obey(Controller *c, size_t size, int *work)
         return;
     uint8_t type = packet[0];
     uint16_t sequence = get_u16(packet + 1);
-    c->heard_us = c->now_us;
+    c->received_us = c->now_us;
     if (type == HELLO)
         hello(c, sequence, fields);
     else if (type == STOP)
@@ -424,7 +425,7 @@ static void obey(Controller *c, size_t size, int *work)
     else if (!c->session_open)
         acknowledge(c, sequence, STATUS_NO_SESSION);
     else if (type == HEARTBEAT)
-        tell_pulse(c, fields);
+        send_pulse(c, fields);
     else if (type == TRIGGER)
         set_trigger(c, sequence, fields);
     else if (type == KNOTS)
@@ -464,7 +465,7 @@ void controller_start(Controller *c, Limits limits)
     c->filling = 2;
     c->faults = FAULT_NO_HOME;
     c->stops = (uint16_t)hal_boot();
-    c->now_us = c->heard_us = c->told_us = hal_time_us();
+    c->now_us = c->received_us = c->telemetry_us = hal_time_us();
     hal_drive(false);
 }
 
@@ -514,7 +515,7 @@ void controller_tick(Controller *c)
     watch_board(c);
     listen(c, &work);
     look(c, work);
-    if (c->state != STATE_OFF && c->now_us - c->heard_us > WATCHDOG_US)
+    if (c->state != STATE_OFF && c->now_us - c->received_us > WATCHDOG_US)
         motion_brake(c, FAULT_HOST_SILENT);
 
     Setpoint at;
@@ -535,11 +536,11 @@ void controller_tick(Controller *c)
     uint32_t heat_us = passed < MAX_HEAT_US ? (uint32_t)passed : MAX_HEAT_US;
     if (!heat_step(c, heat_us, moves ? &at : NULL) && c->state != STATE_OFF)
         motion_brake(c, FAULT_HEAT);
-    uint64_t silent_us = c->now_us - c->told_us; /* a slow line sends it less often */
+    uint64_t silent_us = c->now_us - c->telemetry_us; /* a slow line sends it less often */
     if (silent_us >= TELEMETRY_US && (hal_idle() || silent_us >= MAX_UNREPORTED_US)) {
-        c->told_us = c->now_us;
-        tell_trouble(c); /* sent before the fault that it explains */
-        tell_state(c);
+        c->telemetry_us = c->now_us;
+        send_trouble(c); /* sent before the fault that it explains */
+        send_state(c);
     }
     hal_watchdog();
 }

@@ -32,7 +32,7 @@ typedef struct {
     bool stop_known;   /* whether this session had a Stop; the next fields describe it */
     uint16_t stop_sequence;
     bool stop_now;
-    uint64_t now_us, heard_us, told_us, enabled_us;
+    uint64_t now_us, received_us, telemetry_us, enabled_us;
     Trigger trigger;
     Table tables[3];
     int playing, next, filling; /* indices in tables: a permutation of 0, 1 and 2 */

@@ -129,8 +129,8 @@ def test_a_cycle_goes_round_and_after_a_pulled_plug_a_person_enables(tmp_path):
         assert until(lambda: not link.exists())
         assert until(lambda: device._emulator.state is State.OFF)
         assert until(lambda: device._emulator.connected and not ready())
-        heard = device._emulator.device.heard_us
-        assert until(lambda: device._emulator.device.heard_us > heard + 1_000_000)
+        received_us = device._emulator.device.received_us
+        assert until(lambda: device._emulator.device.received_us > received_us + 1_000_000)
         assert device._emulator.state is State.OFF
         assert enable()
         motions.clear()

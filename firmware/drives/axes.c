@@ -80,7 +80,7 @@ void enter(Axis *axis, Stage stage)
 {
     axis->stage = stage;
     axis->since = 0;
-    axis->asked = false;
+    axis->pending = false;
     axis->step = 0;
     axis->unheard = axis->missed = axis->doubled = axis->astray = axis->answers = 0;
     if (stage != UP)
@@ -121,14 +121,14 @@ void placed(int m, int32_t actual)
     axis->error = (int32_t)((uint32_t)actual - (uint32_t)axis->reached);
     watch(m, leaps);
     axis->answers = (uint8_t)(axis->answers + (axis->answers < 2));
-    if (!axis->told || apart_m(m, actual, axis->rest) > STILL_M) {
+    if (!axis->reported || apart_m(m, actual, axis->rest) > STILL_M) {
         axis->rest = actual;
         axis->still = 0;
     }
     axis->still = (uint8_t)(axis->still + (axis->still < STILL_CYCLES));
-    if (!axis->told)
+    if (!axis->reported)
         axis->target = actual;
-    axis->told = true;
+    axis->reported = true;
 }
 
 void lose(int m, uint8_t kind, uint16_t object, uint32_t code)
@@ -136,7 +136,7 @@ void lose(int m, uint8_t kind, uint16_t object, uint32_t code)
     cut(m);
     alarm(m, kind, object, code, FAULT_HARDWARE);
     enter(&axes[m], SILENT);
-    axes[m].asked = true;
+    axes[m].pending = true;
 }
 
 void lose_home(int m)
@@ -204,10 +204,10 @@ static void age(int m)
             lose_home(m);
         alarm(m, TROUBLE_SILENT, 0, 0, FAULT_HARDWARE);
         enter(axis, SILENT);
-    } else if (axis->stage == SETUP && axis->asked && axis->since > ANSWER_TICKS)
+    } else if (axis->stage == SETUP && axis->pending && axis->since > ANSWER_TICKS)
         lose(m, TROUBLE_SILENT, 0, 0);
     else if (axis->stage == STARTING && axis->since > START_TICKS) {
-        axis->asked = false;
+        axis->pending = false;
         if (axis->step == STARTS)
             lose(m, TROUBLE_SILENT, 0, 0);
     } else if (axis->stage == UP && axis->unheard > SILENT_TICKS)
@@ -227,7 +227,7 @@ void drives_begin(void)
         bus_trouble(TROUBLE_BUS_OFF);
         for (int m = 0; m < MOTORS; m++) {
             enter(&axes[m], SILENT);
-            axes[m].asked = axes[m].lost = true;
+            axes[m].pending = axes[m].lost = true;
         }
     }
     for (int n = 0; n < READ_FRAMES && can_read(&frame); n++)

@@ -24,7 +24,7 @@ typedef enum { SILENT, SETUP, STARTING, UP } Stage;
 typedef struct {
     Stage stage;
     uint8_t step;      /* step of the set-up; in STARTING, number of tries */
-    bool asked;        /* the last order has not been executed yet */
+    bool pending;      /* the last order has not been executed yet */
     bool proven;       /* the backend's trial before an enable has succeeded */
     uint16_t since;    /* ticks since the last order, or since the start of the stage */
     uint16_t unheard;  /* ticks since the last heartbeat, 0 to SILENT_TICKS + 1 */
@@ -38,7 +38,7 @@ typedef struct {
     int32_t rest;      /* position near which it has stood still [counts] */
     uint8_t still;     /* number of cycles since then, 0 to STILL_CYCLES */
     bool leapt;        /* its last position is an impossible leap */
-    bool told;         /* it has reported a position since the board started */
+    bool reported;     /* it has reported a position since the board started */
     uint16_t keeps;    /* ticks with current after it was ordered off */
     uint16_t alarm;    /* remaining ticks for which `faults` are reported */
     uint16_t resets;   /* ticks until the next try to reset its fault */

@@ -103,7 +103,7 @@ static bool skipped(int m, const Step *step)
 static void next_step(int m)
 {
     Axis *axis = &axes[m];
-    axis->asked = false;
+    axis->pending = false;
     axis->since = 0;
     do
         axis->step++;
@@ -125,14 +125,14 @@ static void ask(int m)
     put_u16(data + 1, step->object);
     data[3] = step->sub;
     send((uint16_t)(SDO + drives[m].node), data, 8);
-    axis->asked = true;
+    axis->pending = true;
     axis->since = 0;
 }
 
 static void answered(int m, const uint8_t data[8])
 {
     Axis *axis = &axes[m];
-    if (axis->stage != SETUP || !axis->asked)
+    if (axis->stage != SETUP || !axis->pending)
         return;
     const Step *step = &STEPS[axis->step];
     uint32_t value = get_u32(data + 4);
@@ -141,7 +141,7 @@ static void answered(int m, const uint8_t data[8])
         return;
     if (data[0] == 0x80) {
         if (step->how & OR_NEXT) {
-            axis->asked = false;
+            axis->pending = false;
             axis->step++;
         } else if (step->how & OPTIONAL && (value == NO_OBJECT || value == NO_SUBINDEX))
             next_step(m);
@@ -194,7 +194,8 @@ static void emergency(int m, const CanFrame *frame)
 static void positioned(int m, const uint8_t data[6])
 {
     Axis *axis = &axes[m];
-    if (axis->stage == SILENT && axis->step == 0 && axis->told) /* keep home if the position is the same */
+    /* keep home if the position is the same */
+    if (axis->stage == SILENT && axis->step == 0 && axis->reported)
         axis->actual = (int32_t)get_u32(data + 2);
     if (axis->stage != STARTING && axis->stage != UP)
         return;
@@ -254,7 +255,7 @@ void cycle(void)
             axis->target = axis->actual;
         axis->reached = axis->sent;
         axis->sent = axis->target;
-        if (!axis->told)
+        if (!axis->reported)
             continue; /* it may have had current since before the board's reset */
         uint8_t data[6];
         put_u32(put_u16(data, controlword(axis)), (uint32_t)axis->target);
@@ -266,7 +267,7 @@ void cycle(void)
 static void keep_house(int m)
 {
     Axis *axis = &axes[m];
-    if (axis->asked || axis->stage == UP)
+    if (axis->pending || axis->stage == UP)
         return;
     if (axis->stage == SETUP) {
         ask(m);
@@ -275,7 +276,7 @@ static void keep_house(int m)
     if (axis->stage == SILENT)
         cut(m);
     command(m, axis->stage == SILENT ? NMT_RESET_COMMUNICATION : NMT_START);
-    axis->asked = true;
+    axis->pending = true;
     axis->since = 0;
     axis->step++;
 }

@@ -62,7 +62,7 @@ static void heartbeat(int m, uint32_t errors, uint8_t state)
     axis->errors = errors;
     axis->status = state;
     if (axis->stage == SILENT && !axis->lost && axis->since > START_TICKS)
-        axis->asked = false; /* it has power again */
+        axis->pending = false; /* it has power again */
     if (axis->stage == UP && tried(axis) && !was_tried)
         axis->since = START_TICKS;
     if (axis->stage == STARTING && axis->answers && !(errors & INITIALIZING)) {
@@ -71,7 +71,7 @@ static void heartbeat(int m, uint32_t errors, uint8_t state)
         lose_home(m); /* it may have been reset */
     } else if (axis->stage == UP && bitten) {
         axis->proven = true;
-        axis->asked = false;
+        axis->pending = false;
         axis->step = FRESH_CYCLES;
     } else if (axis->stage == UP && !axis->alarm &&
                ((errors & ~DOG) || (was_ready && !enabled(axis)))) {
@@ -101,9 +101,9 @@ static void answered(int m, const CanFrame *frame)
         positioned(m, get_f32(data));
     else if (message == GET_ERROR && get_u32(data + 4))
         explain(m, TROUBLE_ERROR, get_u32(data) | get_u32(data + 4));
-    else if (message == GET_VERSION && axis->stage == SILENT && axis->asked && data[0] == PROTOCOL)
+    else if (message == GET_VERSION && axis->stage == SILENT && axis->pending && data[0] == PROTOCOL)
         enter(axis, STARTING);
-    else if (message == GET_VERSION && axis->stage == SILENT && axis->asked)
+    else if (message == GET_VERSION && axis->stage == SILENT && axis->pending)
         lose(m, TROUBLE_WRONG_DRIVE, GET_VERSION, data[0]);
 }
 
@@ -138,7 +138,7 @@ static void order(int m)
 {
     Axis *axis = &axes[m];
     if (!wanted || !all_up()) {
-        axis->asked = axis->asked && axis->stage != UP;
+        axis->pending = axis->pending && axis->stage != UP;
         if (hurry || axis->status != IDLE)
             tell(m, SET_STATE, IDLE, 0);
         axis->resets = axis->resets ? (uint16_t)(axis->resets - 1) : CLEAR_CYCLES;
@@ -149,7 +149,7 @@ static void order(int m)
         tell(m, CLEAR_ERRORS, 0, 0);
         tell(m, SET_MODE, POSITION_CONTROL, PASSTHROUGH);
         tell(m, SET_STATE, CLOSED_LOOP, 0);
-        axis->asked = true;
+        axis->pending = true;
         axis->step = AGAIN_CYCLES;
     }
 }
@@ -159,7 +159,8 @@ void cycle(void)
     for (int m = 0; m < MOTORS; m++) {
         Axis *axis = &axes[m];
         bool polled = axis->stage >= STARTING && !hurry && !tried(axis);
-        if (!enabled(axis) && stands(axis) && !(axis->asked && axis->step)) /* no jump when it gets current */
+        /* no jump when the axis gets current */
+        if (!enabled(axis) && stands(axis) && !(axis->pending && axis->step))
             axis->target = axis->actual;
         uint32_t step = (uint32_t)axis->target - (uint32_t)axis->sent;
         axis->reached = (int32_t)((uint32_t)axis->sent + (uint32_t)((int32_t)step / 2));
@@ -181,10 +182,10 @@ void between(void)
         if (axis->stage == UP) {
             if (tried(axis) && axis->since > START_TICKS + DOG_TICKS)
                 lose(m, TROUBLE_NO_WATCHDOG, 0, 0);
-        } else if (!axis->asked) {
+        } else if (!axis->pending) {
             if (axis->stage == SILENT)
                 ask(m, GET_VERSION);
-            axis->asked = true;
+            axis->pending = true;
             axis->since = 0;
             axis->step++;
         }

@@ -35,9 +35,9 @@ void pin_function(Gpio *port, unsigned pin, unsigned function)
 uint64_t hal_time_us(void)
 {
     static uint64_t us;
-    static uint32_t told;
-    uint32_t passed = (counts() - told) / clock.counts_per_us;
-    told += passed * clock.counts_per_us;
+    static uint32_t counted;
+    uint32_t passed = (counts() - counted) / clock.counts_per_us;
+    counted += passed * clock.counts_per_us;
     us += passed;
     return us;
 }
@@ -91,9 +91,9 @@ void hal_watchdog(void)
 
 float hal_load(void)
 {
-    float share = (float)longest / (float)(clock.counts_per_us * (1000000u / TICK_HZ));
+    float load = (float)longest / (float)(clock.counts_per_us * (1000000u / TICK_HZ));
     longest = 0;
-    return share;
+    return load;
 }
 
 static void keep(uint32_t lasted)

@@ -3,13 +3,13 @@
 #include "../../drives/can.h"
 #include "board.h"
 
-#define ROOM 64u        /* frames in each direction, a power of two */
+#define CAPACITY 64u    /* frames in each direction, a power of two */
 #define POLLS 100000u   /* 11 recessive bits last 11 us */
 #define BIT_TIMING (2u | 9u << 16 | 2u << 20) /* 42 MHz / 3, 14 quanta: 1 + 10 + 3, sampled at 79 % */
 
 typedef struct {
     volatile uint32_t in, out; /* frames so far */
-    CanFrame frames[ROOM];
+    CanFrame frames[CAPACITY];
 } Ring;
 
 static Ring received, waiting;
@@ -25,7 +25,7 @@ void can_sent(void)
     for (unsigned box = 0; box < 3 && waiting.in != waiting.out; box++) {
         if (!(CAN1->TSR & TSR_TME(box)))
             continue;
-        const CanFrame *frame = &waiting.frames[waiting.out % ROOM];
+        const CanFrame *frame = &waiting.frames[waiting.out % CAPACITY];
         const uint8_t *d = frame->data;
         CAN1->TX[box].DTR = frame->size;
         CAN1->TX[box].DLR = d[0] | (uint32_t)d[1] << 8 | (uint32_t)d[2] << 16 | (uint32_t)d[3] << 24;
@@ -42,9 +42,9 @@ void can_came(void)
         uint32_t identifier = box->IR, low = box->DLR, high = box->DHR;
         uint8_t size = box->DTR & 15u;
         CAN1->RFR[0] = RFR_RFOM;
-        if (identifier & IR_RTR_OR_IDE || received.in - received.out == ROOM)
+        if (identifier & IR_RTR_OR_IDE || received.in - received.out == CAPACITY)
             continue; /* the queue is full: the frame is lost */
-        CanFrame *frame = &received.frames[received.in % ROOM];
+        CanFrame *frame = &received.frames[received.in % CAPACITY];
         frame->id = (uint16_t)(identifier >> 21);
         frame->size = size < 8 ? size : 8;
         for (unsigned k = 0; k < 4; k++) {
@@ -59,18 +59,18 @@ bool can_read(CanFrame *frame)
 {
     if (received.in == received.out)
         return false;
-    *frame = received.frames[received.out % ROOM];
+    *frame = received.frames[received.out % CAPACITY];
     received.out++;
     return true;
 }
 
 void can_write(const CanFrame *frame)
 {
-    if (waiting.in - waiting.out == ROOM) {
+    if (waiting.in - waiting.out == CAPACITY) {
         record.dropped++;
         return;
     }
-    waiting.frames[waiting.in % ROOM] = *frame;
+    waiting.frames[waiting.in % CAPACITY] = *frame;
     waiting.in++;
     NVIC_ISPR(IRQ_CAN1_TX / 32) = BIT(IRQ_CAN1_TX % 32);
 }

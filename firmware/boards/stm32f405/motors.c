@@ -26,7 +26,7 @@ static bool sensors_lost, sensors_met, driving;
 static struct {
     bool begun, found[MOTORS];
     bool beyond[MOTORS]; /* side of home on which the search began */
-    float told[MOTORS];
+    float setpoint[MOTORS];
 } search;
 
 /* Convert all sensors to counts: 8 us per tick. Return false if it takes more than SENSOR_POLLS polls. */
@@ -169,7 +169,7 @@ static void search_begin(void)
     search.begun = true;
     for (int m = 0; m < MOTORS; m++) {
         search.beyond[m] = beyond(m);
-        search.told[m] = seen[m].position;
+        search.setpoint[m] = seen[m].position;
     }
 }
 
@@ -185,8 +185,8 @@ bool hal_home(void)
         search.found[m] = search.found[m] || clock.emulated || beyond(m) != search.beyond[m];
         if (search.found[m])
             way = 0;
-        search.told[m] = clamped(search.told[m] + way * TICK_PERIOD_S, 2 * SENSOR_REACH_M);
-        pull(m, search.told[m], way, 0, HOMING_N);
+        search.setpoint[m] = clamped(search.setpoint[m] + way * TICK_PERIOD_S, 2 * SENSOR_REACH_M);
+        pull(m, search.setpoint[m], way, 0, HOMING_N);
         found = found && search.found[m];
     }
     if (!found)

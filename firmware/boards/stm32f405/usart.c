@@ -3,13 +3,13 @@
 #include "../../hal.h"
 #include "board.h"
 
-#define ROOM 4096u /* bytes in each direction, a power of two: 44 ms at 921,600 baud */
+#define CAPACITY 4096u /* bytes in each direction, a power of two: 44 ms at 921,600 baud */
 
-#define DEAF (CR1_UE | CR1_TE | CR1_RE) /* without receive interrupts */
+#define NO_RECEIVE_INTERRUPTS (CR1_UE | CR1_TE | CR1_RE) /* without receive interrupts */
 
 typedef struct {
     volatile uint32_t in, out; /* bytes so far; the buffer holds those between `out` and `in` */
-    uint8_t bytes[ROOM];
+    uint8_t bytes[CAPACITY];
 } Ring;
 
 static Ring received, waiting;
@@ -22,15 +22,15 @@ void usart(void)
     if (!(status & (SR_RXNE | SR_ORE)))
         return;
     uint32_t in = received.in;
-    received.bytes[in % ROOM] = (uint8_t)USART1->DR; /* clears both */
+    received.bytes[in % CAPACITY] = (uint8_t)USART1->DR; /* clears both */
     received.in = in + 1;
     record.received++;
     if (status & SR_ORE)
         record.overruns++;
     /* Stop receiving until the tick has read: bytes that do not fit are lost. One place is kept for a
        byte that arrives before this write: its interrupt is then already pending. */
-    if (in + 1 - received.out >= ROOM - 1)
-        USART1->CR1 = DEAF;
+    if (in + 1 - received.out >= CAPACITY - 1)
+        USART1->CR1 = NO_RECEIVE_INTERRUPTS;
 }
 
 size_t hal_read(uint8_t *data, size_t size)
@@ -38,22 +38,22 @@ size_t hal_read(uint8_t *data, size_t size)
     uint32_t out = received.out, held = received.in - out;
     size_t count = held < size ? held : size;
     for (size_t i = 0; i < count; i++)
-        data[i] = received.bytes[(out + i) % ROOM];
+        data[i] = received.bytes[(out + i) % CAPACITY];
     received.out = out + count;
-    if (count > 0 && USART1->CR1 == DEAF)
-        USART1->CR1 = DEAF | CR1_RXNEIE;
+    if (count > 0 && USART1->CR1 == NO_RECEIVE_INTERRUPTS)
+        USART1->CR1 = NO_RECEIVE_INTERRUPTS | CR1_RXNEIE;
     return count;
 }
 
 void hal_write(const uint8_t *data, size_t size)
 {
     uint32_t in = waiting.in;
-    if (ROOM - (in - waiting.out) < size) {
+    if (CAPACITY - (in - waiting.out) < size) {
         record.dropped++;
         return;
     }
     for (size_t i = 0; i < size; i++)
-        waiting.bytes[(in + i) % ROOM] = data[i];
+        waiting.bytes[(in + i) % CAPACITY] = data[i];
     waiting.in = in + size;
 }
 
@@ -62,7 +62,7 @@ bool hal_idle(void) { return waiting.in == waiting.out; }
 void usart_drain(void)
 {
     while (!hal_idle() && USART1->SR & SR_TXE) {
-        USART1->DR = waiting.bytes[waiting.out % ROOM];
+        USART1->DR = waiting.bytes[waiting.out % CAPACITY];
         waiting.out++;
     }
 }
@@ -74,6 +74,6 @@ void usart_start(void)
     pin_function(GPIOA, PIN_TX, 7);
     pin_function(GPIOA, PIN_RX, 7);
     USART1->BRR = (clock.line_hz + BAUD / 2) / BAUD;
-    USART1->CR1 = DEAF | CR1_RXNEIE;
+    USART1->CR1 = NO_RECEIVE_INTERRUPTS | CR1_RXNEIE;
     NVIC_ISER(IRQ_USART1 / 32) = BIT(IRQ_USART1 % 32);
 }

@@ -19,7 +19,7 @@ class Device:
     ----------
     triggered : bool
         Whether the camera's trigger line is high.
-    now_us, heard_us, enabled_us : int
+    now_us, received_us, enabled_us : int
         Time of the last tick, time of the last frame from the host, and time at which the current
         was last switched on [us].
     state, faults, stops : int
@@ -43,7 +43,7 @@ class Device:
     boot: int
     triggered: bool
     now_us: int
-    heard_us: int
+    received_us: int
     enabled_us: int
     state: int
     faults: int

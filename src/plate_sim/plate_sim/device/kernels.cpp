@@ -67,7 +67,7 @@ public:
         return nb::make_tuple(nb::bytes(sent.data(), sent.size()), at);
     }
 
-    void sleep(uint64_t now) { c.now_us = c.heard_us = now; }
+    void sleep(uint64_t now) { c.now_us = c.received_us = now; }
 
     bool searches() const { return c.state == STATE_HOMING && c.faults & FAULT_NO_HOME; }
 
@@ -155,7 +155,7 @@ void bind_device(nb::module_& m) {
         .def_ro("boot", &Device::boot)
         .def_ro("triggered", &Device::high)
         .def_prop_ro("now_us", [](const Device& d) { return d.c.now_us; })
-        .def_prop_ro("heard_us", [](const Device& d) { return d.c.heard_us; })
+        .def_prop_ro("received_us", [](const Device& d) { return d.c.received_us; })
         .def_prop_ro("enabled_us", [](const Device& d) { return d.c.enabled_us; })
         .def_prop_ro("state", [](const Device& d) { return d.c.state; })
         .def_prop_ro("faults", [](const Device& d) { return d.c.faults; })
