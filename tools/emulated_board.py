@@ -240,7 +240,7 @@ class Debugger:
         """Send an order and return its answer."""
         self._send(order)
         while (answer := self._answer())[:1] == b"T":
-            pass  # some versions of QEMU also report unasked that the machine has stopped
+            pass  # some QEMU versions also report the stop without a request
         return answer
 
     def _answer(self) -> bytes:

@@ -304,8 +304,8 @@ def run(logs: Path, nodes: Iterable[str] = (), transport: str = "sim") -> Iterat
                 graph.observer.enable()
             for kind, name in product(kinds, names):
                 if name == "device" and kind != "kill":
-                    # Its input is a serial line, which the gate cannot cut. A real controller has a
-                    # watchdog against freezes.
+                    # The device's input is a serial line, which the gate cannot cut. A real
+                    # controller has a watchdog against freezes.
                     continue
                 try:
                     row = faults.put(kind, name)

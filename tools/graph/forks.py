@@ -201,8 +201,8 @@ def serve(modules: Iterable[str]) -> None:
     sys.stdout.flush()  # otherwise each fork would print the buffered output again
     gc.collect()
     gc.freeze()  # otherwise a node's first garbage collection would copy all shared pages
-    # Python warns if a process with threads forks. These threads are rclpy's, and each node starts
-    # its own.
+    # Python warns if a process with threads forks. These are threads of rclpy, and each node starts
+    # new ones.
     warnings.filterwarnings("ignore", "This process .* is multi-threaded", DeprecationWarning)
     while order := sys.stdin.readline():
         if not (child := os.fork()):
