@@ -300,16 +300,16 @@ static void answer_commit(Controller *c, uint8_t status)
 }
 
 /* Check the table that is being filled. Answer Commit when the check is complete. */
-static void look(Controller *c, int work)
+static void check_tables(Controller *c, int work)
 {
     Table *table = &c->tables[c->filling];
     if (table->id != 0 && !table->streams)
-        table_look(table, &c->limits, &work);
+        table_check(table, &c->limits, &work);
     if (!c->committing)
         return;
     if (c->state != STATE_READY && c->state != STATE_PLAYING) {
         answer_commit(c, STATUS_WRONG_STATE);
-    } else if (table_looked_at(table)) {
+    } else if (table_checked(table)) {
         uint8_t status = table->check.status;
         if (status == STATUS_DONE && !knot_is_home(table_knot(table, 0)) &&
             !motion_joins(c, table))
@@ -514,7 +514,7 @@ void controller_tick(Controller *c)
     measure(c);
     watch_board(c);
     listen(c, &work);
-    look(c, work);
+    check_tables(c, work);
     if (c->state != STATE_OFF && c->now_us - c->received_us > WATCHDOG_US)
         motion_brake(c, FAULT_HOST_SILENT);
 

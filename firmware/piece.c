@@ -66,32 +66,32 @@ static float mean_square(const float p[4])
 }
 
 /* Keep a curve for bisection if its hull exceeds the limit. */
-static void open_curve(Look *look, const float *points, int count, float limit, int halvings)
+static void open_curve(PieceCheck *check, const float *points, int count, float limit, int halvings)
 {
     bool inside = true;
     for (int i = 0; i < count; i++)
         inside = inside && fabsf(points[i]) <= limit; /* also false for values that are not finite */
     if (inside)
         return;
-    Curve *curve = &look->open[look->opens++];
+    Curve *curve = &check->open[check->opens++];
     memcpy(curve->points, points, (size_t)count * sizeof *points);
     curve->limit = limit;
     curve->count = (uint8_t)count;
     curve->halvings = (uint8_t)halvings;
 }
 
-static void look_begin(Look *look, const Knot *a, const Knot *b, const Limits *limits,
-                       float heat[MOTORS])
+static void begin_check(PieceCheck *check, const Knot *a, const Knot *b, const Limits *limits,
+                        float heat[MOTORS])
 {
     const float slack = 1 + LIMIT_SLACK, h = (float)(b->ticks - a->ticks) * TICK_S;
     Hull hulls[MOTORS];
-    look->opens = look->halved = 0;
-    look->begun = true;
+    check->opens = check->halved = 0;
+    check->begun = true;
     for (int m = 0; m < MOTORS; m++) {
         hull(a, b, m, &hulls[m]);
-        open_curve(look, hulls[m].position, 6, limits->stroke_m * slack, HALVINGS);
-        open_curve(look, hulls[m].speed, 5, limits->speed * slack, HALVINGS);
-        open_curve(look, hulls[m].accel, 4, limits->accel * slack, HALVINGS);
+        open_curve(check, hulls[m].position, 6, limits->stroke_m * slack, HALVINGS);
+        open_curve(check, hulls[m].speed, 5, limits->speed * slack, HALVINGS);
+        open_curve(check, hulls[m].accel, 4, limits->accel * slack, HALVINGS);
     }
     for (int m = 0; m < MOTORS; m++) {
         float force[4];
@@ -101,18 +101,18 @@ static void look_begin(Look *look, const Knot *a, const Knot *b, const Limits *l
                 accel[k] = hulls[k].accel[i];
             force[i] = force_of(limits, m, accel);
         }
-        open_curve(look, force, 4, limits->force * slack, HALVINGS);
+        open_curve(check, force, 4, limits->force * slack, HALVINGS);
         heat[m] += mean_square(force) * h;
     }
 }
 
 /* Bisect the last kept curve. Return false if it certainly exceeds its limit, or if the bisections do not
    suffice to decide. */
-static bool halve(Look *look)
+static bool halve(PieceCheck *check)
 {
-    Curve whole = look->open[--look->opens];
+    Curve whole = check->open[--check->opens];
     int n = whole.count;
-    if (++look->halved > MAX_HALVINGS || whole.halvings == 0 ||
+    if (++check->halved > MAX_HALVINGS || whole.halvings == 0 ||
         !(fabsf(whole.points[0]) <= whole.limit) || !(fabsf(whole.points[n - 1]) <= whole.limit))
         return false;
     float left[6], *rest = whole.points; /* `whole` becomes the right half */
@@ -121,25 +121,25 @@ static bool halve(Look *look)
         for (int i = 0; i + 1 < n - k; i++)
             rest[i] = 0.5f * (rest[i] + rest[i + 1]);
     }
-    open_curve(look, rest, n, whole.limit, whole.halvings - 1);
-    open_curve(look, left, n, whole.limit, whole.halvings - 1);
+    open_curve(check, rest, n, whole.limit, whole.halvings - 1);
+    open_curve(check, left, n, whole.limit, whole.halvings - 1);
     return true;
 }
 
-bool piece_look(Look *look, const Knot *a, const Knot *b, const Limits *limits, int *work,
-                float heat[MOTORS], bool *keeps)
+bool piece_check(PieceCheck *check, const Knot *a, const Knot *b, const Limits *limits, int *work,
+                 float heat[MOTORS], bool *keeps)
 {
-    if (!look->begun) {
-        look_begin(look, a, b, limits, heat);
+    if (!check->begun) {
+        begin_check(check, a, b, limits, heat);
         *work -= PIECE_WORK;
     }
     *keeps = true;
-    while (look->opens > 0 && *keeps) {
+    while (check->opens > 0 && *keeps) {
         if (*work <= 0)
             return false;
         *work -= 1;
-        *keeps = halve(look);
+        *keeps = halve(check);
     }
-    look->begun = false;
+    check->begun = false;
     return true;
 }

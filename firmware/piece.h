@@ -50,7 +50,7 @@ typedef struct {
     Curve open[CURVES + HALVINGS];
     uint8_t opens, halved;
     bool begun;
-} Look;
+} PieceCheck;
 
 /* Setpoint at the time `into` [TICK_S] of a piece. */
 void piece_at(const Knot *a, const Knot *b, uint32_t into, Setpoint *out);
@@ -58,8 +58,8 @@ void piece_at(const Knot *a, const Knot *b, uint32_t into, Setpoint *out);
 /* Start or continue the check of the piece between two knots while there is `work`, which must be above
    0. Return whether the check is complete. *keeps is then whether the piece keeps the limits. Adds the
    integral of each motor's squared force [N2 s] to `heat`. */
-bool piece_look(Look *look, const Knot *a, const Knot *b, const Limits *limits, int *work,
-                float heat[MOTORS], bool *keeps);
+bool piece_check(PieceCheck *check, const Knot *a, const Knot *b, const Limits *limits, int *work,
+                 float heat[MOTORS], bool *keeps);
 
 /* Force of a motor for the accelerations of all motors [N]. */
 float force_of(const Limits *limits, int motor, const float acceleration[MOTORS]);

@@ -171,18 +171,18 @@ static uint8_t check_whole(const Table *table, const Limits *limits)
     return bear(&table->check, limits, table_period(table)) ? STATUS_DONE : STATUS_LIMIT;
 }
 
-bool table_looked_at(const Table *table)
+bool table_checked(const Table *table)
 {
     return table->check.status != STATUS_DONE || table->check.knots == table->count;
 }
 
-void table_look(Table *table, const Limits *limits, int *work)
+void table_check(Table *table, const Limits *limits, int *work)
 {
     Check *check = &table->check;
-    while (*work > 0 && !table_looked_at(table) && is_there(table, check->knots)) {
+    while (*work > 0 && !table_checked(table) && is_there(table, check->knots)) {
         const Knot *knot = &table->knots[check->knots];
         bool keeps = true;
-        if (!check->look.begun) {
+        if (!check->piece.begun) {
             check->crc = knot_crc(check->crc, knot);
             check->status = check_order(table, check->knots);
             if (check->status != STATUS_DONE)
@@ -192,7 +192,7 @@ void table_look(Table *table, const Limits *limits, int *work)
         }
         if (check->knots == 0)
             *work -= PIECE_WORK;
-        else if (!piece_look(&check->look, knot - 1, knot, limits, work, check->heat, &keeps))
+        else if (!piece_check(&check->piece, knot - 1, knot, limits, work, check->heat, &keeps))
             return;
         if (knot->ticks == table->splice)
             keeps = keeps && bear(check, limits, knot->ticks);
@@ -222,10 +222,10 @@ bool stream_add(Table *stream, const uint8_t bytes[KNOT_BYTES], uint32_t time,
         else if (stream->count - gone == MAX_KNOTS)
             *status = STATUS_TOO_LONG;
         if (*status != STATUS_DONE) {
-            stream->check.look.begun = false;
+            stream->check.piece.begun = false;
             return true;
         }
-        if (!piece_look(&stream->check.look, last, &added, limits, work, heat, &keeps))
+        if (!piece_check(&stream->check.piece, last, &added, limits, work, heat, &keeps))
             return false;
         if (!keeps) {
             *status = STATUS_LIMIT;

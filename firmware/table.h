@@ -20,7 +20,7 @@ typedef struct {
     uint8_t status;     /* DONE so far, or the reason why the table must not play */
     uint32_t crc;       /* CRC of their bytes */
     float heat[MOTORS]; /* integral of the squared force so far [N2 s] */
-    Look look;
+    PieceCheck piece;
 } Check;
 
 typedef struct {
@@ -46,10 +46,10 @@ void table_open(Table *table, uint16_t id, uint16_t count, uint32_t crc, uint32_
 void table_put(Table *table, int number, const uint8_t bytes[KNOT_BYTES]);
 
 /* Continue the check of a table that is being filled while there is `work`. */
-void table_look(Table *table, const Limits *limits, int *work);
+void table_check(Table *table, const Limits *limits, int *work);
 
 /* Whether the check is complete or has failed. check.status is then the result. */
-bool table_looked_at(const Table *table);
+bool table_checked(const Table *table);
 
 /* Add a knot to a stream at `time` [TICK_S]. It may replace knots that have been played. Its piece is
    checked while there is `work`. Return false if the work did not suffice: call again with the same

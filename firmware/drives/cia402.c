@@ -112,7 +112,7 @@ static void next_step(int m)
         enter(axis, STARTING);
 }
 
-static void ask(int m)
+static void send_step(int m)
 {
     Axis *axis = &axes[m];
     const Step *step = &STEPS[axis->step];
@@ -270,7 +270,7 @@ static void keep_house(int m)
     if (axis->pending || axis->stage == UP)
         return;
     if (axis->stage == SETUP) {
-        ask(m);
+        send_step(m);
         return;
     }
     if (axis->stage == SILENT)

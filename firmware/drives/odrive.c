@@ -36,20 +36,20 @@ static uint8_t fault_of(uint32_t errors)
     return errors & OF_SUPPLY ? FAULT_SUPPLY : FAULT_HARDWARE;
 }
 
-static void tell(int m, uint8_t message, uint32_t first, uint32_t second)
+static void send_message(int m, uint8_t message, uint32_t first, uint32_t second)
 {
     uint8_t data[8];
     put_u32(put_u32(data, first), second);
     send((uint16_t)(drives[m].node << 5 | message), data, 8);
 }
 
-static void ask(int m, uint8_t message)
+static void request(int m, uint8_t message)
 {
     const CanFrame frame = {.id = (uint16_t)(drives[m].node << 5 | message | CAN_REMOTE), .size = 8};
     can_write(&frame);
 }
 
-void cut(int m) { tell(m, SET_STATE, IDLE, 0); }
+void cut(int m) { send_message(m, SET_STATE, IDLE, 0); }
 void break_off(int m) { send((uint16_t)(drives[m].node << 5 | ESTOP), NULL, 0); }
 
 /* Received frames */
@@ -76,7 +76,7 @@ static void heartbeat(int m, uint32_t errors, uint8_t state)
     } else if (axis->stage == UP && !axis->alarm &&
                ((errors & ~DOG) || (was_ready && !enabled(axis)))) {
         alarm(m, TROUBLE_ERROR, 0, errors, fault_of(errors));
-        ask(m, GET_ERROR);
+        request(m, GET_ERROR);
     }
 }
 
@@ -140,15 +140,15 @@ static void order(int m)
     if (!wanted || !all_up()) {
         axis->pending = axis->pending && axis->stage != UP;
         if (hurry || axis->status != IDLE)
-            tell(m, SET_STATE, IDLE, 0);
+            send_message(m, SET_STATE, IDLE, 0);
         axis->resets = axis->resets ? (uint16_t)(axis->resets - 1) : CLEAR_CYCLES;
         if (axis->stage == UP && in_fault(axis) && axis->resets == 0)
-            tell(m, CLEAR_ERRORS, 0, 0);
+            send_message(m, CLEAR_ERRORS, 0, 0);
         axis->step = axis->stage == UP ? 0 : axis->step;
     } else if (!enabled(axis) && stands(axis) && axis->step-- == 0) {
-        tell(m, CLEAR_ERRORS, 0, 0);
-        tell(m, SET_MODE, POSITION_CONTROL, PASSTHROUGH);
-        tell(m, SET_STATE, CLOSED_LOOP, 0);
+        send_message(m, CLEAR_ERRORS, 0, 0);
+        send_message(m, SET_MODE, POSITION_CONTROL, PASSTHROUGH);
+        send_message(m, SET_STATE, CLOSED_LOOP, 0);
         axis->pending = true;
         axis->step = AGAIN_CYCLES;
     }
@@ -169,7 +169,7 @@ void cycle(void)
             set_position(m);
         order(m);
         if (polled)
-            ask(m, GET_ESTIMATES);
+            request(m, GET_ESTIMATES);
         else
             axis->answers = 1; /* so that none counts as missed */
     }
@@ -184,7 +184,7 @@ void between(void)
                 lose(m, TROUBLE_NO_WATCHDOG, 0, 0);
         } else if (!axis->pending) {
             if (axis->stage == SILENT)
-                ask(m, GET_VERSION);
+                request(m, GET_VERSION);
             axis->pending = true;
             axis->since = 0;
             axis->step++;
