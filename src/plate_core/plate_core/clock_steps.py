@@ -21,7 +21,6 @@ KEPT_S = 60.0
 """Time for which a step is considered [s]. No message is on its way for longer, and after a large
 step back the plate must not rest for as long as the step."""
 
-
 MAX_STEPS = 20
 """Maximum number of steps that are considered. A clock with more steps is not usable."""
 
