@@ -32,6 +32,9 @@ connects the results that no other result beats in both time and error. A ring m
 hollow mark means that not all runs ended well. Times are CPU times without ROS; on a busy machine
 (the load is given) they are up to twice as long. Each section ends with the name of its
 measurement; `make bench ARGS=NAME` repeats it.
+
+Since commit fa867c50 the solver evaluates motions after two plays. The measurements `control`,
+`free_running`, `drives`, `rigs` and `feeding`, and the demos, are older and used one play.
 """
 
 

@@ -11,9 +11,9 @@ from plate_core.tasks import load_scenario
 from tasks.runs import UNEVEN, Loop, median, runs_of
 
 SEEDS = {
-    "sort_10": 100, "sort_16": 40, "sort_24": 19, "sort_32": 5, "sort_50": 3,
-    "sort_corners_12": 20, "assemble_8": 80, "sort_shapes": 15, "sort_mixed": 15, "align_6": 20,
-    "assemble_letters": 30, "follow_1": 5, "follow_2": 10, "follow_5": 3,
+    "sort_10": 100, "sort_16": 40, "sort_24": 20, "sort_32": 10, "sort_50": 3,
+    "sort_corners_12": 20, "assemble_8": 100, "sort_shapes": 26, "sort_mixed": 15, "align_6": 50,
+    "assemble_letters": 30, "follow_1": 5, "follow_2": 10, "follow_5": 5,
 }  # fmt: skip
 """Number of runs, by scenario."""
 
