@@ -17,6 +17,7 @@ import select
 import signal
 import subprocess
 import sys
+import time
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
@@ -144,8 +145,8 @@ class Supervisor:
 def _kill_marked(mark: str) -> None:
     """End the processes that have inherited a mark. Wait until there are none."""
     entry = f"{MARK}={mark}".encode()
-    found = True
-    while found:
+    found, end = True, time.monotonic() + ENDING_S
+    while found and time.monotonic() < end:
         found = False
         for folder in Path("/proc").iterdir():
             if folder.name.isdigit():

@@ -34,6 +34,13 @@ OUTPUT_BYTES = 100_000
 MAX_PROCESSES = 256
 """Maximum number of processes of an agent."""
 
+MORE_TASKS = 2000
+"""Number of additional processes and threads that the user of an episode may have in total. This
+slows down an agent that starts processes without end. The number is not limited for root."""
+
+EPISODE_LIMITS = 240
+"""Maximum time of an episode, as a multiple of the limit of a decision."""
+
 POLL_S = 0.2
 """Interval between two checks of time, memory and number of processes [s]."""
 
@@ -138,8 +145,10 @@ class Episode:
                 if int(name) > 3:
                     os.closerange(int(name), int(name) + 1)
             size = int(1e9 * self._limits.memory_gb)
-            resource.setrlimit(resource.RLIMIT_DATA, (size, size))
-            resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
+            _limit(resource.RLIMIT_DATA, size)
+            _limit(resource.RLIMIT_FSIZE, size)  # files in memory belong to no process
+            _limit(resource.RLIMIT_NPROC, _tasks_of_user() + MORE_TASKS)
+            _limit(resource.RLIMIT_CORE, 0)
             sys.path[:] = self._request["path"]
             os.chdir(self._request["folder"])
             reply = self._result(lambda: os.write(3, BEAT))
@@ -167,13 +176,15 @@ class Episode:
         poll = select.poll()
         for file in (messages, output, self._requests):
             poll.register(file, select.POLLIN)
-        waited, checked, sent, before = 0.0, 0.0, 0.0, time.monotonic()
+        waited, checked, sent, total, before = 0.0, 0.0, 0.0, 0.0, time.monotonic()
+        total_s = EPISODE_LIMITS * self._limits.decision_s
         while True:
             events = dict(poll.poll(1e3 * POLL_S))
             # This process may have been stopped in the meantime, and the episode with it.
             passed = min(time.monotonic() - before, 2 * POLL_S)
             before = time.monotonic()
             waited, checked, sent = waited + passed, checked + passed, sent + passed
+            total += passed
             if self._requests in events:
                 _kill_all()
                 os._exit(0)
@@ -185,6 +196,8 @@ class Episode:
                     return ""
             if waited > self._limits.decision_s:
                 return f"no decision within {self._limits.decision_s:g} s"
+            if total > total_s:
+                return f"no end of the episode within {total_s:g} s"
             if checked > POLL_S:
                 checked = 0.0
                 if failure := self._excess():
@@ -211,7 +224,10 @@ class Episode:
             if state := _has_ended(child):
                 if state.si_code == os.CLD_EXITED:
                     return f"died: it exited with code {state.si_status} before its last step"
-                return f"died: it was ended by {signal.Signals(state.si_status).name}"
+                number = state.si_status
+                known = number in set(signal.Signals)
+                name = signal.Signals(number).name if known else f"signal {number}"
+                return f"died: it was ended by {name}"
             time.sleep(0.1)
         return "closed its pipe, or sent no valid reply"
 
@@ -286,6 +302,9 @@ def _kill_all() -> set[int]:
     ran: set[int] = set()
     end = time.monotonic() + ENDING_S
     while processes := list(_descendants()):
+        for process in processes:  # a stopped process starts no others
+            with contextlib.suppress(OSError):
+                os.kill(process, signal.SIGSTOP)
         for process in processes:
             with contextlib.suppress(OSError):
                 if b"Z" not in _field(process, "status", b"State:"):
@@ -297,6 +316,24 @@ def _kill_all() -> set[int]:
         if time.monotonic() > end:
             raise TimeoutError(f"processes {processes} cannot be ended")
     return ran
+
+
+def _limit(kind: int, most: int) -> None:
+    """Set a limit of this process, unless a lower one is already set."""
+    present = resource.getrlimit(kind)[0]
+    if present == resource.RLIM_INFINITY or present > most:
+        resource.setrlimit(kind, (most, most))
+
+
+def _tasks_of_user() -> int:
+    """Return the number of processes and threads of this user."""
+    count = 0
+    for name in os.listdir("/proc"):
+        if name.isdigit():
+            with contextlib.suppress(OSError):  # it has ended meanwhile
+                if os.stat(f"/proc/{name}").st_uid == os.getuid():
+                    count += len(os.listdir(f"/proc/{name}/task"))
+    return count
 
 
 def _resident(process: int) -> int:

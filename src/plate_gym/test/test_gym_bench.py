@@ -329,6 +329,15 @@ class DaemonOfKiller(Base):
         while not Path("pids").exists(): time.sleep(0.01)
         os.kill(os.getppid(), signal.SIGKILL)
         time.sleep(1e6)
+class Beats(Base):
+    def do(self):
+        while True:
+            os.write(3, b".")
+            time.sleep(0.1)
+class Rare(Base):
+    def do(self): os.kill(os.getpid(), 40); time.sleep(1e6)
+class LargeFile(Base):
+    def do(self): os.posix_fallocate(os.memfd_create("a"), 0, 2_000_000_000)
 class Prints(Base):
     def do(self):
         for _ in range(100): print("x" * 10**6)
@@ -365,6 +374,8 @@ def hostile(bench, tmp_path, monkeypatch):
         ("NoText", r"step 0: Unreadable: \(its text cannot be read: RuntimeError\)$"),
         ("LongText", r"step 0: ValueError: x{200,300}\.\.\.$"),
         ("Fault", "step 0: its process died: it was ended by SIGSEGV$"),
+        ("Rare", "step 0: its process died: it was ended by signal 40$"),
+        ("LargeFile", r"step 0: OSError: \[Errno 27\] File too large$"),
         ("Parent", "its supervisor failed: it has ended$"),
         ("Group", "step 0: its process died: it was ended by SIGKILL$"),
         ("Closes", "step 0: its process died: it exited with code 0 before its last step$"),
@@ -398,6 +409,19 @@ def test_an_episode_in_which_a_limit_is_exceeded_counts_as_failed(bench, hostile
     row["success"] = True
     with pytest.raises(PlateError, match="success is True, allowed with a failure: False"):
         bench.validate(found)
+
+
+def test_signs_of_life_do_not_prolong_an_episode_for_ever(bench, hostile, tmp_path):
+    """An agent that sends them itself."""
+    code = "import plate_gym.supervisor as own; own.EPISODE_LIMITS = 1; own.main()"
+    request = {"agent": "hostile:Beats", "world": "nominal", "task": "Sort4-v1", "seed": 3}
+    request |= {"path": sys.path, "folder": str(tmp_path)}
+    request |= {"limits": {"decision_s": 10, "memory_gb": 1}}
+    pipes = {"stdin": subprocess.PIPE, "stdout": subprocess.PIPE, "bufsize": 0}
+    with subprocess.Popen([sys.executable, "-c", code], **pipes) as process:
+        process.stdin.write(json.dumps(request).encode() + b"\n")
+        reply = next(line for line in process.stdout if line != bench.isolation.ALIVE)
+    assert json.loads(reply)["failure"] == "no end of the episode within 10 s"
 
 
 @pytest.mark.parametrize("name", ["Daemon", "DaemonOfKiller"])
