@@ -8,6 +8,7 @@ import subprocess
 import sys
 import time
 from concurrent.futures import as_completed, wait
+from itertools import islice
 from pathlib import Path
 
 import pytest
@@ -107,12 +108,20 @@ def numbers(runs):
     return [run.result(WAIT_S)[2] for run in runs]
 
 
-def test_no_run_is_lost_with_a_killed_worker(processes, pool):
-    runs = submitted(pool, 20)
-    first = next(as_completed(runs, WAIT_S)).result()
-    os.kill(first[1], signal.SIGKILL)
+def test_no_run_is_lost_with_a_killed_worker(processes, pool, tmp_path):
+    """Nor is one repeated whose result was here."""
+    run = "(open({file!r}, 'a').write('{k} '), " + PROCESS + ")[1]"
+    file = str(tmp_path / "begun")
+    runs = [pool.submit(eval, run.format(file=file, s=0.2, k=k)) for k in range(20)]
+    for first in islice(as_completed(runs, WAIT_S), 6):
+        killed = first.result()[1]
+    here = [k for k, run in enumerate(runs) if run.done()]
+    os.kill(killed, signal.SIGKILL)
     assert numbers(runs) == list(range(20))
     assert {run.result()[1] for run in runs} <= {worker.pid for worker in processes.workers}
+    begun = [int(k) for k in Path(file).read_text().split()]
+    assert set(begun) == set(range(20))
+    assert [begun.count(k) for k in here] == [1] * len(here)
 
 
 def test_a_late_worker_takes_over_from_all_that_have_died(processes, pool):
@@ -227,3 +236,47 @@ def test_a_sweep_has_the_rows_of_one_by_processes(processes, tmp_path):
         for name in places
     )
     assert here == there
+
+
+@pytest.mark.needs("gymnasium")
+def test_agents_are_evaluated_in_processes_of_the_workers(processes, tmp_path):
+    """An agent that reports its parent process, in the file of its seed."""
+    from plate_gym import bench  # only where there is gymnasium
+
+    agent = """
+import os
+from plate_gym.agents import AGENTS
+
+class Mine(AGENTS["A"]):
+    def __init__(self, brief, seed):
+        with open(f"{seed}.txt", "w") as file:
+            file.write(str(os.getppid()))
+        super().__init__(brief, seed)
+"""
+    (tmp_path / "mine.py").write_text(agent, encoding="utf-8")
+    path = os.pathsep.join([str(tmp_path), os.environ.get("PYTHONPATH", "")])
+    workers = [processes.worker(**bench.ALIKE, PYTHONPATH=path) for _ in range(2)]
+    words = ["--agent", "mine:Mine", "--task", "Sort4-v1", "--seeds", "0:2", "--json", "mine.json"]
+    command = [sys.executable, "-m", "plate_gym.bench", *words]
+    there = subprocess.run(
+        [*command, "--cluster", processes.address], cwd=tmp_path, timeout=2 * WAIT_S, check=False,
+        capture_output=True, text=True,
+    )  # fmt: skip
+    assert there.returncode == 0, there.stderr
+    found = json.loads((tmp_path / "mine.json").read_text(encoding="utf-8"))
+    parents = {int(file.read_text()) for file in tmp_path.glob("*.txt")}
+    assert len(list(tmp_path.glob("[0-9]*.txt"))) == 2
+    assert not parents & {os.getpid(), *(worker.pid for worker in workers)}
+    (tmp_path / "mine.json").rename(tmp_path / "there.json")
+    here = subprocess.run(command, cwd=tmp_path, timeout=2 * WAIT_S, check=False)
+    assert here.returncode == 0
+    again = json.loads((tmp_path / "mine.json").read_text(encoding="utf-8"))
+    rows = [
+        [
+            {key: row[key] for key in row if key not in bench.TIMES}
+            for row in one["tasks"]["Sort4-v1"]["rows"]
+        ]
+        for one in (found, again)
+    ]
+    assert rows[0] == rows[1]
+    assert [row["seed"] for row in rows[0]] == [0, 1]

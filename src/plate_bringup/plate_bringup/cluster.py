@@ -83,6 +83,9 @@ class Cluster(Executor):
         Further modules and packages that each worker must have with the same code.
     tell : callable
         Function that receives lines of text about the cluster: its dashboard, and refused workers.
+    end : callable, optional
+        Called on each worker that has a run when it is canceled, to end it. By default, an
+        exception is raised in its thread.
 
     Raises
     ------
@@ -97,8 +100,9 @@ class Cluster(Executor):
         bench: bool = False,
         modules: Sequence[str] = (),
         tell: Callable[[str], None] = lambda text: print(text, file=sys.stderr, flush=True),
+        end: Callable[[], object] | None = None,
     ) -> None:
-        self._address, self._tell = address, tell
+        self._address, self._tell, self._end = address, tell, end
         self._client = _connect(address)
         self._terms = facts(bench, tuple(modules)), bench, tuple(modules)
         # Only workers with this resource receive runs. Each worker has the resource once.
@@ -106,11 +110,12 @@ class Cluster(Executor):
         self._pool = self._client.get_executor(pure=False, resources={self._key: 1})
         self._token = uuid.uuid4().hex
         self._calls: dict[Future[Any], tuple[Any, ...]] = {}
+        self._sent: dict[Future[Any], Future[Any]] = {}
         self._lost: set[Future[Any]] = set()
         self._asked: dict[str, str] = {}
         self._admitted: list[str] = []
         self._ending, self._waits = threading.Event(), False
-        served = "dashboard" in self._client.scheduler_info()["services"]
+        served = "dashboard" in self._identity()["services"]
         tell(f"cluster {address}, " + (self._client.dashboard_link if served else "no dashboard"))
         try:
             self._await_workers()
@@ -141,7 +146,8 @@ class Cluster(Executor):
 
     def _stop_runs(self) -> None:
         if self._admitted and self._client.status == "running":
-            self._client.run(_stop, self._token, workers=self._admitted, on_error="ignore")
+            call = (_stop, self._token, self._end)
+            self._client.run(*call, workers=self._admitted, on_error="ignore")
 
     def _send(self, result: Future[Any]) -> None:
         """Send a run to the scheduler."""
@@ -153,8 +159,10 @@ class Cluster(Executor):
             if not self._lose(result):
                 raise PlateError(f"cluster {self._address}: {_text(problem)}") from problem
             return
+        self._sent[result] = sent
         sent.add_done_callback(partial(self._take, result))
-        result.add_done_callback(lambda _: sent.cancel())
+        if result.done():  # canceled meanwhile
+            self._release(result)
 
     def _take(self, result: Future[Any], sent: Future[Any]) -> None:
         """Pass on the outcome of a run. If the run was lost with the scheduler, do nothing."""
@@ -181,8 +189,15 @@ class Cluster(Executor):
     def _forget(self, result: Future[Any]) -> None:
         del self._calls[result]
         self._lost.discard(result)
+        self._release(result)
         if result.cancelled():
             result.set_running_or_notify_cancel()
+
+    def _release(self, result: Future[Any]) -> None:
+        """Cancel a run, if it has not ended, and let the cluster forget its outcome. A worker that
+        dies would otherwise cause its repetition."""
+        if (sent := self._sent.pop(result, None)) is not None:
+            sent.cancel()
 
     def _watch(self) -> None:
         """Compare each new worker with this process, and send lost runs again."""
@@ -220,8 +235,8 @@ class Cluster(Executor):
 
     def _ask_new(self) -> int:
         """Start the comparison of each new worker. Report if no worker is left. Return the number
-        of new workers."""
-        workers = self._client.scheduler_info()["workers"]
+        of workers."""
+        workers = self._identity()["workers"]
         self._admitted = [name for name, one in workers.items() if self._key in one["resources"]]
         for name in set(self._asked) - set(workers):
             self._asked.pop(name, None)
@@ -234,6 +249,11 @@ class Cluster(Executor):
                 refused = f"; all {len(workers)} are refused" if workers else ""
                 self._tell(f"waiting for workers{refused}")
         return len(workers)
+
+    def _identity(self) -> Any:
+        """Return facts about the scheduler and its workers. `Client.scheduler_info` sometimes lists
+        no workers, because Dask's own periodic query replaces its result."""
+        return self._client.sync(self._client.scheduler.identity, n_workers=-1)
 
     def _ask(self, name: str) -> None:
         """Compare a worker with this process. Afterwards the worker has the resource, or it is
@@ -307,9 +327,13 @@ def _work(token: str, function: Callable[..., Any], args: Any, kwargs: Any) -> A
         _RUNNING.pop(token, None)
 
 
-def _stop(token: str) -> None:
+def _stop(token: str, end: Callable[[], object] | None) -> None:
     """End the present run of a `Cluster` on this worker."""
-    if thread := _RUNNING.get(token):
+    if (thread := _RUNNING.get(token)) is None:
+        return
+    if end is not None:
+        end()
+    else:
         raised = ctypes.py_object(_Stopped)
         ctypes.pythonapi.PyThreadState_SetAsyncExc(ctypes.c_ulong(thread), raised)
 
@@ -374,7 +398,8 @@ def _processor(alike: bool) -> str:
     about = {name.strip(): value.strip() for name, _, value in reversed(lines)}
     if alike and set(REQUIRED) <= set(about.get("flags", "").split()):
         return f"{platform.machine()} with {', '.join(REQUIRED)}"
-    return f"{platform.machine()} {about.get('model name', '')}".strip()
+    keys = ("vendor_id", "cpu family", "model", "model name")
+    return " ".join([platform.machine(), *(about.get(key, "") for key in keys)]).strip()
 
 
 @lru_cache
@@ -388,21 +413,25 @@ def code_of(*modules: str) -> str:
     `plate_core` includes its configuration."""
     mark = hashlib.sha256()
     for name in modules:
-        spec = find_spec(name)
+        try:
+            spec = find_spec(name)
+        except ValueError:  # raised for names such as __main__
+            spec = None
         if spec is None or spec.origin is None:
             return f"no module {name}"
         origin = Path(spec.origin)
-        package = spec.submodule_search_locations is not None
-        _digest(mark, origin.parent if package else origin, name)
+        if spec.submodule_search_locations is not None:
+            _digest(mark, origin.parent, name)
+        else:
+            mark.update(origin.read_bytes())
         if name == "plate_core":
             _digest(mark, config_path("rig.yaml").parent, "config")
     return mark.hexdigest()[:16]
 
 
 def _digest(mark: Any, place: Path, name: str) -> None:
-    """Add a file, or the sources in a folder, to a digest."""
-    files = sorted(place.rglob("*")) if place.is_dir() else [place]
-    for path in files:
+    """Add the sources in a folder to a digest."""
+    for path in sorted(place.rglob("*")):
         if path.suffix in (".py", ".hpp", ".cpp", ".yaml"):
             mark.update(f"{name}/{path.relative_to(place).as_posix()}\n".encode())
             mark.update(path.read_bytes())

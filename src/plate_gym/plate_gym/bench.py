@@ -15,8 +15,10 @@ import reprlib
 import signal
 import subprocess
 import sys
+import time
 from collections.abc import Callable, Iterable, Iterator
-from concurrent.futures import ThreadPoolExecutor, wait
+from concurrent.futures import Executor, ThreadPoolExecutor, wait
+from contextlib import nullcontext
 from functools import partial
 from importlib.metadata import PackageNotFoundError, version
 from importlib.util import find_spec
@@ -25,6 +27,7 @@ from typing import Any
 
 import numpy as np
 
+from plate_bringup.cluster import Cluster, code_of
 from plate_bringup.loop import ALIKE
 from plate_core import PlateError, did_you_mean, piped
 from plate_core.files import read_file
@@ -77,6 +80,9 @@ AGENT = 2
 
 HUGE = 1e9
 """Upper bound of the numbers in a result."""
+
+KEEP_S = 1.0
+"""Minimum time between two calls of `keep` in a task [s]."""
 
 RESULT_BYTES = 64_000_000
 """Maximum size of the file of a result [bytes]. It is sufficient for 100,000 episodes of 500 bytes
@@ -231,6 +237,8 @@ def evaluate(
     tell: Callable[[str], None] = lambda text: None,
     keep: Callable[[dict[str, Any]], None] = lambda result: None,
     limits: Limits = LIMITS,
+    pool: Executor | None = None,
+    done: dict[str, Any] | None = None,
 ) -> dict[str, Any]:
     """Run an agent on tasks. Each task is run in the worlds of several seeds.
 
@@ -247,9 +255,15 @@ def evaluate(
         Function that is called with a line of text after each task, and after each episode in which
         a limit was exceeded.
     keep : callable
-        Function that is called with the result so far after each task.
+        Function that is called with the result so far after each task, every
+        `KEEP_S`, and before an error.
     limits : Limits
         Limits of the agent. If a limit is exceeded in an episode, the episode counts as failed.
+    pool : Executor, optional
+        Runs the episodes in place of `workers`, such as a `plate_bringup.cluster.Cluster`.
+    done : dict, optional
+        Result of an earlier call. Its rows are part of the result, and its episodes are not
+        repeated.
 
     Returns
     -------
@@ -262,7 +276,8 @@ def evaluate(
     Raises
     ------
     PlateError
-        If a name is unknown, if a seed is not allowed, or if the agent fails.
+        If a name is unknown, if a seed is not allowed, if the agent fails, or if `done` is a result
+        of other code or of another agent or world.
     """
     if ":" not in agent:  # code of others is loaded only in workers
         agent_class(agent)
@@ -275,13 +290,33 @@ def evaluate(
         raise PlateError(f"seeds are {seeds}, allowed: one or more, 0 or larger, each once")
     result: dict[str, Any] = {
         "agent": agent, "world": world, "commit": commit(), "sources": sources(),
-        "versions": versions(), "tasks": {},
+        "versions": versions(agent), "tasks": {},
     }  # fmt: skip
+    if done is not None:
+        validate(done)
+        for key in ("agent", "world", "sources", "versions"):
+            if done[key] != result[key]:
+                raise PlateError(
+                    f"the earlier result has {key} {done[key]!r}, allowed: {result[key]!r}, or "
+                    "another file"
+                )
+        result["tasks"] |= done["tasks"]
     for task in tasks:
-        rows = list(episodes(agent, world, task, seeds, workers, tell, limits))
-        result["tasks"][task] = summary(rows)
+        rows = {row["seed"]: row for row in result["tasks"].get(task, {"rows": []})["rows"]}
+        missing = [seed for seed in seeds if seed not in rows]
+        kept = time.monotonic()
+        try:
+            for row in episodes(agent, world, task, missing, workers, tell, limits, pool):
+                rows[row["seed"]] = row
+                if time.monotonic() - kept > KEEP_S:
+                    result["tasks"][task] = summary([rows[seed] for seed in sorted(rows)])
+                    keep(result)
+                    kept = time.monotonic()
+        finally:  # also if the agent fails, or on Ctrl-C
+            if rows:
+                result["tasks"][task] = summary([rows[seed] for seed in sorted(rows)])
+                keep(result)
         tell(line(task, result["tasks"][task]))
-        keep(result)
     return result
 
 
@@ -293,14 +328,19 @@ def episodes(
     workers: int,
     tell: Callable[[str], None] = lambda text: None,
     limits: Limits = LIMITS,
+    pool: Executor | None = None,
 ) -> Iterator[dict[str, Any]]:
-    """Run episodes. `workers` of them run at the same time. Yield them in the order of the seeds.
-    Report the failed ones."""
-    if not workers:
+    """Run episodes. `workers` of them run at the same time, or a pool runs them. Yield them in the
+    order of the seeds. Report the failed ones."""
+    if pool is None and not workers:
         yield from map(partial(episode, agent, world, task), seeds)
         return
-    with ThreadPoolExecutor(workers) as pool:  # threads, because they only wait for processes
-        found = [pool.submit(isolated, agent, world, task, seed, limits) for seed in seeds]
+    # Threads, because they only wait for processes.
+    shared = nullcontext(pool) if pool is not None else ThreadPoolExecutor(workers)
+    # Workers of a cluster import the function by this name.
+    run = isolated if pool is None else importlib.import_module("plate_gym.bench").isolated
+    with shared as threads:
+        found = [threads.submit(run, agent, world, task, seed, limits) for seed in seeds]
         try:
             for number, row in enumerate(found):
                 show(f"{task}: {number} of {len(seeds)}")
@@ -436,7 +476,7 @@ def check(
     world = result["world"] if world is None else world
     chosen("world", world, WORLDS)
     tell(f"agent {result['agent']}, commit {result['commit'] or 'unknown'}")
-    here = versions() | {"sources": sources()}
+    here = versions(agent) | {"sources": sources()}
     for name, own in here.items():
         made = (result["versions"] | {"sources": result["sources"]}).get(name)
         if made != own:
@@ -564,7 +604,7 @@ def ranges(seeds: list[int]) -> str:
     return ", ".join(f"{run[0]}:{run[-1] + 1}" if len(run) > 1 else f"{run[0]}" for run in runs)
 
 
-def versions() -> dict[str, str]:
+def versions(agent: str = "") -> dict[str, str]:
     """Return the versions of Python and of the installed `LIBRARIES`."""
     found = {"python": sys.version.split()[0]}
     for name in LIBRARIES:
@@ -572,7 +612,15 @@ def versions() -> dict[str, str]:
             found[name] = version(name)
         except PackageNotFoundError:
             continue
+    if ":" in agent:
+        found["agent"] = code_of(module_of(agent))
     return found
+
+
+def module_of(agent: str) -> str:
+    """Return the module or package of an agent `MODULE:CLASS`, without the modules in the
+    package: to find one of these would run the package's code."""
+    return agent.partition(":")[0].partition(".")[0]
 
 
 def commit() -> str:
@@ -623,6 +671,9 @@ def main() -> int:
     parser.add_argument(
         "--workers", type=int, default=os.cpu_count(), help="processes (default: one per core)"
     )
+    parser.add_argument(
+        "--cluster", metavar="ADDRESS", help="Dask scheduler whose workers run the episodes"
+    )
     parser.add_argument("--check", type=Path, help="file of a result; repeat some of its seeds")
     parser.add_argument(
         "--fresh", type=int, metavar="N", help="with --check: also run N random seeds"
@@ -640,7 +691,7 @@ def main() -> int:
         help="maximum memory of an episode's processes (default: %(default)g GB)",
     )  # fmt: skip
     args = parser.parse_args()
-    own = ("agent", "task", "seeds", "json", *(() if args.fresh else ("world",)))
+    own = ("agent", "task", "seeds", "json", "cluster", *(() if args.fresh else ("world",)))
     given = [f"--{name}" for name in own if getattr(args, name) is not None]
     if args.check and given:
         parser.error(
@@ -664,26 +715,45 @@ def main() -> int:
             print("\n".join(wrong) or "the repeated seeds give the same result")
             return bool(wrong)
 
-        def keep(result: dict[str, Any]) -> None:
-            if args.json:
-                args.json.write_text(json.dumps(result, indent=1) + "\n", encoding="utf-8")
-
+        done = None
         if args.json:
             # If the file cannot be written, fail now and not after hours.
             os.close(os.open(args.json, os.O_WRONLY | os.O_CREAT | os.O_NONBLOCK, 0o666))
-        evaluate(
-            args.agent or "B", args.task or list(TASKS), args.seeds or range(100),
-            args.world or "nominal", args.workers, tell, keep, limits,
-        )  # fmt: skip
+            if args.json.is_file() and args.json.stat().st_size:
+                done = read(args.json)
+        agent = args.agent or "B"
+        pool: Any = nullcontext()
+        if args.cluster:
+            modules = ("plate_gym", *([module_of(agent)] if ":" in agent else []))
+            pool = Cluster(args.cluster, modules=modules, end=isolation.stop)
+        with pool as shared:
+            evaluate(
+                agent, args.task or list(TASKS), args.seeds or range(100), args.world or "nominal",
+                args.workers, tell, partial(write, args.json), limits, shared, done,
+            )  # fmt: skip
     except BrokenPipeError:
         raise
     except (PlateError, OSError) as error:
         print(f"error: {error}", file=sys.stderr)
         return 2
     except KeyboardInterrupt:
-        print("stopped: the result of the running task is lost", file=sys.stderr)
+        kept = f"; {args.json} has the episodes so far" if args.json else ""
+        print(f"stopped{kept}", file=sys.stderr)
         return 130
     return 0
+
+
+def write(path: Path | None, result: dict[str, Any]) -> None:
+    """Write a result, if there is a path. A regular file is complete at any time."""
+    if path is None:
+        return
+    text = json.dumps(result, indent=1) + "\n"
+    if path.is_file():
+        draft = path.with_name(f"{path.name}.draft")
+        draft.write_text(text, encoding="utf-8")
+        draft.replace(path)
+    else:
+        path.write_text(text, encoding="utf-8")
 
 
 def seed_range(text: str) -> range:

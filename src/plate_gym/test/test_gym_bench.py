@@ -19,7 +19,6 @@ from plate_core import PlateError
 
 pytestmark = pytest.mark.needs("gymnasium")
 
-STOPPED = "stopped: the result of the running task is lost\n"
 
 LAZY = """
 import numpy as np
@@ -603,7 +602,59 @@ def test_what_was_done_before_a_failure_is_kept(bench, result, monkeypatch, tmp_
         place.unlink(missing_ok=True)
         assert bench.main() == code
         assert list(json.loads(place.read_text())["tasks"]) == ["Sort4-v1"]
-    assert capsys.readouterr().err == f"error: lost\n{STOPPED}"
+    kept = f"stopped; {place} has the episodes so far\n"
+    assert capsys.readouterr().err == f"error: lost\n{kept}"
+
+
+def test_a_second_call_runs_only_missing_episodes(bench, result, monkeypatch, tmp_path):
+    row, run = result["tasks"]["Sort4-v1"]["rows"][0], []
+
+    def episode(agent, world, task, seed):
+        run.append((task, seed))
+        if seed == 9:
+            raise KeyboardInterrupt
+        return row | {"seed": seed}
+
+    monkeypatch.setattr(bench, "episode", episode)
+    in_this_process(bench, monkeypatch)
+    place = tmp_path / "found.json"
+    words = ["bench", "--json", str(place), "--task", "Sort4-v1", "--agent", "A", "--seeds"]
+    monkeypatch.setattr(sys, "argv", [*words, "7:10"])
+    assert bench.main() == 130
+    monkeypatch.setattr(sys, "argv", [*words, "6:9"])
+    assert bench.main() == 0
+    assert run == [("Sort4-v1", seed) for seed in (7, 8, 9, 6)]
+    found = json.loads(place.read_text())
+    rows = [row | {"seed": seed} for seed in (6, 7, 8)]
+    assert found["tasks"]["Sort4-v1"] == json.loads(json.dumps(bench.summary(rows)))
+    assert [file.name for file in tmp_path.iterdir()] == ["found.json"]
+
+
+@pytest.mark.parametrize("key", ["agent", "world", "sources", "versions"])
+def test_a_second_call_with_other_code_or_agent_is_refused(
+    bench, result, monkeypatch, tmp_path, capsys, key
+):
+    other = {"agent": "B", "world": "friction", "sources": "of another commit", "versions": {}}
+    place = tmp_path / "found.json"
+    place.write_text(json.dumps(result | {key: other[key]}), encoding="utf-8")
+    before = place.read_text()
+    words = ["bench", "--json", str(place), "--task", "Sort4-v1", "--agent", "A", "--seeds", "0"]
+    monkeypatch.setattr(sys, "argv", words)
+    assert bench.main() == 2
+    assert f"the earlier result has {key} {other[key]!r}, allowed: " in capsys.readouterr().err
+    assert place.read_text() == before
+
+
+def test_the_code_of_another_agent_is_part_of_the_versions(bench, tmp_path, monkeypatch):
+    monkeypatch.syspath_prepend(tmp_path)
+    marks = []
+    for text in ("X = 1\n", "X = 1\n", "raise SystemExit\n"):
+        (tmp_path / "own_agent.py").write_text(text, encoding="utf-8")
+        marks.append(bench.versions("own_agent:Agent")["agent"])
+    assert marks[0] == marks[1] != marks[2]
+    assert bench.versions("no_such.part:Agent")["agent"] == "no module no_such"
+    assert bench.versions(":Agent")["agent"] == "no module "
+    assert "agent" not in bench.versions("A")
 
 
 def test_a_summary_is_of_its_rows(bench, result, monkeypatch):
@@ -659,7 +710,7 @@ def hang():
         process.send_signal(signal.SIGINT)
         output, errors = process.communicate(timeout=60)
     assert (process.returncode, output) == (130, "")
-    assert errors == f"madethe same again{STOPPED}"
+    assert errors == "madethe same againstopped\n"
     with pytest.raises(ProcessLookupError):
         os.kill(int((tmp_path / "hangs").read_text()), 0)
 
