@@ -12,8 +12,8 @@ from tasks.runs import UNEVEN, Loop, median, runs_of
 
 SEEDS = {
     "sort_10": 100, "sort_16": 40, "sort_24": 20, "sort_32": 10, "sort_50": 3,
-    "sort_corners_12": 20, "assemble_8": 100, "sort_shapes": 26, "sort_mixed": 15, "align_6": 50,
-    "assemble_letters": 30, "follow_1": 5, "follow_2": 10, "follow_5": 5,
+    "sort_corners_12": 20, "assemble_8": 100, "sort_shapes": 30, "sort_mixed": 30, "align_6": 50,
+    "assemble_letters": 50, "follow_1": 5, "follow_2": 20, "follow_5": 5,
 }  # fmt: skip
 """Number of runs, by scenario."""
 
