@@ -146,7 +146,8 @@ class CycleIntake:
             now = max(now, 1e-9 * stamp_ns)
         guard, fit = self._playback.guard_for(transport).accepted(cycle, stamp_ns, now)
         if cycle.moves:
-            self._poll_tasks()  # as late as possible, because the task may have ended meanwhile
+            # Poll as late as possible, because the task may have ended meanwhile.
+            self._poll_tasks()
             guard = guard.lasting(self._clocks.steady_s() + self._remaining_s(cycle, stamp_ns))
         self._playback.send(transport, guard, number)
         if guard.correction is not None:

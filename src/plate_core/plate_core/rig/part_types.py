@@ -211,7 +211,7 @@ def read_part_types(fields: Fields) -> Mapping[str, PartType]:
 
 
 def _part_type(name: str, fields: Fields) -> PartType:
-    # imported here, because the stop command must not wait for this import
+    # This import is not at the top of the file, because the stop command must not wait for it.
     from shapely import Polygon
 
     outline, radius, holes = np.empty((0, 2)), 0.0, fields.value(PART_TYPE["holes_m"]) or []

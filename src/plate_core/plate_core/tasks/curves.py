@@ -44,7 +44,7 @@ def spline_points(point: np.ndarray, closed: bool) -> np.ndarray:
     natural: its second derivative is zero at both ends.
     """
     knot = np.vstack([point, point[:1]]) if closed else np.asarray(point, dtype=float)
-    # imported here, because the stop command must not wait for this import
+    # This import is not at the top of the file, because the stop command must not wait for it.
     from scipy.interpolate import CubicSpline
 
     length = np.hypot(*np.diff(knot, axis=0).T)

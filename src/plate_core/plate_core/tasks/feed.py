@@ -252,7 +252,7 @@ def free_gap(parts: Parts, rig: Rig) -> np.ndarray:
     np.fill_diagonal(gap, np.inf)
     if all(kind.radius_m for kind in types):
         return np.asarray(gap.min(axis=1))
-    # imported here, because the stop command must not wait for this import
+    # This import is not at the top of the file, because the stop command must not wait for it.
     from shapely import distance
 
     shapes = map(PartType.placed, types, parts.position, parts.angle)

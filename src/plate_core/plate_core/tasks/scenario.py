@@ -477,7 +477,7 @@ def _check_apart(
 def _check_bins(scenario: Scenario, task: SortTask, rig: Rig) -> None:
     """Raise an error if every point of a bin is so near to the plate's edges that parts there are
     lost."""
-    # imported here, because the stop command must not wait for this import
+    # This import is not at the top of the file, because the stop command must not wait for it.
     from shapely import Polygon, box
 
     for label, region in task.regions.items():

@@ -101,7 +101,7 @@ class Response:
     def _at(self, matrices: np.ndarray, frequency: np.ndarray) -> np.ndarray:
         """Interpolate matrices in frequency by a cubic spline. At frequency 0, the spline has the
         real part of the first matrix."""
-        # Imported here, because this import would double the start time of the driver.
+        # This import is not at the top, because it would double the start time of the driver.
         from scipy.interpolate import CubicSpline
 
         below = np.concatenate([matrices[:1].real.astype(complex), matrices])

@@ -525,7 +525,7 @@ class FrictionMeasurement:
 
     def _dynamic(self, name: str) -> tuple[float, float]:
         """Return mu of a part by least squares over its distance pushes, and its standard error."""
-        # Imported here, because this import would double the start time of the driver.
+        # This import is not at the top, because it would double the start time of the driver.
         from scipy.optimize import least_squares
 
         trials = self._of(name, Stage.DISTANCE)

@@ -69,7 +69,7 @@ class FrictionServer:
         self._measurement: FrictionMeasurement | None = None
         self._played: Push | None = None
         self._plays: PlateCycle | None = None
-        # Images with later stamps show parts at rest. None if this time is not known yet.
+        # Images with later stamps show parts at rest. It is None if this time is not known.
         self._after_ns: int | None = None
         self._images: list[Parts] = []
         self._since = 0.0  # start of the wait for parts at rest [s]
