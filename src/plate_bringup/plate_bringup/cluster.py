@@ -11,6 +11,7 @@ import ctypes
 import hashlib
 import importlib
 import os
+import pickle
 import platform
 import sys
 import threading
@@ -127,7 +128,10 @@ class Cluster(Executor):
     def submit(self, fn: Callable[..., Any], /, *args: Any, **kwargs: Any) -> Future[Any]:
         """Submit a run, see `Executor`. A run that has begun can also be canceled."""
         result: Future[Any] = Future()
-        self._calls[result] = (_work, self._token, fn, args, kwargs)
+        # As bytes, because the scheduler reads arguments too, and cannot import modules of bench.
+        from distributed.protocol.pickle import dumps
+
+        self._calls[result] = (_work, self._token, dumps((fn, args, kwargs)))
         result.add_done_callback(self._forget)
         self._send(result)
         return result
@@ -318,10 +322,11 @@ class _Stopped(Exception):
     """Raised in a run that was canceled."""
 
 
-def _work(token: str, function: Callable[..., Any], args: Any, kwargs: Any) -> Any:
+def _work(token: str, call: bytes) -> Any:
     """Run a function so that `_stop` can end it."""
     _RUNNING[token] = threading.get_ident()
     try:
+        function, args, kwargs = pickle.loads(call)
         return function(*args, **kwargs)
     finally:
         _RUNNING.pop(token, None)
