@@ -25,20 +25,20 @@ OWN = {
     "driver": ("transport", "autostart"),
     "page": ("scenario",),
 }
-"""Options of a run. Each is a parameter with the same name of the listed node."""
+"""Options of a run, for each node. An option sets the parameter with the same name of this node."""
 
 UNTIMED_S = 30.0
-"""Input timeout of these nodes if time is simulated [s, wall time]. The timeout is long, because a
-step of simulated time may take any wall time."""
+"""Input timeout of the nodes in `JUDGING` if time is simulated [s, wall time]. The timeout is long,
+because a step of simulated time may take any wall time."""
 
 
 SERIAL_ANSWER_S = 0.14
-"""Parameter answer_s of the planner with a serial line [s]. The time includes the transmission time
-of a table."""
+"""Value of the planner's parameter `answer_s` if the board is connected by a serial line [s]. It
+includes the transmission time of a table."""
 
 SERIAL_HANDOVER_S = 0.08
-"""Parameter handover_s of the solver with a serial line [s]. The time includes the transmission
-time of a table."""
+"""Value of the solver's parameter `handover_s` if the board is connected by a serial line [s]. It
+includes the transmission time of a table."""
 
 
 class GraphError(PlateError):

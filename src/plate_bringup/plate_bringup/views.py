@@ -23,7 +23,8 @@ FARTHEST_M = 100.0
 """Upper end of the search for the camera's distance [m]."""
 
 HALVINGS = 60
-"""Number of bisections of that range. The result is exact, except for rounding."""
+"""Number of bisections in the search for the camera's distance. The result is exact, except for
+rounding."""
 
 
 def view_from(

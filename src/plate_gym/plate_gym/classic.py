@@ -29,7 +29,9 @@ FASTEST_MPS = 0.03
 """Maximum requested drift [m/s]."""
 
 MAX_GAIN = 3.0
-"""Maximum of the inverse singular values (section 3.1.5)."""
+"""Upper bound of the reciprocal singular values of the matrix of mean forces (section 3.1.5). If
+the reciprocal of a singular value exceeds it, its direction is omitted. Otherwise two close parts
+would cause very large weights."""
 
 PERIOD_S = 0.2
 """Period of a cycle [s]."""

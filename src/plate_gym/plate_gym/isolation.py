@@ -28,7 +28,7 @@ from plate_core import PlateError
 __all__ = ["ALIVE", "LIMITS", "REPLY_BYTES", "Limits", "play", "stop"]
 
 REPLY_BYTES = 100_000
-"""Maximum size of a reply [bytes]. A row has 500."""
+"""Maximum size of a reply [bytes]. A reply that contains a row has about 500 bytes."""
 
 ALIVE = b".\n"
 """Line that a supervisor sends when it begins, and about every second during an episode."""

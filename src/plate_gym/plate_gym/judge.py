@@ -43,11 +43,11 @@ ROBOT_S = 2.0
 """Cycle time of the robot that receives the parts [s]."""
 
 MAX_PICKS = 1 + int(FEED_S / ROBOT_S - (1 - ASKS))
-"""Maximum number of parts that this robot can take. The robot requests the first part at the
-beginning."""
+"""Maximum number of parts that the robot can take in a feed task. The robot requests the first part
+at the beginning of the task."""
 
 ENOUGH = 0.9
-"""Fraction of these parts that must be picked for success."""
+"""Minimum fraction of `MAX_PICKS` that the robot must pick for success."""
 
 
 @dataclass(frozen=True)

@@ -31,7 +31,8 @@ CENTRE_NOISE_M = 3e-5
 vision in noisy images (sort_10 and align_6, 30 images each)."""
 
 ANGLE_NOISE = 3.5e-3
-"""Standard deviation of the angles in `parts` [rad]. This noise was measured in the same images."""
+"""Standard deviation of the angles in `parts` [rad]. This noise was measured for this project's
+vision in noisy images (sort_10 and align_6, 30 images each)."""
 
 REST = PlateCycle.rest(IDLE_S)
 """Cycle at rest that all plates share. If each plate had a cycle object of its own, the `info` of

@@ -48,8 +48,8 @@ ALIVE_S = 1.0
 """Interval between two lines `ALIVE` [s]."""
 
 ENDING_S = 10.0
-"""Maximum time in which the processes of an agent must end [s]. Each pass takes some
-milliseconds."""
+"""Maximum time in which the processes of an agent must end [s]. All processes are ended again and
+again until none is left. One pass takes some milliseconds."""
 
 PR_SET_PDEATHSIG, PR_SET_CHILD_SUBREAPER = 1, 36
 """Options from linux/prctl.h. The first is the signal that a process receives when its parent ends.

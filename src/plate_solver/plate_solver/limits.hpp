@@ -46,9 +46,10 @@ inline double greatest(const Four& value) {
     return std::max(std::max(value[0], value[1]), std::max(value[2], value[3]));
 }
 
-// Maximum utilisation of stroke, speed and acceleration: the first three ratios in limits.py. If
-// `linear`, R p - p is replaced by its derivative at home times theta. The values of the four
-// motors are computed in parallel, and then the values of the four corners.
+// Largest utilisation of the limits of stroke, speed and acceleration (1: exactly at the limit).
+// limits.py defines these three ratios. If `linear`, R p - p is replaced by its derivative at home
+// times theta. The values of the four motors are computed in parallel, and then the values of the
+// four corners.
 PLATE_WIDE inline double motion_use(Samples pose, Samples twist, Samples accel,
                                     const Limits& limits, bool linear) {
     Four px, py, ex, ey, corner_x, corner_y, stroke{}, speed{}, peak{};
@@ -82,8 +83,8 @@ PLATE_WIDE inline double motion_use(Samples pose, Samples twist, Samples accel,
                      std::sqrt(greatest(peak)) / limits.accel});
 }
 
-// Maximum utilisation of the motors' peak and continuous force: the last two ratios in limits.py.
-// The values of the four motors are computed in parallel.
+// Largest utilisation of the motors' peak and continuous force (1: exactly at the limit). limits.py
+// defines these two ratios. The values of the four motors are computed in parallel.
 PLATE_WIDE inline double force_use(Samples pose, Samples twist, Samples accel,
                                    View<const double, 1> weight, const Limits& limits) {
     Four loads[3][3], most{}, square{};
@@ -106,8 +107,8 @@ PLATE_WIDE inline double force_use(Samples pose, Samples twist, Samples accel,
     return std::max(greatest(most), limits.heat * std::sqrt(hottest));
 }
 
-// Maximum limit utilisation of samples (n, 3) of a motion. `weight` (m,) is the duration that each
-// sample represents. The weights repeat after m samples.
+// Largest utilisation of any rig limit (1: exactly at the limit) by samples (n, 3) of a motion.
+// `weight` (m,) is the duration that each sample represents. The weights repeat after m samples.
 inline double limit_use(Samples pose, Samples twist, Samples accel, View<const double, 1> weight,
                         const Limits& limits, bool linear) {
     const double used = motion_use(pose, twist, accel, limits, linear);

@@ -38,7 +38,8 @@ the plate's spin needs up to 2 % more force, and heat needs up to 3 % more (test
 test_weak_motors.py)."""
 
 CERTAIN: float = _kernels.CERTAIN
-"""Maximum limit utilisation of a finished cycle, computed from its control points."""
+"""Largest permitted utilisation of any rig limit by a finished cycle (1: exactly at the limit). It
+is computed from the control points of the cycle."""
 
 EQUAL_WEIGHT = np.ones(1)
 """Weight of samples at equal steps."""
@@ -104,7 +105,7 @@ def limit_use(
     pose: np.ndarray, twist: np.ndarray, accel: np.ndarray, weight: np.ndarray, limits: Limits,
     linear: bool,
 ) -> float:  # fmt: skip
-    """Return the maximum limit utilisation of samples (n, 3) of a motion, as a fraction of a limit.
+    """Return the largest utilisation of any rig limit by samples (n, 3) of a motion.
 
     With the control points of a spline motion, the result is an upper bound, as in
     `plate_core.motion.usage`. With `linear`, the motors' travel and the corners' positions are
@@ -151,7 +152,7 @@ def within_limits(
 
 
 def _use(cycle: PlateCycle, full: Limits) -> float:
-    """Return the maximum limit utilisation of a cycle's control points, as a fraction of a limit.
+    """Return the largest utilisation of any rig limit by a cycle's control points.
 
     The heat of the motors is computed for the cycle, for the cycle with its tail, and for the tail
     only. The largest value counts. The tail is computed separately because the next cycle may begin

@@ -44,7 +44,8 @@ MAX_BROWSERS = 32
 """Maximum number of browsers."""
 
 MAX_VIEWERS = 24
-"""Maximum number of viewers. This number is smaller, so that an operator can always connect."""
+"""Maximum number of viewers. This number is smaller than `MAX_BROWSERS`, so that an operator can
+always connect."""
 
 MAX_REQUESTS = 100
 """Maximum number of open HTTP connections. Further connections are closed at once."""

@@ -38,15 +38,15 @@ ONCE = ("home", "calibrate", "call")
 """Commands that must not be repeated. The command `enable` must not be repeated either."""
 
 AGAIN_S = 0.5
-"""Time without a reply after which any other command is repeated [s]. DDS may lose the first reply
-of a service that was just discovered."""
+"""Time without a reply after which a command is repeated [s], if it is allowed to be repeated (see
+`ONCE`). DDS may lose the first reply of a service that was just discovered."""
 
 SERVICE = re.compile(r"/?([A-Za-z_]\w*/)*[A-Za-z_]\w*", re.ASCII)
 """Valid names of services."""
 
 CALLS = QoSProfile(depth=1000)
-"""The same profile as in plate_core.ros. The profile is repeated here because the import of
-plate_core.ros takes too long."""
+"""QoS profile of service calls, equal to `CALLS` in plate_core.ros. The profile is repeated here
+because the import of plate_core.ros takes too long."""
 
 NAME = "plate_command"
 

@@ -44,8 +44,8 @@ smaller, the stamp counts as the time of the camera trigger. The image was then 
 stamp."""
 
 LATE = 0.01
-"""Maximum difference between `Estimator.stamp` and the time of a prediction, as a fraction of the
-time from the prediction to that time. If the difference is larger, the parts are not compared with
+"""Maximum difference between the stamp of an image and the time of a prediction, as a fraction of
+the time that the prediction covers. If the difference is larger, the parts are not compared with
 the prediction."""
 
 FEWER = 0.02

@@ -46,13 +46,13 @@ ACQUIRE = 12
 time."""
 
 IRREGULAR = 6.0
-"""If a stamp deviates by more than this number of standard deviations, the camera is not regular
-and the estimation restarts."""
+"""Maximum deviation of a stamp from its prediction, in standard deviations of this deviation. If it
+is exceeded, the camera is not regular and the estimation restarts."""
 
 OTHER = 0.3
-"""Fraction of the estimated interval for a check of the median interval of the last stamps. If the
-median deviates from the estimate by more than this fraction plus two standard deviations of the
-stamps, the estimation restarts."""
+"""Maximum deviation of the median interval of the last stamps from the estimated interval, as a
+fraction of the estimated interval. Two standard deviations of the stamps are added to it. If the
+deviation is larger, the estimation restarts."""
 
 WIDEST = 2.0
 """If the standard deviation of the stamps exceeds this value, the estimation restarts

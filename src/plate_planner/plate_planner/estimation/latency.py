@@ -40,19 +40,20 @@ CLEAR = 12.0
 is large because the model and the noise are not exact."""
 
 BETTER = 4.0
-"""Another latency is accepted if its log-likelihood is higher by this value. This smaller value
-applies from the first image of a moving plate on."""
+"""Minimum difference between the log-likelihoods of another latency and of the accepted latency. If
+it is reached, the other latency is accepted. The value is smaller than `CLEAR`, so that a wrong
+latency is soon replaced."""
 
 SOON_IMAGES = 4
-"""Number of images at cycle starts. After this number, a larger difference is required to accept
-another latency."""
+"""Number of images at cycle starts. After this number, a difference larger than `BETTER` is
+required to accept another latency."""
 
 MISFIT = 6.0
 """Maximum mean square of the normalised innovations (expected: 1). If it is exceeded, all
 hypotheses are wrong and the estimation restarts."""
 
 MISFIT_IMAGES = 8
-"""Number of images over which this mean square is averaged."""
+"""Number of images over which the mean square of the normalised innovations is averaged."""
 
 MEMORY_S = 3.0
 """Time constant with which old images lose their weight in the likelihood [s]."""

@@ -62,7 +62,7 @@ MANY_UNWANTED = 5
 enough other parts are ready."""
 
 PURGED = 6.0
-"""In a purge: weight of the distance to the chute for the part nearest to it, relative to the
+"""Weight of the distance to the chute for the part nearest to it during a purge, relative to the
 weight of other parts [-]."""
 
 NEAREST_M = 1e-3
@@ -89,7 +89,8 @@ NEAR_EDGE = 1.5
 having left over this edge. The distance is measured from the part's last position."""
 
 NEAR_CHUTE = 4.0
-"""The same distance for the chute's edge [its reach]."""
+"""Maximum distance of a vanished part from the chute's edge [its reach]. Within it, the part counts
+as having left over this edge. The distance is measured from the part's last position."""
 
 
 @dataclass(frozen=True)

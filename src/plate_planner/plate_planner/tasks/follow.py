@@ -38,7 +38,8 @@ LACKING = 0.1
 """Shortfall of drift in a cycle [path's speed]. If it is larger, the references slow down."""
 
 SLOW_DOWN = 0.7
-"""Factor by which the speed scaling is then multiplied [-]."""
+"""Factor on the speed scaling after a cycle in which the shortfall of drift exceeds `LACKING`
+[-]."""
 
 LEAST = 0.05
 """Minimum speed scaling due to a shortfall of drift [-]. There is no minimum for errors: they may

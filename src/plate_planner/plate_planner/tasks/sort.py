@@ -33,7 +33,8 @@ LANE = 0.1
 shorter distances, the weight is proportional to the distance."""
 
 CROWDED_LANE = 0.3
-"""The same for more than `CROWD` parts [-]."""
+"""Weight of the distance from a lane if there are more than `CROWD` parts, for a part with at least
+`LANE_M` to go along x [-]. For shorter distances, the weight is proportional to the distance."""
 
 LANE_M = 0.1
 """Distance along x from which the lane has its full weight [m]."""

@@ -56,14 +56,14 @@ MARK_PLACE = 0.5
 """Distance of the mark from a disc's centre [disc radii]. The mark shows the angle of the disc."""
 
 MARK_RADIUS = 0.3
-"""Radius of this mark [disc radii]."""
+"""Radius of the mark on a disc [disc radii]."""
 
 MARK_OF_DARK = 130.0
 """Grey value of the mark on a part that is darker than `LIGHT`. The mark contrasts with the part.
 The mark is darker than the plate, so that the part remains one dark disc."""
 
 MARK_OF_LIGHT = 40.0
-"""Grey value of the mark on any other part."""
+"""Grey value of the mark on a part that is not darker than `LIGHT`."""
 
 LIGHT = 85.0
 """Grey value below which a part counts as dark."""

@@ -28,7 +28,8 @@ namespace plate::disc {
 constexpr double SNAP = 1e-3;
 // Tolerance of the slip's component across the normal, relative to the velocity step.
 constexpr double CLOSE = 1e-9;
-// Maximum relative difference of two numbers whose arithmetic and geometric means are equal up to
+// Stopping tolerance of the arithmetic-geometric mean: maximum of half the difference of the two
+// numbers, relative to their mean. Below it, their arithmetic and geometric means are equal up to
 // rounding.
 constexpr double MEANS = 2e-8;
 // Maximum k^2 for the series. The omitted terms are below 2e-10 mu m g.

@@ -123,8 +123,8 @@ class Disturbances:
         Length [m], direction from x [degrees], and width of the soft edge [m] of the shadows that
         `shadows` sets.
     light_step, light_step_s : float
-        Relative change of the light, and time of this change since the beginning [s]. The change is
-        permanent.
+        Relative change of the light, and time of this change after the start of the simulation [s].
+        The change is permanent.
     flicker, flicker_hz : float
         Relative amplitude and frequency [Hz] of a sinusoidal change of the light from image to
         image.
@@ -197,7 +197,7 @@ class Disturbances:
         return {"black": self.black_grey, "grey": self.grey_grey}
 
     def lighting(self, time_s: float) -> Lighting:
-        """Return the light of an image taken at `time_s` [s] since the beginning."""
+        """Return the light of an image taken at `time_s` [s] after the start of the simulation."""
         level = 1 + self.flicker * math.sin(2 * math.pi * self.flicker_hz * time_s)
         if time_s >= self.light_step_s:
             level *= 1 + self.light_step

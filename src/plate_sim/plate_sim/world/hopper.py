@@ -29,7 +29,7 @@ SLIDE_STEP_M = 1e-3
 """Step [m] in which a part slides off another part."""
 
 TOUCH_M = 1e-6
-"""Maximum gap between the two parts at the end [m]."""
+"""Maximum gap between two parts after one of them has slid off the other [m]."""
 
 
 @dataclass(frozen=True)

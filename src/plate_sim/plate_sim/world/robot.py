@@ -170,8 +170,8 @@ class Robot:
         failure : float
             Probability that a part slips.
         now, shown : float
-            `now` is the time of the move [s]. Images may still show the state at the time `shown`
-            [s].
+            Time of the move, and earliest time that later images may still show [s]. Gripper
+            positions that were left before the time `shown` are deleted.
 
         Raises
         ------

@@ -74,9 +74,9 @@ class Simulation:
     plate : PlateState
     disturbances : Disturbances
     dropped, chuted : int
-        Number of parts that left the plate since the beginning. `chuted` counts the parts that left
-        over the side of the task's chute, and `dropped` all other parts. Parts that were removed by
-        hand or by the robot are not counted.
+        Number of parts that left the plate after the start of the simulation. `chuted` counts the
+        parts that left over the side of the task's chute, and `dropped` all other parts. Parts that
+        were removed by hand or by the robot are not counted.
     chuted_classes : Counter of str
         Number `chuted`, by class.
     """

@@ -25,8 +25,9 @@ struct Rules {
     int pieces;
 };
 
-// Writes the slip (2 N + 1, 2) under a part at (x, y) with velocity (vx, vy), for a motion (2 N, 3)
-// in plate_home.
+// Writes the coefficients (2 N + 1, 2) of the slip velocity of the plate relative to a part at
+// (x, y) with velocity (vx, vy). The last row is the constant term. The motion of the plate has
+// `coefficients` (2 N, 3) in plate_home.
 [[gnu::always_inline]] inline void slip_at(View<const double, 2> coefficients, double x, double y,
                                            double vx, double vy, View<double, 2> slip) {
     const int rows = coefficients.size(0);

@@ -32,8 +32,8 @@ PIECES_PER_HARMONIC = 8
 """Number of pieces of the period per harmonic in the adaptive quadrature."""
 
 DEGREE = 10
-"""Degree of the Taylor polynomials in these pieces. Their error in the highest harmonic of the slip
-is (pi/8)^11 / 11! = 1e-12."""
+"""Degree of the Taylor polynomials in the pieces of the adaptive quadrature. Their error in the
+highest harmonic of the slip is (pi/8)^11 / 11! = 1e-12."""
 
 FEW = 0
 """Quadrature by a few equal steps."""

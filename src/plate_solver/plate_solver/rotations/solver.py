@@ -39,10 +39,10 @@ CLOSURES = ("sequence", "strokes")
 
 FINER = 3
 """Factor on the number of steps if the evaluation with fine steps contradicts the search. The
-search then continues with more steps."""
+search then continues with the larger number of steps."""
 
 POLISH = 6
-"""Maximum number of iterations of this continued search."""
+"""Maximum number of iterations of a search that continues with more steps (see `FINER`)."""
 
 SHAKE = 0.3
 """Standard deviation of a random change of the best parameters, in units of the parameters."""

@@ -315,7 +315,7 @@ class SinusoidFamily:
         return np.ascontiguousarray(jacobian.transpose(2, 1, 0)).reshape(by_twist.shape[2], -1)
 
     def use(self, parameters: np.ndarray) -> float:
-        """Return the maximum limit utilisation of the samples, as a fraction of a limit."""
+        """Return the largest utilisation of any rig limit by the samples (1: at the limit)."""
         own, basis = self.coefficients(parameters), self.basis
         pose, twist, accel = basis.pose @ own, basis.twist @ own, basis.accel @ own
         return float(limit_use(pose, twist, accel, EQUAL_WEIGHT, self._limits, True))

@@ -52,7 +52,7 @@ struct Problem {
     View<const float, 2> start;  // parts in blocks, (b, STATE) or (b, TURNING_STATE)
     Ends ends;
     double coast;  // time by which the ends are extrapolated [s]
-    double most;   // maximum limit utilisation during the search, as a fraction
+    double most;   // largest permitted utilisation of any limit (1: exactly at the limit)
 
     int blocks() const { return start.size(0); }
     bool turning() const { return start.size(1) == TURNING_STATE; }
@@ -84,7 +84,7 @@ public:
         if (problem.settling.moves) settling_use = use_of(problem.settling.looked);
     }
 
-    // Scales a motion down to the permitted limit utilisation, and computes its errors [m].
+    // Scales a motion down to the permitted utilisation of the limits, and computes its errors [m].
     void evaluate(std::vector<double>& theta, std::vector<double>& error) {
         const Limits& limits = motions.limits;
         look_at(theta);
@@ -138,7 +138,7 @@ private:
     const Motions& motions;
     Room& room;
     int blocks, axes;
-    double settling_use = 0;  // utilisation of the limits by the settling motion, as a fraction
+    double settling_use = 0;  // largest utilisation of any limit by the settling motion
     View<float, 3> steps;
 
     double use_of(const Looked& at) const {

@@ -62,7 +62,7 @@ class Problem(NamedTuple):
     coast : float
         As in `Goal` [s].
     most : float
-        Maximum limit utilisation during the search, as a fraction of the limits.
+        Largest permitted utilisation of any rig limit during the search (1: exactly at the limit).
     """
 
     motions: Motions

@@ -32,7 +32,7 @@ class LimitedSinusoids(SinusoidFamily):
     basis : SinusoidBasis
     limits : Limits
     most : float
-        Maximum limit utilisation. 1 means that the limits are kept.
+        Largest permitted utilisation of any rig limit (1: exactly at the limit).
     plate : (3, 3), optional
         Initial state of the plate, as `PlateCycle.state`. Default: at rest.
     """
@@ -56,7 +56,7 @@ class LimitedSinusoids(SinusoidFamily):
         return self.basis.cycle(self.coefficients(parameters), self.plate)
 
     def admissible(self, parameters: np.ndarray) -> np.ndarray:
-        """Scale the parameters down if the limit utilisation exceeds `most`."""
+        """Scale the parameters down if the utilisation of a rig limit exceeds `most`."""
         return parameters * min(1.0, self._most / max(self.use(parameters), 1e-300))
 
     def nearest(self, twist: np.ndarray) -> np.ndarray:

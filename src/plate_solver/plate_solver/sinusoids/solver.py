@@ -26,12 +26,8 @@ closed loop. Few harmonics make the search fast, short cycles correct friction e
 long cycles use the stroke."""
 
 LASTING_CYCLES = (4, 4, 0.1), (8, 6, 0.15), (math.inf, 8, 0.2)
-"""Cycles from rest to rest for lasting goals, with the same entries as `EXACT_CYCLES`."""
-LASTING_CYCLES = (4, 4, 0.1), (8, 6, 0.15), (math.inf, 8, 0.2)
-"""Maximum number of requested coordinates, number of harmonics and period [s] of cycles from rest
-to rest (rank 6 N - 7), for forces and for lasting goals. The values were tuned in closed loop. Few
-harmonics make the search fast, short cycles correct friction errors early, and long cycles use the
-stroke."""
+"""Cycles from rest to rest for lasting goals. Each entry is the maximum number of requested
+coordinates, the number of harmonics N and the period [s], as in `EXACT_CYCLES`."""
 
 GOING_ON = (15.0, 8, 0.2), (math.inf, 8, 0.1)
 """Cycles with a free end. Each entry is the maximum shaking ratio Gamma, the number of harmonics

@@ -51,7 +51,8 @@ FINE: Grid = (PREDICTION_STEP, 1, 5)
 """Grid on which the finished motion is evaluated."""
 
 BEYOND = 1.3
-"""Maximum limit utilisation during the search, as a fraction of the limits."""
+"""Largest permitted utilisation of any rig limit by a motion during the search (1: exactly at the
+limit)."""
 
 FRESH = 3
 """Number of additional random starts. Random starts are used if there is no last motion."""
@@ -115,7 +116,7 @@ class SinusoidSteering:
         self._threads = ThreadPoolExecutor(min(threads, AT_ONCE)) if threads > 1 else None
         self._clock = clock
         self.cut_short = 0
-        self._finishing = 0.0  # duration of the last final corrections [s]
+        self._finishing = 0.0  # duration of the final corrections in the previous search [s]
         # Twists of the last result for each key.
         self._warm: dict[tuple[int, float, Grid, bool], np.ndarray] = {}
         self._motions: dict[tuple[int, float, Grid, bool], Motions] = {}

@@ -314,7 +314,9 @@ class Operator:
 
         def never_began(text: str) -> None:
             own.ended = True
-            if self._goal is own:  # the previous task still runs
+            # This goal did not replace the previous task. Therefore show the previous task again,
+            # unless it has ended.
+            if self._goal is own:
                 self._goal = None if before is None or before.ended else before
             reply(False, text)
 
