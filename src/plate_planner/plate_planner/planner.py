@@ -308,9 +308,9 @@ class Planner:
         parts : Parts
             Detected parts.
         t : float
-            Stamp of the image [s]. If it is the same stamp as before, the same request is returned.
-            An earlier stamp means that the source of the images was restarted. In this case a
-            running task restarts.
+            Stamp of the image [s]. If it is the same stamp as before, the same request is returned,
+            or `NOTHING` if the task has ended since. An earlier stamp means that the source of the
+            images was restarted. In this case a running task restarts.
 
         Returns
         -------
@@ -320,7 +320,8 @@ class Planner:
         progress : Progress
         """
         if state.answer is not None and t == state.estimator.clock.stamp:
-            return state, *state.answer
+            wanted, progress = state.answer
+            return state, wanted if state.task.active else NOTHING, progress
         return self.answer(self.see(state, parts, t))
 
     def answer(self, state: PlannerState) -> tuple[PlannerState, Wanted, Progress]:

@@ -274,6 +274,20 @@ def test_the_same_image_again_gets_the_same_answer_and_changes_nothing():
     assert again_progress is progress
 
 
+def test_the_same_image_again_after_a_stop_is_answered_by_rest():
+    """The driver refuses the cycle of a task that has ended, and in lockstep the next image comes
+    only after a cycle that it accepts."""
+    scenario = load_scenario("follow_2")
+    plant, planner = Plant(scenario), Planner(RIG, scenario)
+    state, _, _ = run(planner, plant, cycles=5)
+    state, asked, _ = planner.plan(state, plant.seen(), 5 * T)
+    assert len(asked.parts)
+    stopped = planner.stop(state)
+    again_state, again, _ = planner.plan(stopped, plant.seen(), 5 * T)
+    assert again_state is stopped
+    assert not len(again.parts)
+
+
 def test_time_going_back_begins_a_running_task_again():
     scenario = load_scenario("follow_2")
     plant, planner = Plant(scenario), Planner(RIG, scenario)

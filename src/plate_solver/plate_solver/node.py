@@ -183,14 +183,19 @@ class SolverNode(SafeLifecycleNode[Options]):
                 return
             self._sent.clear()
             self._controller.reset()
+        # If the task has ended, the driver may refuse the cycle in motion for this image. In
+        # lockstep, the simulator waits until the driver accepts a cycle for it: rest.
+        repeated = newest == stamp_ns and (len(wanted.parts) > 0 or not self._sent[-1].cycle.moves)
         if rivals := self.rivals("part_forces"):
             cycle = self._rest(rivals)
-        elif newest == stamp_ns:
+        elif repeated:
             cycle = self._sent[-1].cycle
         else:
             cycle = self._answer(wanted, stamp_ns, nanoseconds(msg.start))
         self._send(cycle, msg.header.stamp)
-        if newest != stamp_ns:
+        if not repeated:
+            if newest == stamp_ns:
+                self._sent.pop()
             self._sent.append(Sent(stamp_ns, self._now_ns(stamp_ns), cycle))
 
     def _send(self, cycle: PlateCycle, stamp: Time) -> None:

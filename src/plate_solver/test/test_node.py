@@ -164,6 +164,13 @@ def test_life_of_a_solver(peer, rig, capfd):
     again = msg_to_cycle(peer.answer(last_ns, count=2))
     np.testing.assert_array_equal(again.knot_pose, first.knot_pose)
 
+    # A request without parts after the end of a task is answered by rest, and this answer stays.
+    nothing = Wanted.make(Parts.make((), np.zeros((0, 2))))
+    for count, ended in enumerate((nothing, other), start=3):
+        peer.send(ended, last_ns)
+        assert not msg_to_cycle(peer.answer(last_ns, count)).moves
+    peer.solver.begin()
+
     # The other method, live; it carries on where the first one was.
     result = peer.set_method("rotations")
     assert result.successful, result.reason
