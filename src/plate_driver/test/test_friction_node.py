@@ -112,6 +112,28 @@ def test_nobody_waits_for_images_that_do_not_come(driven):
     assert not driven.setpoints
 
 
+def test_simulated_time_that_stops_ends_it(monkeypatch):
+    """As in lockstep: the simulator waits for a cycle, and publishes its image again and again."""
+    driven = Driven(monkeypatch, "use_sim_time:=true")
+    parts = Parts.make(("black_1", "grey_1"), np.array([[-0.1, 0.0], [0.1, 0.0]]))
+    try:
+        assert start(driven).success
+        for _ in range(4):
+            driven.node._friction._on_parts(parts_to_msg(parts, to_time(1)))
+            driven.pass_time(1.0)
+            assert said(driven).state == Friction.RUNNING
+        assert driven.send(CALM, 1).startswith("the driver is calibrating")
+        driven.pass_time(2.0)
+        assert said(driven).state == Friction.FAILED
+        assert said(driven).text.startswith("friction: simulated time has stopped")
+        assert "In lockstep" in said(driven).text
+        assert driven.node.status.state is DriverState.READY
+        assert not driven.setpoints  # one image in four copies is not four images
+        assert isinstance(driven.send(PlateCycle.rest(0.1), 1), int)  # the simulator continues
+    finally:
+        driven.close()
+
+
 def test_a_stop_and_its_own_end_it(driven):
     plate = Plate(driven)
     start(driven)

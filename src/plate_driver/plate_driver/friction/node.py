@@ -47,6 +47,12 @@ IMAGES = 4
 MAX_WAIT_S = 5.0
 """Maximum wait for images that show the parts at rest [s]."""
 
+STILL_CALLS = 250
+"""Maximum number of consecutive calls of `watch` at the same time: 5 s of wall time. Simulated time
+stops if the simulator is not active or has ended. In lockstep it always stops: the simulator waits
+for a cycle, which the driver refuses during a measurement, or which the planner does not request
+before the first goal. Calls are counted, because this process may have been suspended."""
+
 
 class FrictionServer:
     """Measures friction with the driver's transport, one push after the other.
@@ -69,10 +75,11 @@ class FrictionServer:
         self._measurement: FrictionMeasurement | None = None
         self._played: Push | None = None
         self._plays: PlateCycle | None = None
-        # Images with later stamps show parts at rest. It is None if this time is not known.
+        # New images from this stamp on show parts at rest. It is None if this time is not known.
         self._after_ns: int | None = None
         self._images: list[Parts] = []
         self._since = 0.0  # start of the wait for parts at rest [s]
+        self._now, self._still = -1.0, 0  # time of the last `watch` [s], calls of it at this time
 
     @property
     def running(self) -> bool:
@@ -144,14 +151,16 @@ class FrictionServer:
     # Work
 
     def _on_parts(self, msg: PartsMsg) -> None:
-        """Keep the parts of an image that was taken after the end of the push.
+        """Keep the parts of a new image that was taken after the end of the push.
 
-        The stamp is compared, because an image may arrive much later on a busy computer.
+        The stamp is compared, because an image may arrive much later on a busy computer. In
+        lockstep the same image arrives several times.
         """
-        after_ns = self._after_ns
-        if self._running and after_ns is not None and nanoseconds(msg.header.stamp) >= after_ns:
+        after_ns, stamp_ns = self._after_ns, nanoseconds(msg.header.stamp)
+        if self._running and after_ns is not None and stamp_ns >= after_ns:
             try:
                 self._images.append(msg_to_parts(msg))
+                self._after_ns = stamp_ns + 1
             except PlateError as error:
                 self._driver.get_logger().warning(f"parts: {error}", throttle_duration_sec=2.0)
 
@@ -176,6 +185,13 @@ class FrictionServer:
             # This number of stops also differs if the motors were enabled again after a stop.
             if driver.latch.number != self._stops:
                 raise PlateError("the motors were stopped")
+            self._still = self._still + 1 if now == self._now else 0
+            self._now = now
+            if self._still > STILL_CALLS:
+                raise PlateError(
+                    "friction: simulated time has stopped, allowed: time that advances; is the "
+                    "simulator active? In lockstep, friction cannot be measured"
+                )
             if self._plays is not None:
                 guard = driver.playback.guard
                 over_s = now - guard.sent_at - guard.lasts_s
