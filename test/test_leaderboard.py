@@ -61,7 +61,7 @@ def test_better_and_faster_agents_come_first(tmp_path):
     )
     assert "| 1/20 (1-24) | 1.0 |" in lines[2]
     (tmp_path / "none.json").write_text(json.dumps(result("none", 0, 9.0)), encoding="utf-8")
-    failed = "\n\nNo episode completed: [none](../../benchmarks/none.json).\n"
+    failed = "\n\nThese agents completed no episode: [none](../../benchmarks/none.json).\n"
     assert failed in leaderboard.tables(tmp_path)
     forged = result("slow", 20, 9.0)
     forged["tasks"]["Sort4-v1"] = {"rows": forged["tasks"]["Sort4-v1"]["rows"], "success": 9.0}

@@ -68,7 +68,7 @@ def tables(folder: Path) -> str:
         if lines := [f"| {' | '.join(cells)} |\n" for order, cells in rows if order[2]]:
             text += f"\n| {' | '.join(columns)} |\n|{'---|' * len(columns)}\n{''.join(lines)}"
         if failed := ", ".join(cells[0] for order, cells in rows if not order[2]):
-            text += f"\nNo episode completed: {failed}.\n"
+            text += f"\nThese agents completed no episode: {failed}.\n"
     return text
 
 

@@ -131,7 +131,8 @@ def do(*words: str) -> str:
         return subprocess.run(words, check=True, capture_output=True, text=True).stdout
     except (OSError, subprocess.CalledProcessError) as error:
         reason = getattr(error, "stderr", "") or str(error)
-        raise PlateError(f"{' '.join(words)}: {reason.strip()}; this requires root") from None
+        needs = "; this requires root" if os.geteuid() else ""
+        raise PlateError(f"{' '.join(words)}: {reason.strip()}{needs}") from None
 
 
 def enter(pid: int) -> list[str]:

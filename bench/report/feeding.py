@@ -31,7 +31,7 @@ def feeding(rows: list[Row]) -> Drawn:
     panels, cases = Panels(), [r | {"case": case(r)} for r in rows]
     speed = panels.add(
         "Speed and accuracy, robot of 2 s", Axis("parts a minute"),
-        Axis("pose error at the grip, 95 % [mm]", log=True),
+        Axis("pose error at the grip, 95th percentile [mm]", log=True),
     )  # fmt: skip
     usual = [r for r in cases if r["error_95_mm"] is not None and r["cycle_s"] == ROBOT_S]
     speed.kinds(usual, "method", "parts_per_min", "error_95_mm", LOOKS, note="{case}")
@@ -47,13 +47,14 @@ def feeding(rows: list[Row]) -> Drawn:
     small = [{**r, "kind": "discs in a window of 100 mm"} for r in rows if r["window_mm"]]
     kinds = by([*(r for r in rows if r["changed"] == "kind"), *small], "kind")
     rates = "; ".join(
-        f"{kind} " + ", ".join(f"{r['parts_per_min']:.1f} {r['method']}" for r in these)
+        f"{kind} " + ", ".join(f"{r['parts_per_min']:.1f} ({r['method']})" for r in these)
         for kind, these in kinds.items()
     )
     lost = sum(r["lost"] for r in rows if r["method"] == "ours")
     return Drawn(
         panels,
-        f"Parts a minute with a robot cycle of 2 s (maximum 30): {rates}. "
+        "With a robot cycle of 2 s (maximum 30), the feeders deliver these parts a minute: "
+        f"{rates}. "
         f"This project's feeder lost {lost or 'none'} over an edge.",
     )
 

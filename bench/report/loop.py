@@ -168,14 +168,15 @@ def drives(rows: list[Row]) -> Drawn:
         (r["changed"], r["value"]): shown(r["rms_mm"]) for r in rows if r["drive"] == "interpolated"
     }
     words = {
-        ("latency_ms", 1): "drives that interpolate", ("latency_ms", 4): "with 4 ms of latency",
-        ("jitter_ms", 5): "with up to 5 ms of jitter", ("loop_hz", 75): "with loops of 75 Hz",
-        ("loop_hz", 300): "with loops of 300 Hz",
+        ("latency_ms", 4): "a latency of 4 ms", ("jitter_ms", 5): "a jitter of up to 5 ms",
+        ("loop_hz", 75): "loops of 75 Hz", ("loop_hz", 300): "loops of 300 Hz",
     }  # fmt: skip
-    found = ", ".join(f"{word} {errors[case]} mm" for case, word in words.items())
+    found = ", ".join(f"{errors[case]} mm with {word}" for case, word in words.items())
     return Drawn(
         panels,
-        f"Median error: bridges {shown(bridges['rms_mm'])} mm; {found}.",
+        f"The median error is {shown(bridges['rms_mm'])} mm for bridges, and "
+        f"{errors['latency_ms', 1]} mm for drives that interpolate, with the default values. "
+        f"If one value is changed, the error of these drives is {found}.",
     )
 
 
@@ -264,11 +265,13 @@ def horizon(rows: list[Row]) -> Drawn:
             ends = [one | {"change": one["change"] + sign * one["error"]} for sign in (-1, 1)]
             time.points(ends, "change", "name", Look(trial, colour, "", "-"))
     changes = "; ".join(
-        f"{trial}: " + ", ".join(changed(r) for r in these)
+        f"{trial} " + ", ".join(changed(r) for r in these)
         for trial, these in by(trials, "trial").items()
     )
     return Drawn(
-        panels, f"Change of the task time [%], and relative computing time in brackets: {changes}."
+        panels,
+        "Each trial changed the task time by these percentages (in brackets the relative computing "
+        f"time): {changes}.",
     )
 
 

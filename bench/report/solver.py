@@ -54,13 +54,13 @@ def solver(rows: list[Row]) -> Drawn:
         met = 100 * np.mean([error <= MAX_ERROR for error in column(mine, "error")])
         return f"{met:.0f} % in {shown(float(np.median(column(mine, 'ms'))))} ms"
 
-    lead = "; ".join(
-        f"{parts(n)} {solved_text(n, 'SinusoidSolver')} (scipy {solved_text(n, 'scipy lm')})"
+    lead = ", ".join(
+        f"with {parts(n)} {solved_text(n, 'SinusoidSolver')} ({solved_text(n, 'scipy lm')})"
         for n in counts
     )
     return Drawn(
         panels,
-        f"Requests solved within 1e-4 mu mg by Method B: {lead}.",
+        f"Method B (scipy in brackets) solves these requests within 1e-4 mu mg: {lead}.",
     )
 
 
@@ -95,9 +95,9 @@ def options(rows: list[Row]) -> Drawn:
     counts = " / ".join(str(n) for n in by(rows, "parts"))
     return Drawn(
         panels,
-        f"Error with {counts} parts: Method B {error_text('B', '40 restarts')}, Method A "
-        f"{error_text('A', '1 restarts')}, scipy with finite differences "
-        f"{error_text('scipy, own differences', '3 restarts')}.",
+        f"The errors with {counts} parts are {error_text('B', '40 restarts')} by Method B, "
+        f"{error_text('A', '1 restarts')} by Method A, and "
+        f"{error_text('scipy, own differences', '3 restarts')} by scipy with finite differences.",
     )
 
 

@@ -38,8 +38,8 @@ FIRST_SEED = 54000
 
 SHOTS, TYPED_SHOTS = 5, 6
 """Numbers of successive images of each layout, with different noise. For discs only the last image
-is evaluated, because a detector may learn from the others. For typed parts all are evaluated,
-because their light changes."""
+is evaluated, because a detector may learn from the others. For parts with part types, all images
+are evaluated, because the light changes between the images."""
 
 INTERVAL_S = 0.15
 """Time between two images [s], one cycle of the plate."""

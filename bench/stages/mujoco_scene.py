@@ -3,8 +3,8 @@
 A plate that moves as a mocap body does not drag parts. Therefore the scene is in the plate's frame,
 and gravity contains the negative acceleration of the plate. Parts on a plane have errors of several
 percent at every time step, because a sliding contact also lifts them. The best tested model is the
-dry friction of two slide joints per part. This model is as accurate as pymunk if the plate moves
-along one joint. In other directions friction is too strong, by up to sqrt(2).
+dry friction of two slide joints per part, along x and y. This model is as accurate as pymunk if the
+plate moves along one of these axes. In other directions friction is too strong, by up to sqrt(2).
 """
 
 from __future__ import annotations

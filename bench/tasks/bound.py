@@ -48,7 +48,8 @@ SEEDS = range(50_000, 50_005)
 
 
 def measure(quick: bool) -> Result:
-    """Search for all numbers of parts and lengths of a cycle, and run the loop."""
+    """Run the global search for each number of parts and each cycle length, and the closed loop for
+    each number of parts."""
     rig, cache = load_rig(), Cache.of(__name__)
     counts, periods = (COUNTS[:1], (0.1,)) if quick else (COUNTS, tuple(PERIODS))
     scenes, seeds = (1, SEEDS[:1]) if quick else (SCENES, SEEDS)

@@ -482,7 +482,9 @@ class Observer:
         while not self.until(lambda: self.record.ready, LOOK_S):
             reported = "nothing" if self.record.driver is None else self.record.driver.text
             if time.monotonic() > end:
-                raise GraphError(f"the driver is not ready within {READY_S:g} s: {reported}")
+                raise GraphError(
+                    f"the driver was not ready after {READY_S:g} s, its last report: {reported}"
+                )
             self._waiting(f"waiting for the driver, it reports: {reported}")
 
     def start(self, scenario: Scenario, ready_timeout_s: float = ACCEPTED_S) -> Task:

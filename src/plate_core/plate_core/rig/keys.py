@@ -71,7 +71,7 @@ CAMERA = Section(
         Key("exposure_s", Number(0, 0.1), "Exposure time."),
         Key(
             "readout_s", Number(0, 0.1), "Rolling shutter: delay of the last row's exposure after "
-            "the first.", 0.0,
+            "the first row's.", 0.0,
         ),
         Key("colour", Flag(), "Whether images have colour.", False),
         Key(
