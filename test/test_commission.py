@@ -370,7 +370,7 @@ def test_a_motor_that_does_not_move_is_said(bench, rig_file, capsys):
     bench.only(1)
     assert bench.run(rig_file) == 1
     said = capsys.readouterr().out
-    assert "error: motor_1: commanded 0.5 mm, by its own counts it moved +0.000 mm: does it" in said
+    assert "error: motor_1: commanded 0.5 mm, by its own counts it moved +0.000 mm, allo" in said
     assert all_off(bench)
 
 
@@ -400,7 +400,7 @@ def test_a_scale_that_is_far_too_great_ends_it_in_time(bench, rig_file, capsys):
     bench.truth[1] = (1, 1e3)  # of 1e6 in the file: 0.5 mm would be half a metre
     bench.only(1)
     assert bench.run(rig_file) == 1
-    assert "error: counts_per_m is 1e+06: is it too large?" in capsys.readouterr().out
+    assert "error: counts_per_m is 1e+06 and probably too large, because" in capsys.readouterr().out
     assert max(abs(place) for _, place in bench.reached) < 10e-3
     assert all_off(bench)
 

@@ -430,7 +430,7 @@ def test_given_and_scattered_parts_mix_in_the_order_of_the_file(tmp_path, rig):
 def test_too_many_parts_are_refused(tmp_path, rig):
     scenario = load_scenario(write(tmp_path, SORT.replace("count: 2", "count: 90")))
     large = replace(rig, parts=replace(rig.parts, radius_m=0.025))
-    with pytest.raises(ScenarioError, match=r"count: 90 .*, allowed: \d\d; .* 25 mm rad"):
+    with pytest.raises(ScenarioError, match=r"count is 90 .*, allowed: at most \d\d\. .* 25 mm"):
         start_positions(scenario, large, np.random.default_rng(0))
 
 

@@ -15,7 +15,8 @@ from .transports import ANSWER_S, BUSY_S, Condition, Latch, Order, Transport, Tr
 __all__ = ["TransportOwner"]
 
 SETTLED_PERIOD_S = 0.02
-"""Time between checks whether the stop of a temporary transport is settled [s]."""
+"""Time between checks whether the stop of a temporary transport is complete (successful or failed)
+[s]."""
 
 OFF_PERIOD_S = 0.01
 """Time between checks whether the motors are off [s]."""
@@ -28,7 +29,8 @@ class TransportOwner:
     """Opens and closes the driver's transport, and stops the motors.
 
     `stop` may be called from any thread and in any lifecycle state. A temporary transport that it
-    opens is closed when the stop is settled, or when `open` or `close` is called.
+    opens is closed when the stop is complete (successful or failed), or when `open` or `close` is
+    called.
 
     Parameters
     ----------
@@ -151,7 +153,7 @@ class TransportOwner:
             temporary.close()
 
     def _keep_temporary(self) -> None:
-        """Keep the temporary transport open until its stop is settled."""
+        """Keep the temporary transport open until its stop is complete (successful or failed)."""
         while self.temporary is not None:
             time.sleep(SETTLED_PERIOD_S)
             with self._changing:

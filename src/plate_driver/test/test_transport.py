@@ -120,8 +120,8 @@ def test_a_line_too_slow_is_refused_with_the_numbers():
     with pytest.raises(PlateError) as caught:
         make_transport("serial", context(port="/dev/plate", baud=38_400))
     assert str(caught.value) == (
-        "baud is 38400: a cycle of 64 pieces takes 1.35 s, "
-        "allowed: at most longest_upload_s = 0.5 s"
+        "baud is 38400, so the upload of a cycle with 64 pieces takes 1.35 s, "
+        "allowed: at most 0.5 s (longest_upload_s)"
     )
     make_transport("serial", context(port="/dev/plate", baud=115_200))
     make_transport("serial", context(port="/dev/plate", baud=38_400, longest_upload_s=1.4))

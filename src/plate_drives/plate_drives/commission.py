@@ -125,13 +125,17 @@ class Dialogue:
             for part in STAGES:
                 question = f"Commanded {1e3 * size * before:g} mm: did it move about 1 mm? no/yes:"
                 if before and self.ask(question, axis) != "no":
-                    raise PlateError(f"counts_per_m is {drive.counts_per_m:g}: is it too large?")
+                    raise PlateError(
+                        f"counts_per_m is {drive.counts_per_m:g} and probably too large, because "
+                        f"you saw about 1 mm when {1e3 * size * before:g} mm was commanded"
+                    )
                 axis.follow(_move(size * before, size * part, seconds), seconds)
                 before = part
             if axis.travel < size / 2:
                 raise PlateError(
                     f"motor_{number}: commanded {1e3 * size:g} mm, by its own counts it moved "
-                    f"{1e3 * axis.travel:+.3f} mm: does it follow? Or counts_per_m is too small"
+                    f"{1e3 * axis.travel:+.3f} mm, allowed: at least {500 * size:g} mm. It does "
+                    "not follow, or counts_per_m is too small"
                 )
             answer = self.ask(f"Which motor moved, 1 to 4? Enter for {number}:", axis)
             if answer not in ("", "1", "2", "3", "4"):

@@ -136,7 +136,10 @@ def _of_drive(number: int, drive: Drive, found: Mapping[int, Found]) -> Iterator
         why = f"error code {code:04X}h{emergency_words(code)}, error register {register:02X}h"
         yield f"{trouble_text(number, Trouble.FAULT, code=status)}: {why}"
     elif enabled(status):
-        yield f"{name}: the drive has current (statusword {status:04X}h): who controls it?"
+        yield (
+            f"{name}: the drive has current (statusword {status:04X}h), allowed: no current. "
+            "Another program may control it"
+        )
 
 
 def _of_limits(drive: Drive, one: Found, limits: Limits) -> Iterator[tuple[str, bool]]:

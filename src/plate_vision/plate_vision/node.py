@@ -437,8 +437,8 @@ class DetectorNode(SafeLifecycleNode[DetectorParameters]):
             )
         if stamp == last and not np.array_equal(image, self._last_image):
             raise ImageError(
-                f"stamp is {stamp:.3f} s, that of an earlier image, allowed: a different stamp for "
-                "each image (does the camera's node set it?)"
+                f"stamp is {stamp:.3f} s, equal to that of the last image, allowed: a different "
+                "stamp for each image (does the camera's node set it?)"
             )
 
     def _know_plate(self, image: np.ndarray) -> None:

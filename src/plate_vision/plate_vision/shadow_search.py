@@ -181,8 +181,9 @@ def find_shadow(
     unlike = np.abs(fitted(best)["darkness"] - best.darkness) > UNLIKE
     if np.count_nonzero(unlike) < UNLIKE_FRACTION * len(unlike):
         return None
-    # The end of a long shadow is far from the contours, so its length is measured. The length of a
-    # short shadow is fitted.
+    # The misfit contains only pixels near the contours of the discs. A long shadow ends far from
+    # them, so its length is measured along the shadow. If the misfit with this length is too large,
+    # the shadow is short, and the fitted length is used.
     measured = _measured(contrast, best, fitted(best), parts)
 
     def darkened(change: np.ndarray) -> Shadow:

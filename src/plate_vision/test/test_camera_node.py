@@ -212,12 +212,12 @@ def test_an_unplugged_camera_is_named_and_goes_on_when_it_is_back(start, camera)
 
 def test_a_silent_camera_is_named(start, camera):
     graph = start(camera, device=camera.path, **SIZE)
-    graph.report("s: is the camera plugged in, and does it wait for a trigger?")
+    graph.report("s: check that the camera is plugged in and does not wait for a trigger")
 
 
 def test_a_silent_pipe_is_named(start, tmp_path):
     os.mkfifo(tmp_path / "pipe")
-    start(device=tmp_path / "pipe", **SIZE).report("s: does a program write frames")
+    start(device=tmp_path / "pipe", **SIZE).report("s: check that a program writes frames")
 
 
 def test_an_error_of_a_library_is_told_and_images_go_on(start, camera):

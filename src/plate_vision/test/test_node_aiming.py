@@ -79,7 +79,7 @@ def test_home_is_found_by_markers_or_outline(make_plate, marked_rig, draw, corne
         aimed, plate = Aimed(graph), make_plate()
         assert called(graph, "find_home").success
         msg, _ = aimed.show(image(draw(CENTRE_PX, LABEL, rng, radius=7.9), 1.0))
-        assert msg.home.startswith("not found: fiducials: 0, 1, 2, 3 not detected")
+        assert msg.home.startswith("not found: fiducials: markers 0, 1, 2, 3 are not")
         assert called(graph, "find_home").success
         msg, _ = aimed.show(image(plate.take([0, 0, 0], rng), 2.0))
         assert msg.home.startswith("found, error of the markers' corners 0.")

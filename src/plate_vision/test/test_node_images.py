@@ -144,7 +144,7 @@ def test_each_image_needs_a_stamp_of_its_own(graph, draw, rng):
     for again in (one, one):
         assert names(graph.answer(image(again, 0.0))) == ["black_1", "grey_1"]
     assert graph.answer(image(other, 0.0)) is None
-    assert "stamp is 0.000 s, that of an earlier image, allowed: " in graph.warnings[-1]
+    assert "stamp is 0.000 s, equal to that of the last image, allowed: " in graph.warnings[-1]
 
 
 def test_one_image_that_comes_late_ends_no_ids_but_time_may_begin_anew(graph, draw, rng):

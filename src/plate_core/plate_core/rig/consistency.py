@@ -186,8 +186,8 @@ def _drives(rig: Rig) -> Iterator[Doubt]:
     alike = len(set(kinds.values())) == 1
     if alike and len({drive.counts_per_m for drive in drives.values()}) > 1:
         yield Doubt(
-            "motors", f"motors: {key} is {scales} for {', '.join(drives)}: is this correct? Drives "
-            "of one make usually have equal scales",
+            "motors", f"motors: {key} is {scales} for {', '.join(drives)}; check them, because "
+            "drives of one make usually have equal scales",
         )  # fmt: skip
     if rig.limits.following_error_m == 0:
         yield Doubt(

@@ -191,8 +191,8 @@ class SafeLifecycleNode(RclpyLifecycleNode, Generic[Options]):
         if self.count_publishers(full) < 2:
             return ""
         found, own = self.get_publishers_info_by_topic(full), f"{self.get_namespace()}/"
-        # Count names, not publishers: after a node was killed and restarted, both are listed for a
-        # while, and the new one has no name yet.
+        # Count names, not publishers, because a killed node is listed for a while beside its
+        # restarted instance. At first, the new instance has no name.
         names = {
             f"{each.node_namespace}/{each.node_name}".removeprefix(own)
             for each in found

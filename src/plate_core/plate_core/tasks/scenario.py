@@ -578,9 +578,10 @@ def start_positions(
             break
     else:
         raise ScenarioError(
-            f"{scenario.where}: parts: count: {count} at random positions, allowed: {most}; more "
-            f"parts of up to {1e3 * radius.max():g} mm radius do not fit, {gap:g} radii apart, on "
-            f"{2 * half[0]:g} x {2 * half[1]:g} m; use fewer parts or positions_m"
+            f"{scenario.where}: parts: count is {count} at random positions, allowed: at most "
+            f"{most}. More parts with radii of up to {1e3 * radius.max():g} mm do not fit on "
+            f"{2 * half[0]:g} x {2 * half[1]:g} m with {gap:g} radii between their centres. Use "
+            "fewer parts or positions_m"
         )
     rest = iter(scattered)
     rows = [

@@ -174,8 +174,8 @@ def check_line(baud: int, longest_upload_s: float) -> None:
     seconds = upload_s(PIECES, baud)
     if seconds > longest_upload_s:
         raise PlateError(
-            f"baud is {baud}: a cycle of {PIECES} pieces takes {seconds:.2f} s, "
-            f"allowed: at most longest_upload_s = {longest_upload_s:g} s"
+            f"baud is {baud}, so the upload of a cycle with {PIECES} pieces takes {seconds:.2f} s, "
+            f"allowed: at most {longest_upload_s:g} s (longest_upload_s)"
         )
 
 

@@ -306,7 +306,7 @@ class TransportThread:
 
     @property
     def stopping(self) -> bool:
-        """Whether a stop is not settled yet."""
+        """Whether a stop is neither done nor failed yet."""
         return bool(self._owed) or not self._stop.settled
 
     def stopped(self, order: Order, cut: bool, end: float) -> bool:
@@ -328,8 +328,8 @@ class TransportThread:
         """Enable the motors, see `Transport.enable`. `number` is the value of `Latch.number` at the
         time of the request.
 
-        When the motors are ready, the latch opens and the order is settled. If they do not become
-        ready, the order is settled with the reason. Both happen even if no caller waits.
+        When the motors are ready, the latch opens and the order is done. If they do not become
+        ready, the order fails with the reason. Both happen even if no caller waits.
         """
 
         def call() -> Order:

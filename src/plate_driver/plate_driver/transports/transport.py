@@ -131,7 +131,7 @@ class Order:
         return self
 
     def wait(self, longest_s: float | None = None) -> bool:
-        """Wait until the order is settled, and return whether it is done.
+        """Wait until the order is complete (done or failed), and return whether it is done.
 
         The wait takes at most `longest_s` [s]. None means the value from the constructor.
         """

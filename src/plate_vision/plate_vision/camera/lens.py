@@ -17,8 +17,8 @@ from plate_core.rig import camera_place, fit_homography, home_pose, lens_of_matr
 from ..errors import CalibrationError
 
 MAX_CONDITION = 1e10
-"""Maximum condition number of a homography. If it is exceeded, points cannot be mapped back. A
-useful camera has 1e3 to 1e7, depending on the units."""
+"""Maximum condition number of a homography. If it is exceeded, points cannot be mapped back. The
+homographies of real cameras have condition numbers of 1e3 to 1e7, depending on the units."""
 
 MIN_AREA_PX2 = 100.0
 """Minimum area of the plate in an image [px2]. On a smaller plate, no part is large enough."""

@@ -150,7 +150,8 @@ inline void DiscWindow::to_darkness(const float* light) {
 // the visible fraction of the pixel.
 enum Number { ERROR = UNKNOWNS, SQUARE, NEAR, RIM, NUMBERS };
 
-// These numbers for all pixels of a window, padded with zeros to a multiple of eight.
+// Holds all numbers of `Number` for each pixel of a window. Each row of numbers is padded with zeros
+// to a multiple of eight.
 struct PixelNumbers {
     std::vector<float> numbers;
     int size = 0;

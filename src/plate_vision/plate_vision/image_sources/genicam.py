@@ -97,7 +97,7 @@ class GenicamSource(Camera):
             self.close()
             serials = ", ".join(str(info.serial_number) for info in harvester.device_info_list)
             if not serials:
-                raise AbsentError(f"{name}: no camera found: is it plugged in?") from None
+                raise AbsentError(f"{name}: no camera found; check that it is plugged in") from None
             raise CameraError(f"{name}: {error}; available cameras: {serials}") from None
         try:
             self._set("Width", self.settings.width)
@@ -161,7 +161,7 @@ class GenicamSource(Camera):
             raise CameraError(f"{where}, but the camera has no such feature")
         try:
             node.value = value
-        except Exception as error:  # GenApi or the manufacturer's library raised it
+        except Exception as error:  # GenApi and the libraries of manufacturers raise any type
             ends = [getattr(node, end, None) for end in ("min", "max")]
             symbols = getattr(node, "symbolics", None)
             allowed = ", ".join(symbols) if symbols else " to ".join(map(str, ends))

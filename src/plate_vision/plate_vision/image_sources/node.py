@@ -236,7 +236,7 @@ class CameraNode(SafeLifecycleNode[CameraParameters]):
         self._open = False
         try:
             source.close()
-        except Exception as error:  # a library raised it
+        except Exception as error:  # the libraries of cameras raise errors of different types
             self._fail(error)
 
     def _publish(self, frame: Frame) -> None:

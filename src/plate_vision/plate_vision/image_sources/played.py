@@ -96,7 +96,7 @@ class PipeSource:
     """
 
     live = True
-    silence = "does a program write frames of this format and size to the pipe?"
+    silence = "check that a program writes frames of this format and size to the pipe"
 
     def __init__(
         self, settings: Settings, warn: Warn, clock: Callable[[], float] = time.monotonic

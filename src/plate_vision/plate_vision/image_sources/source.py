@@ -132,7 +132,7 @@ class Source(Protocol):
     live : bool
         True for a camera or a pipe; False for files.
     silence : str
-        Question to the user about the probable cause if no image arrives.
+        Advice to the user about the probable cause if no image arrives.
     """
 
     live: bool
@@ -175,7 +175,7 @@ class Source(Protocol):
         """Close the device."""
 
 
-SILENT_CAMERA = "is the camera plugged in, and does it wait for a trigger?"
+SILENT_CAMERA = "check that the camera is plugged in and does not wait for a trigger"
 """`Source.silence` of a camera."""
 
 Warn = Callable[[str], None]

@@ -89,7 +89,7 @@ def listing(paths: Iterable[str]) -> Iterator[str]:
         yield from _described(device)
         device.close()
     if not count:
-        yield "no video devices: is a camera plugged in? Its driver may be missing (dmesg)"
+        yield "no video devices; check that a camera is plugged in and its driver works (dmesg)"
 
 
 def _described(device: V4l2Device) -> Iterator[str]:

@@ -257,8 +257,8 @@ class V4l2Source(Camera):
                     f"{self.path}: the camera is unplugged; images continue when it is back"
                 )
             raise CameraError(
-                f"{self.path}: the camera delivers no images: does it wait for a trigger, or do "
-                "several cameras share one USB controller?"
+                f"{self.path}: the camera delivers no images; it may wait for a trigger, or "
+                "several cameras may share one USB controller"
             )
         arrival = self._clock()
         there, data = self._capture.retrieve()
@@ -266,11 +266,11 @@ class V4l2Source(Camera):
         if not self._stamps_known:
             self._learn_stamps(arrival - stamp)
         if not there:
-            raise CameraError(f"{self.path}: the camera delivers no images: is it unplugged?")
+            raise CameraError(f"{self.path}: the camera delivers no images; it may be unplugged")
         if self._at_start is not None and not 0 <= arrival - stamp < OLDEST_S:
             raise ImageError(
                 f"{self.path}: an image arrives {arrival - stamp:.3g} s after its stamp, allowed: "
-                f"0 to {OLDEST_S:g} s. Did the computer stall?"
+                f"0 to {OLDEST_S:g} s; the computer may have stalled"
             )
         form = self._form
         pixels, encoding = unpack_frame(np.asarray(data), form, self.settings.size_px)

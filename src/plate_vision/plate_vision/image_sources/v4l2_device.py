@@ -279,14 +279,17 @@ def explained(path: str, error: OSError) -> str:
     """Return a message that describes a system error of a device and its remedy."""
     match error.errno:
         case number if number in ABSENT:
-            return f"{path}: no such device: is the camera plugged in? camera --list shows them"
+            return (
+                f"{path}: no such device; check that it is plugged in. camera --list shows the "
+                "available devices"
+            )
         case errno.EACCES | errno.EPERM:
             return (
                 f"{path}: no permission. Join the group video (sudo usermod -aG video $USER), "
                 "then log in again"
             )
         case errno.EBUSY:
-            return f"{path}: in use by another program (fuser -v {path} names it): end that program"
+            return f"{path}: in use by another program (fuser -v {path} names it); end that program"
         case errno.ENOTTY | errno.EINVAL:
             return f"{path}: is no video device, allowed: a device such as /dev/video0"
     return f"{path}: cannot be opened ({error.strerror})"

@@ -120,7 +120,7 @@ class Watch:
                 Finding(
                     Level.WARN,
                     f"{self.late} of {self.images} images arrive more than {LATE_S:g} s after "
-                    "their exposure: is the computer too busy, or exposure_us too long?",
+                    "their exposure; the computer may be too busy, or exposure_us too long",
                 )
             )
         return found

@@ -128,9 +128,11 @@ def find_home(
     found = find_markers(grey_levels(image), fiducials.dictionary)
     missing = [str(number) for number in fiducials.numbers if number not in found]
     if missing:
+        several = len(missing) > 1
+        markers = f"markers {', '.join(missing)} are" if several else f"marker {missing[0]} is"
         raise CalibrationError(
-            f"fiducials: {', '.join(missing)} not detected, required: all of "
-            f"{', '.join(map(str, fiducials.numbers))}, uncovered and in the image"
+            f"fiducials: {markers} not detected; markers "
+            f"{', '.join(map(str, fiducials.numbers))} must all be uncovered and in the image"
         )
     corners_px = np.concatenate([found[number] for number in fiducials.numbers])
     straight = corners_px if lens is None else lens.straighten(corners_px)

@@ -18,7 +18,8 @@ constexpr double DARKEST = 0.45;
 // Minimum number of pixels in even areas of a part and of a shadow.
 constexpr int MIN_UNIFORM = 12;
 
-// Maximum deviation of a shadow, relative to the deviation of the part that casts the shadow.
+// Maximum deviation of a shadow from the background, relative to the deviation of the part that
+// casts the shadow.
 constexpr double LIGHTER = 0.8;
 
 // Fraction of the even pixels of a patch whose deviation is at least the deviation of its dark

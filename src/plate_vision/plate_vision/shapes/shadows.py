@@ -29,19 +29,22 @@ ALIGNED = 0.8
 """Minimum length of the mean of unit vectors that point to the same side."""
 
 DEPTHS = 0.4
-"""Maximum relative difference between the deviations of the shadows in an image."""
+"""Maximum difference between the deviation of a shadow from the background and the median of the
+image's shadows, relative to this median."""
 
 SHARP_PERCENT = 25
 """Percentile of the patches' edge widths that is the width of sharp edges."""
 
 CLEAR_EDGE = 0.5
-"""Minimum deviation of patches with clear edges, relative to the upper quartile of all patches."""
+"""Minimum deviation of a patch from the background, relative to the upper quartile of all patches.
+The edges of fainter patches are not evaluated, because they are not clear."""
 
 WIDE_PERCENT = 80
 """Percentile of the parts' edge widths that is the width of the parts' edges in an image."""
 
 LIGHTER: float = _kernels.LIGHTER
-"""Maximum deviation of a shadow, relative to the deviation of the part that casts the shadow."""
+"""Maximum deviation of a shadow from the background, relative to the deviation of the part that
+casts the shadow."""
 
 AGREE = 0.25
 """Minimum fraction of patches with a shadow from which all patches are assumed to have a shadow."""
@@ -55,9 +58,10 @@ ALONE = 3.0
 WIDE_PX = 25.0
 """Edge width above which a patch is always a shadow [px]."""
 
-THICK = 0.6
-"""Minimum thickness of a part, relative to the thickness of its shadow. If the dark side is
-thinner, it is the side face of a high part, and the light side is the top of this part."""
+DARK_WIDTH = 0.6
+"""Minimum width of a patch's dark side in the image, relative to the width of its light side, as a
+median over all patches with a light side. If the dark sides are narrower, they are the side faces
+of high parts, and the light sides are not shadows but the tops of these parts."""
 
 MIN_AREA_PX2 = 30
 """Minimum area of a patch whose edges are evaluated."""
@@ -85,12 +89,14 @@ SPREAD = 0.35
 """Maximum of the median deviation of the shadows' lengths from their median, relative to this
 median."""
 
-DEEP = 30.0
-"""Minimum deviation of a shadow whose length is subtracted [L]. It is a fifth of the light. A
-fainter or softer shadow surrounds a part on all sides and is recognised by its soft edge."""
+MIN_SHADE = 30.0
+"""Minimum difference in lightness between the background and the shadows of a lamp [L, 0 to 255].
+If the median of an image's shadows is lower, no lamp is determined. Fainter or softer shadows
+surround a part on all sides and are recognised by their soft edges."""
 
 MIN_PX = 1.0
-"""Minimum length of a shadow that is subtracted [px]."""
+"""Minimum length of the shadows of a lamp [px]. If the median of an image's shadows is lower, no
+lamp is determined."""
 
 FACE = 0.9
 """Minimum fraction of a patch's dark side from which the light side is at most the shift of the top
@@ -311,7 +317,7 @@ def find_lamp(
     length = reach[clear] - part[clear]
     usual = float(np.median(length))
     spread = float(np.median(np.abs(length - usual)))
-    if usual < MIN_PX or spread > SPREAD * usual or level < DEEP:
+    if usual < MIN_PX or spread > SPREAD * usual or level < MIN_SHADE:
         return None
     return Lamp(level, usual * unit, 1.5 * spread)
 
@@ -363,7 +369,7 @@ def take_out_shadows(
         bound = _of_shadows(bound, light, dark, softness, way, len(large))
         light_side = (lit & (away < bound[labels])).astype(np.uint8)
         shadow = cv2.morphologyEx(light_side, cv2.MORPH_OPEN, np.ones((3, 3), np.uint8)) > 0
-        if np.any(shadow) and _parts_are_thick(shadow, (away > 0) & ~shadow, labels):
+        if np.any(shadow) and _parts_are_wide(shadow, (away > 0) & ~shadow, labels):
             away[shadow] = 0
             cut[labels[shadow]] = True
     alone = (width > min(ALONE * sharp, WIDE_PX)) & (balance < -MOSTLY * total)
@@ -409,15 +415,15 @@ def _clear_bright(
     away[(shadow > 0) & reached[places]] = 0
 
 
-def _parts_are_thick(shadow: np.ndarray, parts: np.ndarray, labels: np.ndarray) -> bool:
-    """Whether the parts are at least `THICK` times as thick as their shadows in most patches with a
-    shadow."""
-    thickness = np.zeros((2, labels.max() + 1), np.float32)
-    for most, side in zip(thickness, (shadow, parts), strict=True):
-        depth = cv2.distanceTransform(side.astype(np.uint8), cv2.DIST_L2, 3)
-        np.maximum.at(most, labels[side], depth[side])
-    cast, casts = thickness[:, thickness[0] > 0]
-    return bool(np.median(casts / cast) > THICK)
+def _parts_are_wide(shadow: np.ndarray, parts: np.ndarray, labels: np.ndarray) -> bool:
+    """Whether the parts are more than `DARK_WIDTH` times as wide as their shadows in most patches
+    with a shadow. The width is the maximum distance of a pixel from the edge of the area."""
+    width = np.zeros((2, labels.max() + 1), np.float32)
+    for most, side in zip(width, (shadow, parts), strict=True):
+        inside = cv2.distanceTransform(side.astype(np.uint8), cv2.DIST_L2, 3)
+        np.maximum.at(most, labels[side], inside[side])
+    cast, casts = width[:, width[0] > 0]
+    return bool(np.median(casts / cast) > DARK_WIDTH)
 
 
 def _of_shadows(

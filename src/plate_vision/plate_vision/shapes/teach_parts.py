@@ -158,8 +158,11 @@ def _teach(args: argparse.Namespace) -> None:
         calibration, region = vision.calibration, vision.region
     bare = None if args.bare is None else load_bare(args.bare, size)
     if bare is None:
-        text = "it is estimated from each picture, so a hole may be learned instead of its part"
-        print(f"no bare plate (--bare): {text}: check the drawn outline", file=sys.stderr)
+        print(
+            "without --bare, the bare plate is estimated from each picture. The outline of a hole "
+            "may then be learned instead of the outline of the part. Check the drawn outline.",
+            file=sys.stderr,
+        )
     if args.box:
         # With a known scale and without a bare plate, the position of the part in the picture has
         # no effect.
