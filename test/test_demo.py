@@ -398,7 +398,7 @@ def test_a_node_that_dies_is_named_and_its_log_is_shown(tmp_path):
 
 def test_why_a_task_failed_is_told_before_its_nodes_end(monkeypatch, capsys):
     """One that is frozen is waited for then, for ten seconds."""
-    why = "aborted after 5.0 s: the solver is silent"
+    why = "aborted after 5.0 s: the solver no longer publishes diagnostics"
     record = SimpleNamespace(ended=True, states=[why])
     told = []
     observer = SimpleNamespace(record=record, until=lambda *_: told.append(capsys.readouterr().out))

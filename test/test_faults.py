@@ -16,11 +16,19 @@ TIMES = {"WORK_S": 0.5, "WATCH_S": 3.0, "FREEZE_S": 2.5, "UNASKED_S": 1.0}
 """Long enough for every timeout; shorter than in the tool, which measures when."""
 
 EXPECTED = {
-    ("kill", "detector"): ("no parts for", "the detector is silent, does it run?", "solver"),
+    ("kill", "detector"): (
+        "no parts for",
+        "the detector no longer publishes diagnostics; ",
+        "solver",
+    ),
     ("kill", "driver"): ("no driver_status for", "does the driver run?", "simulator"),
     ("freeze", "simulator"): ("no image for", "does the camera run?", "detector"),
     ("freeze", "planner"): ("the planner was stalled for", "", "solver"),
-    ("freeze", "solver"): ("no plate_cycle for", "the solver is silent, does it run?", "planner"),
+    ("freeze", "solver"): (
+        "no plate_cycle for",
+        "the solver no longer publishes diagnostics; ",
+        "planner",
+    ),
 }
 """By fault: what task_status says, and a node whose diagnostics go bad (but for the planner's)."""
 

@@ -302,7 +302,7 @@ def _connect(address: str) -> Any:
         if there != distributed.__version__:
             raise PlateError(
                 f"cluster {address}: the scheduler has distributed {there}, allowed: "
-                f"{distributed.__version__}, as on this computer"
+                f"{distributed.__version__} (the version on this computer)"
             )
         return distributed.Client(address, timeout=RETURN_S, set_as_default=False)
 

@@ -26,7 +26,7 @@ def main() -> None:
         "nodes",
         metavar="NODE",
         nargs="*",
-        help=f"of {', '.join(graph)}; if left out {', '.join(default)}",
+        help=f"any of {', '.join(graph)} (default: {', '.join(default)})",
     )
     words = sys.argv[1:]
     ros = words.index("--ros-args") if "--ros-args" in words else len(words)

@@ -195,7 +195,7 @@ class Production:
         Number of lost parts and number of discharged parts. A part is lost if it fell over an edge
         without the chute, or if it was requested and fell over the chute's edge. Discharged parts
         are all other parts that fell over the chute's edge.
-    error_mm, error_deg : (median, 95 %, worst)
+    error_mm, error_deg : (median, 95th percentile, maximum)
         Errors of the reported positions and angles of the parts at the grip.
     cpu : float
         CPU time per simulated second, without the CPU time of the simulator [-].

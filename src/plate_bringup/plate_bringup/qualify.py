@@ -41,7 +41,7 @@ MAX_SEEDS = 100
 
 HEADINGS = (
     "fill", "parts/min", "worst", "robot waits", "first pick", "failed", "lost", "chute",
-    "error 95 %", "turned 95 %", "CPU",
+    "error P95", "turned P95", "CPU",
 )  # fmt: skip
 
 
@@ -183,8 +183,8 @@ svg {{ max-width: 100%; height: auto }}
 Worst: the run with the fewest parts per minute. Robot waits: fraction of the time since its first
 pick. Lost: parts that left the plate over an edge without the chute, and requested parts that left
 it over the chute. Chute: other parts that left the plate over the chute. Errors: deviation of the
-part's position and angle at the grip from those reported to the robot. CPU: fraction of one core of
-this machine for vision, planner, solver and driver.</p>
+part's position and angle at the grip from those reported to the robot. P95: 95th percentile. CPU:
+fraction of one core of this machine for vision, planner, solver and driver.</p>
 </html>
 """
     try:

@@ -442,7 +442,7 @@ class Feeder:
         if (label or pick is not None) and label not in labels:
             problem = f"class is {label!r}, allowed: {', '.join(labels)}"
         elif pick is not None and pick.label != label:
-            problem = f"class is {label}, allowed: {pick.label}, the class of the pick"
+            problem = f"class is {label}, allowed: {pick.label} (the class of the pick)"
         elif pick is not None:
             try:
                 problem = problem or pick_problem(pick, self._rig)

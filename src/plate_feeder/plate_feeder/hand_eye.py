@@ -147,7 +147,7 @@ def fit_hand_eye(frame: str, plate: np.ndarray, robot: np.ndarray) -> HandEye:
     worst = int(np.argmax(residuals))
     if not residuals[worst] <= MAX_RESIDUAL_M:
         mirrored, *_ = _fit(p.conj(), q)
-        hint = "; mirrored points would fit: does z of the robot's frame point down?"
+        hint = "; mirrored points would fit, so z of the robot's frame may point down"
         raise HandEyeError(
             f"points[{worst}] has a residual of {1e3 * residuals[worst]:.2f} mm, "
             f"allowed: {1e3 * MAX_RESIDUAL_M:g} mm"

@@ -208,7 +208,7 @@ class FeederNode(SafeLifecycleNode[Options]):
         if self._opening is not None and now >= self._opening[1]:
             self._hopper.remove_pending_request(self._opening[0])
             self._opening = None
-            self._warn_of_hopper("hopper/open does not answer: does the hopper run?")
+            self._warn_of_hopper("the service hopper/open does not reply; does the hopper run?")
         if output.open_s is not None:
             self._open(output.open_s, now)
         for client, reply in output.replies:
@@ -226,7 +226,7 @@ class FeederNode(SafeLifecycleNode[Options]):
 
     def _open(self, open_s: float, now: float) -> None:
         if not self._hopper.service_is_ready():
-            self._warn_of_hopper("hopper/open is not there: does the hopper run?")
+            self._warn_of_hopper("there is no service hopper/open; does the hopper run?")
             return
 
         def answered(future: Any) -> None:

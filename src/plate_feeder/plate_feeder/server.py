@@ -144,7 +144,7 @@ class RobotServer:
         self._count += 1
         client = _Client(self._count, reader, writer, self._ask, self._stop)
         if len(self._tasks) >= MAX_CLIENTS:
-            await client.refuse(f"{MAX_CLIENTS} clients are connected, the maximum")
+            await client.refuse(f"{MAX_CLIENTS} clients are connected, which is the maximum")
             return
         self._tasks.add(task)
         try:
@@ -244,7 +244,7 @@ class _Client:
         try:
             item = read_line(line)
             if self._waiting >= MAX_WAITING:
-                item = Code.TOO_MANY, f"{MAX_WAITING} commands wait, the maximum"
+                item = Code.TOO_MANY, f"{MAX_WAITING} commands wait, which is the maximum"
             else:
                 self._waiting += 1
         except LineError as error:

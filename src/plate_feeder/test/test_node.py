@@ -317,7 +317,7 @@ def test_a_stop_shuts_the_hopper(graph):
 
 
 @pytest.mark.parametrize(
-    ("jam", "told"), [("the lid is jammed", "jammed"), (None, "does not answer")]
+    ("jam", "told"), [("the lid is jammed", "jammed"), (None, "does not reply")]
 )
 def test_a_hopper_that_does_not_open_is_told_of(graph, jam, told):
     if jam is None:

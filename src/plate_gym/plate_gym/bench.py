@@ -115,7 +115,7 @@ def agent_class(name: str) -> type[Agent]:
         raise
     except BaseException as problem:
         absent = isinstance(problem, ModuleNotFoundError) and problem.name == module
-        where = f"; is {module}.py in this folder, {Path.cwd()}?" if absent else ""
+        where = f"; no {module}.py in this folder ({Path.cwd()}) or on the path" if absent else ""
         raise PlateError(f"agent {name} cannot be loaded: {one_line(problem)}{where}") from problem
     kinds = (getattr(found, key, None) for key in ("action", "observation"))
     if (

@@ -177,7 +177,7 @@ class PlateVectorEnv(VectorEnv):
         elif seed is not None:
             seeds = [checked_seed(seed) + k for k in range(count)]
         if len(seeds) != count:
-            raise PlateError(f"seed has {len(seeds)} numbers, allowed: {count}, one for each plate")
+            raise PlateError(f"seed has {len(seeds)} numbers, allowed: {count} (one per plate)")
         rows, worlds = np.flatnonzero(mask).tolist(), []
         for k in rows:
             own = seeds[k]
@@ -197,7 +197,7 @@ class PlateVectorEnv(VectorEnv):
         count = len(actions) if np.iterable(actions) and isinstance(actions, Sized) else 0
         if count != self.num_envs:
             said = count or repr(actions)
-            raise PlateError(f"actions are {said}, allowed: {self.num_envs}, one per plate")
+            raise PlateError(f"actions are {said}, allowed: {self.num_envs} (one per plate)")
         if not isinstance(actions, np.ndarray):
             actions = iterate(self.action_space, actions)
         each = checked_actions(self.single_action_space, actions)
@@ -250,7 +250,8 @@ def checked_actions(space: gym.Space, actions: Iterable[Any]) -> list[Any]:
         cycles = list(actions)
         for action in cycles:
             if not space.contains(action):
-                raise PlateError(f"action is {type(action).__name__}, allowed: {space}")
+                kind = type(action).__name__
+                raise PlateError(f"action is of type {kind}, allowed: plate_core.PlateCycle")
         return cycles
     low, high = space.low, space.high
     if isinstance(actions, np.ndarray) and fits(actions, actions.shape[:1] + space.shape):

@@ -721,7 +721,7 @@ def hang():
         ({"agent": "C"}, "agent is 'C', allowed: B, A, "),
         (
             {"agent": "nowhere:Agent"},
-            "No module named 'nowhere'; is nowhere.py in this folder, ",
+            "No module named 'nowhere'; no nowhere.py in this folder (",
         ),
         ({"tasks": ["Sort5"]}, "task is 'Sort5'"),
         ({"world": "moon"}, "world is 'moon'"),

@@ -291,7 +291,9 @@ class Planner:
             state = self.start(state)
         elif t - clock.stamp > MAX_GAP_S:
             gap = f"no parts for {t - clock.stamp:.0f} s according to the image stamps"
-            state = self.stop(state, Failure(Reason.NO_PARTS, f"{gap}: is the camera's clock set?"))
+            state = self.stop(
+                state, Failure(Reason.NO_PARTS, f"{gap}; was the camera's clock set?")
+            )
         kept = state.task.active and self.rules.keeps_last(state.memory)
         parts = state.estimator.seen if kept else parts
         coast = TAKEN_COAST if self.rules.open_ended else COAST

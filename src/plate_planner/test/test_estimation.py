@@ -401,7 +401,7 @@ def test_it_says_when_images_do_not_come_as_they_should():
         assert bool(estimator.image_problem) == bool(problem)
         assert estimator.image_rate == pytest.approx(rate, rel=1e-3)
     *_, (estimator, _) = run_free(7.0, 0.0, 0.0, cycles=20)
-    assert estimator.image_problem == "7 images per second, allowed: 10 or more, one per cycle"
+    assert estimator.image_problem == "7 images per second, allowed: 10 or more (one per cycle)"
     *_, (estimator, _) = run_free(15.0, 0.0, 0.0, cycles=20)
     assert not estimator.image_problem
 

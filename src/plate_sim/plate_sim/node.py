@@ -254,12 +254,14 @@ class SimulatorNode(SafeLifecycleNode[Options]):
             )
         if options.image_rate > 0 and options.lockstep:
             raise PlateError(
-                f"image_rate is {options.image_rate:g} with lockstep, allowed: 0, an image at the "
-                "start of each cycle"
+                f"image_rate is {options.image_rate:g} in lockstep, allowed: 0 (one image at the "
+                "start of each cycle)"
             )
         self._by_line = self._driven and self._rig.camera.trigger is not None
         if self._by_line and options.latency > 0:
-            raise PlateError(f"latency is {options.latency:g} with a trigger_phase, allowed: 0")
+            raise PlateError(
+                f"latency is {options.latency:g}, allowed: 0, because the rig has a trigger_phase"
+            )
         self._next_ns = START_NS  # start time of the next cycle [ns]
         self._simulation = self._scattered()
         self._warm_up()

@@ -219,12 +219,12 @@ def test_frames_agree_with_the_camera():
     ("change", "message"),
     [
         ({"position": [[0, 0], [np.nan, 0]]}, "position: .*finite"),
-        ({"velocity": [[0, 0], [np.inf, 0]]}, "velocity: of part 1 is .*finite"),
+        ({"velocity": [[0, 0], [np.inf, 0]]}, "velocity: value of part 1 is .*finite"),
         ({"velocity": [[0, 0]]}, r"velocity: shape is \(1, 2\), allowed: \(2, 2\)"),
         ({"grey": [40]}, r"grey: shape is \(1,\), allowed: \(2,\)"),
         ({"pose": [0, np.nan, 0]}, "pose: .*finite"),
         ({"pose": [0, 1]}, r"pose: shape is \(2,\)"),
-        ({"angle": [0, np.nan]}, "angle: of part 1"),
+        ({"angle": [0, np.nan]}, "angle: value of part 1"),
         ({"types": [SQUARE_TYPE]}, "types: 1 for 2 parts"),
         (
             {"position": np.zeros((3, 2, 2)), "velocity": np.zeros((2, 2))},

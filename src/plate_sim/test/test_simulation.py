@@ -301,7 +301,7 @@ def test_images_come_at_their_rate_in_the_order_of_their_stamps():
 
 def test_a_camera_that_is_triggered_does_not_run_free():
     rig = replace(RIG, camera=replace(RIG.camera, trigger=CameraTrigger(0.5)))
-    with pytest.raises(PlateError, match="image_rate is 30 with a trigger_phase, allowed: 0"):
+    with pytest.raises(PlateError, match=r"image_rate is 30, allowed: 0, .*trigger_phase"):
         Simulation(rig, SORT_4, 1, Disturbances(image_rate=30.0))
 
 

@@ -100,7 +100,7 @@ def test_it_plays_at_its_rate_and_ends(replay, heard, monkeypatch):
 
 
 def test_what_is_no_recorded_run_is_refused(tmp_path, bag):
-    with pytest.raises(PlateError, match="allowed: a recorded run"):
+    with pytest.raises(PlateError, match="allowed: the folder of a recorded run"):
         Replay(tmp_path / "nothing", KINDS, print)
     with pytest.raises(PlateError, match="allowed: a bag with topics of image"):
         Replay(bag, {"image": Parts}, print)
@@ -123,7 +123,8 @@ def test_a_damaged_record_is_told(replay, monkeypatch):
         yield
 
     monkeypatch.setattr(replay._reader, "messages", messages)
-    with pytest.raises(PlateError, match=r"bag is damaged, .*: truncated record"):
+    why = r"bag is damaged \(.*truncated record.*\), allowed: an intact bag"
+    with pytest.raises(PlateError, match=why):
         replay.seek(BEGIN_S + 1)
 
 
@@ -144,7 +145,8 @@ def test_a_bag_that_is_damaged_in_the_middle_plays_up_to_there(bag, heard, monke
         replay.step()
     assert not replay.playing
     assert replay.now == pytest.approx(BEGIN_S + 3.0, abs=0.11)
-    assert "bag is damaged, allowed: " in replay.problem
+    assert "bag is damaged (" in replay.problem
+    assert "), allowed: an intact bag" in replay.problem
     assert heard[-1][1].parts[0].x == pytest.approx(0.029, abs=0.0015)
     replay.play(True)  # the rest of it is whole
     assert replay.problem == ""

@@ -219,8 +219,10 @@ class PlateClient:
         end = time.monotonic() + FOUND_S
         while not self._until(client.server_is_ready, AGAIN_S):
             if time.monotonic() > end:
-                raise PlateError(f"no action {name}: does the planner run, in this ROS domain?")
-            waiting(f"no action {name} yet: the planner offers it when it is configured")
+                raise PlateError(
+                    f"there is no action {name} in this ROS domain; does the planner run?"
+                )
+            waiting(f"there is no action {name} yet; the planner offers it when it is configured")
         number = new_goal_id()
 
         def send_goal(feedback: Callback, answer: Callback) -> None:
@@ -242,7 +244,7 @@ class PlateClient:
         """
         if not self._until(lambda: self._targets.get_subscription_count() > 0, FOUND_S):
             raise PlateError(
-                "no node subscribes to targets: does the planner run, in this ROS domain?"
+                "no node in this ROS domain subscribes to targets; does the planner run?"
             )
         self._targets.publish(targets_to_msg(targets, self.node.get_clock().now().to_msg()))
 
@@ -302,7 +304,9 @@ class PlateClient:
                 raise TaskError(self.cancel(task)) from None
             if not task.accepted:
                 task.cancel()  # cancel the goal in case it still arrives
-                raise PlateError("the planner does not answer the goal: does it hang?")
+                raise PlateError(
+                    f"the planner does not answer the goal within {FOUND_S:g} s; does it hang?"
+                )
             if task.status is None or task.status.reason not in REFUSED:
                 return task
             if task.status.reason != TaskStatus.NOT_READY or time.monotonic() > end:

@@ -377,8 +377,8 @@ def check_start(cycle: PlateCycle, begin: float, image: float | None) -> None:
     if image is not None and abs(begin - image) > SAME_TIME_S:
         raise PlateError(
             f"cycle_started: stamp is {begin - image:.1f} s after that of the last image, allowed: "
-            f"-{SAME_TIME_S:g} to {SAME_TIME_S:g} s; are all clocks synchronised, does the "
-            "detector run?"
+            f"-{SAME_TIME_S:g} to {SAME_TIME_S:g} s; check that all clocks are synchronised and "
+            "that the detector runs"
         )
 
 

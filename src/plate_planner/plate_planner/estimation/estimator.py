@@ -374,7 +374,7 @@ class Estimator:
             return ""
         rate, cycles = self.image_rate, 1 / self.period
         if self.log.reported and 0 < rate < (1 - FEWER) * cycles:
-            return f"{rate:.3g} images per second, allowed: {cycles:.3g} or more, one per cycle"
+            return f"{rate:.3g} images per second, allowed: {cycles:.3g} or more (one per cycle)"
         if not self.log.reported and self.odd >= ODD_IMAGES:
             return (
                 f"{rate:.3g} images per second for {cycles:.3g} cycles per second: the camera is "

@@ -237,7 +237,7 @@ class Inputs:
         timeout = self.timeout(period)
         silence = min(self.driver.silence(now), now - began)
         if silence > self.driver.timeout_s:
-            nobody = "" if publishers("driver_status") else "no node publishes it, "
+            nobody = "" if publishers("driver_status") else "no node publishes it; "
             why = f"no driver_status for {silence:.1f} s: {nobody}{self.driver.question}"
             return Failure(Reason.NO_DRIVER, why)
         if self.error_since is not None:
@@ -350,10 +350,10 @@ class Inputs:
         """Return the reason why a node does not publish its topic. If the reason is unknown, return
         `question`."""
         if not publishers(topic):
-            return f"no node publishes them, does the {node} run?"
+            return f"no node publishes {topic}; does the {node} run?"
         report = self.reports.get(node)
         if report is None:
             return question
         if now - report.at > REPORT_TIMEOUT_S:
-            return f"the {node} is silent, does it run?"
+            return f"the {node} no longer publishes diagnostics; does it run?"
         return f"the {node} runs and reports: {report.message}"

@@ -613,7 +613,7 @@ def _checked(name: str, value: np.ndarray, shape: tuple[int, ...]) -> np.ndarray
         raise PlateError(f"{name}: shape is {array.shape}, allowed: {shape}")
     if not np.all(np.isfinite(array)):
         part = int(np.argwhere(~np.isfinite(array))[0][0])
-        raise PlateError(f"{name}: of part {part} is {array[part]}, allowed: finite numbers")
+        raise PlateError(f"{name}: value of part {part} is {array[part]}, allowed: finite numbers")
     return array
 
 

@@ -218,7 +218,7 @@ def union(polygons: Sequence[np.ndarray], *, mass: float = MASS, points: int = P
             common = Polygon(shapes[i]).intersection(Polygon(shapes[j])).area
             if common > 1e-6 * min(areas[i], areas[j]):
                 raise PlateError(
-                    f"polygons {j} and {i} overlap by {common:.3g} m2, allowed: side by side"
+                    f"polygons {j} and {i} overlap by {common:.3g} m2, allowed: no overlap"
                 )
     count = _points(points)
     rules = [

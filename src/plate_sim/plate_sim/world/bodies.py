@@ -196,12 +196,16 @@ def simulate_bodies(
     if samples != 0:
         samples = whole("samples", samples)
     if contacts is not None and contacts.walls and half is None:
-        raise PlateError("contacts have walls, allowed: none on an unbounded plate")
+        raise PlateError(
+            "contacts have walls on an unbounded plate, allowed: contacts without walls"
+        )
     every = equal_steps(cycle.period / max(1, samples), step)
     count = len(position)
     parts = [footprint] * count if isinstance(footprint, Footprint) else list(footprint)
     if len(parts) != count or not all(isinstance(part, Footprint) for part in parts):
-        raise PlateError(f"footprint is a list of {len(parts)}, allowed: {count} Footprints, or 1")
+        raise PlateError(
+            f"footprint is a list of {len(parts)}, allowed: one Footprint, or {count} of them"
+        )
     states = columns([(position, angle, velocity, spin)])
     here = np.ones((1, count), bool)
     steps = every * max(1, samples)

@@ -96,8 +96,8 @@ class Simulation:
         check_height(rig, disturbances)
         if disturbances.image_rate > 0 and rig.camera.trigger is not None:
             raise PlateError(
-                f"image_rate is {disturbances.image_rate:g} with a trigger_phase, allowed: 0, "
-                "because the motor controller triggers the camera"
+                f"image_rate is {disturbances.image_rate:g}, allowed: 0, because the motor "
+                "controller triggers the camera (trigger_phase in the rig file)"
             )
         # Keep this order, because it determines the results of each seed.
         layout, pixels, field, images, parts, stamps, hand, hopper, robot = np.random.default_rng(

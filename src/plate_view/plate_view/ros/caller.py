@@ -113,7 +113,7 @@ class Caller:
                 self.pollers.discard(tick)
                 for future in sent:
                     client.remove_pending_request(future)
-                pending.refuse(f"{name} {'does not answer' if sent else 'is not there'}")
+                pending.refuse(f"{name} {'does not reply' if sent else 'is not available'}")
 
         self.poll(tick)
         tick()

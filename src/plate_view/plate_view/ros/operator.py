@@ -359,8 +359,8 @@ class Operator:
                 self._caller.pollers.discard(tick)
                 if replied:
                     return
-                why = "does not answer" if sent else "is not there"
-                never_began(f"the action {name} {why}: is the planner running and configured?")
+                why = "does not reply" if sent else "is not available"
+                never_began(f"the action {name} {why}; is the planner running and configured?")
 
         self._caller.poll(tick)
         tick()

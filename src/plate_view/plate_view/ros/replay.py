@@ -74,7 +74,9 @@ class Replay:
             self._reader = library.Reader(folder)
             self._reader.open()
         except (library.ReaderError, OSError) as error:
-            raise PlateError(f"bag is {str(folder)!r}, allowed: a recorded run: {error}") from None
+            raise PlateError(
+                f"bag is {str(folder)!r} ({error}), allowed: the folder of a recorded run"
+            ) from None
         self._chosen = [each for each in self._reader.connections if self._name(each) in kinds]
         if not any(each.msgcount for each in self._chosen):
             self.close()
@@ -185,7 +187,7 @@ class Replay:
 
 
 def _damaged(error: Exception) -> PlateError:
-    return PlateError(f"bag is damaged, allowed: an intact one: {error}")
+    return PlateError(f"bag is damaged ({error}), allowed: an intact bag")
 
 
 KEPT = ("rosout", "diagnostics")
