@@ -65,7 +65,7 @@ def main() -> int:
             return 1
     text = (ROOT if own else args.out) / "docs/results.md"
     data, results = read(folder), text.with_suffix("")
-    for name in data:  # the current commit has the same code
+    for name in data:  # name the current commit, because it has the same code
         if is_done(folder, name, args.quick):
             data[name]["commit"] = commit()
     facts, columns = report.read_facts(results, data)

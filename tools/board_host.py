@@ -167,7 +167,8 @@ class Host:
         while not reached():
             if self._ticks >= end:
                 raise TimeoutError(
-                    f"not within {WAIT_TICKS} ticks: the board reports {self.telemetry[-1:]}"
+                    f"not reached in {WAIT_TICKS} ticks, the board's last telemetry: "
+                    f"{self.telemetry[-1:]}"
                 )
             self.tick()
 

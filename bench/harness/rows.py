@@ -83,7 +83,7 @@ class Rows:
         text = json.dumps(rows, indent=1) + "\n"
         if self._path.exists() and not self._path.is_file():  # such as /dev/stdout
             self._path.write_text(text, encoding="utf-8")
-        else:  # the file is complete at any time
+        else:  # replace the file, so that it is complete at any time
             draft = self._path.with_name(f"{self._path.name}.draft")
             draft.write_text(text, encoding="utf-8")
             draft.replace(self._path)

@@ -204,7 +204,7 @@ class SerialLine:
         return segments
 
     def _upload(self, table: MotorTable) -> None:
-        with suppress(CycleError):  # the device is not ready: driver_status gives the reason
+        with suppress(CycleError):  # driver_status reports why the device is not ready
             self.transport.send(table, HOLD_CYCLES if table.tail is None else 1)
 
 

@@ -89,7 +89,9 @@ class Photograph:
         """Return the used part of the picture (H, W, 3), uint8: blue, green, red."""
         image = cv2.imread(str(self.file), cv2.IMREAD_COLOR)
         if image is None:
-            raise FileNotFoundError(f"{self.file}: no picture, allowed: what `fetch` brought")
+            raise FileNotFoundError(
+                f"{self.file} is not a readable picture; run `fetch` to download it"
+            )
         if self.crop_px is not None:
             x, y, width, height = self.crop_px
             image = image[y : y + height, x : x + width]

@@ -276,7 +276,7 @@ class Faults:
             observer.start(self.scenario)
         row.to_go_on.append("goal")
         row.goes_on = self.moves()
-        if not row.goes_on and observer.record.ended:  # a part has left the plate
+        if not row.goes_on and observer.record.ended:  # it ended, because a part left the plate
             row.to_go_on.append("parts")
             observer.begin_anew(self.scenario)
             row.goes_on = self.moves()

@@ -397,7 +397,7 @@ def conclude(
     with signals_wait():
         try:
             result = judge(plan.rig, plan.options, record, graph.nodes, codes)
-        except PlateError as error:  # no task was started
+        except PlateError as error:  # the error states why no task was started
             if problem is None:
                 raise
             print(f"\n{error}", flush=True)

@@ -207,7 +207,7 @@ def serve(modules: Iterable[str]) -> None:
     while order := sys.stdin.readline():
         if not (child := os.fork()):
             _become(answers, **json.loads(order))
-        if os.waitpid(child, 0)[1]:  # the second fork failed: no more processes are allowed
+        if os.waitpid(child, 0)[1]:  # the second fork failed, because no more processes are allowed
             return
 
 

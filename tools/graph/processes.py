@@ -119,7 +119,7 @@ def executable(package: str, name: str) -> Path:
         path = prefix / "lib" / package / name
         if os.access(path, os.X_OK):
             return path
-    raise GraphError(f"{package} {name} is not installed; run: make setup, then: source env.sh")
+    raise GraphError(f"{package} {name} is not installed; run `make setup`, then `source env.sh`")
 
 
 ROS_ARGS = ("--ros-args", "--disable-external-lib-logs", "--params-file")

@@ -53,7 +53,8 @@ class Recorder:
             from rosbags.typesys import Stores, get_types_from_msg, get_typestore
         except ImportError:
             raise PlateError(
-                "recording needs the package rosbags: pip install rosbags; or: ros2 bag record -a"
+                "recording needs the package rosbags; run `pip install rosbags`, or use "
+                "`ros2 bag record -a`"
             ) from None
         self._node, self._looked_at = node, -DISCOVERY_S
         self._types = get_typestore(Stores.ROS2_JAZZY)

@@ -122,7 +122,7 @@ def jumps(starts: Iterable[bytes]) -> list[str]:
     for data in starts:
         msg = deserialize_message(data, JointTrajectory)
         began = nanoseconds(msg.header.stamp)
-        if before is not None and began == began_ns:  # published again in lockstep
+        if before is not None and began == began_ns:  # in lockstep, a start can be published twice
             continue
         try:
             cycle = msg_to_cycle(msg)

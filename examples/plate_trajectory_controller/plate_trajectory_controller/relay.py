@@ -155,7 +155,9 @@ class Relay:
         braking."""
         now, order = self._clock(), Order()
         if not self._states or now - self._states[-1][0] > SILENCE_S:
-            return order.settle("no joint_states: does the trajectory controller run?")
+            return order.settle(
+                "no joint_states are received; check that joint_state_broadcaster runs"
+            )
         if now < self._rests_at:
             return order.settle("the motors are braking")
         off = float(np.max(np.abs(self._states[-1][1])))
@@ -185,8 +187,8 @@ class Relay:
         self._command(Trajectory(table.cycle.times, table.q, table.qd, table.qdd))
 
     def _settle_stop(self, now: float) -> None:
-        """Settle a stop when the joint states show that the motors are at rest, or after
-        `STOP_S`."""
+        """Complete a stop when the joint states show that the motors are at rest. After `STOP_S`,
+        complete it with an error."""
         if self._stop is None:
             return
         order, asked = self._stop
