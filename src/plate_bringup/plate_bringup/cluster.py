@@ -165,7 +165,7 @@ class Cluster(Executor):
             return
         self._sent[result] = sent
         sent.add_done_callback(partial(self._take, result))
-        if result.done():  # canceled meanwhile
+        if result.done():  # the run was canceled in the meantime
             self._release(result)
 
     def _take(self, result: Future[Any], sent: Future[Any]) -> None:
@@ -176,7 +176,7 @@ class Cluster(Executor):
         problem = sent.exception()
         if type(problem).__name__ == "KilledWorker":
             problem = PlateError(f"a run has ended several workers: {problem}")
-        with suppress(InvalidStateError):  # raised if it was canceled meanwhile
+        with suppress(InvalidStateError):  # raised if the run was canceled in the meantime
             if problem is None:
                 result.set_result(sent.result())
             else:

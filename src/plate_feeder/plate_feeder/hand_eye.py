@@ -76,7 +76,7 @@ class HandEye:
         """Transform a part from plate_home to this frame."""
         cos, sin = math.cos(self.angle), math.sin(self.angle)
         covariance = part.covariance
-        if covariance[0] >= 0:  # a negative value: the covariance is unknown
+        if covariance[0] >= 0:  # a negative value means that the covariance is unknown
             turn = np.array([[cos, -sin, 0.0], [sin, cos, 0.0], [0.0, 0.0, 1.0]])
             turned = turn @ np.reshape(covariance, (3, 3)) @ turn.T
             covariance = tuple(turned.ravel().tolist())

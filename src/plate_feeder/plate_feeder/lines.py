@@ -116,7 +116,7 @@ def answer_line(code: Code, text: str) -> bytes:
     """Return the reply line for a command."""
     plain = " ".join(text.encode("ascii", "replace").decode().split())
     line = f"{code:d} {plain}"
-    if len(line) > MAX_ANSWER:  # cut at a space: half a number would be wrong
+    if len(line) > MAX_ANSWER:  # cut at a space, because a cut number would be wrong
         line = line[: MAX_ANSWER + 1].rpartition(" ")[0]
     return line.encode() + b"\r\n"
 

@@ -194,7 +194,7 @@ class _Client:
         )
         try:
             await asyncio.wait((reading, doing, stop), return_when=asyncio.FIRST_COMPLETED)
-            if not doing.done():  # execute the last commands of the client
+            if not doing.done():  # let the last commands of the client end
                 reading.cancel()
                 drained = asyncio.ensure_future(self._queue.join())
                 await asyncio.wait((drained, doing), timeout=LAST_S,

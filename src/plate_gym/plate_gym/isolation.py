@@ -85,7 +85,7 @@ class Supervisor:
     def __init__(self) -> None:
         self._mark = secrets.token_hex(16)
         self._begun, self.ended = False, False
-        # Option -P: files in the current folder must not replace libraries.
+        # The option -P prevents files in the current folder from replacing libraries.
         self._process = subprocess.Popen(
             [sys.executable, "-P", "-m", "plate_gym.supervisor"],
             stdin=subprocess.PIPE, stdout=subprocess.PIPE, bufsize=0, start_new_session=True,
@@ -154,7 +154,7 @@ def _kill_marked(mark: str) -> None:
                     if entry not in (folder / "environ").read_bytes():
                         continue
                     process = os.pidfd_open(int(folder.name))
-                except OSError:  # it has ended or belongs to another user
+                except OSError:  # the process has ended or belongs to another user
                     continue
                 found = True
                 with contextlib.suppress(ProcessLookupError):

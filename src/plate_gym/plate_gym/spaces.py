@@ -26,7 +26,7 @@ class CycleSpace(spaces.Space):
         return self._motions.cycle(self.np_random.uniform(-1, 1, self._motions.size))[0]
 
     def contains(self, x: Any) -> bool:
-        """Return whether it is a motion of the plate."""
+        """Return whether `x` is a motion of the plate."""
         return isinstance(x, PlateCycle)
 
     def __eq__(self, other: object) -> bool:

@@ -281,7 +281,7 @@ def _descendants() -> Iterator[int]:
     children: dict[int, list[int]] = {}
     for name in os.listdir("/proc"):
         if name.isdigit():
-            with contextlib.suppress(OSError):  # it has ended in the meantime
+            with contextlib.suppress(OSError):  # the process has ended in the meantime
                 fields = Path(f"/proc/{name}/stat").read_bytes().rpartition(b")")[2].split()
                 children.setdefault(int(fields[1]), []).append(int(name))
     waiting = children.pop(os.getpid(), [])
@@ -330,7 +330,7 @@ def _tasks_of_user() -> int:
     count = 0
     for name in os.listdir("/proc"):
         if name.isdigit():
-            with contextlib.suppress(OSError):  # it has ended meanwhile
+            with contextlib.suppress(OSError):  # the process has ended in the meantime
                 if os.stat(f"/proc/{name}").st_uid == os.getuid():
                     count += len(os.listdir(f"/proc/{name}/task"))
     return count
@@ -351,7 +351,7 @@ def _proportional(process: int) -> int:
 def _number(process: int, file: str, name: bytes) -> int:
     try:
         return int(_field(process, file, name).split()[0])
-    except (OSError, IndexError, ValueError):  # it has ended in the meantime
+    except (OSError, IndexError, ValueError):  # the process has ended in the meantime
         return 0
 
 

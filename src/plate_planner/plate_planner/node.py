@@ -257,7 +257,7 @@ class PlannerNode(SafeLifecycleNode[PlannerParameters]):
         """Request the next cycle for an image that was taken at the start of a cycle."""
         stamp, run = msg.header.stamp, self._tasks.run
         parts = self._record_image(msg)
-        if parts is None:  # invalid image: request rest, so that the loop continues
+        if parts is None:  # after an invalid image, request rest to continue the loop
             self._request(NOTHING, stamp)
             return
         # In lockstep, the same image may arrive twice, before and after a goal. The task begins
@@ -417,7 +417,7 @@ class PlannerNode(SafeLifecycleNode[PlannerParameters]):
         now = self._wake()
         self._check_task(now)
         run = self._tasks.running
-        if run is not None:  # publish feedback even without images: the planner runs
+        if run is not None:  # feedback without images shows that the planner runs
             self._goals.feed_back(run.goal, run_to_msg(run, self._answered()).progress)
         if self._lockstep.image_waits:
             inputs, period = self._monitor.inputs, self._tasks.estimator.period
@@ -509,7 +509,7 @@ class PlannerNode(SafeLifecycleNode[PlannerParameters]):
         response.message = f"stopped; state before: {before}"
         if self._tasks.running is not None:
             self._end(STOP)
-        else:  # no task runs: acknowledge the end of the last task
+        else:  # if no task runs, acknowledge the end of the last task
             self._tasks.forget()
             self._reports.forget_text()
             self._publish_status(Reason.STOPPED)

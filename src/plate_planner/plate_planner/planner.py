@@ -331,7 +331,7 @@ class Planner:
         same as in `plan`."""
         estimator = state.estimator
         there, last = estimator.parts, state.last
-        if self.rules.open_ended:  # open-ended task: parts may be removed at any time
+        if self.rules.open_ended:  # parts can be removed at any time
             there = self._without_doubles(there, estimator.seen)
         else:
             there = self._without_doubles(there, estimator.seen, NAMELESS)
@@ -396,7 +396,7 @@ class Planner:
         comes_and_goes = self.rules.open_ended
         missing = () if comes_and_goes else missing_parts(self.scenario, state.known, parts)
         seen = set(state.estimator.seen.ids)
-        mine = self._mine(parts.ids)  # ignore other objects: they do not prevent the start
+        mine = self._mine(parts.ids)  # other objects do not prevent the start
         again = comes_and_goes or self._mine(state.known) == mine <= seen
         task = begin(state.task, t, missing, again, self.limits, self.others(parts))
         estimator = self._observe(state, parts, task.active and not state.task.active)

@@ -138,7 +138,7 @@ class TaskRunner:
         return text
 
     def see(self, parts: Parts, stamp: float) -> None:
-        """Record the parts of an image with this stamp [s]. The task needs no request for it."""
+        """Record the parts of an image with this stamp [s], without computing a request."""
         if self.run is None:
             self._idle = self._idle.update(parts, stamp)
         else:

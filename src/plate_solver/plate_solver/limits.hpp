@@ -1,4 +1,4 @@
-// Limit utilisation of a sampled motion: kernels of limits.py.
+// Utilisation of the rig's limits by a sampled motion: kernels of limits.py.
 #pragma once
 #include <algorithm>
 #include <cmath>
@@ -11,7 +11,8 @@ namespace plate {
 
 constexpr int MOTORS = 4;
 
-// The same values as in limits.py.
+// Largest permitted fractions of the rig's limits in a search and for a finished cycle, and the
+// weight of samples at equal steps. The values are the same as in limits.py.
 constexpr double MARGIN = 0.98, CERTAIN = 0.999;
 constexpr double EQUAL_WEIGHT[] = {1.0};
 

@@ -1,8 +1,8 @@
-"""Limit utilisation of a sampled motion, as a fraction of the rig's limits.
+"""Utilisation of the rig's limits by a sampled motion (1: exactly at the limit).
 
 The plate has the position c, the rotation matrix R and the spin w. A motor acts at the point p in
-the direction e, both at home. r is the vector R times a corner of the plate. The limit utilisation
-is the maximum of these ratios over all samples, motors and corners:
+the direction e, both at home. r is the vector R times a corner of the plate. The utilisation is the
+maximum of these ratios over all samples, motors and corners:
 
     travel        abs(e . (c + R p - p)) / stroke
     speed         abs(e . (c' + w x R p)) / speed limit
@@ -140,7 +140,7 @@ def within_limits(
             f"to stop from the cycle's start, the plate needs {least:.3g} times its limits, "
             f"allowed: {CERTAIN:g}"
         )
-    for _ in range(4):  # few rounds: utilisation is nearly linear in the fraction
+    for _ in range(4):  # few rounds, because utilisation is nearly linear in `share`
         share = max((0.9995 * CERTAIN - least) / (used - least), 0.0)
         times, *states = cycle.knots
         nearer = [b + share * (a - b) for a, b in zip(states, rest.knots[1:], strict=True)]

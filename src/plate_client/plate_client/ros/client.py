@@ -147,7 +147,10 @@ class Task:
 
     def _on_result(self, future: Any) -> None:
         status = future.result().result.status
-        if status.state in (TaskStatus.IDLE, TaskStatus.RUNNING):  # this is a default result
+        if status.state in (
+            TaskStatus.IDLE,
+            TaskStatus.RUNNING,
+        ):  # the result has only default values
             status.state, status.text = TaskStatus.ABORTED, "the planner no longer knows the goal"
         self.status = status
 

@@ -8,11 +8,12 @@
 
 namespace plate {
 
-// Prevents a division by zero if a state does not move in a step.
+// Small value that is added to a denominator. It prevents a division by zero if a state does not
+// move in a step.
 constexpr double TINY = 1e-300;
 
-// States are propagated in parallel. Their number is rounded up to a multiple of this number. The
-// additional states do not move.
+// Number of states that are propagated in parallel. The last group is filled with states that do
+// not move.
 constexpr int LANES = 8;
 
 // Propagates states (K, 5) in place by implicit Coulomb steps. The columns are x, y [m] and vx, vy

@@ -39,7 +39,8 @@ def is_bystander(part_id: str, labels: tuple[str, ...]) -> bool:
 
 
 def bystanders_text(parts: Parts, labels: tuple[str, ...]) -> str:
-    """Return a text that lists these objects. Empty if there are none."""
+    """Return a text that lists the parts for which `is_bystander` is true. Empty if there are
+    none."""
     rows = [row for row, name in enumerate(parts.ids) if is_bystander(name, labels)]
     if not rows:
         return ""
@@ -92,12 +93,12 @@ class Overlooked:
 
     @property
     def count(self) -> int:
-        """Median number of such objects in the last images."""
+        """Median number of overlooked objects per image, over the last images."""
         return int(np.median([len(one) for one in self.images])) if self.images else 0
 
     @property
     def text(self) -> str:
-        """Text with the number and the positions of these objects. Empty if there are none."""
+        """Text with the number and the positions of overlooked objects. Empty if there are none."""
         count = self.count
         if not count:
             return ""

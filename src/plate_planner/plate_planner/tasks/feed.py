@@ -196,7 +196,7 @@ class Feeder(TaskRules):
             for name, (x, y) in zip(parts.ids, parts.position.tolist(), strict=True)
             if name in now.seen.ids or name in memory.place
         }
-        if now.kept:  # the robot takes parts, so they are not lost
+        if now.kept:  # missing ready parts are not lost, because the robot takes them
             taken = memory.report.ready.ids
             place = {name: at for name, at in memory.place.items() if name not in taken}
         ready, ordered = len(report.ready), sum(pick.ready for pick in self._picks)
@@ -287,7 +287,8 @@ class Feeder(TaskRules):
     def _clearing(self, memory: FeedMemory, parts: Parts, near: np.ndarray) -> bool:
         """Whether the unwanted parts must move to the chute now: if there are many of them, or if
         no other part can get ready."""
-        if self._chute is None or self._mode is FeedMode.REST:  # the robot may look like a part
+        # At rest, the parts are not counted, because vision may detect the robot as a part.
+        if self._chute is None or self._mode is FeedMode.REST:
             return self._chute is not None and memory.clearing
         unwanted = sum(not self._is_wanted(name) for name in parts.ids)
         if self._mode is FeedMode.PURGE:

@@ -382,7 +382,7 @@ class Camera:
             if robot is not None:
                 draw_parts(canvas, self._light, self._places, robot, _robot_outlines())
             if self._defocus_px:
-                # Import only if it is needed: the import takes 0.2 s, and most images are sharp.
+                # Import only if needed, because the import takes 0.2 s and most images are sharp.
                 from scipy.ndimage import gaussian_filter
 
                 gaussian_filter(canvas, self._defocus_px, output=canvas)

@@ -39,12 +39,12 @@ using Mesh = View<double, 2>;
 
 namespace plate::patch {
 
-// Tolerance of the slip after a step, relative to dv. A relative error of mu with this value has
-// the same effect.
+// Tolerance of the slip after a step, relative to dv = mu g dt. A relative error of mu with this
+// value has the same effect.
 constexpr double SLACK = 1e-6;
 // Rounding error of the duality gap, relative to the slip times dv.
 constexpr double ROUNDING = 1e-14;
-// If the slip after a step is below this fraction of dv, the part sticks.
+// If the slip after a step is below this fraction of dv = mu g dt, the part sticks.
 constexpr double SNAP = 1e-3;
 // Maximum number of Newton iterations. Usual numbers are 1 to 12. If a part on feet rotates about
 // one of them, one case in 5000 does not converge.
@@ -237,7 +237,7 @@ PLATE_WIDE inline Slip slip_after(const Slip& free, double dv, double gyration2,
         return {0, 0, 0};
     Slip d = free;
     const double size2 = free.x * free.x + free.y * free.y + gyration2 * free.turn * free.turn;
-    if (size2 > 16 * dv * dv) {  // a fast part keeps sliding: use forces along the slip
+    if (size2 > 16 * dv * dv) {  // use forces along the slip, because a fast part keeps sliding
         const double share = 1 - dv / std::sqrt(size2);
         d = {share * free.x, share * free.y, share * free.turn};
         point_along(d, dv, all);

@@ -28,7 +28,7 @@ constexpr double FLOOR = 1e-13;
 // Maximum mean number of steps per cycle. If more are necessary, the rest of the motion is computed
 // with coarse steps, without error control.
 constexpr std::int64_t BUDGET = 50'000;
-// Number of equal steps per cycle for the rest of such a motion.
+// Number of equal steps per cycle for the rest of a motion that exceeds `BUDGET`.
 constexpr int COARSE = 2000;
 // Tolerance of roots in time, and of motion on a line. The tolerance is relative to a slip that
 // counts as zero.
@@ -38,7 +38,7 @@ constexpr double FINE = 1e-3;
 constexpr double LEAST = 1e-60;
 // Minimum number of intervals per piece in the search for the time at which a stuck part slides.
 constexpr int SCAN = 3;
-// Minimum number of intervals per period in the same search.
+// Minimum number of intervals per period in the search for the time at which a stuck part slides.
 constexpr int LOOKS = 100;
 
 // Scales of one part's motion: mu g [m/s2]; period [s]; approximate maximum acceleration [m/s2] of

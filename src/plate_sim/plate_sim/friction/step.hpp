@@ -72,8 +72,7 @@ constexpr int HALVINGS = 9;
 // Minimum cosine of the angle between the slip at the start of a step and the slips in the middle
 // and at the end. If it is smaller, the step is bisected.
 constexpr double STEADY = 0.9;
-// Minimum slip, as a fraction of mu g dt. A smaller slip counts as 0. A smaller slip is a rounding
-// error.
+// Minimum slip, as a fraction of mu g dt. A smaller slip is a rounding error and counts as 0.
 constexpr double STUCK = 1e-3;
 // If friction changes by less than this fraction of the slip in a step, the explicit rule is used.
 constexpr double GENTLE = 0.5;

@@ -8,7 +8,7 @@
 
 namespace plate {
 
-// Same values as in request.py.
+// Maximum accepted coordinate and velocity of a part. The values are the same as in request.py.
 constexpr double FARTHEST_M = 1e3, FASTEST_MPS = 1e3;
 
 // Compiled counterpart of `RequestFlags` in request.py.

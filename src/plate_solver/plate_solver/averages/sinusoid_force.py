@@ -90,20 +90,21 @@ def force_rules(number: int) -> Rules:
 def slip_at(
     coefficients: np.ndarray, x: float, y: float, vx: float, vy: float, slip: np.ndarray
 ) -> None:
-    """Write the slip (2 N + 1, 2) under a part at (x, y) with velocity (vx, vy), for a motion
-    (2 N, 3) in plate_home."""
+    """Write the coefficients (2 N + 1, 2) of the slip velocity of the plate relative to a part at
+    (x, y) with velocity (vx, vy) to `slip`. The last row is the constant term. The motion of the
+    plate has `coefficients` (2 N, 3) in plate_home."""
     _kernels.slip_at(coefficients, x, y, vx, vy, slip)
 
 
 def force_of(
     slip: np.ndarray, rule: Rules, grid: int, work: np.ndarray, gradient: np.ndarray
 ) -> tuple[float, float]:
-    """Return the average force [mu m g] of a slip (2 N + 1, 2).
+    """Return the average force [mu m g] for a slip velocity.
 
     Parameters
     ----------
     slip : (2 N + 1, 2)
-        [m/s].
+        Coefficients of the slip velocity [m/s], as `slip_at` writes them.
     grid : int
         `FEW`, `USUAL`, `ADAPTIVE` or `PANELS`.
     work : (5, K)

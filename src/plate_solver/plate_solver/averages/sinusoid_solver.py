@@ -171,7 +171,7 @@ class SinusoidSolver(ForceSolver, SinusoidCycles):
         def attempt(start: np.ndarray, _: int) -> tuple[Fit, float, int, bool]:
             found = fit_curl(request, family, start, tolerance / 10, most)
             steps, good = found.iterations, np.max(np.abs(found.error)) <= tolerance
-            if good:  # coarse samples do not resolve dips
+            if good:  # repeat with fine samples, because coarse samples do not resolve dips
                 found = fit_curl(request, fine, found.parameters, tolerance / 10, most)
                 steps, good = steps + found.iterations, np.max(np.abs(found.error)) <= tolerance
             return found, found.cost, steps, bool(good)

@@ -42,13 +42,13 @@ constexpr double BETTER = 0.99;
 // the tolerance.
 constexpr double SURE = 0.7;
 
-// Number of equal legs in which continuation goes from a fresh start to the request.
+// Number of equal legs of a continuation from a fresh start to the request.
 constexpr int LEGS = 3;
 
-// Maximum number of steps per leg.
+// Maximum number of steps per leg of a continuation.
 constexpr int LEG_STEPS = 8;
 
-// Error at which a leg ends, relative to the request.
+// Error at which a leg of a continuation ends, relative to the request.
 constexpr double LEG_ERROR = 0.03;
 
 // A basis of h sinusoidal motions of N harmonics.
@@ -329,7 +329,7 @@ private:
         Found found{.theta = fit.parameters, .iterations = iterations, .tries = tries};
         to_full_amplitude(found.theta);
         set_coefficients(found.theta);
-        // A few rounds suffice, because the limit utilisation is nearly linear in the factor. Only
+        // A few rounds suffice, because the utilisation is nearly linear in the factor. Only
         // rotation has a quadratic effect.
         for (int round = 0; round < 4; round++) {
             const double used = MARGIN * use_of(motions.hull, weights(HULL_WEIGHT), false);

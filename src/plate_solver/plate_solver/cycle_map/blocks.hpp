@@ -24,7 +24,7 @@ constexpr int X = 0, Y = LANES, VX = 2 * LANES, VY = 3 * LANES, BOUND = 4 * LANE
 // velocity, and vector from the plate's centre to the part [m].
 constexpr int XX = 0, XY = LANES, YY = 2 * LANES, ARM_X = 3 * LANES, ARM_Y = 4 * LANES;
 
-// Prevents 0/0 if the slip is zero [m2/s2].
+// Value that is added to the squared slip velocity [m2/s2]. It prevents 0/0 if the slip is zero.
 constexpr float TINY = 1e-30f;
 
 }  // namespace blocks

@@ -22,7 +22,7 @@ constexpr int X = 0, Y = 1, VX = 2, VY = 3, ACCEL = 4, ROWS = 5;
 constexpr int ARM_X = 0, ARM_Y = 1, XX = 2, XY = 3, YY = 4, FX = 5, FY = 6;
 constexpr int AFTER_X = 7, AFTER_Y = 8, PAST = 9;
 
-// Prevents 0/0 if the slip is zero.
+// Small value that is added to a denominator. It prevents 0/0 if the slip is zero.
 constexpr double TINY = 1e-300;
 
 }  // namespace stick_slip

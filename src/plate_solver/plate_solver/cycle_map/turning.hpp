@@ -30,7 +30,7 @@ constexpr int ARM_X = 9 * LANES, ARM_Y = 10 * LANES;
 // directions. The direction of a very slow slip is uncertain.
 constexpr double SLOW2 = 1e-4;
 
-// Prevents 0/0 if the slip is zero [m2/s2].
+// Small value that is added to a denominator. It prevents 0/0 if the slip is zero.
 constexpr double TINY = 1e-30;
 
 }  // namespace turning

@@ -101,7 +101,7 @@ def plan_rotations(
     cost = np.ones(len(library.twist)) if cost is None else cost
     times = least_time(matrix, wanted, np.tile(cost, len(SPEEDS)), dear, dear, start)
     used = np.flatnonzero(np.abs(times.weights) > 1e-9)
-    if not len(used):  # zero request: one rotation, duration 0
+    if not len(used):  # for a zero request, use one rotation of duration 0
         used = np.zeros(1, dtype=int)
     weight = times.weights[used]
     total = float(np.sum(np.abs(weight)))

@@ -169,7 +169,7 @@ class RotationCycles(MotionSolver):
         family, found = best
         self._warm = Start(family, found.parameters)
         solution = self._finished(goal, best, good_enough, iterations)
-        if found.cost <= enough and not solution.success:  # search steps too coarse
+        if found.cost <= enough and not solution.success:  # the search steps were too coarse
             fine = family.finer(FINER)
             found = fit_goal(goal, fine, found.parameters, tolerance, POLISH)
             iterations += found.iterations

@@ -12,7 +12,8 @@
 
 namespace plate::sinusoids {
 
-// The same values as in limits.py.
+// Displacement error that is equivalent to a violation of a limit by 100 %, and fraction of a limit
+// that a motion may use without a violation. The values are the same as in limits.py.
 constexpr double EXCESS_M = 2e-3, AIM = 0.95;
 
 // Basis of one degree of freedom at the n instants where limits are checked: (h, n) each, and the

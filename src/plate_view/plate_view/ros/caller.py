@@ -65,7 +65,7 @@ class Caller:
     def _poll(self) -> None:
         for poller in list(self.pollers):
             poller()
-        if not self.pollers:  # without calls, the node is idle
+        if not self.pollers:  # without calls, the node needs no timer
             self._timer.cancel()
 
     def client(self, kind: Any, name: str) -> Any:
