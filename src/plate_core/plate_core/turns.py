@@ -9,7 +9,7 @@ SEVERAL = 3
 causes only one."""
 
 WITHIN_S = 3.0
-"""Time within which these out-of-order messages must arrive [s]."""
+"""Time within which `SEVERAL` out-of-order messages indicate a second publisher [s]."""
 
 LOST, SILENCE_S = 5, 1.0
 """The first value is the maximum step between two sequence numbers of the accepted publisher [-].

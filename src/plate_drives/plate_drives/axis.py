@@ -25,10 +25,10 @@ CYCLE_MS = 10
 """Length of a bus cycle [ms]. The drive interpolates over this time."""
 
 BEAT_MS = 50
-"""Period of heartbeats [ms]."""
+"""Period of the heartbeats of a drive and of this program [ms]."""
 
 SILENT_MS = 300
-"""Timeout of heartbeats [ms]."""
+"""Time without a heartbeat of this program after which a drive stops by itself [ms]."""
 
 READY_S = 5.0
 """Maximum time until the drive is enabled [s]."""

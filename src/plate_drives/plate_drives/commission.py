@@ -39,7 +39,7 @@ SWING_S = 4.0
 """Duration of the test that measures the following error [s]."""
 
 SWING_HZ = 2.0
-"""Maximum frequency of this test [Hz]."""
+"""Maximum frequency of the motion in the test that measures the following error [Hz]."""
 ANSWER_S = 60.0
 """Maximum wait for a person's answer while a motor has current [s]."""
 ROUGH = 0.1

@@ -40,8 +40,8 @@ FLAGS = ("-std=c99", "-O2", "-ffp-contract=off")
 
 ENDED = "the process that controls the drives has ended"
 FADE = 1e-3
-"""Relative decay of the maximum delay with each telemetry message. The time constant is about 10
-s."""
+"""Fraction by which the reported maximum delay of the process decreases with each telemetry
+message. The time constant is about 10 s."""
 
 
 def build(header: str, kind: str, folder: Path, *files: str) -> Path:

@@ -48,7 +48,7 @@ SKIRT_PX = 0.7
 
 DARKNESS = np.linspace(0.1, 0.8, 6)
 EDGES_PX = (1.0, 2.5, 4.5)
-"""Values of the darkness and the half width of the edge [px] in the grid search."""
+"""Values of the shadow's darkness and of the half width of its edge [px] in the grid search."""
 
 SIMPLEX = 0.5 * np.vstack([-np.ones(4), np.eye(4) * 3 - 1])
 TRIES = 40
@@ -58,10 +58,11 @@ of the darkness [0.1] and of the half width of the edge [px]; the maximum number
 the bounds of the darkness and of the half width of the edge [px]."""
 
 GOOD_FIT = 0.1
-"""Maximum mean misfit with a shadow."""
+"""Maximum mean misfit of the objects with a shadow. If it is exceeded, the shadow is rejected."""
 
 BETTER = 0.75
-"""Maximum mean misfit with a shadow, relative to the misfit without a shadow."""
+"""Maximum mean misfit of the objects with a shadow, relative to their mean misfit without a
+shadow."""
 
 SURE = 0.7
 """Maximum mean misfit with a shadow, relative to the misfit with a shadow on the opposite side. If
@@ -72,7 +73,7 @@ UNLIKE = 0.15
 """Minimum difference in darkness by which a part is distinguished from its shadow."""
 
 UNLIKE_FRACTION = 0.3
-"""Minimum fraction of parts that must have this difference."""
+"""Minimum fraction of the parts whose darkness differs from their shadow by more than `UNLIKE`."""
 
 EQUAL = 1.05
 """Maximum misfit of a shadow whose length is measured, relative to the misfit of the shadow whose

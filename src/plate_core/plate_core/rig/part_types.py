@@ -65,7 +65,8 @@ TAKEN = ("black", "grey", *NAMELESS)
 type."""
 
 CENTRED = 0.03
-"""Tolerance of manufacture and measurement, as a fraction of a part's reach."""
+"""Tolerance of a hole's centre and of the corners of a symmetric outline, as a fraction of the
+part's reach. It covers the errors of manufacture and measurement."""
 
 Polygon = tuple[tuple[float, float], ...]
 """Corners (x, y) [m], counter-clockwise."""

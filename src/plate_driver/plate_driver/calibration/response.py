@@ -28,11 +28,12 @@ KNOTS_PER_WAVE = 3
 the tables are small enough for the devices."""
 
 STRESS = 30.0
-"""Additional relative weight of a change at the strongest harmonic of a motion."""
+"""Additional weight of a change at the strongest harmonic of a motion, relative to the weight of a
+change at a harmonic that the motion does not contain."""
 
 WEAKEST = 0.02
-"""Minimum gain for the inverse of H. It limits the command at frequencies at which the plate hardly
-follows."""
+"""Minimum gain (singular value) of the frequency response H from which the inverse of H is
+computed. It limits the command at frequencies at which the plate hardly follows."""
 
 SLOW_HZ = 5.0
 """Frequency below which accelerations are computed from positions [Hz], because positions are more

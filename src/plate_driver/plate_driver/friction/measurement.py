@@ -101,7 +101,7 @@ RANGE = 2.4
 """Ratio of the maximum mu to the minimum mu that one push can measure."""
 
 CURVE = 80
-"""Number of values of mu in this range for which the slip is tabulated."""
+"""Number of values of mu in the range of a push (`RANGE`) for which the slip is tabulated."""
 
 AGREE = 0.05
 SURE = 3.0

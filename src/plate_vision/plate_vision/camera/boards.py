@@ -28,7 +28,7 @@ REFINE_FRACTION = 0.25
 """Half width of the window in which a corner is refined, relative to a square's side."""
 
 MIN_WINDOW_PX, MAX_WINDOW_PX = 2, 11
-"""Bounds of this half width [px]."""
+"""Bounds of the half width of the window in which a corner is refined [px]."""
 
 MIN_CORNERS = 6
 """Minimum number of corners in a picture. A homography needs four."""

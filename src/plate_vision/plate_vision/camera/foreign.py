@@ -19,7 +19,7 @@ OPENCV = b"%YAML:1.0"
 YAML."""
 
 MATRIX = re.compile(rb"!!opencv-[a-z-]+")
-"""Tag of a matrix in these files. JSON files have `type_id` instead."""
+"""Tag of a matrix in YAML files of cv::FileStorage. JSON files have `type_id` instead."""
 
 NAMES = {
     "image_width": ("imagewidth", "width"),

@@ -32,27 +32,27 @@ px."""
 
 
 SAMPLES = 24
-"""Number of profiles across each edge."""
+"""Number of grey-level profiles across each edge of a marker."""
 
 SPAN = (0.15, 0.85)
 """Range of an edge that is sampled, relative to its length [-]. The ends of an edge are not
 sampled, because blur rounds them."""
 
 REACH_PX = 4.0
-"""Maximum distance of an edge from its expected place on both sides [px]."""
+"""Maximum distance of a marker's edge from its expected place, on either side [px]."""
 
 STEP_PX = 0.5
 """Distance between two samples across an edge [px]."""
 
 MIN_CONTRAST = 25.0
-"""Minimum difference of grey levels across an edge."""
+"""Minimum difference between the grey levels on both sides of a marker's edge."""
 
 OUTLIER_PX = 0.5
 """Maximum distance of a crossing from the fitted line [px]. Crossings that are farther away are
 excluded, because they are caused by, for example, dirt or a part."""
 
 MIN_CROSSINGS = 6
-"""Minimum number of profiles in which the edge is found."""
+"""Minimum number of profiles in which a marker's edge is found."""
 
 ROUNDS = 2
 """Number of refinements. Each refinement searches around the edges that the previous one found."""

@@ -176,7 +176,7 @@ class Source(Protocol):
 
 
 SILENT_CAMERA = "check that the camera is plugged in and does not wait for a trigger"
-"""`Source.silence` of a camera."""
+"""Advice to the user if a camera sends no image (`Source.silence`)."""
 
 Warn = Callable[[str], None]
 

@@ -27,7 +27,7 @@ BURNT_GREY = 254
 """Grey level from which a pixel counts as overexposed."""
 
 EVERY = 8
-"""Step between the rows and columns that are evaluated for these two percentiles."""
+"""Step between the rows and columns that are evaluated for the percentiles of the brightness."""
 
 
 class LitPlate(NamedTuple):

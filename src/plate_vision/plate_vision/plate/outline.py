@@ -50,27 +50,33 @@ STATION_END = 0.94
 rounded."""
 
 NEAR_M = 3e-3
-"""Tolerated deviation [m]. At the start of a cycle, the plate is up to 2 mm from home."""
+"""Tolerated deviation of the plate's outline from the prediction [m]. At the start of a cycle, the
+plate is up to 2 mm from home."""
 
 NEAR_STROKE = 0.3
-"""Tolerated deviation as a fraction of the stroke, if that is smaller than `NEAR_M`."""
+"""Tolerated deviation of the plate's outline from the prediction, as a fraction of the motors'
+stroke. The smaller one of this value and `NEAR_M` is used."""
 
 NEAR_PX = 3.0
-"""Minimum tolerated deviation [px]. Corners measured by hand have errors of 1 to 2 px."""
+"""Minimum tolerated deviation of the plate's outline from the prediction [px]. Corners measured by
+hand have errors of 1 to 2 px."""
 
 BOW_PX = 1.0
-"""Tolerated bow in the middle of an edge [px]. The bow is measured with an accuracy of 0.2 px."""
+"""Tolerated bow in the middle of an edge of the plate [px]. The bow is measured with an accuracy of
+0.2 px."""
 
 BOW_M = 5e-4
-"""Tolerated bow [m], if it is larger than `BOW_PX`. The edges of sawn plates deviate from a
-straight line by up to 0.3 mm."""
+"""Tolerated bow in the middle of an edge of the plate [m], if it is larger than `BOW_PX`. The edges
+of sawn plates deviate from a straight line by up to 0.3 mm."""
 
 TURN_RAD = np.radians(0.6)
-"""Tolerated rotation [rad]. For a plate of 300 px, it is measured with an accuracy of a tenth of
-this value. At the start of a cycle, the rotation of a moving plate is smaller."""
+"""Tolerated rotation of the plate's outline relative to the prediction [rad]. For a plate of 300
+px, it is measured with an accuracy of a tenth of this value. At the start of a cycle, the rotation
+of a moving plate is smaller."""
 
 STRETCH = 0.01
-"""Tolerated change of size [-]. It is measured with an accuracy of a tenth of this value."""
+"""Tolerated difference between the size of the plate's outline and the predicted size, relative to
+the latter [-]. It is measured with an accuracy of a tenth of this value."""
 
 SUPPORT = 0.6
 """Minimum fraction of an edge's profiles that must agree. It is below 1 because parts may hide the
@@ -104,8 +110,8 @@ INLIER_PX = 2.0
 lens with strong distortion deviates by 1 px from a curve of second degree."""
 
 MOVED_RADII = 2.0
-"""Maximum deviation for which a moved camera is assumed as the cause if a flipped image is possible
-too [part radii]."""
+"""Maximum deviation of the plate's outline from the prediction for which a moved camera is assumed
+as the cause if a flipped image is possible too [part radii]."""
 
 SIDE_PX = 5.0, 10.0
 """Range of distances from a step in which the brightness beside it is measured [px]. They are
@@ -147,7 +153,7 @@ class OutlineGrid:
     scale : (4,)
         Pixels per metre across each edge.
     near : float
-        Tolerated deviation [m].
+        Tolerated deviation of the outline from the prediction [m].
     stroke : float
         Stroke of the motors [m].
     """

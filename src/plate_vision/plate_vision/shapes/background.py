@@ -27,7 +27,8 @@ Commission on Illumination) the weight would be 2.55, because its L has a maximu
 255."""
 
 SIGMAS = 3.5
-"""Maximum deviation of a background pixel, in standard deviations of the background's noise."""
+"""Maximum deviation of a pixel from the background for which it counts as background, in standard
+deviations of the background's noise."""
 
 MIN_NOISE = 2.5
 """Minimum assumed standard deviation of a background [L]. Rounding and JPEG compression cause this
@@ -47,7 +48,8 @@ MODES = 5
 """Number of frequent colours of a photograph that are tried as its background."""
 
 NEAR_MODE = 18.0
-"""Initial maximum deviation of pixels from the colour of a mode [L]."""
+"""Initial maximum deviation of the background's pixels from a frequent colour of a photograph
+[L]."""
 
 TERMS = (1, 3, 6, 6, 6)
 """Numbers of terms of the surface in successive fits. The surface is constant with 1, linear with
@@ -64,33 +66,36 @@ LOCAL = 0.12
 shorter side of the image [-]. It is larger than a part."""
 
 LOCAL_PASSES = 3
-"""Number of such averages. Each average uses the pixels that agree with the previous average."""
+"""Number of successive averages of the background's colour. Each average uses the pixels that agree
+with the previous average."""
 
 MIN_FRACTION = 0.05
 """Minimum fraction of background around a pixel. If the fraction is smaller, the change of the
 background is reduced."""
 
 TEXTURE_PERCENT = 98
-"""Percentile of the deviations of a photograph's background pixels. Deviations up to this
-percentile are texture."""
+"""Percentile of the deviations of a photograph's background pixels from the mean background.
+Deviations up to this percentile are texture."""
 
 TEXTURE = 1.25
-"""Factor by which this percentile is multiplied. Pixels of parts have larger deviations."""
+"""Maximum deviation of a photograph's background pixel, relative to the percentile of the
+deviations (`TEXTURE_PERCENT`). Pixels of parts have larger deviations."""
 
 SOFTER_PX = (1.0, 1.5, 2.0, 2.5, 3.0)
 """Candidates of the additional blur of an image, compared with the images of the bare plate
 [px]."""
 
 EDGE_PX = 4
-"""Width of the border along the plate's edge in which such a blur is measured [px]."""
+"""Width of the border along the plate's edge in which the additional blur of an image is measured
+[px]."""
 
 SOFTER = 0.2
 """Minimum fraction of the pixels at the plate's edge that differ from the bare plate. If the
 fraction is smaller, no additional blur is assumed."""
 
 EXPLAINED = 0.1
-"""Maximum fraction of these pixels that differ with the best blur. If the fraction is larger, the
-plate has probably moved."""
+"""Maximum fraction of the pixels at the plate's edge that differ from the bare plate after the best
+additional blur was applied to it. If the fraction is larger, the plate has probably moved."""
 
 SPECK = 100.0
 """Minimum deviation of a speck from its neighbours [L]. A speck is a single pixel."""
@@ -115,7 +120,8 @@ class Background:
     lab : (H, W, C) uint8
         Colours: C = 3, L, a, b; or C = 1, grey levels.
     limit : (H, W) uint8
-        Maximum deviation of a pixel that shows the background [L], see `deviation`.
+        Maximum deviation of a pixel from these colours for which it counts as background [L]. See
+        `deviation`.
     chroma : float
         Weight of a and b relative to L in a deviation.
     cleaned : bool

@@ -22,11 +22,12 @@ POINTS = 24
 """Number of points on the contour of a patch."""
 
 PERCENT = 25
-"""Percentile of the blur at these points that is the blur of a patch. A low percentile is used
-because shadows and motion blur only some sections of a contour."""
+"""Percentile of the blur at the points of a contour that is the blur of a patch. A low percentile
+is used because shadows and motion blur only some sections of a contour."""
 
 FIRST = 8
-"""Maximum number of patches that are measured first."""
+"""Maximum number of patches whose blur is measured first. If they are sharp, no others are
+measured."""
 
 SHARP = 0.6
 """Maximum blur of the first patches for which the other patches are not measured, because the image

@@ -32,8 +32,9 @@ from .patch import Patch
 from .shadows import MIN_PX, Lamp
 
 ASTRAY = 2.0
-"""Maximum distance of the outlines after two steps of a fit, relative to the maximum distance at
-its end. If the distance is larger, the fit is stopped."""
+"""Maximum distance between the outlines of a patch and a type after two steps of their fit,
+relative to the maximum distance at the end of the fit. If the distance is larger, the fit is
+stopped."""
 
 FIT_PX = 0.35
 """RMS (root mean square) distance between outlines of one type that pixels and noise cause [px]."""
@@ -61,8 +62,8 @@ HOLES = 0.06
 highlights may look like holes, and dark holes may look like the part."""
 
 LIMIT = 3.0
-"""Maximum difference between a patch and its type, in the standard deviations above. If the
-difference to every type is larger, the patch is unknown."""
+"""Maximum difference between a patch and its type, in standard deviations of parts of one type. If
+the difference to every type is larger, the patch is unknown."""
 
 OTHER_SIZE = 0.45
 """Maximum size ratio (natural logarithm) of a patch and its type. It is independent of the type's

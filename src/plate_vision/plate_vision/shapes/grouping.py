@@ -78,8 +78,8 @@ COLOURS = (4, 8)
 """Numbers of colour clusters in a piece. Parts may touch where two clusters meet."""
 
 COLOUR_WEIGHTS = (0.5, 2.0, 2.0)
-"""Weights of L, a and b in these clusters. The weight of L is smaller because light and shadows
-change the lightness."""
+"""Weights of L, a and b in the clusters of a piece's colours. The weight of L is smaller because
+light and shadows change the lightness."""
 
 STEEP = 4.0
 """Minimum gradient of an inner edge (Sobel filter), relative to the background's noise limit. An
@@ -92,8 +92,8 @@ MIN_SEPARATED = 0.3
 """Minimum fraction of a piece that consists of compact pieces after a split along edges."""
 
 MIN_FRACTION = 0.5
-"""Minimum area of the rest after such a split, relative to the smallest piece. A larger rest is a
-group."""
+"""Minimum area of a connected rest that counts as a group after a piece was split, relative to the
+smallest piece of the split."""
 
 MOSTLY = 0.5
 """Minimum fraction of pieces that must be similar to others. Only then, a piece that is not similar

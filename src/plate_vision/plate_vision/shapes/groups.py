@@ -111,7 +111,7 @@ EDGE_STEP = 5.0
 """Minimum gradient of an edge of colour inside a group [grey levels/px]."""
 
 EDGE_DEPTH_PX = 3.0
-"""Minimum distance of such an edge from the group's contour [px]."""
+"""Minimum distance of an edge of colour inside a group from the group's contour [px]."""
 
 STEPS = 8
 """Number of Gauss-Newton steps for each part."""

@@ -31,8 +31,8 @@ SEEN = 0.3
 and not like the part [standard deviations]."""
 
 UNSEEN = 2.0
-"""Penalty for such a hole if the image in the hole looks both like the plate and like the part
-[standard deviations]."""
+"""Penalty for a hole that is missing in the outline, if the image in the hole looks both like the
+plate and like the part [standard deviations]."""
 
 SPARSE = 16
 """Step between the rows and columns that are evaluated for the typical noise."""

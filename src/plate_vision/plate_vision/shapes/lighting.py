@@ -45,13 +45,13 @@ SMOOTH = np.array([1, 2, 3, 2, 1]) / 9
 """Weights of the average over neighbouring bins."""
 
 MODES = 4
-"""Maximum number of modes."""
+"""Maximum number of modes of the histogram of the ratios that are tried as the light."""
 
 MIN_MODE = 0.1
-"""Minimum height of a mode, relative to the highest mode."""
+"""Minimum height of a mode of the histogram of the ratios, relative to the highest mode."""
 
 APART = 3
-"""Minimum distance between two modes [bins]."""
+"""Minimum distance between two modes of the histogram of the ratios [bins]."""
 
 PASSES = ((1, 25.0), (3, 25.0), (6, 15.0), (6, 0.0), (6, 0.0))
 """Number of terms of the surfaces in each pass of the fit, and the minimum of the maximum deviation
@@ -63,9 +63,9 @@ STEADY = 0.6
 searched, because no other light can agree with more of the plate."""
 
 STEADY_LIMIT = 0.6
-"""Maximum deviation of a pixel that agrees with the last light, relative to the limit of the
-plate's noise. It is below 1 because after a slight change of the light, the full limit would
-exclude half of the noise."""
+"""Maximum deviation of a pixel from the plate in the last light for which the pixel agrees with
+this light, relative to the limit of the plate's noise. It is below 1 because after a slight change
+of the light, the full limit would exclude half of the noise."""
 
 EVEN = np.zeros((6, 3), np.float32)
 """Surfaces of a light that equals the light on the background."""
@@ -83,7 +83,7 @@ with the two lights are compared. Pixels of the plate are connected, but pixels 
 separate areas."""
 
 EVERY = 2
-"""Step between the rows and columns that are used in this comparison."""
+"""Step between the rows and columns that are used to compare two lights."""
 
 UNSEEN_L = 0.5
 """Maximum change of colours that is ignored [L]. It is half of their resolution, which is 1."""
@@ -129,7 +129,7 @@ class Lit:
     bare : (H, W, C) uint8
         Colours of the bare plate, C = 1 or 3.
     limit : (H, W) uint8
-        Maximum deviation of a pixel that shows the plate [L].
+        Maximum deviation of a pixel from the plate for which it counts as plate [L].
     chroma : float
         Weight of a and b relative to L.
     region : Region

@@ -26,7 +26,7 @@ constexpr int HARMONICS = 17;
 constexpr double REACH_PX = 2.5;
 constexpr int STEPS = 11;
 
-// Minimum difference between the first and the last of these samples at an edge, relative to the
+// Minimum difference between the first and the last sample across an edge, relative to the
 // difference between part and surround. Where parts touch, there is no edge, and the patch's
 // contour is used instead.
 constexpr double MIN_STEP = 0.25;

@@ -22,11 +22,11 @@ COARSE = 0.03
 part's reach."""
 
 FINE_PX = 0.5
-"""Tolerance of the first polygon [px]."""
+"""Tolerance of the first polygon: its maximum distance from the measured outline [px]."""
 
 FINE = 0.012
-"""Tolerance of the first polygon, relative to the part's reach. The larger of the two tolerances is
-used."""
+"""Tolerance of the first polygon, relative to the part's reach. The larger one of this value and
+`FINE_PX` is used."""
 
 PLAIN_PX = 0.14
 """RMS deviation up to which a polygon with fewer corners is preferred [px]."""
@@ -43,8 +43,8 @@ BULGE_PX = 0.35
 """Maximum distance of the outline from the polygon's edges [px]."""
 
 CLEAR_PX = 2.0
-"""Minimum distance from the corners at which this distance is evaluated, because blur rounds the
-corners [px]."""
+"""Minimum distance from the corners at which the distance between outline and polygon is evaluated
+[px]. Blur rounds the corners."""
 
 STAY = 0.05
 """Weight of a corner's shift in the fit, relative to the weight of the outline's distance. It keeps

@@ -52,7 +52,8 @@ REMNANT = 0.35
 condition of `LEFT` must be fulfilled too."""
 
 LEFT = 0.25
-"""Minimum area of the removed shadow around such a rest, relative to the rest's area."""
+"""Minimum area of the removed shadow around a patch that is the rest of a shadow, relative to the
+patch's area."""
 
 FILLED = 0.3
 """Minimum fraction of the area enclosed by a ring that objects inside must fill, so that they and
@@ -76,7 +77,8 @@ CONVEX_HOLE = 0.75
 has thin corners."""
 
 LARGE_HOLE_PX2 = 40.0
-"""Minimum area of an enclosed area with visible thin corners [px2]."""
+"""Area of an enclosed area above which `CONVEX_HOLE` applies [px2]. In smaller areas, thin corners
+are not visible."""
 
 
 def find_patches(

@@ -26,7 +26,8 @@ FEWEST = 3
 """Minimum number of patches that count as several patches."""
 
 ALIGNED = 0.8
-"""Minimum length of the mean of unit vectors that point to the same side."""
+"""Minimum length of the mean of the unit vectors to the shadows for which the shadows count as
+being on the same side."""
 
 DEPTHS = 0.4
 """Maximum difference between the deviation of a shadow from the background and the median of the
@@ -87,7 +88,7 @@ and dark sides of touching parts, which have random directions, could be mistake
 
 SPREAD = 0.35
 """Maximum of the median deviation of the shadows' lengths from their median, relative to this
-median."""
+median. If it is exceeded, no lamp is determined."""
 
 MIN_SHADE = 30.0
 """Minimum difference in lightness between the background and the shadows of a lamp [L, 0 to 255].
@@ -99,12 +100,13 @@ MIN_PX = 1.0
 lamp is determined."""
 
 FACE = 0.9
-"""Minimum fraction of a patch's dark side from which the light side is at most the shift of the top
-away, so that the dark side counts as side faces. The rest is noise."""
+"""Minimum fraction of a dark side's pixels near the light side of the patch, for which the dark
+side counts as side faces. Near means at most the distance by which the height of a part shifts its
+top in the image. The other pixels are noise."""
 
 FACE_SLACK_PX = 1.5
-"""Maximum distance of the top beyond the shift that its height causes [px]. Blur causes this
-distance."""
+"""Maximum distance of a side face's pixel from the top, in addition to the shift of the top that
+the part's height causes [px]. Blur causes this distance."""
 
 
 class Sides(NamedTuple):
@@ -170,7 +172,7 @@ def find_sides(
     chroma : float
         Weight of a and b relative to L.
     limit : (H, W) uint8
-        Maximum deviation of a pixel that shows the background.
+        Maximum deviation of a pixel from the background for which it counts as background [L].
     labels : (H, W) int32
         Number of the patch of each pixel, 0 outside.
     count : int

@@ -50,7 +50,8 @@ to their reach [-]. Sizes may differ more, because seeds or coins of the same ki
 size."""
 
 DIFFER_PX = 1.5
-"""Minimum of both maximum differences [px]."""
+"""Minimum value of the maximum differences between examples in outline and size [px]. It applies to
+small parts."""
 
 MIN_ALIKE_FRACTION = 0.66
 """Minimum fraction of the parts that must agree. The other parts are then not used."""
@@ -60,7 +61,8 @@ ROUND = 0.018
 disc. For a regular octagon, it is 0.024."""
 
 ROUND_PX = 0.12
-"""Minimum of this deviation, because of the noise of small parts [px]."""
+"""Minimum value of the RMS deviation from a circle below which a part is a disc [px]. It applies to
+small parts, because of their noise."""
 
 UNEVEN = 2.0
 """Minimum ratio between the deviation of the mean outline from a circle and the deviation of the
@@ -76,7 +78,8 @@ TURNED = 0.015
 as equal."""
 
 TURNED_PX = 0.25
-"""Minimum of this deviation, for small parts [px]."""
+"""Minimum value of the RMS deviation between a ring and its rotated copy below which they count as
+equal [px]. It applies to small parts."""
 
 MAX_SYMMETRY = 12
 """Maximum symmetry of a part that is not round."""
@@ -92,7 +95,7 @@ HEIGHTS = (0.25, 0.5, 0.75, 1.0, 1.5)
 """Heights that are tried for a part that is assumed to be flat, relative to its reach [-]."""
 
 HIGHEST = 0.5
-"""Maximum of these heights, relative to the height of the camera [-]."""
+"""Maximum height that is tried for a part, relative to the height of the camera [-]."""
 
 BETTER, BETTER_PX = 2.0, 0.05
 """Conditions for the warning that a part may not be flat. BETTER: minimum factor by which a height
