@@ -1,7 +1,7 @@
 """Parallel runs on many machines. A Dask scheduler distributes the runs to its workers.
 
 `Cluster` has the interface of a pool of processes. Before a worker receives runs, it is compared
-with this process. It must give the same results to the last bit.
+with this process. The worker must give the same results to the last bit.
 """
 
 from __future__ import annotations
@@ -128,7 +128,8 @@ class Cluster(Executor):
     def submit(self, fn: Callable[..., Any], /, *args: Any, **kwargs: Any) -> Future[Any]:
         """Submit a run, see `Executor`. A run that has begun can also be canceled."""
         result: Future[Any] = Future()
-        # As bytes, because the scheduler reads arguments too, and cannot import modules of bench.
+        # The run is sent as bytes, because the scheduler also reads arguments and cannot import
+        # modules of bench.
         from distributed.protocol.pickle import dumps
 
         self._calls[result] = (_work, self._token, dumps((fn, args, kwargs)))

@@ -63,9 +63,9 @@ class Robot:
 
     The robot grips at time 0. The robot detects immediately whether it has the part. The robot
     hides a part of the image until 0.15 C. Then it reports the result. At 0.6 C it requests the
-    next part. If the reply arrives in time, it enters the image at 0.85 C and grips at C. Otherwise
-    it waits outside the image for the reply, and grips 0.15 C after the reply. This wait is the
-    measured waiting time. A failed grip takes as long as a successful one.
+    next part. If the reply arrives in time, the robot enters the image at 0.85 C and grips at C.
+    Otherwise it waits outside the image for the reply, and grips 0.15 C after the reply. This wait
+    is the measured waiting time. A failed grip takes as long as a successful one.
 
     Attributes
     ----------
@@ -148,7 +148,7 @@ class Tally:
         Differences between the reported and the true position [m] and angle [rad] of each part at
         the grip.
     refused : list of str
-        Number of replies to the robot's requests that contained no part.
+        Code and text of each reply to the robot's requests that contained no part.
     cpu_s : float
         CPU time of vision, planner, solver and driver [s].
     """
@@ -200,7 +200,7 @@ class Production:
     cpu : float
         CPU time per simulated second, without the CPU time of the simulator [-].
     refused : tuple of str
-        Number of replies to the robot's requests that contained no part.
+        Code and text of each reply to the robot's requests that contained no part.
     """
 
     parts_per_min: float
@@ -260,7 +260,7 @@ class FeederCell:
     robot : Robot
     tally : Tally
     simulation : Simulation or None
-        Order for the planner. None before the first call of `act`.
+        Simulation of the plate. None before the first call of `act`.
     """
 
     def __init__(self, task: FeedTask, rig: Rig, cycle_s: float) -> None:

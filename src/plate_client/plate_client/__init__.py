@@ -1,6 +1,6 @@
 """Tasks, stops and parameters of the plate from Python (`PlateClient`), and the program `plate`.
 
-Both of them use the same actions, topics and services as any other program.
+The class and the program use the same actions, topics and services as any other program.
 """
 
 from typing import TYPE_CHECKING, Any

@@ -150,7 +150,7 @@ class Reserved:
     Attributes
     ----------
     client : hashable or None
-        Client that has reserved it. None if that client has disconnected.
+        Client that has reserved the part. None if this client has disconnected.
     part : ReadyPart
     until : float
         End of the reservation [s].

@@ -164,8 +164,8 @@ def episode(
         `dropped`, `error_mm` and `turn_error_deg` (of the part with the largest error at the end),
         `limit_share` (maximum), and `places` (digest of all positions). Computing times: `start_ms`
         (processor time to make the agent); `decision_ms`, `decision_ms_p99` (processor time of a
-        decision, including this project's solver if the action uses it: median and 99 %);
-        `wall_ms`, `wall_ms_p99` (the same as elapsed time).
+        decision, including this project's solver if the action uses it: median and 99th
+        percentile); `wall_ms`, `wall_ms_p99` (the same as elapsed time).
 
     Raises
     ------
@@ -194,7 +194,7 @@ def episode(
             total, used = total + reward, max(used, float(info["limit_share"]))
             places.update(plate.simulation.state.position.tobytes())
     except KeyboardInterrupt as problem:
-        # By Ctrl-C, which the processes of `isolation` ignore, or by the agent.
+        # Ctrl-C or the agent has raised it. The processes of `isolation` ignore Ctrl-C.
         if signal.getsignal(signal.SIGINT) is not signal.SIG_IGN:
             raise
         raise PlateError(f"{named(agent, task, seed, len(spent))}: KeyboardInterrupt") from problem
@@ -271,7 +271,8 @@ def evaluate(
         Result for JSON. The result contains what was run (`agent`, `world`, `commit`, digest of the
         `sources`, `versions`), and for each task the `rows` of `episode` with their summary. The
         summary contains `success`, `time_s` and `decision_ms` (medians; times of successful
-        episodes), each with an interval of 95 % (Wilson's, bootstrap).
+        episodes), each with a 95 % confidence interval (Wilson for `success`, bootstrap for the
+        medians).
 
     Raises
     ------
@@ -335,7 +336,7 @@ def episodes(
     if pool is None and not workers:
         yield from map(partial(episode, agent, world, task), seeds)
         return
-    # Threads, because they only wait for processes.
+    # Threads are sufficient, because they only wait for processes.
     shared = nullcontext(pool) if pool is not None else ThreadPoolExecutor(workers)
     # Workers of a cluster import the function by this name.
     run = isolated if pool is None else importlib.import_module("plate_gym.bench").isolated
@@ -530,7 +531,7 @@ def read(path: Path) -> Any:
     Raises
     ------
     PlateError
-        If it cannot be read or is not valid. The message contains the name of the file.
+        If the file cannot be read or is not valid JSON. The message contains the name of the file.
     """
     content = read_file(path, RESULT_BYTES)
     try:
@@ -546,7 +547,7 @@ def validate(result: Any) -> None:
     Raises
     ------
     PlateError
-        If it is not. The message contains the place, the value and what is allowed.
+        If the data are not a result. The message contains the place, the value and what is allowed.
     """
     check_fields("result", result, RESULT)
     check_fields("result: versions", result["versions"], dict.fromkeys(result["versions"], str))

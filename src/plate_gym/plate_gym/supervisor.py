@@ -297,7 +297,7 @@ def _kill_all() -> set[int]:
     Raises
     ------
     TimeoutError
-        If they cannot be ended.
+        If the descendants cannot be ended.
     """
     ran: set[int] = set()
     end = time.monotonic() + ENDING_S

@@ -184,7 +184,8 @@ class SolverNode(SafeLifecycleNode[Options]):
             self._sent.clear()
             self._controller.reset()
         # If the task has ended, the driver may refuse the cycle in motion for this image. In
-        # lockstep, the simulator waits until the driver accepts a cycle for it: rest.
+        # lockstep, the simulator waits until the driver accepts a cycle for this image. Therefore a
+        # repeated request without parts is answered with a cycle at rest.
         repeated = newest == stamp_ns and (len(wanted.parts) > 0 or not self._sent[-1].cycle.moves)
         if rivals := self.rivals("part_forces"):
             cycle = self._rest(rivals)

@@ -63,10 +63,10 @@ class PageNode(SafeLifecycleNode[Options]):
     """Node `page`. The node serves a live web page of the graph. The node executes the commands of
     the page with the public actions, topics, services and parameters of the graph.
 
-    While a browser is connected, it subscribes to parts, part_forces, part_targets, cycle_started,
-    motor_setpoints, task_status, driver_status, friction, diagnostics and /rosout. The node
-    subscribes to image_raw if a browser shows the image. The node publishes targets. Without a
-    browser there are no subscriptions.
+    While a browser is connected, the node subscribes to parts, part_forces, part_targets,
+    cycle_started, motor_setpoints, task_status, driver_status, friction, diagnostics and /rosout.
+    It subscribes to image_raw if a browser shows the image. It publishes targets. Without a browser
+    there are no subscriptions.
     """
 
     def __init__(self) -> None:

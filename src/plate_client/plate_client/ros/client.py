@@ -147,10 +147,8 @@ class Task:
 
     def _on_result(self, future: Any) -> None:
         status = future.result().result.status
-        if status.state in (
-            TaskStatus.IDLE,
-            TaskStatus.RUNNING,
-        ):  # the result has only default values
+        # Such a state means that the result has only default values.
+        if status.state in (TaskStatus.IDLE, TaskStatus.RUNNING):
             status.state, status.text = TaskStatus.ABORTED, "the planner no longer knows the goal"
         self.status = status
 

@@ -456,7 +456,7 @@ class Estimator:
             return self._known_rest
         shown = max((begin for begin, _ in log.runs if begin < self.taken + STARTS_S), default=0.0)
         reports = log.last_report > self.taken - MEMORY_S  # false if there is no recent report
-        # False also if the clock was set back.
+        # `unanswered` is also false if the clock was set back.
         unanswered = log.answered < requested < self.taken + MEMORY_S
         may_come = unanswered or log.may_move(log.last_report if reports else self.taken)
         return np.inf if may_come or (reports and log.last_report < shown) else log.resting_since

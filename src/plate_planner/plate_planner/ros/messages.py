@@ -69,7 +69,7 @@ def feed_to_msg(
         Parts of the last image, by id. If this image does not show a ready part, the message omits
         that part.
     stamp : Time
-        Stamp of that image.
+        Stamp of the last image.
     """
     return FeedStatus(
         header=Header(stamp=stamp, frame_id=FRAME),

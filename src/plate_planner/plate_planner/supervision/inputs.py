@@ -250,7 +250,7 @@ class Inputs:
             return Failure(Reason.DRIVER_STOPPED, why)
         silent = self.starts is not None and min(self.starts.silence(now), now - began)
         if self.starts is not None and silent > max(self.starts.timeout_s, CYCLES * period):
-            # Missing inputs of other nodes are a consequence of this.
+            # Missing inputs of other nodes are a consequence of missing cycle starts.
             return Failure(Reason.NO_CYCLE, self.starts_problem(now))
         silence = min(self.parts.silence(now), now - began)
         if self.unanswered is not None:  # in lockstep the simulator waits for the result

@@ -32,7 +32,7 @@ class Progress:
         from their references, over all parts and images. In tasks that assemble or pose parts, it
         is the distance from the targets in this image.
     max_error_m : float
-        Maximum of these distances [m].
+        Maximum of the distances whose root mean square is `rms_error_m` [m].
     turn_error : float
         In a task that poses parts: maximum angle error in this image [rad].
     speed_scaling : float

@@ -172,7 +172,7 @@ class FollowMemory:
     square_sum, samples : float, int
         Sum of squared distances from the references [m2], and number of distances.
     max_error_m : float
-        Maximum of these distances [m].
+        Maximum distance of a part from its reference so far [m].
     """
 
     match: tuple[str, ...] = ()

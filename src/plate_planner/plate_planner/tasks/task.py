@@ -59,9 +59,9 @@ class Situation:
     seen : Parts
         Parts on the plate as the last image shows them.
     taken : float
-        Time at which that image was taken [s].
+        Time at which the last image was taken [s].
     kept : bool
-        Whether that image was ignored: see `TaskRules.keeps_last`.
+        Whether the last image was ignored: see `TaskRules.keeps_last`.
     late : int
         Maximum delay of the last results [cycles].
     resting_since : float

@@ -2,7 +2,7 @@
 functions that the firmware uses. The setpoints of the firmware are also checked.
 
 A frame is an identifier and its data. The tests `test/test_cia402.py` and `test/test_odrive.py` use
-simulated drives of their own.
+other simulated drives.
 """
 
 from __future__ import annotations

@@ -241,10 +241,11 @@ class CameraView:
     def _past_view(
         self, state: WorldState, first: float, exposure: float, shown: float
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-        """Return the same as `_view` for an image that is exposed row by row. The exposure of its
+        """Return the same as `_view` for an image that is exposed row by row. The exposure of the
         first row started `first` [s] ago.
 
-        The exposure of its last row ends `shown` [s] after this start.
+        The exposure of the last row ends `shown` [s] after the exposure of the first row has
+        started.
         """
         count = max(EXPOSURES, 1 + int(np.ceil(shown / MAX_STEP_S)))
         time = shown * np.linspace(0, 1, count)

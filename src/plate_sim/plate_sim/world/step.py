@@ -124,7 +124,7 @@ def run_together(
     shapes : Shapes
         Shapes of the M parts on each plate.
     limits : sequence of (M,)
-        mu g of the parts on each [m/s2].
+        mu g of the parts on each plate [m/s2].
     threads : int
         Number of threads.
     """

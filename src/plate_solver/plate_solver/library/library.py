@@ -96,9 +96,10 @@ class Library:
     def reachable_fraction(self, position: np.ndarray, force: np.ndarray) -> float:
         """Return the maximum multiple of the forces (M, 2) [mu m g] that any motion can produce.
 
-        Its reciprocal is the minimum time for the forces. A linear programme without closure
-        computes this time. The result bounds all motions, because the forces of a motion are a mean
-        of the library's columns. The finite number of rotations causes an error of a few per cent.
+        The reciprocal of the result is the minimum time for the forces. A linear programme without
+        closure computes this time. The result bounds all motions, because the forces of a motion
+        are a mean of the library's columns. The finite number of rotations causes an error of a few
+        per cent.
         """
         rows, wanted = self.forces(position), force.T.ravel()
         if not np.any(wanted):
@@ -147,8 +148,8 @@ def solve_weights(
     wanted : (R,)
         Right-hand side: N / (mu m g) times the requested forces.
     most_gain : float
-        Upper bound of the inverse singular values (section 3.1.5). Singular directions that exceed
-        it are omitted. Otherwise two close parts would cause very large weights.
+        Upper bound of the reciprocal singular values (section 3.1.5). Singular directions that
+        exceed it are omitted. Otherwise two close parts would cause very large weights.
     """
     left, values, right = np.linalg.svd(matrix, full_matrices=False)
     keep = values * most_gain >= 1 if np.isfinite(most_gain) else values > 1e-12 * values[0]

@@ -41,7 +41,7 @@ class Caller:
     Attributes
     ----------
     pollers : set of callables
-        Function that is called every `POLL_S`, see `poll`.
+        Functions that are called every `POLL_S`, see `poll`.
     """
 
     def __init__(self, node: Node) -> None:
