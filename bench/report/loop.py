@@ -265,7 +265,7 @@ def horizon(rows: list[Row]) -> Drawn:
             ends = [one | {"change": one["change"] + sign * one["error"]} for sign in (-1, 1)]
             time.points(ends, "change", "name", Look(trial, colour, "", "-"))
     changes = "; ".join(
-        f"{trial} " + ", ".join(changed(r) for r in these)
+        f"{trial.replace('times', 'plays')} " + ", ".join(changed(r) for r in these)
         for trial, these in by(trials, "trial").items()
     )
     return Drawn(

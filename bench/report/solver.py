@@ -54,14 +54,12 @@ def solver(rows: list[Row]) -> Drawn:
         met = 100 * np.mean([error <= MAX_ERROR for error in column(mine, "error")])
         return f"{met:.0f} % in {shown(float(np.median(column(mine, 'ms'))))} ms"
 
-    lead = ", ".join(
-        f"with {parts(n)} {solved_text(n, 'SinusoidSolver')} ({solved_text(n, 'scipy lm')})"
-        for n in counts
+    lead = " ".join(
+        f"Of the requests with {parts(n)}, Method B solves {solved_text(n, 'SinusoidSolver')} "
+        f"within 1e-4 mu mg, and scipy {solved_text(n, 'scipy lm')}."
+        for n in sorted({counts[0], counts[-1]})
     )
-    return Drawn(
-        panels,
-        f"Method B (scipy in brackets) solves these requests within 1e-4 mu mg: {lead}.",
-    )
+    return Drawn(panels, lead)
 
 
 def options(rows: list[Row]) -> Drawn:
@@ -88,17 +86,19 @@ def options(rows: list[Row]) -> Drawn:
             if r["default"] and r["method"] == "B":
                 panel.mark(r["median_ms"], r["missed_percent"])
 
-    def error_text(method: str, option: str) -> str:
-        mine = [r for r in rows if (r["method"], r["option"]) == (method, option)]
+    def error_text(count: int, method: str, option: str) -> str:
+        key = (count, method, option)
+        mine = [r for r in rows if (r["parts"], r["method"], r["option"]) == key]
         return " / ".join(f"{r['missed_percent']:.0f} % in {r['median_ms']:.0f} ms" for r in mine)
 
-    counts = " / ".join(str(n) for n in by(rows, "parts"))
-    return Drawn(
-        panels,
-        f"The errors with {counts} parts are {error_text('B', '40 restarts')} by Method B, "
-        f"{error_text('A', '1 restarts')} by Method A, and "
-        f"{error_text('scipy, own differences', '3 restarts')} by scipy with finite differences.",
+    counts = sorted(by(rows, "parts"))
+    lead = " ".join(
+        f"With {parts(n)}, the error is {error_text(n, 'B', '40 restarts')} by Method B, "
+        f"{error_text(n, 'A', '1 restarts')} by Method A, and "
+        f"{error_text(n, 'scipy, own differences', '3 restarts')} by scipy with finite differences."
+        for n in sorted({counts[0], counts[-1]})
     )
+    return Drawn(panels, lead)
 
 
 def steering(rows: list[Row]) -> Drawn:
@@ -121,9 +121,9 @@ def steering(rows: list[Row]) -> Drawn:
     less = [n for n in counts if missed["sinusoids", n] < missed["rotations", n]]
     where = "in all cases" if less == list(counts) else f"with {', '.join(map(str, less))} parts"
     cold = {r["parts"]: r["cold_percent"] for r in groups["sinusoids"]}
+    errors = [f"{cold[n]:.1f} % with {parts(n)}" for n in sorted({counts[0], counts[-1]})]
     return Drawn(
         panels,
-        f"Error of Method B from a cold start: {' / '.join(f'{cold[n]:.1f}' for n in counts)} % "
-        f"with {' / '.join(str(n) for n in counts)} parts.",
+        f"From a cold start, the error of Method B is {' and '.join(errors)}.",
         f"Method B has the smaller error {where}.",
     )
