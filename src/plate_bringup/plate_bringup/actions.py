@@ -37,9 +37,9 @@ COMMON = {
     "seed": "random seed of scattered parts, image noise and the solver",
     "transport": "connection to the motors",
     "rig_file": "rig file with the measured data of the rig",
-    "params_file": "file of ROS parameters; they override those of config/nodes.yaml",
+    "params_file": "file of ROS parameters, which override the values in config/nodes.yaml",
     "one_process": "run all nodes in one process instead of one process each",
-    "autostart": "false: another program configures and activates the nodes",
+    "autostart": "if false, another program configures and activates the nodes",
     "record": "record all messages into a bag (MCAP) with ros2 bag",
     "view": "show a live page at http://127.0.0.1:8080/",
     "namespace": "namespace of all nodes and topics, and of the frames in /tf",
@@ -48,14 +48,14 @@ SIMULATED = {
     "scenario": "parts on the plate: name in config/scenarios, or path of a .yaml file",
     "lockstep": "the simulator waits until the nodes have processed each image",
     "rate": "simulated seconds per second",
-    "image_rate": "images per second of a free-running camera; 0: one at the start of each cycle",
+    "image_rate": "images per second of a free-running camera; 0 means one at each cycle start",
 }
 HARDWARE = {
     "port": "serial port of the motor controller",
-    "camera": "device of the camera node (camera --list); omitted: another node publishes images",
+    "camera": "device of the camera node (camera --list); default: another node publishes images",
     "image_topic": "topic of the camera's images",
     "info_topic": "topic of the camera's calibration",
-    "recipe": "with the feeder: a scenario of kind feed, name or path of a .yaml file",
+    "recipe": "recipe of the feeder: a scenario of kind feed, name or path of a .yaml file",
 }
 """Arguments of the launch files. If an argument is omitted, the value in the parameter files is
 used."""

@@ -68,7 +68,7 @@ def main() -> None:
     )
     parser.add_argument(
         "--rig", default="",
-        help=f"rig file, or one of {', '.join(rig_names())} (default: that of the scenario)",
+        help=f"rig file, or one of {', '.join(rig_names())} (default: the rig of the scenario)",
     )  # fmt: skip
     args = parser.parse_args()
     try:

@@ -301,7 +301,7 @@ def arguments() -> argparse.Namespace:
     parser.add_argument("--recipe", required=True, help="name or file of a scenario of kind feed")
     parser.add_argument(
         "--rig", default="",
-        help=f"rig file, or one of {', '.join(rig_names())} (default: that of the recipe)",
+        help=f"rig file, or one of {', '.join(rig_names())} (default: the rig of the recipe)",
     )  # fmt: skip
     parser.add_argument(
         "--robot-cycle", type=_within("robot-cycle", *CYCLE_S), default=2.0, metavar="S",

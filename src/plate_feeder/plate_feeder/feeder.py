@@ -69,14 +69,14 @@ from .codes import Code
 from .interface import FeedStatus, Output, Quantity, ReadyPart, Reply, Reserved, State
 
 LATE_S = 0.3
-"""Minimum difference between two stamps [s]. If the stamp of an image exceeds the newest known
-stamp by at least this, the image was certainly taken after the present time. Images arrive late, so
-a smaller difference is not certain."""
+"""Minimum difference between the stamp of an image and the newest stamp at the end of a reservation
+[s]. If it is reached, the image was certainly taken after the reservation ended. Images arrive
+late, so a smaller difference is not certain."""
 
 SEEN_ANEW_S = 1.0
-"""Minimum difference between two stamps [s]. If the stamp of an image exceeds the newest known
-stamp by at least this, the image no longer shows parts that have left. The tracker keeps a missing
-part for some images."""
+"""Minimum difference between the stamp of an image and the newest stamp at the end of a reservation
+[s]. If it is reached, a part that the robot has taken is no longer reported. The tracker keeps a
+missing part for some images."""
 
 SILENT_S = 1.0
 """Maximum time between two statuses of a running task [s]. This time is about ten cycles of usual
@@ -698,4 +698,4 @@ class Feeder:
 def _time_problem(timeout_s: float) -> str:
     if 0 <= timeout_s <= MAX_S:
         return ""
-    return f"timeout_s is {timeout_s:g}, allowed: 0 (the recipe's) to {MAX_S:g}"
+    return f"timeout_s is {timeout_s:g}, allowed: 0 (value of the recipe) to {MAX_S:g}"

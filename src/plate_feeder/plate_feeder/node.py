@@ -94,7 +94,7 @@ class Options(NodeOptions):
         "127.0.0.1", "Address of the TCP server for robots. The server requires no password. "
         "0.0.0.0 means all networks.",
     )  # fmt: skip
-    port: int = parameter(7171, "TCP port. 0 means any free port, see the log.", 0, 65535)
+    port: int = parameter(7171, "TCP port. 0 means any free port, which is logged.", 0, 65535)
     hand_eye: str = parameter(
         "", "File of points (YAML) that define the plate's pose in the robot's frame. If it is "
         "empty, places are given in plate_home.",

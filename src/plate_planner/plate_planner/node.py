@@ -92,8 +92,8 @@ class PlannerParameters(NodeOptions):
         "time, and cycle_started reports the starts.",
     )  # fmt: skip
     answer_s: float = parameter(
-        PlannerOptions.answer_s, "If the camera is not triggered: time from a request to the next "
-        "cycle [s]. It covers solver, driver and line. A serial line needs 0.14.", 0.01, 1.0,
+        PlannerOptions.answer_s, "Time from a request to the next cycle if the camera is not "
+        "triggered [s]. It covers solver, driver and line. A serial line needs 0.14.", 0.01, 1.0,
     )  # fmt: skip
     lockstep: bool = parameter(
         False, "Whether the simulator runs in lockstep. If so, the planner waits for plate_cycle "

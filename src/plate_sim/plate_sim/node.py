@@ -146,7 +146,7 @@ class Options(NodeOptions):
         "latency", "Age of an image when it is published and stamped [s].", live=False
     )
     image_rate: float = _disturbance(
-        "image_rate", "Image rate of a free-running camera [1/s]. 0: an image per cycle start.",
+        "image_rate", "Image rate of a free-running camera [1/s]. 0 means one per cycle start.",
         live=False,
     )  # fmt: skip
     stamp_jitter: float = _disturbance(

@@ -161,7 +161,7 @@ def test_a_header_has_the_drives():
 
 
 def test_a_rig_without_drives_and_a_program_that_is_not_there_are_said():
-    with pytest.raises(PlateError, match="the rig has bridges, allowed: `drive: cia402`"):
+    with pytest.raises(PlateError, match="motors have no drives, allowed: `drive: cia402`"):
         FirmwareOnDesk("/bin/true", load_rig())
     with pytest.raises(PlateError, match="firmware is '/no/such': "):
         FirmwareOnDesk("/no/such", load_rig("linear_motors"))

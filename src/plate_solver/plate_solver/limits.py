@@ -105,7 +105,8 @@ def limit_use(
     pose: np.ndarray, twist: np.ndarray, accel: np.ndarray, weight: np.ndarray, limits: Limits,
     linear: bool,
 ) -> float:  # fmt: skip
-    """Return the largest utilisation of any rig limit by samples (n, 3) of a motion.
+    """Return the largest utilisation of any rig limit by samples (n, 3) of a motion. 1 means that
+    the motion is exactly at the limit.
 
     With the control points of a spline motion, the result is an upper bound, as in
     `plate_core.motion.usage`. With `linear`, the motors' travel and the corners' positions are
@@ -152,7 +153,8 @@ def within_limits(
 
 
 def _use(cycle: PlateCycle, full: Limits) -> float:
-    """Return the largest utilisation of any rig limit by a cycle's control points.
+    """Return the largest utilisation of any rig limit by a cycle's control points. 1 means that the
+    cycle is exactly at the limit.
 
     The heat of the motors is computed for the cycle, for the cycle with its tail, and for the tail
     only. The largest value counts. The tail is computed separately because the next cycle may begin

@@ -54,7 +54,9 @@ class Options(NodeOptions):
         "", "Token of operators: commands require ?token=TOKEN at the end of the page's address. "
         "If it is empty, every browser on this machine may send commands.",
     )  # fmt: skip
-    viewer_token: str = parameter("", "Token of read-only browsers. Empty: no such token.")
+    viewer_token: str = parameter(
+        "", "Token of read-only browsers. If it is empty, there is no such token."
+    )
     scenario: str = parameter("", "Scenario that is selected initially")
     bag: str = parameter("", "Folder of a bag to replay instead of showing the graph")
 

@@ -117,9 +117,9 @@ inline double speed(const State& state, int i, int j, const Arm& arm, Vec n) {
     return n.x * (a.x - b.x) + n.y * (a.y - b.y);
 }
 
-// Compliance [1/kg]: change of that speed at `arm` by an impulse of 1 N s along n at `other`. The
-// compliance is 1/m1 + 1/m2 + (a x n)(c x n)/I1 + (b x n)(d x n)/I2, where a, b are the vectors of
-// `arm` and c, d are the vectors of `other`.
+// Compliance [1/kg]: change of the relative speed at `arm` by an impulse of 1 N s along n at
+// `other`. The compliance is 1/m1 + 1/m2 + (a x n)(c x n)/I1 + (b x n)(d x n)/I2, where a, b are
+// the vectors of `arm` and c, d are the vectors of `other`.
 inline double compliance(const Arm& arm, const Arm& other, Vec n, const Inertia& inertia) {
     const double a = arm.first.x * n.y - arm.first.y * n.x;
     const double b = arm.second.x * n.y - arm.second.y * n.x;

@@ -175,7 +175,7 @@ struct Contacts {
         return count;
     }
 
-    // Fill `edge` in the same way with the parts whose distance from a wall is at most MARGIN.
+    // Fill `edge` with the parts whose distance from a wall is at most MARGIN.
     int near_walls(double c, double s, double& margin) {
         const int wall = state.walls();
         int count = 0;

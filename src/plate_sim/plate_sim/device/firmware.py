@@ -50,7 +50,7 @@ class FirmwareOnDesk:
         drives = [motor.drive for motor in rig.motors if motor.drive is not None]
         if not drives:
             raise PlateError(
-                "firmware with drives: the rig has bridges, allowed: `drive: cia402` or odrive"
+                "the rig's motors have no drives, allowed: `drive: cia402` or `drive: odrive`"
             )
         try:
             self._process = subprocess.Popen(

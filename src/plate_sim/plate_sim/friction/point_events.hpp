@@ -16,8 +16,8 @@ constexpr double STEP_SHARE = 0.05;
 // Maximum distance [m] that a part may still slide when it is set to stick, relative to the allowed
 // error of a step.
 constexpr double SNAP_SHARE = 0.1;
-// Maximum velocity change by friction [m/s] while a slip vanishes. If it is smaller, the slip
-// counts as zero. The velocity change is relative to the allowed error of a step, per period.
+// Maximum velocity change by friction [m/s] while a slip that counts as zero vanishes. The velocity
+// change is relative to the allowed error of a step, per period.
 constexpr double ZERO_SHARE = 0.2;
 // Time as a fraction of a period. A part is set to stick only if friction can still hold it after
 // this time.
@@ -98,8 +98,9 @@ inline double zero_slip(double limit, double a, double allowed, double period) {
     return std::min(ZERO_SHARE * allowed / period * std::max(1.0, a / limit), limit * period);
 }
 
-// Whether a slip r [m/s] counts as zero at an acceleration a [m/s2] of the surface. It does if the
-// part would stop within r^2/(2 (limit - a)), or if the slip is below `zero_slip`.
+// Whether a slip r [m/s] counts as zero at an acceleration a [m/s2] of the surface. It counts as
+// zero if the stopping distance r^2/(2 (limit - a)) is at most `SNAP_SHARE` of the allowed error, or
+// if the slip is at most `zero_slip`.
 inline bool calm(double r, double limit, double a, double allowed, double period) {
     return r * r <= 2 * SNAP_SHARE * allowed * (limit - a) ||
            r <= zero_slip(limit, a, allowed, period);

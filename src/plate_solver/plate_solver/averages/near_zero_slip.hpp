@@ -29,12 +29,12 @@ constexpr int PLACES = 44;
 // as a jump.
 constexpr double NARROWEST = 1e-10;
 
-// Maximum n b cosh u of the integral. For larger values the integrand is neglected, because it is
-// below 4e-8.
+// Maximum n b cosh u of the integral over u. n is the number of steps per period. For larger values
+// the integrand is neglected, because it is below 4e-8.
 constexpr double FADED = 17.0;
 
-// Maximum n b of a dip that needs a correction. For larger values, the error of equal steps is
-// exp(-n b) and negligible.
+// Maximum product of the number n of steps and the distance b [rad] of a dip that needs a
+// correction. For larger products, the error of equal steps is exp(-n b) and negligible.
 constexpr double NEAR = 14.0;
 
 // Value of b^2/2 at n b = NEAR, with b in steps. The value is estimated from three squared samples,

@@ -26,8 +26,9 @@ constexpr int SXX = 7 * LANES, SXY = 8 * LANES, SYY = 9 * LANES;
 // - vector from the plate's centre to the part [m]
 constexpr int ARM_X = 9 * LANES, ARM_Y = 10 * LANES;
 
-// Minimum squared slip velocity [m2/s2]. For a slower slip, J tends to its mean over all
-// directions. The direction of a very slow slip is uncertain.
+// Minimum squared slip velocity [m2/s2]. For a slower slip, the second moment J in the sliding
+// direction tends to its mean over all directions, because the direction of a very slow slip is
+// uncertain.
 constexpr double SLOW2 = 1e-4;
 
 // Small value that is added to a denominator. It prevents 0/0 if the slip is zero.
