@@ -223,7 +223,7 @@ WRONG = [
     (other(x6502_0=1), "motor_2: modes 6502h are 1h, required: cyclic synchronous position"),
     (
         other(without=(0x6007,)),
-        "object 6007h:00 (abort 06020000h, no such object): it cannot be controlled",
+        "object 6007h:00 (abort 06020000h, no such object), so it cannot be controlled",
     ),
     (in_fault, "motor_2: the drive is in fault (statusword 0218h): error code 2310h (current), "),
     (lambda bench: bench.drives[1].enter("enabled"), "motor_2: the drive has current"),
@@ -347,7 +347,7 @@ def test_a_jammed_motor_is_let_go(bench, rig_file, capsys, monkeypatch):
     bench.only(2)
     bench.moving(lambda drive: setattr(drive, "jammed", True))
     assert bench.run(rig_file) == 1
-    assert "error: motor_2: does not follow: 0.2" in capsys.readouterr().out
+    assert "error: motor_2: does not follow, it is 0.2" in capsys.readouterr().out
     assert all_off(bench)
     assert "quick stop" not in bench.drives[1].history  # it would not follow that either
 
@@ -357,7 +357,7 @@ def test_a_drive_that_counts_from_elsewhere_once_it_has_current_is_let_go(bench,
     drive.leap = 24_000  # a turn
     bench.only(2)
     assert bench.run(rig_file) == 1
-    assert "error: motor_2: does not follow: 24 mm from its setpoint, allowed: 3" in (
+    assert "error: motor_2: does not follow, it is 24 mm from its setpoint, allowed: 3" in (
         capsys.readouterr().out
     )
     assert len(bench.reached) <= 20  # ms with current: two bus cycles

@@ -49,9 +49,9 @@ IMPOSSIBLE = [
     (("parts", "radius_m"), 0.0025, r"2.47 px, allowed: 3 to 200 px, .*camera nearer, "),
     (("parts", "radius_m"), 0.08, r"radius_m is 0.08 on a plate whose shorter side is 0.3 m, allo"),
     (("limits", "force_n"), 2.0, r"force_n is 2, .* plate of 2 kg by 2 m/s2 .* 2.45 or"),
-    (("limits", "stroke_m"), 3e-5, r"stroke_m is 3e-05 m: at 40 Hz, .* 1.89 m/s2"),
+    (("limits", "stroke_m"), 3e-5, r"stroke_m is 3e-05 m, which allows 1.89 m/s2 at 40 Hz"),
     (("limits", "following_error_m"), 1e-9, r"is 1e-09, allowed: 0 .*, or 1e-05"),
-    (("limits", "speed_mps"), 0.005, r"speed_mps is 0.005 m/s: at 40 Hz, .* 1.26 m/s2"),
+    (("limits", "speed_mps"), 0.005, r"speed_mps is 0.005 m/s, which allows 1.26 m/s2 at 40 Hz"),
 ]
 WARNINGS = [
     (("motors", "motor_1", "point_m"), [-0.4, 0.1], "motor_1: point_m is .* 0.1 m outside"),
@@ -200,7 +200,7 @@ def test_parallax_is_told_while_heights_are_unknown():
     shapes = load_rig("shapes")
     known = {name: replace(part, height_m=0.003) for name, part in shapes.types.items()}
     known["nut"] = shapes.types["nut"]
-    assert "unknown) for nut: " in report(replace(shapes, types=known), "a.yaml", [])
+    assert "unknown) for nut; " in report(replace(shapes, types=known), "a.yaml", [])
 
 
 def test_an_unknown_place_is_told():
@@ -338,7 +338,11 @@ def test_what_a_millimetre_is_to_a_drive_is_told():
     [
         (drives((1, 1e6), (3, 1e6), *GOOD), True, "motor_3: node is 3, as for motor_2, allowed"),
         (drives((1, 5e9), (2, 1e6), *GOOD), True, "motor_1: counts_per_m is 5e+09, allowed with"),
-        (drives((1, 1e6), (2, 5e4), *GOOD), False, "motor_2: counts_per_m is 50000: one count is"),
+        (
+            drives((1, 1e6), (2, 5e4), *GOOD),
+            False,
+            "motor_2: counts_per_m is 50000, so one count is",
+        ),
         (changed(2, 4, serial=77), True, "motor_4: serial is 77, as for motor_2, allowed: a"),
         (changed(2, absolute=True), False, "motors: home is 'here' for some"),
         (mixed(), True, "motor_4: drive is 'odrive' and motor_1 has 'cia402', allowed: the same"),
@@ -350,7 +354,7 @@ def test_what_a_millimetre_is_to_a_drive_is_told():
         (
             drives(*TURNS[:3], (4, 40 * 2**20), of="odrives"),
             False,
-            "turns_per_m is 40: at speed_mp",
+            "turns_per_m is 40, so the drive",
         ),
         (
             drives((1, 1e7), (2, 1e6), *GOOD),
@@ -358,7 +362,7 @@ def test_what_a_millimetre_is_to_a_drive_is_told():
             "counts_per_m is 1e+07, 1e+06, 1e+06, 1e+06 for ",
         ),
         (drives(following_error_m=0.01), False, "following_error_m is 0.01, so a motor"),
-        (drives(following_error_m=0.0), False, "following_error_m is 0: only the drives"),
+        (drives(following_error_m=0.0), False, "following_error_m is 0, so only the drives"),
     ],
 )
 def test_drives_that_do_not_fit_are_named(rig, impossible, text):

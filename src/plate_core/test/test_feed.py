@@ -75,7 +75,7 @@ def test_fractions_of_a_mix_may_be_rounded(tmp_path):
         ("[[0.0, -0.1], [0.2, 0.1]]", "[[0, 0.137], [0.2, 0.14]]", "black is .* 14 mm .*allowed"),
         ("ready: 2", "ready: 2, angle_deg: 10", "angles? of black"),
         ("clearance_m: 0.006", "clearance_m: -1", "clearance_m is -1"),
-        ("clearance_m: 0.006", "clearance_m: 0.3", "at most 1: .* a clearance of 300 mm"),
+        ("clearance_m: 0.006", "clearance_m: 0.3", "at most 1, .* a clearance of 300 mm"),
         ("chute: left", "chute: up", "chute is 'up'"),
         ("fill: 15", "fill: 10", "least is 12, allowed: at most fill, which is 10"),
         ("spread_m: 0.05", "spread_m: 0.05, mix: {black: 0.5}", "fractions of .*sum is 1"),
@@ -84,7 +84,7 @@ def test_fractions_of_a_mix_may_be_rounded(tmp_path):
         (
             "[[0.0, -0.1], [0.2, 0.1]]",
             "[[0, 0], [1e-3, 1e-3]]",
-            "ready of black is 2, allowed: at most 1: .*window of 1 by 1 mm",
+            "ready of black is 2, allowed: at most 1, .*window of 1 by 1 mm",
         ),
         ("[-0.18, 0]", "[-0.38, 0]", "place_m is .-0.38, 0. m, allowed"),
         ("rate_ps: 10, ", "", "rate_ps"),

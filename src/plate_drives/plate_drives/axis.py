@@ -241,8 +241,8 @@ class Axis:
         self._astray = enabled(self._status) and astray > self._allowed
         if self._astray:
             raise PlateError(
-                f"motor_{self._motor}: does not follow: {1e3 * astray:.2g} mm from its setpoint, "
-                f"allowed: {1e3 * self._allowed:g}"
+                f"motor_{self._motor}: does not follow, it is {1e3 * astray:.2g} mm from its "
+                f"setpoint, allowed: {1e3 * self._allowed:g} mm"
             )
 
     def enable(self, amplitude: float, ends: tuple[int, int]) -> None:

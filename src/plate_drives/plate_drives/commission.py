@@ -65,7 +65,7 @@ def ask(question: str, meanwhile: Callable[[], object]) -> str:
 
 
 class Dialogue:
-    """The dialogue about each motor. All drives on the bus must fit the rig."""
+    """Dialogue with the user about each motor. All drives on the bus must fit the rig."""
 
     def __init__(self, rig: Rig, master: Master, found: dict[int, Found], ask: Ask) -> None:
         self._rig, self._master, self._found, self._ask = rig, master, found, ask

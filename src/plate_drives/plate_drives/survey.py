@@ -131,7 +131,7 @@ def _of_drive(number: int, drive: Drive, found: Mapping[int, Found]) -> Iterator
     if drive.serial not in (0, serial):
         yield f"{name}: node {node} has serial {serial}, allowed: {drive.serial}{swapped}"
     for needed in set(NEEDED) & set(one.refusals):
-        yield f"{name}: {one.refusals[needed]}: it cannot be controlled"
+        yield f"{name}: {one.refusals[needed]}, so it cannot be controlled"
     if in_fault(status):
         why = f"error code {code:04X}h{emergency_words(code)}, error register {register:02X}h"
         yield f"{trouble_text(number, Trouble.FAULT, code=status)}: {why}"

@@ -299,7 +299,7 @@ class Focus:
         text = f"{self.now:.3f} per px, {self.trend}"
         ratio = self.now / self.best
         if ratio < BLURRED:
-            why = f"{ratio:.0%} of the last minute's best ({self.best:.3f}): turn the focus back"
+            why = f"{ratio:.0%} of the last minute's best ({self.best:.3f}); turn the focus back"
             return Finding(Level.WARN, f"{text}, {why}")
         edges = ""
         if math.isfinite(self.blur_px):
@@ -308,8 +308,8 @@ class Focus:
             return Finding(Level.OK, f"{text}, best {self.best:.3f}{edges}")
         turn = "turn the focus past the best value and back"
         if edges:
-            return Finding(Level.WARN, f"{text}{edges}, allowed: {SHARP_PX:g} px: {turn}")
-        return Finding(Level.STALE, f"{text}, the best value is unknown yet: {turn}")
+            return Finding(Level.WARN, f"{text}{edges}, allowed: {SHARP_PX:g} px; {turn}")
+        return Finding(Level.STALE, f"{text}, the best value is not known yet; {turn}")
 
 
 def outline_px(outline: Outline, field: AimField) -> np.ndarray:

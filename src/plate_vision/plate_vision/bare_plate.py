@@ -101,7 +101,7 @@ def know_plate(
 
 
 def lying(image: np.ndarray, region: Region) -> str:
-    """Describe the objects on a plate that should be bare. It is empty if no objects are
-    detected."""
+    """Return a description of the objects on a plate that should be bare. It is empty if no objects
+    are detected."""
     count = len(find_patches(image, model_plate(image, region), region))
     return f"{count} object{'s are' if count > 1 else ' is'} on it" if count else ""

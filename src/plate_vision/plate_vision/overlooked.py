@@ -248,7 +248,7 @@ class OverlookedTally:
             mm = round(1e3 * cover)
             return Finding(
                 Level.WARN,
-                f"an object as large as a disc of {mm} mm radius covers the plate and hides parts: "
+                f"an object as large as a disc of {mm} mm radius covers the plate and hides parts; "
                 f"remove it, or check corners_px and light; {of} {verb}: {why}",
             )
         many = large > WARN_FRACTION * (large + self.taken) and large >= WARN_COUNT * self.images

@@ -127,7 +127,7 @@ def test_a_focus_is_found_where_the_plates_edges_are_sharp():
     assert turned(found, [0.12]).finding.level == Level.OK  # a plate that moves
     blurred = turned(found, [0.12], 1.9)
     assert blurred.finding.level == Level.WARN
-    assert "blurred by 1.9 px, allowed: 1.5 px: turn the focus" in blurred.finding.message
+    assert "blurred by 1.9 px, allowed: 1.5 px; turn the focus" in blurred.finding.message
     assert turned(blurred, [0.12]).finding.level == Level.STALE
     beveled = turned(blurred, [0.16, 0.20, 0.16, 0.20], 1.7)
     assert beveled.finding.level == Level.OK

@@ -357,5 +357,5 @@ def test_a_height_that_is_not_given_is_asked_for(height, given, warns, rng):
     assert lesson.count == 3
     assert len(lesson.doubts) == warns
     for doubt in lesson.doubts:
-        stated = re.search(r"agree best with a height of about (\d+) mm: .* --height", doubt)
+        stated = re.search(r"agree best with a height of about (\d+) mm\. .* --height", doubt)
         assert int(stated[1]) == pytest.approx(height, abs=2)

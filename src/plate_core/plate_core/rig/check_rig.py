@@ -143,7 +143,7 @@ def _view(rig: Rig) -> Iterator[str]:
     if flat and height > EXAMPLE_M:
         far = float(np.max(np.hypot(*(rig.plate.corners - place[:2]).T)))
         yield (
-            f"camera: height_m is 0 (flat or unknown) for {flat}: the image would show a part "
+            f"camera: height_m is 0 (flat or unknown) for {flat}; the image would show a part "
             f"{1e3 * EXAMPLE_M:g} mm high, {1e3 * far:.0f} mm from that point (farthest corner), "
             f"{1e3 * far * EXAMPLE_M / (height - EXAMPLE_M):.2g} mm too far out"
         )

@@ -117,9 +117,9 @@ def _motors(rig: Rig) -> Iterator[Doubt]:
     if sizes[-1] < 0.05 * sizes[0]:
         yield Doubt(
             "motors",
-            "motors: their directions and points cannot move the plate in x, y and theta: one of "
-            "these requires more than 20 times the force of another, allowed: motors whose lines "
-            "are not all parallel and do not all meet in one point",
+            "motors: their directions and points cannot move the plate in x, y and theta, "
+            "because one of these requires more than 20 times the force of another, allowed: "
+            "motors whose lines are not all parallel and do not all meet in one point",
             bool(sizes[-1] < 1e-3 * sizes[0]),
         )
 
@@ -137,8 +137,8 @@ def _drives(rig: Rig) -> Iterator[Doubt]:
         )  # fmt: skip
     if len({drive.absolute for drive in drives.values()}) > 1:
         yield Doubt(
-            "motors", "motors: home is 'here' for some motors and 'absolute' for others: the plate "
-            "is level at home only if it hangs there; better: the same for all four",
+            "motors", "motors: home is 'here' for some motors and 'absolute' for others, so "
+            "the plate is level at home only if it hangs there; better: the same for all four",
         )  # fmt: skip
     nodes: dict[int, str] = {}
     serials: dict[int, str] = {}
@@ -166,14 +166,14 @@ def _drives(rig: Rig) -> Iterator[Doubt]:
         scale = drive.counts_per_m / unit
         if odrive and scale * rig.limits.speed > ODRIVE_SPEED:
             yield Doubt(
-                "motors", f"motors: {name}: turns_per_m is {scale:g}: at speed_mps "
-                f"{rig.limits.speed:g} the drive turns at {scale * rig.limits.speed:.3g} turns/s, "
-                f"but its feed-forward is limited to {ODRIVE_SPEED:g}; better: reduce either",
+                "motors", f"motors: {name}: turns_per_m is {scale:g}, so the drive turns at "
+                f"{scale * rig.limits.speed:.3g} turns/s at speed_mps {rig.limits.speed:g}, but "
+                f"its feed-forward is limited to {ODRIVE_SPEED:g} turns/s; better: reduce either",
             )  # fmt: skip
         coarse = 1 / drive.counts_per_m
         if coarse > COARSEST_M:
             yield Doubt(
-                "motors", f"motors: {name}: {key} is {scale:g}: one count is "
+                "motors", f"motors: {name}: {key} is {scale:g}, so one count is "
                 f"{1e6 * coarse:.3g} um, better: {1e6 * COARSEST_M:g} um or less",
             )  # fmt: skip
         if drive.counts_per_m * rig.limits.stroke_m > MAX_COUNTS:
@@ -191,8 +191,8 @@ def _drives(rig: Rig) -> Iterator[Doubt]:
         )  # fmt: skip
     if rig.limits.following_error_m == 0:
         yield Doubt(
-            "limits", "limits: following_error_m is 0: only the drives themselves detect a drive "
-            "that does not follow or has lost counts; better: more than 0",
+            "limits", "limits: following_error_m is 0, so only the drives themselves detect a "
+            "drive that does not follow or has lost counts; better: more than 0",
         )  # fmt: skip
 
 
@@ -219,7 +219,7 @@ def _limits(rig: Rig) -> Iterator[Doubt]:
         yield Doubt(
             "limits",
             f"limits: Gamma is {rig.gamma:.3g} (limited by {rig.reach.limit}), advised: "
-            f"{MIN_GAMMA:g} or more: the plate shakes too little, tasks take long or fail",
+            f"{MIN_GAMMA:g} or more; the plate shakes too little, so tasks take long or fail",
         )
     if 0 < limits.following_error_m < MIN_FOLLOWING_M:
         yield Doubt(
@@ -254,9 +254,9 @@ def _speeds(rig: Rig) -> Iterator[Doubt]:
         if most < min(MIN_GAMMA * floor, 0.5 * rig.reach.accel):
             yield Doubt(
                 "limits",
-                f"limits: {key} is {value:g} {unit}: at {CYCLE_HZ[1]:g} Hz, the fastest wave of a "
-                f"cycle, it allows {most:.3g} m/s2; parts slide above mu g = {floor:g} m/s2; "
-                f"advised: {MIN_GAMMA * floor * value / most:.2g} {unit} or more",
+                f"limits: {key} is {value:g} {unit}, which allows {most:.3g} m/s2 at "
+                f"{CYCLE_HZ[1]:g} Hz (the fastest wave of a cycle). Parts slide above mu g = "
+                f"{floor:g} m/s2; advised: {MIN_GAMMA * floor * value / most:.2g} {unit} or more",
                 bool(most <= floor),
             )
     needed = rig.reach.accel / low**2
@@ -431,8 +431,8 @@ def _image(rig: Rig) -> Iterator[Doubt]:
         yield Doubt(
             "camera",
             f"camera: corners_px[{row}] is [{corners[row, 0]:g}, {corners[row, 1]:g}], outside the "
-            f"image of {size[0]} x {size[1]} px: parts there are not visible, advised: all four "
-            "corners inside the image",
+            f"image of {size[0]} x {size[1]} px, so parts there are not visible, advised: all "
+            "four corners inside the image",
             bool(np.any((middle < 0) | (middle > size - 1)) or np.sum(out) > 2),
         )
 
@@ -445,7 +445,7 @@ def _size(rig: Rig) -> Iterator[Doubt]:
         yield Doubt(
             "camera",
             f"parts: radius_m is {rig.parts.radius_m:g}, in the image {radius_px:.3g} px, "
-            f"allowed: {low:g} to {high:g} px, advised: {FINE_PX:g} px or more: move the camera "
+            f"allowed: {low:g} to {high:g} px, advised: {FINE_PX:g} px or more; move the camera "
             f"nearer, use one of {rig.camera.width_px * FINE_PX / radius_px:.0f} px width, or "
             f"parts of {need:.2g} m or more",
             radius_px < low,
@@ -454,6 +454,6 @@ def _size(rig: Rig) -> Iterator[Doubt]:
         yield Doubt(
             "camera",
             f"parts: radius_m is {rig.parts.radius_m:g}, in the image {radius_px:.4g} px, allowed: "
-            f"{low:g} to {high:g} px: use a smaller image or smaller parts",
+            f"{low:g} to {high:g} px; use a smaller image or smaller parts",
             True,
         )

@@ -332,7 +332,7 @@ WORDS = {
     "watchdog_timeout to 0.1 s",
     Trouble.HOME_LOST: "home is lost: let the plate hang at home, then call home, then enable",
     Trouble.RANGE: "position {code:08X}h at home: its range ends within the stroke, move its zero",
-    Trouble.ASTRAY: "the drive does not follow: {code} um from its setpoint",
+    Trouble.ASTRAY: "the drive does not follow, it is {code} um from its setpoint",
     Trouble.CROOKED: "the motors' positions do not fit a rigid plate: a drive has lost counts or "
     "two drives are swapped",
 }

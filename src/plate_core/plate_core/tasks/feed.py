@@ -159,9 +159,9 @@ def _space_problem(pick: Pick, clearance_m: float, rig: Rig) -> str:
     if pick.ready <= max(most, 1):
         return ""
     return (
-        f"ready of {pick.label} is {pick.ready}, allowed: at most {max(most, 1)}: more do not fit "
-        f"into the window of {1e3 * (high[0] - low[0]):g} by {1e3 * (high[1] - low[1]):g} mm with "
-        f"a clearance of {1e3 * clearance_m:g} mm"
+        f"ready of {pick.label} is {pick.ready}, allowed: at most {max(most, 1)}, because more do "
+        f"not fit into the window of {1e3 * (high[0] - low[0]):g} by "
+        f"{1e3 * (high[1] - low[1]):g} mm with a clearance of {1e3 * clearance_m:g} mm"
     )
 
 

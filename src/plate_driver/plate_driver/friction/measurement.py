@@ -691,7 +691,7 @@ def _check_slips(trial: Trial, gravity: float) -> None:
             raise PlateError(
                 f"friction: {name} does not slide at {trial.push.accel:.2f} m/s2, allowed: parts "
                 f"that slide. Its static friction may be above {ABOVE:g} times the dynamic "
-                "friction, or it sticks: clean the plate and the part, or remove the part"
+                "friction, or it sticks. Clean the plate and the part, or remove the part"
             )
 
 

@@ -174,7 +174,7 @@ def prepare(
     if fitted.factor < 1 and not whole.starts_at_rest:
         raise CycleError(
             f"plate_cycle: {excess(rig, fitted.requested, thermal_load)}; it begins in motion and "
-            "cannot be scaled down: the plate comes to rest, and cycles from rest can be scaled"
+            "cannot be scaled down. The plate comes to rest, and cycles from rest can be scaled"
         )
     command = fitted.cycle
     if correction is not None:

@@ -510,7 +510,7 @@ class SerialTransport:
         return Order(longest_s + 4 * self._link.line.round_s)
 
     def _settle_orders(self) -> None:
-        """Settle the orders that the device has answered."""
+        """Complete the orders that the device has answered, successfully or with an error."""
         answer = self._link.answer
         if answer is None or answer.status is None:
             return
@@ -533,7 +533,7 @@ class SerialTransport:
                 self._settle_request(f"it has stopped again: {reason}")
 
     def _settle_request(self, failure: str = "") -> None:
-        """Settle the pending enable or home, if any."""
+        """Complete the pending enable or home, if any. An empty `failure` means success."""
         request, self._request = self._request, None
         if request is not None:
             request.settle(failure)

@@ -193,7 +193,7 @@ class TransportThread:
         self._thread.start()
 
     def poll(self) -> None:
-        """Poll once."""
+        """Poll the transport once."""
         with self._lock:
             self._tried(self._polled)
             self._tried(self._stop_owed)
@@ -298,7 +298,8 @@ class TransportThread:
                 raise CycleError(self.report.text)
 
     def stop(self, cut: bool = False) -> Order:
-        """Stop, see `Transport.stop`. If the transport is busy, it stops as soon as possible."""
+        """Stop the motors, see `Transport.stop`. If the transport is busy, it stops them as soon as
+        possible."""
         order = self._stop = self._ordered(lambda: self._transport.stop(cut))
         if order.failure == BUSY:
             self._owed.append(cut)
@@ -345,7 +346,7 @@ class TransportThread:
         return self._ordered(call)
 
     def home(self) -> Order:
-        """Home, see `Transport.home`."""
+        """Request a new search for home, see `Transport.home`."""
         return self._ordered(self._transport.home)
 
     def measured(self) -> list[Measured]:

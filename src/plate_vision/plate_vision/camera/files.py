@@ -169,7 +169,7 @@ class Pictures:
             turn = int(self._film.get(cv2.CAP_PROP_ORIENTATION_META))
             if turn in (90, 180, 270):  # -1: unknown
                 self._warn_once(
-                    f"{path.name}: rotation of {turn} degrees is ignored: players rotate the film; "
+                    f"{path.name}: rotation of {turn} degrees is ignored. Players rotate the film; "
                     f"{AS_STORED}"
                 )
 
@@ -258,9 +258,9 @@ def rig_of_picture(rig: Rig, size_px: tuple[int, int]) -> tuple[Rig, str]:
     plate = replace(rig.plate, width_m=rig.plate.length_m * height / width)
     text = (
         f"{width} x {height} px, but the rig's camera has {camera.width_px} x "
-        f"{camera.height_px} px: the picture is used as a view from above that a plate of "
+        f"{camera.height_px} px. The picture is used as a view from above that a plate of "
         f"{plate.length_m:g} x {plate.width_m:.3g} m fills; the rig's plate has "
-        f"{rig.plate.length_m:g} x {rig.plate.width_m:g} m. If this is wrong: crop the picture at "
+        f"{rig.plate.length_m:g} x {rig.plate.width_m:g} m. If this is wrong, crop the picture at "
         "the plate's edges and write its length_m to the rig file, or write width_px, height_px "
         "and corners_px of the picture's camera to it"
     )

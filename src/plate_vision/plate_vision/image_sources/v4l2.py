@@ -290,7 +290,7 @@ class V4l2Source(Camera):
         self._at_start = None
         self._warn(
             f"{self.path}: its stamps are not from the kernel's monotonic clock (OpenCV "
-            f"{cv2.__version__}): images are stamped on arrival"
+            f"{cv2.__version__}), so images are stamped on arrival"
         )
 
     def _exposure_us(self) -> float | None:

@@ -395,8 +395,8 @@ def _doubts(
     for one in shown:
         blurs[one.example.name] = max(one.blur, blurs.get(one.example.name, 0.0))
     doubts = [
-        f"type {name}: {picture}: out of focus, or moved: the contours' blur is {blur:.1f} times "
-        "the allowed one; sizes and angles become less accurate"
+        f"type {name}: {picture}: out of focus, or moved. The contours' blur is {blur:.1f} times "
+        "the maximum, so sizes and angles become less accurate"
         for picture, blur in blurs.items()
         if blur > 1
     ]
@@ -405,7 +405,7 @@ def _doubts(
     if furthest > COLOUR_LAB:
         doubts.append(
             f"type {name}: colours are up to {furthest:.0f} Lab from their mean, allowed: "
-            f"{COLOUR_LAB:g}: many parts will be unknown; teach each colour as a separate type"
+            f"{COLOUR_LAB:g} Lab. Many parts will be unknown; teach each colour as a separate type"
         )
     return tuple(doubts)
 
@@ -431,10 +431,10 @@ def _height_doubt(
     if unlike < BETTER * rest:
         return ()
     return (
-        f"type {name}: its examples agree best with a height of about {1e3 * height:.0f} mm: "
-        f"their outlines then differ by {scale * rest:.2f} px, and with height 0 by "
-        f"{scale * unlike:.2f} px; if it is not flat, its positions are wrong: teach it again with "
-        "--height, or with height_m in the file of types",
+        f"type {name}: its examples agree best with a height of about {1e3 * height:.0f} mm. "
+        f"Their outlines then differ by {scale * rest:.2f} px, and with height 0 by "
+        f"{scale * unlike:.2f} px. If the part is not flat, its positions are wrong; teach it "
+        "again with --height, or with height_m in the file of types",
     )
 
 
