@@ -75,7 +75,7 @@ def write_results(path: Path, facts: Data, charts: Sequence[Chart]) -> None:
     lines += [f"Commit: {commit}, unless another is given."]
     parts = [
         ABOUT,
-        "\n".join([*lines, f"Total time: {minutes:.0f} minutes."]) + "\n",
+        "\n".join([*lines, f"Total run time of the measurements: {minutes:.0f} minutes."]) + "\n",
         *(section(one, facts, commit) for one in charts),
         demos(folder),
     ]
