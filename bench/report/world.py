@@ -73,8 +73,8 @@ def sim(rows: list[Row]) -> Drawn:
         f"At the same error, the simulator is {lead} times as fast as pymunk with {counts} parts "
         "that move in all directions. The minimum error is "
         f"{min(column(cases['travel'], 'error_mm')):.0e} mm.",
-        f"Points by events with a tolerance of {DEFAULT_TOLERANCE}, finite parts in steps of "
-        f"{1e3 * STEP:g} ms. Their overlap is too small for a camera.",
+        f"Points are simulated by events with a tolerance of {DEFAULT_TOLERANCE}, finite parts in "
+        f"steps of {1e3 * STEP:g} ms. The overlap of finite parts is too small to be seen.",
     )
 
 
