@@ -18,11 +18,13 @@ STEP_NS = 20_000_000
 occur if the process is interrupted between reading the two clocks."""
 
 KEPT_S = 60.0
-"""Time for which a step is considered [s]. No message is on its way for longer, and after a large
-step back the plate must not rest for as long as the step."""
+"""Time for which a step is considered [s]. No message is on its way for longer. After a step back,
+the clock shows some times twice. A stamp with such a time counts as made before the step, so the
+plate rests until the clock has passed these times, or until `KEPT_S` is over."""
 
 MAX_STEPS = 20
-"""Maximum number of steps that are considered. A clock with more steps is not usable."""
+"""Maximum number of steps in `KEPT_S`. If there are more, the clock is not usable, so each stamp
+counts as `KEPT_S` older than it seems."""
 
 
 class Step(NamedTuple):
@@ -53,15 +55,15 @@ class ClockSteps:
         Last difference between the clock and the steady clock [ns]. It is None before the first
         reading.
     steps : tuple of Step
-        Steps, the oldest first.
+        The newest steps, at most `MAX_STEPS` + 1, the oldest first.
     """
 
     offset_ns: int | None = None
     steps: tuple[Step, ...] = ()
 
     def with_reading(self, now: float, clock_ns: int) -> ClockSteps:
-        """Record one reading of both clocks. Call this often: a stamp that was made between the
-        step and the next reading counts as made before the step.
+        """Record one reading of both clocks. Call this often: the times that count as shown twice
+        extend to the reading that notices the step.
 
         Parameters
         ----------
@@ -75,11 +77,19 @@ class ClockSteps:
         steps = tuple(step for step in self.steps if now - step.at < KEPT_S)
         if abs(by_ns) > STEP_NS:
             steps += (Step(now, clock_ns - by_ns, by_ns),)
-        return replace(self, offset_ns=offset_ns, steps=steps[-MAX_STEPS:])
+        # One more than the maximum shows that the clock is not usable.
+        return replace(self, offset_ns=offset_ns, steps=steps[-MAX_STEPS - 1 :])
+
+    @property
+    def usable(self) -> bool:
+        """Whether the clock has at most `MAX_STEPS` steps in `KEPT_S`."""
+        return len(self.steps) <= MAX_STEPS
 
     def earliest_ns(self, stamp_ns: int) -> int:
         """Return the earliest time at which a stamp may have been made, on the clock as it runs
-        now [ns]. It is the stamp itself unless the clock was set back."""
+        now [ns]. It is the stamp itself unless the clock was set back, or is not `usable`."""
+        if not self.usable:
+            return stamp_ns - round(1e9 * KEPT_S)
         earliest_ns, by_ns = stamp_ns, 0
         for step in reversed(self.steps):
             by_ns += step.by_ns

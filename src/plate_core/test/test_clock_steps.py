@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from plate_core.clock_steps import KEPT_S, STEP_NS, ClockSteps
+from plate_core.clock_steps import KEPT_S, MAX_STEPS, STEP_NS, ClockSteps
 
 S = 1_000_000_000
 
@@ -45,6 +45,22 @@ def test_a_step_is_forgotten_when_no_message_can_be_on_its_way():
     record = readings((0, 100), (1, 0), (KEPT_S + 0.9, KEPT_S - 0.1))
     assert record.earliest_ns(50 * S) == -51 * S
     assert record.with_reading(KEPT_S + 1.1, round(S * (KEPT_S + 0.1))).steps == ()
+
+
+def test_stamps_of_a_clock_with_too_many_steps_are_too_old():
+    """The clock is set forth by 0.1 s at each reading, so its steps alone make no stamp older."""
+    record = readings(*((k, 100 + 1.1 * k) for k in range(MAX_STEPS + 1)))
+    assert record.usable
+    assert record.earliest_ns(110 * S) == 110 * S
+    now = MAX_STEPS + 1.0
+    for k in range(3):  # further steps
+        record = record.with_reading(now + k, round(S * (100 + 1.1 * (now + k))))
+        assert not record.usable
+        assert record.earliest_ns(110 * S) == round((110 - KEPT_S) * S)
+    offset = 100 + 0.1 * (now + 2)
+    # MAX_STEPS + 3 steps were noticed, from 1 s on. Three of them must be forgotten.
+    later = [record.with_reading(t, round(S * (t + offset))) for t in (KEPT_S + 2.9, KEPT_S + 3.1)]
+    assert [one.usable for one in later] == [False, True]
 
 
 @pytest.mark.parametrize("seed", range(5))

@@ -11,7 +11,7 @@ from __future__ import annotations
 from dataclasses import dataclass, field, replace
 
 from plate_core import CycleError
-from plate_core.clock_steps import ClockSteps
+from plate_core.clock_steps import KEPT_S, MAX_STEPS, ClockSteps
 from plate_core.status import age_limit
 
 __all__ = ["AHEAD_S", "ALONE_S", "STANDSTILL_S", "Freshness"]
@@ -42,7 +42,9 @@ is longer, the stamp is too old in any case, or a simulator was restarted after 
 
 @dataclass(frozen=True)
 class Freshness:
-    """Record of the events that make older cycles invalid. Stamps are in ns.
+    """Record of what makes a cycle invalid: its age, events after its image, a second publisher.
+
+    Stamps are in ns.
 
     Attributes
     ----------
@@ -54,7 +56,8 @@ class Freshness:
     ended_ns : int
         Stamp of the last request of a task that has ended.
     number : int or None
-        Number of stops before the motors became ready. It is None if they are not ready.
+        Number of stops before the motors became ready. It is None if they are not ready. A changed
+        number shows a stop and a new enable between two calls of `with_state`.
     updated_at : float
         Time of the last call of `with_state` [s, steady clock].
     last_cycles : dict of bytes to float
@@ -123,20 +126,25 @@ class Freshness:
         CycleError
             If it must not be sent. The message gives the reason.
         """
+        if not self.clock.usable:
+            raise CycleError(
+                f"the clock of the image stamps stepped more than {MAX_STEPS} times in {KEPT_S:g} "
+                f"s, allowed: {MAX_STEPS}; is its synchronisation stable?"
+            )
         earliest_ns = self.clock.earliest_ns(stamp_ns)
         age, limit = 1e-9 * (clock_ns - stamp_ns), age_limit(period) - SEND_S
         oldest = 1e-9 * (clock_ns - earliest_ns)
         if -AHEAD_S <= age <= limit < oldest:
             raise CycleError(
                 f"plate_cycle is for an image that may be {oldest:.2f} s old, because the clock "
-                f"was set back by {oldest - age:.2f} s, allowed: 0 to {limit:.2f} s"
+                f"was set back by {oldest - age:.2f} s, allowed: -{AHEAD_S:.2f} to {limit:.2f} s"
             )
         if not -AHEAD_S <= age <= limit:
             slow = 0 <= age < CLOCKS_S
             clocks = "is the clock of the image stamps synchronised with this computer's?"
             raise CycleError(
-                f"plate_cycle is for an image {age:.2f} s old, allowed: 0 to {limit:.2f} s"
-                f"; {'is the computer too slow?' if slow else clocks}"
+                f"plate_cycle is for an image {age:.2f} s old, allowed: -{AHEAD_S:.2f} to "
+                f"{limit:.2f} s; {'is the computer too slow?' if slow else clocks}"
             )
         if len(self.last_cycles) > 1:
             raise CycleError(f"{len(self.last_cycles)} nodes publish plate_cycle, allowed: one")

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from plate_core import CycleError
+from plate_core.clock_steps import KEPT_S, MAX_STEPS
 from plate_core.status import age_limit
 from plate_driver.freshness import AHEAD_S, ALONE_S, STANDSTILL_S, Freshness
 from plate_driver.setpoints.motor_table import check_order
@@ -37,7 +38,7 @@ def test_age_is_by_the_stamp_and_both_ways():
     assert fresh.remaining_s(at(10), at(10.57), PERIOD) == pytest.approx(0.01)
     slow, clocks = r"is the computer too slow\?", "is the clock of the image stamps "
     for clock, why in ((10.59, slow), (300.0, clocks), (10 - AHEAD_S - 0.01, clocks)):
-        with pytest.raises(CycleError, match=rf"old, allowed: 0 to 0\.58 s; {why}"):
+        with pytest.raises(CycleError, match=rf"old, allowed: -0\.10 to 0\.58 s; {why}"):
             fresh.remaining_s(at(10), at(clock), PERIOD)
 
 
@@ -113,6 +114,16 @@ def test_a_cycle_is_as_old_as_its_image_may_be_if_the_clock_was_set_back():
         far.remaining_s(at(0), at(0.1), PERIOD)
     far = far.with_clocks(70, at(60.1))
     assert far.remaining_s(at(60), at(60.1), PERIOD) > 0
+
+
+def test_a_clock_with_too_many_steps_moves_nothing():
+    fresh = ready()
+    for k in range(MAX_STEPS + 2):  # a step forth of 0.1 s at each reading but the first
+        fresh = fresh.with_clocks(k, at(10 + 1.1 * k))
+    with pytest.raises(CycleError, match="stepped more than 20 times in 60 s, allowed: 20"):
+        fresh.remaining_s(at(9.99 + 1.1 * k), at(10 + 1.1 * k), 0.2)
+    calm = fresh.with_clocks(k + KEPT_S, at(10 + 1.1 * k + KEPT_S))
+    assert calm.remaining_s(at(9.99 + 1.1 * k + KEPT_S), at(10 + 1.1 * k + KEPT_S), 0.2) > 0
 
 
 def test_a_step_of_the_clock_moves_the_time_of_the_last_enable():

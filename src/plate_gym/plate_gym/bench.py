@@ -670,7 +670,7 @@ def main() -> int:
     )
     parser.add_argument("--json", type=Path, help="file for the result")
     parser.add_argument(
-        "--workers", type=int, default=os.cpu_count(), help="processes (default: one per core)"
+        "--workers", type=int, help="processes (default: one per core); not with --cluster"
     )
     parser.add_argument(
         "--cluster", metavar="ADDRESS", help="Dask scheduler whose workers run the episodes"
@@ -703,6 +703,10 @@ def main() -> int:
         parser.error("--trust requires --check")
     if args.fresh is not None and not (args.check and 0 < args.fresh <= MAX_SEEDS):
         parser.error(f"--fresh requires --check, allowed: 1 to {MAX_SEEDS}")
+    if args.cluster and args.workers is not None:
+        parser.error("--cluster allows no --workers: the workers of the cluster run")
+    if args.workers is None:
+        args.workers = os.cpu_count() or 1
     if args.workers < 1:  # in this process, an agent could exit or falsify results
         parser.error(f"--workers is {args.workers}, allowed: 1 or more")
     tell = partial(print, flush=True)

@@ -32,7 +32,7 @@ OUTPUT_BYTES = 100_000
 """Maximum output of an agent that is forwarded per episode [bytes]."""
 
 MAX_PROCESSES = 256
-"""Maximum number of processes of an agent."""
+"""Maximum number of processes of an episode, including the process that simulates."""
 
 MORE_TASKS = 2000
 """Number of additional processes and threads that the user of an episode may have in total. This
@@ -49,14 +49,15 @@ ALIVE_S = 1.0
 
 ENDING_S = 10.0
 """Maximum time in which the processes of an agent must end [s]. All processes are ended again and
-again until none is left. One pass takes some milliseconds."""
+again until none is left. Each pass of the loop in `_kill_all` takes some milliseconds."""
 
 PR_SET_PDEATHSIG, PR_SET_CHILD_SUBREAPER = 1, 36
 """Options from linux/prctl.h. The first is the signal that a process receives when its parent ends.
 With the second, orphaned descendants become children of this process."""
 
 CONTROL = bytes(set(range(32)) - set(b"\t\n\r"))
-"""Control characters. They could hide other lines of a terminal."""
+"""Control characters except tab, newline and carriage return. They could hide other lines of a
+terminal."""
 
 BEAT = b"."
 """Byte that an episode sends before each decision."""
