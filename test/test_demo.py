@@ -91,18 +91,18 @@ def names_of(processes):
         (["--port", "/dev/null"], "serial port /dev/null is a device, but no serial port, allowed"),
         (
             ["--transport", "sim", "--port", "/dev/null"],
-            "port is '/dev/null' with transport sim, allowed with it: no",
+            "port is '/dev/null', but transport sim requires no port",
         ),
-        (["--transport", "serial", "--lockstep"], "lockstep with transport serial, allowed: "),
+        (["--transport", "serial", "--lockstep"], "transport is serial, but --lockstep requires "),
         (
             ["--transport", "cia402", "--port", "/dev/null"],
-            "port is '/dev/null' with transport cia",
+            "port is '/dev/null', but transport cia402 requires no port",
         ),
         (
             ["--transport", "odrive", "--rig", "linear_motors"],
             "rig linear_motors.yaml: its motors have",
         ),
-        (["--transport", "cia402", "--lockstep"], "lockstep with transport serial, allowed: "),
+        (["--transport", "cia402", "--lockstep"], "transport is cia402, but --lockstep requires "),
         (["--image-rate", "0.5"], "image_rate is 0.5, allowed: 0, or 1 to 200"),
         (["--domain", "500"], "domain is 500, allowed: 0 to 101"),
     ],

@@ -73,7 +73,8 @@ def tables(folder: Path) -> str:
 
 
 Order = tuple[bool, str, float, float]
-"""Sort key of rows: rows of the nominal world first, then better agents, then faster ones."""
+"""Sort key of rows: nominal world first, then name of the world, then fraction of completed
+episodes (descending), then plate time."""
 
 
 def row(file: str, result: dict[str, Any], task: str, errors: list[str]) -> tuple[Order, list[str]]:

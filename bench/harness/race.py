@@ -44,9 +44,9 @@ class Race:
         """Return the median time per call [s]."""
         return float(np.median(self.times[name]))
 
-    def lead(self, name: str, peer: str) -> float:
-        """Return the ratio of the times of `peer` and `name`, the median over the rounds."""
-        return float(np.median(self.times[peer] / self.times[name]))
+    def lead(self, name: str, baseline: str) -> float:
+        """Return the median over the rounds of (time of `baseline` / time of `name`)."""
+        return float(np.median(self.times[baseline] / self.times[name]))
 
 
 def race(contestants: Mapping[str, Callable[[], object]], seconds: float) -> Race:

@@ -160,7 +160,9 @@ def drives(rows: list[Row]) -> Drawn:
     names = by([r for r in rows if r["changed"]], "drive")
     looks = {name: Look(name, c, "o", "-") for name, c in zip(names, COUNT_COLOURS, strict=False)}
     for changed, (title, label) in ON_A_BUS.items():
-        panel = panels.add(title, Axis(label), Axis("tracking error, RMS, median [mm]", log=True))
+        panel = panels.add(
+            title, Axis(label), Axis("median of the RMS tracking error [mm]", log=True)
+        )
         mine = [r for r in rows if r["changed"] == changed]
         panel.kinds(mine, "drive", "value", "rms_mm", looks, hollow=not_all, note=ENDED)
         panel.rule("bridges", y=bridges["rms_mm"], colour=LIMIT)
@@ -187,8 +189,11 @@ def rigs(rows: list[Row]) -> Drawn:
     y = Axis("", names=names)
     share = panels.add("Ended well", Axis("runs [%]", limits=(-5, 105)), y)
     time = panels.add("Time of the task", Axis("median [s]", log=True), y)
-    error = panels.add("Following a path", Axis("tracking error, RMS, median [mm]", log=True), y)
-    pace = panels.add("Following a path", Axis("of the speed asked for [%]", limits=(-5, 105)), y)
+    error = panels.add(
+        "Following a path", Axis("median of the RMS tracking error [mm]", log=True), y
+    )
+    speed = Axis("speed [% of the requested speed]", limits=(-5, 105))
+    pace = panels.add("Following a path", speed, y)
     tasks = by([r | {"scenario": r["scenario"].removesuffix("_desk")} for r in rows], "scenario")
     for colour, marker, (scenario, these) in zip(COUNT_COLOURS, "osD", tasks.items(), strict=False):
         mine = [r | {"share": percent(r), "kept": 100 * (r["pace"] or 0)} for r in these]

@@ -28,7 +28,8 @@ WORLD = Disturbances(
     friction_spread=0.1,
     friction_patches=0.1,
 )
-"""Disturbances: failed picks, late images and missing images."""
+"""Disturbances: failed picks, late images, missing images, and friction that varies between parts
+and over the plate."""
 
 EVERY_S, HOUR_S, QUICK_S = 300.0, 3600.0, 20.0
 """Time between two rows, and duration of the production and of a quick one [s]."""

@@ -30,7 +30,7 @@ RADIUS_M = 0.05
 """Radius of the circles [m]."""
 
 SPAN_S = 6.0
-"""Duration of a run [s], but at least half a lap and at most two laps."""
+"""Duration of a run [s], but at least 0.08 laps and at most two laps."""
 
 MAX_RMS_M, MAX_DELAY = 6e-3, 1.05
 """Limits for a speed that counts as kept, if all runs succeed: maximum error, a hundredth of the

@@ -1,4 +1,4 @@
-"""Measures whether proposed start motions make the project's solver faster, in the closed loop.
+"""This program measures whether proposed start motions speed up the project's solver in the loop.
 
 Proposals come from a network that imitates the solver, or from the nearest goals that it has solved
 before: `python warm_starts.py --task Sort4-v1` (half an hour; needs scikit-learn). Method B solves

@@ -148,21 +148,23 @@ def checked(args: argparse.Namespace) -> Plan:
     among("transport", transport, {*installed(), *DRIVES})
     check_transport(transport, args.port or "of the simulated device")
     if args.port and (drives or transport == "sim"):
-        allowed = "none (a board is transport serial)" if drives else "no port"
+        hint = " (a board is transport serial)" if drives else ""
         raise PlateError(
-            f"port is {args.port!r} with transport {args.transport}, allowed with it: {allowed}"
+            f"port is {args.port!r}, but transport {args.transport} requires no port{hint}"
         )
     if args.lockstep and transport == "serial":
-        raise PlateError("lockstep with transport serial, allowed: transport sim")
+        raise PlateError(f"transport is {args.transport}, but --lockstep requires transport sim")
     if args.camera and transport == "sim":
         raise PlateError(
-            f"camera is {args.camera!r} with transport sim, allowed with it: no camera (the "
-            "simulator publishes the images)"
+            f"camera is {args.camera!r}, but transport sim requires no camera (the simulator "
+            "publishes the images)"
         )
     if args.image_rate and args.camera:
-        raise PlateError(f"image rate is {args.image_rate:g}, allowed with --camera: 0")
+        raise PlateError(f"image rate is {args.image_rate:g}, but --camera requires --image-rate 0")
     if args.image_rate and args.lockstep:
-        raise PlateError(f"image rate is {args.image_rate:g}, allowed with --lockstep: 0")
+        raise PlateError(
+            f"image rate is {args.image_rate:g}, but --lockstep requires --image-rate 0"
+        )
     # `Disturbances` raises an error if the rate is out of range.
     Disturbances(image_rate=args.image_rate)
     within("picks", args.picks, 1, MAX_PICKS)
