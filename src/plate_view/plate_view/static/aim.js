@@ -6,7 +6,7 @@ import { Chart } from "./charts.js";
 import { byId, colour, fitted, setText } from "./dom.js";
 
 const FONT = "12px system-ui, sans-serif";
-const EXPECTED = "#00b4ff"; // visible on pictures of any brightness and in every theme; also dashed
+const EXPECTED = "#00b4ff"; // this colour is visible on pictures of any brightness and in every theme; its lines are dashed
 const SEEN = "#ffb000";
 const TAKEN = "#30e090";
 const LEFT = "#ff6a5a";

@@ -8,7 +8,7 @@ const NEAR_PX = 12; // maximum distance from a part's edge at which the part is 
 const UNANSWERED = 3; // maximum number of moves without a reply
 const STEP_M = 0.004; // distance between the points of a drawn path
 const REFUSED_MS = 5000; // time for which a refusal is shown at its target
-const BY_HAND = "by hand"; // instead of a part's id: the simulator uses other names
+const BY_HAND = "by hand"; // used instead of a part's id, because the simulator uses other names
 const WISH_MS = 2000; // time for which a request is shown if the confirmed target differs from it
 
 const HINTS = {

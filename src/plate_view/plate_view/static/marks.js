@@ -48,7 +48,7 @@ function polyline(context, view, points, closed) {
   if (closed) context.closePath();
 }
 
-/** The plate, a grid each 50 mm, the axes of plate_home. */
+/** The plate with a grid of 50 mm and the axes of plate_home. */
 export function plate(context, view, { length, width }) {
   const [left, top] = view.toPixel(-length / 2, width / 2);
   const [right, bottom] = view.toPixel(length / 2, -width / 2);

@@ -21,7 +21,7 @@ import { simulator } from "./panels/simulator.js";
 import { badge, silent, status } from "./panels/status.js";
 import { tasks } from "./panels/tasks.js";
 
-const ANSWER_SHOWN_MS = 4000; // for a success; a refusal is shown until the next command
+const ANSWER_SHOWN_MS = 4000; // time for which a success is shown; a refusal is shown until the next command
 
 const view = new PlateView(watch);
 const connection = new Connection(socketAddress(), { onMessage, image: (stamp, blob) => view.image(stamp, blob), changed });

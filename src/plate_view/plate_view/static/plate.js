@@ -113,7 +113,7 @@ export class PlateView {
     this.draw();
   }
 
-  /** The parts to draw: those of the shown image, so that both match; otherwise the newest. */
+  /** The parts to draw: the parts of the shown image, so that parts and image match; without an image, the newest parts. */
   #drawnParts() {
     const newest = known.parts;
     if (!newest || !this.shown.image || !this.bitmap || Math.abs(newest.stamp - this.stamp) > TOGETHER_S) return this.parts;

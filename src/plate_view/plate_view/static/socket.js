@@ -2,8 +2,8 @@
 
 const FIRST_WAIT_MS = 250;
 const MAX_WAIT_MS = 4000;
-const ANSWER_MS = 7000; // the server waits up to 5 s for a node
-const SILENT_MS = 2500; // the server sends a message at least every second
+const ANSWER_MS = 7000; // maximum wait for a reply; the server waits up to 5 s for a node
+const SILENT_MS = 2500; // maximum time without a message; the server sends one at least every second
 const FULL_BYTES = 8192; // number of unsent bytes above which frequent commands must wait
 
 export class Connection {

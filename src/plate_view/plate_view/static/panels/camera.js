@@ -4,7 +4,7 @@ import { on } from "../bus.js";
 import { byId, el, setText } from "../dom.js";
 
 const SIGNS = { ok: ["\u2713", "good"], wait: ["\u25cb", ""], warn: ["!", "warn"], error: ["\u2715", "bad"] };
-const RISES = 0.04; // a smaller change is noise
+const RISES = 0.04; // minimum change that is shown as a trend; smaller changes are noise
 
 export function camera(panel, ask, aim) {
   const output = () => el("output", { className: "answer" });

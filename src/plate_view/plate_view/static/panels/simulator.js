@@ -47,7 +47,7 @@ export function simulator(panel, ask, view) {
   };
 }
 
-/** The simulator's name of a part named by the detector: that of the nearest true part. */
+/** The simulator's name of a part that the detector has named: the name of the nearest true part. */
 function simulated(view, id) {
   const seen = view.part(id);
   const away = ({ x, y }) => Math.hypot(x - seen.x, y - seen.y);

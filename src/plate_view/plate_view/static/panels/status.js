@@ -19,7 +19,7 @@ export function badge(node, state, words = state) {
   node.dataset.grade = grade;
 }
 
-const SILENT_S = 1.5; // nodes report each second: a missing report is shown within 2 s
+const SILENT_S = 1.5; // maximum age of a report; nodes report each second, so a missing report is shown within 2 s
 
 /** The names of nodes without recent reports, except pages, which start and end at any time. */
 export function silent() {
@@ -39,7 +39,7 @@ export function status(ask) {
   let lastSpoken = "";
   on("task", ({ task, state, text }) => {
     badge(byId("task-state"), state, task ? `${task}: ${state}` : state);
-    const words = text === state ? "" : (text || "").replace(`${state}: `, ""); // the state stands before it already
+    const words = text === state ? "" : (text || "").replace(`${state}: `, ""); // omit the state, because the badge shows it
     setText(byId("task-text"), words);
     byId("task-text").title = words;
     if (`${task} ${state}` !== lastSpoken) setText(byId("spoken"), `Task ${task} ${state}. ${text || ""}`);
