@@ -273,7 +273,7 @@ static uint8_t commit(Controller *c, uint16_t sequence, const uint8_t *fields)
             return STATUS_JUMP; /* a stream has ended away from home: stop and enable move the plate home */
     if (table->streams) {
         if (table->count < 2 || table_period(table) < BRAKE_TICKS)
-            return STATUS_INCOMPLETE; /* it must always be possible to brake */
+            return STATUS_INCOMPLETE; /* too short, because the plate must be able to brake at any time */
         if (!knot_is_home(table_knot(table, 0)))
             return STATUS_JUMP;
         wait_to_play(c);
@@ -350,13 +350,13 @@ static void set_trigger(Controller *c, uint16_t sequence, const uint8_t *fields)
     acknowledge(c, sequence, STATUS_DONE);
 }
 
-/* Executed in order, and once. */
+/* Execute a command in the order of the sequence numbers, and only once. */
 static void ordered(Controller *c, uint8_t type, uint16_t sequence, const uint8_t *fields)
 {
     uint16_t ahead = (uint16_t)(sequence - c->answered);
     bool later = false;
     if (c->committing && sequence == c->commit_sequence)
-        return; /* it will be answered later */
+        return; /* the command will be answered later */
     if (ahead != 0 && ahead < 0x8000) {
         if (c->committing)
             answer_commit(c, STATUS_OLD);
@@ -536,10 +536,10 @@ void controller_tick(Controller *c)
     uint32_t heat_us = passed < MAX_HEAT_US ? (uint32_t)passed : MAX_HEAT_US;
     if (!heat_step(c, heat_us, moves ? &at : NULL) && c->state != STATE_OFF)
         motion_brake(c, FAULT_HEAT);
-    uint64_t silent_us = c->now_us - c->telemetry_us; /* a slow line sends it less often */
+    uint64_t silent_us = c->now_us - c->telemetry_us; /* a slow line sends telemetry less often */
     if (silent_us >= TELEMETRY_US && (hal_idle() || silent_us >= MAX_UNREPORTED_US)) {
         c->telemetry_us = c->now_us;
-        send_trouble(c); /* sent before the fault that it explains */
+        send_trouble(c); /* the report is sent before the fault that it explains */
         send_state(c);
     }
     hal_watchdog();

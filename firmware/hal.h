@@ -28,7 +28,7 @@ void hal_write(const uint8_t *data, size_t size);
 /* Whether all written bytes have been sent. Telemetry waits for this, so that replies need not wait. */
 bool hal_idle(void);
 
-/* Motor current on or off. Must work at any time. */
+/* Switch the motor current on or off. This must work at any time. */
 void hal_drive(bool on);
 
 /* Whether the motors hold their position after current was switched on. Called in each tick until it is
@@ -60,11 +60,11 @@ uint8_t hal_faults(void);
 typedef struct {
     uint8_t motor;   /* 1 to 4; 0: the bus */
     uint8_t kind;    /* TROUBLE_ of message.h */
-    uint16_t object; /* object of its dictionary, or its error register */
+    uint16_t object; /* object of the drive's dictionary, or the drive's error register */
     uint32_t code;   /* code of emergency or abort, statusword, or value */
 } Trouble;
 
-/* First fault of a drive since current was last switched on. False: none. */
+/* First fault of a drive since the current was last switched on. Return false if there is none. */
 bool hal_trouble(Trouble *trouble);
 
 /* Maximum duration of a tick since the last call, as a fraction of its period. 0 if unknown. */

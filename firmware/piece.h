@@ -41,7 +41,7 @@ typedef struct {
 /* Part of a Bezier curve whose hull exceeds the limit. */
 typedef struct {
     float points[6], limit;
-    uint8_t count;    /* number of its control points */
+    uint8_t count;    /* number of the curve's control points */
     uint8_t halvings; /* remaining bisections */
 } Curve;
 

@@ -18,7 +18,7 @@
 typedef struct {
     uint16_t knots;     /* number of checked knots, each with the piece before it */
     uint8_t status;     /* DONE so far, or the reason why the table must not play */
-    uint32_t crc;       /* CRC of their bytes */
+    uint32_t crc;       /* CRC of the checked knots' bytes */
     float heat[MOTORS]; /* integral of the squared force so far [N2 s] */
     PieceCheck piece;
 } Check;

@@ -17,7 +17,7 @@ static uint8_t phase; /* ticks since the last cycle */
 static uint16_t bus_alarm;
 static Trouble trouble;
 
-/* Whether it has been up long enough for the detection of a second drive with its number. */
+/* Whether an axis has been up long enough for the detection of a second drive with its node number. */
 static bool is_up(const Axis *axis) { return axis->stage == UP && axis->since >= START_TICKS; }
 
 bool all_up(void)
@@ -28,7 +28,7 @@ bool all_up(void)
     return all;
 }
 
-/* Whether a fault lasts. Later faults then count as its consequences. */
+/* Whether a fault of the bus or a drive lasts. If so, later faults count as its consequences. */
 static bool faulty(void)
 {
     bool any = bus_alarm > 0;
@@ -37,7 +37,8 @@ static bool faulty(void)
     return any;
 }
 
-/* Keep the first fault. An emergency replaces the fault that it explains, as it has more detail. */
+/* Keep the first fault of all drives. An emergency replaces the fault that it explains, because it has more
+   detail. */
 static void note(uint8_t motor, uint8_t kind, uint16_t object, uint32_t code, bool anew)
 {
     bool explains = kind == TROUBLE_EMERGENCY && motor == trouble.motor &&
@@ -87,14 +88,14 @@ void enter(Axis *axis, Stage stage)
         axis->status = axis->still = 0;
 }
 
-/* Counts are compared modulo 2^32. */
+/* Distance between two positions of a drive [m]. Counts are compared modulo 2^32. */
 static float apart_m(int m, int32_t a, int32_t b)
 {
     return fabsf((float)(int32_t)((uint32_t)a - (uint32_t)b)) / drives[m].counts_per_m;
 }
 
-/* With current, it must be at its target, also before it follows setpoints. After a leap that no motor
-   can make, it counts from another origin. */
+/* Check that a drive with current is at its target, also before it follows setpoints. If its position leaps
+   farther than a motor can move, the drive counts from another origin. */
 static void watch(int m, bool leaps)
 {
     Axis *axis = &axes[m];
@@ -147,7 +148,7 @@ void lose_home(int m)
     home_known = false;
 }
 
-/* Check the number of positions since the last request. */
+/* Check the number of positions that a drive has sent since the last request. */
 static void count_answers(int m)
 {
     Axis *axis = &axes[m];
@@ -160,8 +161,8 @@ static void count_answers(int m)
         lose(m, TROUBLE_TWICE, 0, 0);
 }
 
-/* Distance of a motor from its setpoint or, without setpoints, from home [m]. While it only holds, it is
-   assumed at its target. */
+/* Distance of a motor from its setpoint or, without setpoints, from home [m]. If the motor
+   only holds its position, it is assumed to be at its target. */
 static float off_m(int m)
 {
     const Axis *axis = &axes[m];
@@ -200,7 +201,7 @@ static void age(int m)
         axis->faults = 0;
     axis->lost = axis->lost && !is_up(axis);
     if (axis->stage == SILENT && axis->since >= BOOT_TICKS) {
-        if (axis->step) /* no reply: it may have no power */
+        if (axis->step) /* no reply, so the drive may have no power */
             lose_home(m);
         alarm(m, TROUBLE_SILENT, 0, 0, FAULT_HARDWARE);
         enter(axis, SILENT);
@@ -274,7 +275,7 @@ void hal_drive(bool on)
             note((uint8_t)(m + 1), TROUBLE_NOT_ENABLED, 0, axes[m].status, false);
     if (on)
         memset(&trouble, 0, sizeof trouble);
-    hurry = !on; /* sent at the end of this tick */
+    hurry = !on; /* the frames are sent at the end of this tick */
     wanted = on;
     was_ready = follows = false;
 }

@@ -6,18 +6,18 @@
 #include "can.h"
 #include "drives.h"
 
-#define CYCLE_TICKS 2       /* 2 ms: at 1 Mbit/s four axes fill half of it */
+#define CYCLE_TICKS 2       /* length of a bus cycle, 2 ms; at 1 Mbit/s four axes use half of it */
 #define SILENT_TICKS 150    /* maximum time without a heartbeat */
-#define MISSED_CYCLES 3     /* consecutive cycles with no position, or with two */
+#define MISSED_CYCLES 3     /* consecutive cycles with no position, or with two, that are a fault */
 #define ANSWER_TICKS 200    /* maximum wait for a reply in SETUP, and for the boot-up after a reset */
 #define BOOT_TICKS 1000     /* maximum wait for an answer; also between two tries, and an alarm's duration */
 #define START_TICKS 100     /* maximum wait for a start; also the time until a started drive may be enabled */
 #define STARTS 10           /* maximum number of tries */
 #define KEEPS_TICKS 100     /* maximum time for a drive to switch its current off */
-#define ASTRAY_CYCLES 2     /* consecutive cycles with a following error */
-#define CROOKED_CYCLES 5    /* consecutive cycles with positions that do not fit a rigid plate */
-#define STILL_CYCLES 150    /* cycles for which an axis must stand still before it gets current, */
-#define STILL_M 0.0005f     /* within this [m] */
+#define ASTRAY_CYCLES 2     /* consecutive cycles with a following error that are a fault */
+#define CROOKED_CYCLES 5    /* consecutive cycles with inconsistent positions that are a fault */
+#define STILL_CYCLES 150    /* cycles for which an axis must rest before it gets current */
+#define STILL_M 0.0005f     /* maximum motion of an axis that counts as resting [m] */
 
 typedef enum { SILENT, SETUP, STARTING, UP } Stage;
 
@@ -30,41 +30,41 @@ typedef struct {
     uint16_t unheard;  /* ticks since the last heartbeat, 0 to SILENT_TICKS + 1 */
     uint8_t answers;   /* number of positions since the last request */
     uint8_t missed, doubled, astray; /* consecutive cycles */
-    uint16_t status;   /* its statusword, or state */
+    uint16_t status;   /* the drive's statusword, or its state */
     uint32_t errors;   /* the drive's own errors, as reported */
     int32_t actual, home, target; /* [counts] */
     int32_t sent, reached; /* the last sent target, and the expected position of the next reply */
     int32_t error;     /* following error when `actual` was received */
-    int32_t rest;      /* position near which it has stood still [counts] */
-    uint8_t still;     /* number of cycles since then, 0 to STILL_CYCLES */
-    bool leapt;        /* its last position is an impossible leap */
-    bool reported;     /* it has reported a position since the board started */
-    uint16_t keeps;    /* ticks with current after it was ordered off */
+    int32_t rest;      /* position near which the axis rests [counts] */
+    uint8_t still;     /* number of cycles that the axis has rested there, 0 to STILL_CYCLES */
+    bool leapt;        /* the drive's last position is an impossible leap */
+    bool reported;     /* the drive has reported a position since the board started */
+    uint16_t keeps;    /* ticks with current after the order to switch it off */
     uint16_t alarm;    /* remaining ticks for which `faults` are reported */
-    uint16_t resets;   /* ticks until the next try to reset its fault */
+    uint16_t resets;   /* ticks until the next try to reset the drive's fault */
     uint8_t faults;
-    bool lost;         /* it had a fault and has not started again yet; at power-up this is no fault */
+    bool lost;         /* the drive had a fault and has not started again yet; false at power-up */
 } Axis;
 
 extern Drive drives[MOTORS];
 extern Axis axes[MOTORS];
 extern const Limits *limits;
 extern float led[3][MOTORS]; /* last setpoint [m], [m/s], [m/s2] */
-extern bool wanted, was_ready, follows; /* current is requested; it is on; the axes follow setpoints */
-extern bool hurry; /* switch the current off in this tick */
+extern bool wanted, was_ready, follows; /* current is requested; current is on; the axes follow setpoints */
+extern bool hurry; /* whether the current must be switched off in this tick */
 
 /* Functions of each backend. */
-bool enabled(const Axis *axis);   /* whether it has current */
+bool enabled(const Axis *axis);   /* whether the drive has current */
 bool in_fault(const Axis *axis);
 void take(const CanFrame *frame); /* process a received frame */
-void cycle(void);                 /* send the frames of each bus cycle, */
-void between(void);               /* and those of the tick after it */
-void cut(int m);                  /* switch its current off, by all means of the bus */
-void break_off(int m);            /* it has kept its current nevertheless */
+void cycle(void);                 /* send the frames of a bus cycle */
+void between(void);               /* send the frames of the tick between two bus cycles */
+void cut(int m);                  /* switch a drive's current off, by all means of the bus */
+void break_off(int m);            /* stop a drive that has kept its current for KEEPS_TICKS */
 
 bool all_up(void);
-void placed(int m, int32_t actual); /* it has reported its position */
-bool stands(const Axis *axis);      /* whether it has stood still long enough to accept its position */
+void placed(int m, int32_t actual); /* process a drive's reported position */
+bool stands(const Axis *axis);      /* whether the axis has rested long enough to accept its position */
 void alarm(int m, uint8_t kind, uint16_t object, uint32_t code, uint8_t faults);
 void explain(int m, uint8_t kind, uint32_t code); /* add a detail to a fault of this kind */
 void bus_trouble(uint8_t kind);

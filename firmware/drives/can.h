@@ -9,11 +9,11 @@
 
 typedef struct {
     uint16_t id;  /* 11 bits, and CAN_REMOTE */
-    uint8_t size; /* size of its data, at most 8 */
+    uint8_t size; /* size of the data, at most 8 */
     uint8_t data[8];
 } CanFrame;
 
-/* Take a received data frame. False: none. The board must buffer at least 32. */
+/* Take a received data frame. Return false if there is none. The board must buffer at least 32 frames. */
 bool can_read(CanFrame *frame);
 
 /* Send a frame after the previous ones. A frame that does not fit into the board's buffer of at least 32

@@ -18,7 +18,7 @@ enum { NMT = 0x000, SYNC = 0x080, EMERGENCY = 0x080, TPDO = 0x180, RPDO = 0x200,
        SDO_ANSWER = 0x580, SDO = 0x600, HEARTBEATS = 0x700 };
 enum { NMT_START = 0x01, NMT_RESET = 0x81, NMT_RESET_COMMUNICATION = 0x82 };
 enum { BOOT_UP = 0, OPERATIONAL = 5 };
-#define REMOTE 0x0200       /* bit of the statusword: it obeys controlwords */
+#define REMOTE 0x0200       /* bit of the statusword: the drive obeys controlwords */
 enum { DISABLE = 0x00, SHUTDOWN = 0x06, SWITCH_ON = 0x07, OPERATE = 0x0F, FAULT_RESET = 0x80 };
 
 /* Set-up of a node before its start. Its PDOs are not used until the set-up is complete. */
@@ -32,17 +32,17 @@ typedef struct {
 #define PDO_OFF 0x80000000u
 #define NO_RTR 0x40000000u /* bit of a TPDO: a drive without remote requests refuses the entry without it */
 static const Step STEPS[] = {
-    {0x1000, 0, 4, READ, 402, 0xFFFF},            /* is it a CiA 402 drive? */
-    {0x6040, 0, 2, 0, DISABLE, 0},                /* current off, whatever its state */
-    {0x6502, 0, 4, READ, 1u << 7, 1u << 7},       /* does it support cyclic synchronous position? */
-    {0x1018, 4, 4, READ | SERIAL, 0, 0xFFFFFFFF}, /* is it the drive of the rig file? */
+    {0x1000, 0, 4, READ, 402, 0xFFFF},            /* check that it is a CiA 402 drive */
+    {0x6040, 0, 2, 0, DISABLE, 0},                /* current off in any state of the drive */
+    {0x6502, 0, 4, READ, 1u << 7, 1u << 7},       /* check for cyclic synchronous position */
+    {0x1018, 4, 4, READ | SERIAL, 0, 0xFFFFFFFF}, /* check that it is the drive of the rig file */
     {0x1017, 0, 2, 0, HEARTBEAT_MS, 0},
     {0x1016, 1, 4, 0, (uint32_t)MASTER << 16 | SILENT_MS, 0},
-    {0x6007, 0, 2, 0, 3, 0},          /* quick stop if the bus or this board fails, */
-    {0x605A, 0, 2, OR_NEXT, 2, 0},    /* with its ramp, then current off */
-    {0x6007, 0, 2, INSTEAD, 2, 0},    /* otherwise current off at once */
-    {0x60C2, 1, 1, 0, CYCLE_MS, 0},   /* interpolation period: this value */
-    {0x60C2, 2, 1, 0, 0xFD, 0},       /* times 10^-3 s */
+    {0x6007, 0, 2, 0, 3, 0},          /* if the bus or this board fails: quick stop */
+    {0x605A, 0, 2, OR_NEXT, 2, 0},    /* quick stop: the drive's ramp, then current off */
+    {0x6007, 0, 2, INSTEAD, 2, 0},    /* if the drive refuses 605Ah = 2: current off at once */
+    {0x60C2, 1, 1, 0, CYCLE_MS, 0},   /* interpolation period: number of units */
+    {0x60C2, 2, 1, 0, 0xFD, 0},       /* interpolation period: unit, 10^-3 s */
     {0x6060, 0, 1, 0, 8, 0},          /* cyclic synchronous position */
     {0x1400, 1, 4, PLUS_NODE, PDO_OFF | RPDO, 0},
     {0x1600, 0, 1, 0, 0, 0},
@@ -62,7 +62,7 @@ static const Step STEPS[] = {
     {0x1801, 1, 4, PLUS_NODE | OPTIONAL, PDO_OFF | NO_RTR | 0x280, 0},
     {0x1802, 1, 4, PLUS_NODE | OPTIONAL, PDO_OFF | NO_RTR | 0x380, 0},
     {0x1803, 1, 4, PLUS_NODE | OPTIONAL, PDO_OFF | NO_RTR | 0x480, 0},
-    {0x6061, 0, 1, READ, 8, 0xFF},    /* has it adopted the mode? */
+    {0x6061, 0, 1, READ, 8, 0xFF},    /* check that the drive has adopted the mode */
     {0x1400, 1, 4, PLUS_NODE, RPDO, 0},
     {0x1800, 1, 4, PLUS_NODE, NO_RTR | TPDO, 0},
 };
@@ -165,7 +165,7 @@ static void heartbeat(int m, uint8_t state)
     axis->unheard = 0;
     if (state == BOOT_UP) {
         bool ours = axis->stage == SILENT && axis->step && axis->since <= ANSWER_TICKS;
-        if (!ours) /* this is no reply to a reset by this board */
+        if (!ours) /* the boot-up is not a reply to a reset by this board */
             lose_home(m);
         if (axis->stage == UP || axis->stage == STARTING)
             alarm(m, TROUBLE_RESET, 0, 0, FAULT_HARDWARE);
@@ -233,7 +233,7 @@ static uint16_t controlword(Axis *axis)
 {
     if (axis->stage != UP)
         return DISABLE;
-    if (in_fault(axis)) { /* the current stays off; a new Enable is required anyway */
+    if (in_fault(axis)) { /* the current stays off until a new Enable */
         axis->resets = axis->resets ? (uint16_t)(axis->resets - 1) : BOOT_TICKS / CYCLE_TICKS;
         return wanted || axis->resets >= RESET_CYCLES ? DISABLE : FAULT_RESET;
     }
@@ -251,12 +251,12 @@ void cycle(void)
 {
     for (int m = 0; m < MOTORS; m++) {
         Axis *axis = &axes[m];
-        if (!enabled(axis) && stands(axis)) /* no jump when it gets current */
+        if (!enabled(axis) && stands(axis)) /* the drive must not jump when it gets current */
             axis->target = axis->actual;
         axis->reached = axis->sent;
         axis->sent = axis->target;
         if (!axis->reported)
-            continue; /* it may have had current since before the board's reset */
+            continue; /* the drive may still have current from before the board's reset */
         uint8_t data[6];
         put_u32(put_u16(data, controlword(axis)), (uint32_t)axis->target);
         send((uint16_t)(RPDO + drives[m].node), data, 6);

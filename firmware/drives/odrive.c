@@ -11,8 +11,8 @@
 #define TURNS 2000.0f      /* maximum magnitude of an accepted position */
 #define PROTOCOL 2         /* version in Get_Version of firmware 0.6 */
 #define AGAIN_CYCLES 50    /* cycles between two tries to start operation */
-#define CLEAR_CYCLES 500   /* cycles between two tries to clear its errors */
-#define DOG_TICKS 250      /* maximum wait for its watchdog's error and its report */
+#define CLEAR_CYCLES 500   /* cycles between two tries to clear a drive's errors */
+#define DOG_TICKS 250      /* maximum wait until a drive's watchdog expires and the drive reports it */
 #define FRESH_CYCLES 3     /* cycles until a new position after a renewed request */
 
 enum { GET_VERSION = 0x00, HEARTBEAT_OF = 0x01, ESTOP = 0x02, GET_ERROR = 0x03, SET_STATE = 0x07,
@@ -62,13 +62,13 @@ static void heartbeat(int m, uint32_t errors, uint8_t state)
     axis->errors = errors;
     axis->status = state;
     if (axis->stage == SILENT && !axis->lost && axis->since > START_TICKS)
-        axis->pending = false; /* it has power again */
+        axis->pending = false; /* the drive has power again */
     if (axis->stage == UP && tried(axis) && !was_tried)
         axis->since = START_TICKS;
     if (axis->stage == STARTING && axis->answers && !(errors & INITIALIZING)) {
         enter(axis, UP);
         axis->proven = false;
-        lose_home(m); /* it may have been reset */
+        lose_home(m); /* the drive may have been reset */
     } else if (axis->stage == UP && bitten) {
         axis->proven = true;
         axis->pending = false;
@@ -159,7 +159,7 @@ void cycle(void)
     for (int m = 0; m < MOTORS; m++) {
         Axis *axis = &axes[m];
         bool polled = axis->stage >= STARTING && !hurry && !tried(axis);
-        /* no jump when the axis gets current */
+        /* the axis must not jump when it gets current */
         if (!enabled(axis) && stands(axis) && !(axis->pending && axis->step))
             axis->target = axis->actual;
         uint32_t step = (uint32_t)axis->target - (uint32_t)axis->sent;
@@ -171,7 +171,7 @@ void cycle(void)
         if (polled)
             request(m, GET_ESTIMATES);
         else
-            axis->answers = 1; /* so that none counts as missed */
+            axis->answers = 1; /* so that no position counts as missed */
     }
 }
 

@@ -140,7 +140,7 @@ int main(int argc, char **argv)
         return 1;
     for (int k = 0; k < 3; k++)
         fcntl((const int[]){STDIN_FILENO, STDOUT_FILENO, can}[k], F_SETFL, O_NONBLOCK);
-    for (int k = 0; k < 4; k++) /* it ends when its input ends, with the motors off */
+    for (int k = 0; k < 4; k++) /* only the end of the input ends the program */
         signal((const int[]){SIGPIPE, SIGINT, SIGTERM, SIGHUP}[k], SIG_IGN);
     mlockall(MCL_CURRENT); /* if the system allows it, as the next call */
     sched_setscheduler(0, SCHED_FIFO, &urgent);

@@ -245,7 +245,7 @@ static void sensors_start(void)
     ADC1->JSQR = 3u << 20 | 0u | 1u << 5 | 2u << 10 | 3u << 15; /* four conversions, channels 0 to 3 */
     ADC1->SQR3 = PIN_SUPPLY;
     ADC1->CR2 = ADC_ADON | ADC_CONT;
-    for (uint32_t begun = counts(); counts() - begun < 3 * clock.counts_per_us;) { /* it wakes up */
+    for (uint32_t begun = counts(); counts() - begun < 3 * clock.counts_per_us;) { /* wake-up time */
     }
     ADC1->CR2 |= ADC_SWSTART; /* converts the supply continuously; the sensors have priority */
 }
