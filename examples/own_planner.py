@@ -19,7 +19,7 @@ RATE, FASTEST = 0.5, 0.020
 
 GOAL, LANE = 0.7, 0.6
 """Distance of the goal from the plate's centre [half lengths], and half-width of the lane in which
-parts may have any y [half widths]."""
+parts can have any y [half widths]."""
 
 
 class OwnPlanner:

@@ -47,7 +47,7 @@ received, overruns, dropped: Number of received bytes, of receiver overruns, and
 """
 
 ANSWER_S = 60.0
-"""Maximum wait for a reply of QEMU [s]. The value is large, because the computer may be busy."""
+"""Maximum wait for a reply of QEMU [s]. The value is large, because the computer can be busy."""
 
 MAX_BYTES = 1024
 """Maximum number of bytes per memory request, half of QEMU's limit."""

@@ -35,10 +35,10 @@ SUFFIXES = (".py", ".md", ".hpp", ".cpp", ".c", ".h", ".msg", ".srv", ".action",
 """Endings of the files that are checked. Tests are not."""
 
 EXCEPTIONS = ("tools/english.py",)
-"""Files that may contain the patterns."""
+"""Files that can contain the patterns."""
 
 COMMENT = re.compile(r"(?:^\s*(?:\*|#)|//|/\*)[*/!]*\s?(.*)")
-"""Comment of a line in a file that is neither Python nor Markdown. It may follow code."""
+"""Comment of a line in a file that is neither Python nor Markdown. It can follow code."""
 
 
 def texts(path: Path) -> Iterator[tuple[int, str]]:

@@ -82,7 +82,7 @@ def row(file: str, result: dict[str, Any], task: str, errors: list[str]) -> tupl
     from plate_gym.bench import summary
 
     world = result["world"]
-    found = summary(result["tasks"][task]["rows"])  # the file's own summary may be wrong
+    found = summary(result["tasks"][task]["rows"])  # the file's own summary can be wrong
     low, high = (100 * share for share in found["success_interval"])
     share, took, count = found["success"], found.get("time_s", np.inf), len(found["rows"])
     ended = [own for own in found["rows"] if "failure" not in own] or found["rows"]

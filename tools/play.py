@@ -26,7 +26,7 @@ LOOK_S = 0.5
 def main() -> int:
     """Run the command line. Return its exit code."""
     args = arguments()
-    signal.signal(signal.SIGINT, signal.SIG_DFL)  # Ctrl-C may end the program until nodes start
+    signal.signal(signal.SIGINT, signal.SIG_DFL)  # Ctrl-C can end the program until nodes start
     from graph.processes import Interrupted, signals_raise
 
     from plate_core import PlateError

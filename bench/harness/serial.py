@@ -41,8 +41,8 @@ SETTLE_S = 3.0
 """Maximum time until a plate without a new cycle is at rest [s]."""
 
 ROUNDING = 2e-3
-"""Fraction by which a limit may be exceeded, because the splines of the motors differ from the
-plate's."""
+"""Fraction by which a limit is allowed to be exceeded, because the splines of the motors differ
+from the plate's."""
 
 JUMP_M = 2e-6
 """Maximum deviation of a setpoint from the interpolation of its neighbours [m], by rounding in the

@@ -1,7 +1,7 @@
 """The project's detector with taught types. It gets at most five examples of each class, and must
 find and name the other parts.
 
-A class such as `coin` may contain several types. If its examples are refused together because they
+A class such as `coin` can contain several types. If its examples are refused together because they
 differ, each is taught as a separate type.
 """
 

@@ -38,7 +38,7 @@ FIRST_SEED = 54000
 
 SHOTS, TYPED_SHOTS = 5, 6
 """Numbers of successive images of each layout, with different noise. For discs only the last image
-is evaluated, because a detector may learn from the others. For parts with part types, all images
+is evaluated, because a detector can learn from the others. For parts with part types, all images
 are evaluated, because the light changes between the images."""
 
 INTERVAL_S = 0.15

@@ -31,7 +31,7 @@ SPAN = CYCLES / FREQUENCY
 """Simulated time [s]."""
 
 SLOP = 1e-5
-"""Overlap that pymunk may leave [m], as small as the project's. pymunk's default of 0.1 is meant
+"""Overlap that pymunk allows [m], as small as the project's. pymunk's default of 0.1 is meant
 for pixels."""
 
 THICK = 0.05

@@ -1,7 +1,7 @@
 """An hour of production: parts lost, stops, memory.
 
-The hour is one run, with failed picks, parts on the wrong face, and late and missing images. No
-part may be lost, production must not stop, and memory must not grow.
+The hour is one run, with failed picks, parts on the wrong face, and late and missing images. Parts
+must not be lost, production must not stop, and memory must not grow.
 """
 
 from __future__ import annotations

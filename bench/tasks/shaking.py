@@ -165,7 +165,7 @@ class Shaker:
                 yield self._rest
 
     def _ready(self) -> list[tuple[float, float, float]]:
-        """Return the parts that may be gripped."""
+        """Return the parts that are allowed to be gripped."""
         found = np.zeros(len(self.parts), dtype=bool)
         gap = free_gap(self.parts, self.rig)
         for pick in self.task.picks:

@@ -65,7 +65,8 @@ class Steering(SinusoidSteering):
         self._propose, self._solved = propose, solved
 
     def steer(self, goal: Goal, number: int, period: float, *args: Any) -> Any:
-        """Find a motion. Only motions that may end in motion are proposed and recorded."""
+        """Find a motion. Motions are proposed and recorded only if they are allowed to end in
+        motion."""
         self._proposed = self._propose(goal) if goal.free_end else []
         answer = super().steer(goal, number, period, *args)
         if goal.free_end:

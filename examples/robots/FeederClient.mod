@@ -15,7 +15,7 @@ MODULE FeederClient
       SocketConnect feeder, "192.168.0.2", 7171;
     ENDIF
     SocketSend feeder \Str:=command + "\0A";
-    WHILE last <> 10 DO                            ! a line may arrive in several pieces
+    WHILE last <> 10 DO                            ! a line can arrive in several pieces
       SocketReceive feeder \RawData:=data \Time:=longest;
       CopyRawBytes data, 1, answer, RawBytesLen(answer) + 1;
       UnpackRawBytes answer, RawBytesLen(answer), last \Hex1;

@@ -57,7 +57,7 @@ FRESH_S = 1.5
 second."""
 
 TRIES = 3
-"""Number of attempts to start a task. On a busy computer a task may end at once."""
+"""Number of attempts to start a task. On a busy computer a task can end at once."""
 
 
 class Plate:
@@ -152,7 +152,7 @@ class Faults:
     Parameters
     ----------
     graph : Session
-        It must not be watched, so that a node may end.
+        It must not be watched, so that a node can end.
     """
 
     def __init__(self, graph: Session) -> None:

@@ -5,7 +5,7 @@ stop. A fraction `--kills` of the faults kills the node (SIGKILL) and starts it 
 uses only the stamps and publication times of the driver's tables. A table that moves the plate is
 wrong if its image is older than `age_limit` or than the last emergency stop, or if its task had
 ended before. With `--image_rate` the camera is free-running: the table's stamp is then the start of
-a cycle, and the newest `parts` may be older by another `age_limit`. Exit code 1 if a table was
+a cycle, and the newest `parts` can be older by another `age_limit`. Exit code 1 if a table was
 wrong.
 """
 
@@ -128,7 +128,7 @@ def run(
                         observer.enable()
                     observer.begin_anew(graph.scenario)
                     tasks += 1
-                except GraphError as error:  # on a busy computer a node may not run again yet
+                except GraphError as error:  # on a busy computer a node is possibly still stopped
                     trouble += 1
                     print(f"no task: {error}", flush=True)
             observer.until(lambda: False, rng.uniform(*PAUSE_S))

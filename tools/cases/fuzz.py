@@ -1,5 +1,5 @@
-"""Send malformed messages to every topic of the real nodes. No node may crash, leak memory or make
-the plate exceed its limits.
+"""Send malformed messages to every topic of the real nodes. A node must not crash, leak
+memory or make the plate exceed its limits.
 
 Each node's class is created in this process, and its callbacks receive messages that were
 serialised and deserialised, like any message from the network. Most are valid messages in which up

@@ -184,7 +184,7 @@ async def answered(socket: Any, number: int) -> dict[str, Any]:
 def flooded(graph: Session, verdict: Verdict, seed: int) -> None:
     """Flood the page of a graph, and fill in the verdict."""
     url, context = graph.page(), multiprocessing.get_context("spawn")
-    # No lock: only one process writes, and it may be terminated while it holds a lock.
+    # No lock: only one process writes, and it can be terminated while it holds a lock.
     sent = context.Value("q", 0, lock=False)
     given = url, verdict.sockets, seed, sent
     flooding = context.Process(target=flooder, args=given, daemon=True)

@@ -564,7 +564,7 @@ def point(link: Path, folder: Path) -> None:
         link.rename(own_folder("earlier"))
     fresh = link.with_name(f".{link.name}-{os.getpid()}")
     fresh.symlink_to(folder.name)
-    fresh.replace(link)  # an atomic step, because two demos may end at the same time
+    fresh.replace(link)  # an atomic step, because two demos can end at the same time
 
 
 def write(path: Path, result: dict[str, Any]) -> None:

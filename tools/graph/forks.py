@@ -35,12 +35,12 @@ AT_LOADING = (
     "AMENT_", "GLIBC_", "LD_", "NPY_", "OMP_", "OPENBLAS_", "OPENCV_", "PYTHONHOME",
     "PYTHONOPTIMIZE", "PYTHONPATH", "PYTHONWARNINGS", "ROS_PYTHON_",
 )  # fmt: skip
-"""Prefixes of environment variables that may be read when code is loaded. A server can start only
+"""Prefixes of environment variables that can be read when code is loaded. A server can start only
 nodes with the same values of these variables."""
 
 START_S = 120.0
 """Maximum wait until the server has loaded its code and started a node [s]. The value is large,
-because the computer may be busy."""
+because the computer can be busy."""
 
 END_S = 5.0
 """Maximum wait for the server to end [s]."""
@@ -190,7 +190,7 @@ def _of_loading(environment: Mapping[str, str]) -> dict[str, str]:
 def serve(modules: Iterable[str]) -> None:
     """Run the server until stdin ends."""
     answers = os.dup(1)
-    os.dup2(2, 1)  # modules may print while they are loaded
+    os.dup2(2, 1)  # modules can print while they are loaded
     for name in modules:
         with contextlib.suppress(Exception, SystemExit):  # the node itself will report the error
             import_module(name)

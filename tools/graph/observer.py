@@ -41,8 +41,8 @@ ALL = QoSProfile(depth=200)
 """Queue that is long enough to lose no message while this process is slow."""
 
 CALL_S, AGAIN_S = 10.0, 1.0
-"""Maximum wait for a service's reply, and time after which a service that may be called twice is
-called again [s]. DDS may lose the first reply of a service that was just discovered."""
+"""Maximum wait for a service's reply, and time after which a service that can be called twice is
+called again [s]. DDS can lose the first reply of a service that was just discovered."""
 
 AFTER = {
     "configure": "inactive", "activate": "active", "deactivate": "inactive",
@@ -65,10 +65,10 @@ CALL_AGAIN = ": call again"
 """End of the driver's reply if its process has just stalled, as on a busy computer."""
 
 READY_S = 15.0
-"""Maximum wait until the driver is ready [s]. Homing of the device may take 5 s."""
+"""Maximum wait until the driver is ready [s]. Homing of the device can take 5 s."""
 
 ACCEPTED_S = 5.0
-"""Maximum wait until the planner accepts a task [s]. It may receive the driver's status and the
+"""Maximum wait until the planner accepts a task [s]. It can receive the driver's status and the
 images a little later than this process."""
 
 PERSONS = (
@@ -226,7 +226,7 @@ class Observer:
     domain : int
     node : Node
     pulses : list of callables
-        Functions that are called about every `POLL_S` during a wait. A function may raise an
+        Functions that are called about every `POLL_S` during a wait. A function can raise an
         exception to end the wait.
     """
 
@@ -431,8 +431,8 @@ class Observer:
         raise GraphError(f"{transition} refused, {node} reports: {reported}")
 
     def check_not_stopped(self) -> None:
-        """Check that nobody has stopped the motors or the task. Only a person may clear such a
-        stop.
+        """Check that nobody has stopped the motors or the task. Only a person is allowed to clear
+        such a stop.
 
         Raises
         ------
@@ -455,7 +455,7 @@ class Observer:
             If the driver refuses, or is not ready in time.
         """
         record, starting = self.record, (DriverStatus.UNCONFIGURED, DriverStatus.INACTIVE)
-        # States that end by themselves. Images may be answered before the driver is active.
+        # States that end by themselves. Images can be answered before the driver is active.
         soon = *starting, DriverStatus.BRAKING
         self.until(lambda: record.driver is not None and record.driver.state not in soon, READY_S)
         answer = SetBool.Response()
@@ -503,7 +503,7 @@ class Observer:
             task = self.client.start(scenario, ready_timeout_s, self._waiting)
         except PlateError as refusal:
             raise GraphError(str(refusal)) from None
-        # The status of an earlier task may arrive after the new goal was sent.
+        # The status of an earlier task can arrive after the new goal was sent.
         self.until(lambda: task.ended or self.record.running, ACCEPTED_S)
         return task
 

@@ -31,7 +31,7 @@ CALL_S = 2.0
 
 NEAR_MM, NEAR_DEG = 0.5, 2.0
 """Maximum error of a published part pose: position [mm] and angle [deg]. If the error is larger, a
-gripper may miss the part."""
+gripper can miss the part."""
 
 VALUE = re.compile(r"(\w+)=(\S+)")
 

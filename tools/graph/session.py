@@ -20,7 +20,7 @@ from .observer import Observer
 from .processes import Processes
 
 START_S = 180.0
-"""Maximum wait for the nodes [s]. A busy computer may take long to load the nodes."""
+"""Maximum wait for the nodes [s]. A busy computer can take long to load the nodes."""
 
 ANSWER_S = 180.0
 """Maximum wait for the answer to the first image [s]."""
@@ -70,7 +70,7 @@ class Session:
             self.observer.activate_driver()
         self.observer.check_not_stopped()  # check again, because enabling would clear a stop
         if self.options.transport == "serial":
-            print("Calling the service enable: from now on the motors may move.", flush=True)
+            print("Calling the service enable: from now on the motors can move.", flush=True)
             self.observer.enable()
 
     def page(self) -> str:

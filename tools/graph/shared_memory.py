@@ -18,7 +18,7 @@ def remove_leftovers() -> None:
     """Remove the segments whose owner has ended.
 
     Each segment has a lock file, which Fast DDS keeps locked until the participant ends. A lock
-    file younger than `AGE_S` may not be locked yet.
+    file younger than `AGE_S` is possibly not locked yet.
     """
     for lock in FOLDER.glob(f"fastrtps_{16 * '[0-9a-f]'}_el"):
         # Opening or locking raises an error if the file is in use or belongs to another user.

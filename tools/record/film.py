@@ -64,7 +64,7 @@ class Film:
         there = np.sum(np.isfinite(self.position[:, :, 0]), axis=1)
         if not len(there):
             return 0
-        # The detector may give a lost part a new name later.
+        # The detector can give a lost part a new name later.
         return int((len(self.ids) if self.simulated else np.max(there)) - there[-1])
 
     @property

@@ -36,11 +36,11 @@ SHARES = ("stroke", "speed", "accel", "force")
 """Names of the values of `limit_shares`."""
 
 EARLIER = 4
-"""Number of earlier tables of which a table in motion may continue one. The device does not play a
+"""Number of earlier tables of which a table in motion can continue one. The device does not play a
 table that arrives too late, so the next one continues an earlier table."""
 
 ROUNDING = 1e-6
-"""Fraction of a limit that rounding may add."""
+"""Fraction of a limit that rounding can add."""
 
 GAP_S = 5e-3
 """Maximum time between the end of a cycle and the start of the next one [s]. If it is longer, the

@@ -15,7 +15,7 @@ SAMPLES = 1000
 """Number of equally spaced samples per cycle."""
 
 PIECE_SAMPLES = 8
-"""Number of samples per piece between two knots. A piece may be shorter than the equally spaced
+"""Number of samples per piece between two knots. A piece can be shorter than the equally spaced
 samples: the motion can change its velocity within a nanosecond."""
 
 Motion = tuple[np.ndarray, np.ndarray, np.ndarray]

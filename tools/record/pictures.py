@@ -61,7 +61,7 @@ SAME = 12
 
 BRIGHT = 85
 """Percentile of a pixel's values over time that shows the plate. The percentile is high because
-parts are darker than the plate, and may cover a pixel for a long time."""
+parts are darker than the plate, and can cover a pixel for a long time."""
 
 TRAIL_S = 2.0
 """Length of the trails in tasks in which parts come and go [s]. In other tasks, trails begin with

@@ -117,7 +117,7 @@ DICTIONARIES = (
 
 FIDUCIALS = Section(
     "fiducials (optional)",
-    "Markers that define plate_home in the image; `corners_px` may then be inaccurate.",
+    "Markers that define plate_home in the image; `corners_px` can then be inaccurate.",
     (
         Key("dictionary", Choice(DICTIONARIES), "OpenCV's name of a set of ArUco markers."),
         Key("side_m", Number(0.001, 1), "Side of the black square."),

@@ -217,7 +217,7 @@ POSE = Section(
         Key(
             "anywhere",
             Flag(),
-            "Whether parts without `place_m` may end anywhere; otherwise they stay in place.",
+            "Whether parts without `place_m` can end anywhere; otherwise they stay in place.",
             False,
         ),
         TOLERANCE,
