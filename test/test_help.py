@@ -58,7 +58,7 @@ def test_a_program_of_a_package(capsys, monkeypatch, package, program):
     text = asked(capsys, monkeypatch, path, point.load())
     if point.module.endswith("node"):
         assert f"usage: ros2 run {package} {program} " in text
-        assert "Publishes " in text
+        assert "publishes " in " ".join(text.split()).lower()
         assert "  rig_file           ''           Rig file" in text
 
 

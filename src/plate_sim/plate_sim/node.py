@@ -202,27 +202,21 @@ class Tally:
 
 
 class SimulatorNode(SafeLifecycleNode[Options]):
-    """Lifecycle node `simulator`. The node executes motor tables, simulates the parts and publishes
-    images.
+    """Lifecycle node `simulator`: executes motor tables, simulates the parts, publishes images.
 
-    The node subscribes to motor_setpoints. If the device drives the plate, it subscribes to
-    motor_motion instead, and to camera_trigger if the rig's motor controller triggers the camera.
-    The node publishes image_raw, camera_info, cycle_started, diagnostics, ground_truth and, if time
-    is simulated, /clock.
-    Services: ~/reset restarts the scenario, with the seed that was set or, if none was set, with
-    the next seed. ~/place_part and ~/remove_part place and remove a part as if by hand. hopper/open
-    drops parts. ~/move_robot picks a part. After one of these calls, or after a change of a live
-    parameter, a seed no longer reproduces the run. `ground_truth` contains the true names, angles,
-    velocities and spins. The topic must be used only for the evaluation of a run.
+    The node subscribes to motor_setpoints or, if the device drives the plate, to motor_motion and
+    camera_trigger. The node publishes image_raw, camera_info, cycle_started, diagnostics,
+    ground_truth (only for the evaluation of a run) and, if time is simulated, /clock.
+    Services: ~/reset restarts the scenario with the seed that was set, or else with the next one.
+    ~/place_part, ~/remove_part, hopper/open and ~/move_robot change the parts. After such a change,
+    or a change of a live parameter, a seed no longer reproduces the run.
 
-    Cycle k begins at t_k with the newest table. `cycle_started` publishes it with the stamp t_k.
-    Then image k is taken, and the parts are simulated until t_k+1. In real time, the next cycle
-    begins on schedule. In lockstep, it begins when a table with the stamp of image k arrives, or at
-    once if image k is missing. If there is no new table, the last one is repeated, or its tail is
-    executed. If `image_rate` is above 0, images are independent of cycles. If the device drives the
-    plate, the parts follow each segment of `motor_motion` after the device has executed it. An
-    image is taken at the end of each segment or at each trigger pulse. Simulated time stops while
-    the node is not active.
+    Cycle k begins at t_k with the newest table, and `cycle_started` has the stamp t_k. Then image k
+    is taken, and the parts are simulated until t_k+1. In real time, the next cycle begins on
+    schedule. In lockstep, it begins when a table with the stamp of image k arrives, or at once if
+    image k is missing. Without a new table, the last one is repeated, or its tail is executed. If
+    the device drives the plate, the parts follow each executed segment of `motor_motion`, and an
+    image is taken at its end or at a trigger pulse. An inactive node stops simulated time.
     """
 
     def __init__(self) -> None:
