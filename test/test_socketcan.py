@@ -243,10 +243,10 @@ def test_what_cannot_be_led_is_refused():
     free = replace(rig, camera=replace(rig.camera, trigger=None))
     unwatched = replace(free, limits=replace(free.limits, following_error_m=0))
     for wrong, port, text in (
-        (free, "", "port is '', allowed with socketcan: a CAN interface, such as can0"),
-        (rig, "can0", "trigger_phase is given, allowed with socketcan: a free-running"),
-        (unwatched, "can0", "following_error_m is 0, allowed with socketcan: above 0"),
-        (RIG, "can0", "drive is bridge, allowed with socketcan: cia402, odrive"),
+        (free, "", "port is '', but socketcan requires a CAN interface, such as can0"),
+        (rig, "can0", "trigger_phase is given, but socketcan requires a free-running"),
+        (unwatched, "can0", "following_error_m is 0, but socketcan requires a value above 0"),
+        (RIG, "can0", "drive is bridge, but socketcan requires cia402 or odrive"),
     ):
         with pytest.raises(PlateError, match=text):
             make(context(wrong, port))

@@ -337,7 +337,7 @@ def test_what_a_millimetre_is_to_a_drive_is_told():
     ("rig", "impossible", "text"),
     [
         (drives((1, 1e6), (3, 1e6), *GOOD), True, "motor_3: node is 3, as for motor_2, allowed"),
-        (drives((1, 5e9), (2, 1e6), *GOOD), True, "motor_1: counts_per_m is 5e+09, allowed with"),
+        (drives((1, 5e9), (2, 1e6), *GOOD), True, "motor_1: counts_per_m is 5e+09, but a stroke"),
         (
             drives((1, 1e6), (2, 5e4), *GOOD),
             False,

@@ -282,7 +282,7 @@ def test_with_a_calibration_cycles_in_motion_are_refused(make, tmp_path, rig):
     assert played.tail is None
     assert played.period == pytest.approx(0.15)
     driven.pass_time(0.05)
-    assert "allowed with a calibration: a cycle that begins" in refused(driven, cycle=SECOND)
+    assert "but a calibration requires a cycle that begins" in refused(driven, cycle=SECOND)
     assert isinstance(driven.send(FIRST), int)
 
 

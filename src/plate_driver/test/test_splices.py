@@ -220,7 +220,7 @@ def test_with_a_calibration_only_cycles_from_rest_are_taken(pair):
     assert table.cycle.period == fit.cycle.period == pytest.approx(PERIOD + TAIL)
     t = np.linspace(0, TAIL, 20)
     np.testing.assert_allclose(seen[0].pose(PERIOD + t), first.tail.pose(t), atol=1e-15)
-    with pytest.raises(CycleError, match="allowed with a calibration: a cycle that begins at rest"):
+    with pytest.raises(CycleError, match="a calibration requires a cycle that begins at rest"):
         prepare(RIG, second, 2, correction=correction, before=(first,))
 
 

@@ -66,7 +66,7 @@ class Drives:
 
 def make(context):
     if not context.parameters["port"]:
-        raise PlateError("port is '', allowed with transport drives: a bus")
+        raise PlateError("port is '', but transport drives requires a bus")
     return Drives(context)
 """
 
@@ -112,7 +112,7 @@ def test_others_are_not(name):
 
 
 def test_serial_needs_a_port():
-    with pytest.raises(PlateError, match="port is '', allowed with transport serial: the name"):
+    with pytest.raises(PlateError, match="port is '', but transport serial requires the name"):
         check_transport("serial", "")
 
 
@@ -150,7 +150,7 @@ def test_a_transport_from_outside_is_found_and_driven(outside):
     check_transport("drives", "")
     with pytest.raises(PlateError, match="allowed: broken, drives, serial, sim"):
         check_transport("can", "")
-    with pytest.raises(PlateError, match="allowed with transport drives: a bus"):
+    with pytest.raises(PlateError, match="but transport drives requires a bus"):
         make_transport("drives", context())
     with pytest.raises(PlateError, match=r"entry point foreign_drives:nothing loads \(module"):
         make_transport("broken", context())

@@ -95,11 +95,11 @@ def program_of(rig: Rig) -> Path:
     """
     drives = [motor.drive for motor in rig.motors if motor.drive is not None]
     if not drives:
-        raise PlateError("motors: drive is bridge, allowed with socketcan: cia402, odrive")
+        raise PlateError("motors: drive is bridge, but socketcan requires cia402 or odrive")
     if not rig.limits.following_error_m:
         raise PlateError(
-            "limits: following_error_m is 0, allowed with socketcan: above 0, because it limits "
-            "how late setpoints may be"
+            "limits: following_error_m is 0, but socketcan requires a value above 0, because it "
+            "limits the delay of setpoints"
         )
     header = c_header(DeviceLimits.of_rig(rig), "the rig file", drives)
     try:
@@ -274,10 +274,10 @@ def make(context: TransportContext) -> HostTransport:
     """Return the transport to the drives on the CAN interface of the parameter `port`."""
     channel, rig = str(context.parameters["port"]), context.rig
     if not channel:
-        raise PlateError("port is '', allowed with socketcan: a CAN interface, such as can0")
+        raise PlateError("port is '', but socketcan requires a CAN interface, such as can0")
     if rig.camera.trigger is not None:
         raise PlateError(
-            "camera: trigger_phase is given, allowed with socketcan: a free-running camera"
+            "camera: trigger_phase is given, but socketcan requires a free-running camera"
         )
     program = program_of(rig)
     return HostTransport(

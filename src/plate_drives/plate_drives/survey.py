@@ -156,7 +156,8 @@ def _of_limits(drive: Drive, one: Found, limits: Limits) -> Iterator[tuple[str, 
     elif high - low < 2 * stroke:
         yield f"{span}, allowed: {2e3 * stroke:g} mm or more (stroke_m to both sides)", True
     elif drive.absolute and max(low, -high) > -stroke:
-        yield f"{span}, allowed with home absolute: beyond stroke_m ({1e3 * stroke:g} mm)", True
+        needed = f"limits beyond stroke_m ({1e3 * stroke:g} mm)"
+        yield f"{span}, but home absolute requires {needed}", True
     if 0 < speed < limits.speed:
         yield f"max profile velocity 607Fh is {speed:.3g} m/s (if in counts/s): too low", False
     if one.values.get("window", 0) in (0, UNWATCHED):

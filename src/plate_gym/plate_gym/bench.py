@@ -567,7 +567,7 @@ def validate(result: Any) -> None:
             failed = isinstance(row, dict) and "failure" in row
             check_fields(where, row, ROW | {"failure": str} if failed else ROW)
             if failed and row["success"]:
-                raise PlateError(f"{where}: success is True, allowed with a failure: False")
+                raise PlateError(f"{where}: success is True, but a failure requires False")
             for key in ("seed", *TIMES):
                 if row[key] < 0:
                     raise PlateError(f"{where}: {key} is {row[key]}, allowed: 0 or more")

@@ -178,8 +178,8 @@ def _drives(rig: Rig) -> Iterator[Doubt]:
             )  # fmt: skip
         if drive.counts_per_m * rig.limits.stroke_m > MAX_COUNTS:
             yield Doubt(
-                "motors", f"motors: {name}: {key} is {scale:g}, allowed with a "
-                f"stroke of {rig.limits.stroke_m:g} m: "
+                "motors", f"motors: {name}: {key} is {scale:g}, but a stroke of "
+                f"{rig.limits.stroke_m:g} m requires "
                 f"{MAX_COUNTS / unit / rig.limits.stroke_m:g} or less", True,
             )  # fmt: skip
     scales = ", ".join(f"{drive.counts_per_m / unit:g}" for drive in drives.values())

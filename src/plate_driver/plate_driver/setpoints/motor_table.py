@@ -205,7 +205,7 @@ def _continued(
         )
     if correction is not None:
         raise CycleError(
-            "plate_cycle: begins in motion, allowed with a calibration: a cycle that begins at rest"
+            "plate_cycle: begins in motion, but a calibration requires a cycle that begins at rest"
         )
     running = next((one for one in reversed(before) if cycle.follows(one)), None)
     if running is None:

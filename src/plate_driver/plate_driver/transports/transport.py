@@ -279,7 +279,7 @@ def check_transport(name: str, port: str) -> None:
     """Refuse a transport that is not installed, or lacks its port."""
     _check_name(name, installed())
     if name == "serial" and not port:
-        raise PlateError("port is '', allowed with transport serial: the name of a serial port")
+        raise PlateError("port is '', but transport serial requires the name of a serial port")
 
 
 def _check_name(name: str, known: Iterable[str]) -> None:
