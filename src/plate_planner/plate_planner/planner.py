@@ -28,7 +28,7 @@ from plate_core.tasks import (
     target_problem,
 )
 
-from .estimation import COAST, Coast, Estimator
+from .estimation import MISSED_IMAGES, Coast, Estimator
 from .supervision import (
     STOP,
     Failure,
@@ -86,8 +86,8 @@ class PlannerOptions(TaskOptions):
         Maximum time without progress before the task counts as stuck [s].
     answer_s : float
         Time before the next cycle start at which the request is sent [s]. This time is used if
-        cycle starts are reported. This time covers the computing times of solver and driver, and
-        the connection.
+        images are not taken at cycle starts. This time covers the computing times of solver and
+        driver, and the connection.
     image_age_s : float or None
         Age of an image at its stamp [s]. If None, the age is estimated from the motion of the
         parts.
@@ -296,7 +296,7 @@ class Planner:
             )
         kept = state.task.active and self.rules.keeps_last(state.memory)
         parts = state.estimator.seen if kept else parts
-        coast = TAKEN_COAST if self.rules.open_ended else COAST
+        coast = TAKEN_COAST if self.rules.open_ended else MISSED_IMAGES
         return replace(state, estimator=state.estimator.update(parts, t, coast), kept=kept)
 
     def plan(
@@ -413,7 +413,7 @@ class Planner:
             lambda name: loss_of(name, state.last.get(name), began, self.rig, count, parts),
             not missing_parts(self.scenario, state.known, self._on_plate(estimator.seen)),
             estimator.at_rest,
-            estimator.unanswered,
+            estimator.unanswered_problem,
         )
         task = evaluate(task, t, findings, self.limits)
         known = state.known if missing else parts.ids
@@ -450,7 +450,7 @@ class Planner:
             rests=estimator.next_rest,
             period=period,
             motion_known=estimator.log.known,
-            latency_known=estimator.latency_known or not estimator.log.reported,
+            latency_known=estimator.latency_known or not estimator.log.free_running,
             predicted=place + period * estimator.bias.along(axes),
             shortfall=np.hypot(*(estimator.as_asked(parts) - place).T) / (start - estimator.stamp),
             active=active,
@@ -478,8 +478,8 @@ class Planner:
         mass = np.array([self.rig.part_type(part_class(name)).mass_kg for name in parts.ids], float)
         drift = parts.velocity + force * period / mass[:, None]
         start = estimator.start_of(parts)
-        state = replace(state, estimator=estimator.request_drift(parts.ids, drift, force))
-        in_time = not estimator.log.reported or self.options.answer_s < IN_MOTION_S
+        state = replace(state, estimator=estimator.with_request(parts.ids, drift, force))
+        in_time = not estimator.log.free_running or self.options.answer_s < IN_MOTION_S
         plate = estimator.next_plate if in_time and len(parts) <= CROWD else None
         return state, Wanted.make(parts, force, tolerance, None, period, start, targets, plate)
 
@@ -502,5 +502,5 @@ class Planner:
             speed_scaling=assessment.speed_scaling,
             pace=assessment.pace,
             period_s=estimator.period,
-            image_age_s=estimator.latency.latency,
+            image_age_s=estimator.hypotheses.latency,
         )

@@ -301,32 +301,32 @@ def test_a_cycle_with_a_tail_that_no_driver_plays_is_not_believed(tail_s):
 
 def test_cycles_that_move_the_plate_without_an_answer_are_counted():
     log = played(12, 0)
-    assert (log.begun, log.unanswered) == (12, 0)
+    assert (log.begun, log.unanswered_cycles) == (12, 0)
     again = log.started(swinging(11), 1.2)
-    assert (again.begun, again.unanswered) == (13, 1)
+    assert (again.begun, again.unanswered_cycles) == (13, 1)
     assert again.started(swinging(11), 1.2) == again  # reported once more
-    assert log.started(SHORT, 1.2).unanswered == 0  # rest
+    assert log.started(SHORT, 1.2).unanswered_cycles == 0  # rest
     # A tail is what no answer leads to, unless it was rest that was asked.
     log = CycleLog().started(SHORT, 0.9).record_cycle(LEAVES, 0.95, 0.9).started(LEAVES, 1.0)
-    assert log.started(LEAVES.tail, 1.1).unanswered == 1
-    assert log.record_cycle(SHORT, 1.05, 1.0).started(LEAVES.tail, 1.1).unanswered == 0
+    assert log.started(LEAVES.tail, 1.1).unanswered_cycles == 1
+    assert log.record_cycle(SHORT, 1.05, 1.0).started(LEAVES.tail, 1.1).unanswered_cycles == 0
 
 
 def test_a_cycle_that_is_played_otherwise_than_sent_is_no_lack_of_an_answer():
     log = played(12, 0).record_cycle(swinging(12), 1.15, 1.1)
     smaller = swinging(12).scaled(0.9)  # beyond a limit
     log = log.started(smaller, 1.2)
-    assert (log.begun, log.unanswered) == (13, 0)
-    assert log.started(smaller, 1.3).unanswered == 1
+    assert (log.begun, log.unanswered_cycles) == (13, 0)
+    assert log.started(smaller, 1.3).unanswered_cycles == 1
     # Nor is one whose report overtakes the cycle itself.
-    assert played(12, 0).started(swinging(12), 1.2).unanswered == 0
+    assert played(12, 0).started(swinging(12), 1.2).unanswered_cycles == 0
 
 
 def test_a_clock_that_was_set_back_makes_all_older_things_forgotten():
     log = played(12, 1).record_cycle(swinging(12), 1.15, 1.1)
     new = log.started(SHORT, log.begin - MEMORY_S - 1e-3)
-    assert new == CycleLog(((new.begin, SHORT),), reported=True, last_report=new.begin)
-    assert not log.started(SHORT, log.begin - MEMORY_S - 1e-3, triggered=True).reported
+    assert new == CycleLog(((new.begin, SHORT),), free_running=True, last_report=new.begin)
+    assert not log.started(SHORT, log.begin - MEMORY_S - 1e-3, triggered=True).free_running
     # So old is the oldest report that is taken for a late one.
     late = log.started(SHORT, log.begin - MEMORY_S)
     assert (late.begun, late.delays) == (log.begun + 1, log.delays)
@@ -334,8 +334,8 @@ def test_a_clock_that_was_set_back_makes_all_older_things_forgotten():
 
 def test_reports_say_whether_images_are_taken_at_starts_too():
     log = CycleLog().started(SHORT, 1.0)
-    assert log.reported
-    assert not log.started(SHORT, 1.1, triggered=True).reported
+    assert log.free_running
+    assert not log.started(SHORT, 1.1, triggered=True).free_running
 
 
 def test_what_was_sent_is_kept_where_no_image_came_for_long():
@@ -344,7 +344,7 @@ def test_what_was_sent_is_kept_where_no_image_came_for_long():
     log = log.advance(late)
     assert [begin for begin, _ in log.runs] == [late]
     assert log.runs[0][1].moves
-    assert log.answered == 0.1
+    assert log.answered_start == 0.1
 
 
 def test_what_is_awaited_may_move_the_plate_until_it_has_begun():

@@ -8,7 +8,7 @@ import pytest
 from plate_core import Parts, PlateCycle, load_rig
 from plate_core.rig import CameraTrigger, PartType
 from plate_planner.estimation.cycle_log import CycleLog
-from plate_planner.estimation.estimator import COAST, DriftBias, Estimator, LastRequest
+from plate_planner.estimation.estimator import MISSED_IMAGES, DriftBias, Estimator, LastRequest
 from plate_planner.estimation.filter import CAMERA_M, propagate
 from plate_planner.estimation.latency import LatencyHypotheses
 
@@ -112,7 +112,7 @@ def test_it_finds_out_how_old_images_are(age, told):
     errors = []
     for estimator, truth in estimated(World(4, 1.1), 32, age, given=None, told=told):
         errors.append(np.abs(estimator.parts.position - truth).max())
-    assert estimator.latency.latency == pytest.approx(age, abs=1e-3)
+    assert estimator.hypotheses.latency == pytest.approx(age, abs=1e-3)
     assert np.median(errors[24:]) < 0.1e-3
 
 
@@ -125,7 +125,7 @@ def test_an_image_stamped_at_a_reported_start_is_not_old(late, found):
     estimator = estimator.update(world.seen(), T + late)
     assert estimator.latency_known is found
     if found:
-        assert estimator.latency.latency == 0
+        assert estimator.hypotheses.latency == 0
         assert estimator.parts.position == pytest.approx(world.place, abs=0.05e-3)
 
 
@@ -135,7 +135,7 @@ def test_its_error_is_as_large_as_it_says():
         for k, (estimator, truth) in enumerate(estimated(World(4, 1.1, seed), 12)):
             if k > 3:
                 gap = estimator.mean[:, :2] - truth
-                spread = estimator.latency.estimate.covariance[0, :, :2, :2]
+                spread = estimator.hypotheses.estimate.covariance[0, :, :2, :2]
                 square.append(np.einsum("ki,kij,kj->k", gap, np.linalg.inv(spread), gap) / 2)
     # 1 if it were exact; it allows for more than this world holds: uneven friction, a worse camera.
     assert 0.05 < np.mean(square) < 1.2
@@ -152,17 +152,17 @@ def test_it_knows_where_the_next_cycle_finds_the_parts():
 
 
 def test_a_part_that_is_missed_is_carried_on_and_given_up_in_the_end():
-    gone = range(10, 10 + COAST.parts + 1)
+    gone = range(10, 10 + MISSED_IMAGES.parts + 1)
 
     def edit(k, parts):
         keep = [0, 2] if k in gone else [0, 1, 2]
         return Parts.make(tuple(parts.ids[i] for i in keep), parts.position[keep])
 
     for k, (estimator, truth) in enumerate(estimated(World(3, 0.9), 20, edit=edit)):
-        if gone[0] <= k < gone[0] + COAST.parts:
+        if gone[0] <= k < gone[0] + MISSED_IMAGES.parts:
             assert estimator.parts.ids == ("black_1", "black_2", "black_3")
             assert np.abs(estimator.parts.position - truth).max() < 0.5e-3
-        elif k == gone[0] + COAST.parts:
+        elif k == gone[0] + MISSED_IMAGES.parts:
             assert estimator.parts.ids == ("black_1", "black_3")
     assert set(estimator.parts.ids) == {"black_1", "black_2", "black_3"}  # it came back
 
@@ -241,7 +241,7 @@ def learnt(drift, cycles, gain, latency=0.0, late=0.0, seen=(True, True)):
     bias, ids = DriftBias(("black_1", "black_2"), np.zeros((2, 2))), ("black_1", "black_2")
     for k in range(cycles):
         place = np.full((2, 2), 0.3 * k)
-        bias = bias.predict(place, k * T, (k + 1) * T, latency)
+        bias = bias.with_prediction(place, k * T, (k + 1) * T, latency)
         parts, t = Parts.make(ids, place + T * drift), (k + 1) * T + late
         bias = bias.update(parts, np.array(seen), t, latency, axes(0.4, 2.0), gain, MOST)
     return bias
@@ -272,7 +272,7 @@ def test_nothing_is_learnt_from_what_was_not_predicted_or_not_seen():
     for other in ({"late": 0.5 * T}, {"latency": None}):
         assert not np.any(learnt(drift, 5, 0.7, **other).drift)
     stranger = Parts.make(("black_3",), np.zeros((1, 2)))
-    bias = learnt(drift, 5, 0.7).predict(np.zeros((2, 2)), 0.0, T, 0.0)
+    bias = learnt(drift, 5, 0.7).with_prediction(np.zeros((2, 2)), 0.0, T, 0.0)
     bias = bias.update(stranger, np.array([True]), T, 0.0, axes(0.0), 0.7, MOST[:1])
     assert not np.any(bias.drift)
 
@@ -315,7 +315,7 @@ def test_images_of_any_time_tell_places_and_latency(rate, latency):
     for estimator, truth in run_free(rate, latency):
         if len(estimator.parts):
             errors.append(np.abs(estimator.parts.position - truth).max())
-    assert estimator.latency.latency == pytest.approx(latency, abs=1.5e-3)
+    assert estimator.hypotheses.latency == pytest.approx(latency, abs=1.5e-3)
     assert np.median(errors[20:]) < 0.1e-3
     assert estimator.frames.rate == pytest.approx(rate, rel=0.01)
 
@@ -338,12 +338,12 @@ def test_images_of_a_trigger_line_need_no_search_for_their_latency(phase, latenc
         cycle = shaken(world.rng)
     assert max(errors[1:]) < 0.2e-3
     assert np.median(errors[5:]) < 0.05e-3
-    assert estimator.latency.latency == 0.0
+    assert estimator.hypotheses.latency == 0.0
 
 
 def test_a_camera_that_gets_slower_is_followed():
     runs = run_free(30.0, 0.02, cycles=80, later=0.04)
-    found = [estimator.latency.latency for estimator, _ in runs]
+    found = [estimator.hypotheses.latency for estimator, _ in runs]
     assert found[40] == pytest.approx(0.02, abs=2e-3)
     assert found[-1] == pytest.approx(0.06, abs=2e-3)
 
@@ -428,10 +428,10 @@ def test_it_says_how_many_cycles_had_no_answer_and_what_may_lack(triggered):
             estimator = estimator.record_cycle(cycle, T * (k - 0.5), T * (k - 1))
         if k == 20:
             estimator = estimator.begin_task()
-            assert not estimator.unanswered
+            assert not estimator.unanswered_problem
         estimator = estimator.started(cycle, T * k, triggered)
     lacking = "images are missing, or " if triggered else ""  # else answers need none
-    assert estimator.unanswered == (
+    assert estimator.unanswered_problem == (
         f"8 of 80 cycles were not answered in time: {lacking}the computer or the line is too slow"
     )
 
@@ -443,6 +443,6 @@ def test_a_type_is_as_slippery_as_its_file_says_until_it_is_seen_to_be_otherwise
     estimator = Estimator.of(rig, 0.1, 0.0).update(parts, 0.0)
     assert estimator.friction == pytest.approx([1.0, 0.1 / rig.friction.mu])
     moving = estimator.record_cycle(PlateCycle.rest(0.1), 0.0).update(parts, 0.1).parts
-    bounds = estimator.latency.estimate.usual
+    bounds = estimator.hypotheses.estimate.usual
     assert bounds == pytest.approx([0, np.log(0.1 / rig.friction.mu)])
     assert moving.friction_limit == pytest.approx([rig.force_unit, 0.1 * 9.81 * 0.01])

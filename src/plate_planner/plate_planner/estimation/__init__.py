@@ -6,11 +6,11 @@ plate.
 """
 
 from .cycle_log import SNAP, check_start
-from .estimator import COAST, SETTLE_S, DriftBias, Estimator, LastRequest, rows_of, warm_up
+from .estimator import MISSED_IMAGES, SETTLE_S, DriftBias, Estimator, LastRequest, rows_of, warm_up
 from .filter import Coast
 
 __all__ = [
-    "COAST",
+    "MISSED_IMAGES",
     "SETTLE_S",
     "SNAP",
     "Coast",

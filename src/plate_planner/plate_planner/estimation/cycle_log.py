@@ -86,32 +86,33 @@ class CycleLog:
     sent : tuple of Sent
         Sent cycles whose start has not been reported, oldest first. If there are no reports, only
         the newest one is kept.
-    reported : bool
-        Whether only reports determine the cycle starts. If False, images are taken at cycle starts.
+    free_running : bool
+        Whether images are not taken at cycle starts (free-running camera, or trigger at a phase).
+        Then only reports determine the starts. Otherwise stamps of images determine them too.
     last_report : float
         Start of the last reported cycle [s]. Minus infinity if there is none.
     delays : tuple of int
         Delays of the last results [cycles]. The delay is 0 if a result begins at the end of the
         cycle whose image it was computed for.
-    answered : float
+    answered_start : float
         Start of the cycle for whose image the last sent cycle was computed [s]. Minus infinity if
         none was sent.
     awaited : Sent or None
         The last sent cycle that moves the plate. None after it has begun.
-    begun, unanswered : int
+    begun, unanswered_cycles : int
         Number of reported cycles. Number of reported cycles that moved the plate without a new
         result. These are repeated cycles and tails.
     """
 
     runs: tuple[tuple[float, PlateCycle], ...] = ()
     sent: tuple[Sent, ...] = ()
-    reported: bool = False
+    free_running: bool = False
     delays: tuple[int, ...] = ()
     last_report: float = -math.inf
-    answered: float = -math.inf
+    answered_start: float = -math.inf
     awaited: Sent | None = None
     begun: int = 0
-    unanswered: int = 0
+    unanswered_cycles: int = 0
 
     @property
     def known(self) -> bool:
@@ -202,7 +203,7 @@ class CycleLog:
         before = self.sent[-LATEST:] if math.isfinite(self.last_report) else ()
         one = Sent(arrival, cycle, requested)
         awaited = one if cycle.moves else self.awaited
-        return replace(self, sent=(*before, one), answered=requested, awaited=awaited)
+        return replace(self, sent=(*before, one), answered_start=requested, awaited=awaited)
 
     def started(self, cycle: PlateCycle, begin: float, triggered: bool = False) -> CycleLog:
         """Record the report that the plate began a cycle at `begin` [s]. A repeated report changes
@@ -210,7 +211,7 @@ class CycleLog:
         if not _playable(cycle):
             return self
         if self._clock_was_reset(begin):
-            return CycleLog(((begin, cycle),), reported=not triggered, last_report=begin)
+            return CycleLog(((begin, cycle),), free_running=not triggered, last_report=begin)
         if self._is_reported(cycle, begin):
             return self
         before = self._runs_before(begin)
@@ -220,12 +221,13 @@ class CycleLog:
             self,
             runs=(*kept, (begin, cycle)),
             sent=self.sent if answer is None else self.sent[answer + 1 :],
-            reported=not triggered,
+            free_running=not triggered,
             delays=self._delays_with(answer, kept),
             last_report=begin,
             awaited=self._awaited_after(cycle),
             begun=self.begun + 1,
-            unanswered=self.unanswered + (answer is None and self._goes_on(cycle, before)),
+            unanswered_cycles=self.unanswered_cycles
+            + (answer is None and self._goes_on(cycle, before)),
         )
 
     def _clock_was_reset(self, begin: float) -> bool:
@@ -277,7 +279,7 @@ class CycleLog:
         After the end of a cycle, the newest cycle follows if it arrived in time. Otherwise the rule
         `next_cycle` applies. If results have a delay, an older result follows.
         """
-        if self.reported:
+        if self.free_running:
             log = self
             while log.end <= t < log.end + MEMORY_S:
                 log = log._begin(log.end)
@@ -287,7 +289,7 @@ class CycleLog:
             log = CycleLog()  # the clock was restarted
         elif self.runs and t > self.end + MEMORY_S:
             # No image has arrived for a long time.
-            log = CycleLog(sent=self.sent, answered=self.answered, awaited=self.awaited)
+            log = CycleLog(sent=self.sent, answered_start=self.answered_start, awaited=self.awaited)
         if not log.runs:
             return log._begin(t)
         while log.end <= t - SNAP * (log.end - log.begin):
@@ -376,9 +378,9 @@ def check_start(cycle: PlateCycle, begin: float, image: float | None) -> None:
         )
     if image is not None and abs(begin - image) > SAME_TIME_S:
         raise PlateError(
-            f"cycle_started: stamp is {begin - image:.1f} s after that of the last image, allowed: "
-            f"-{SAME_TIME_S:g} to {SAME_TIME_S:g} s; check that all clocks are synchronised and "
-            "that the detector runs"
+            f"cycle_started: stamp minus the stamp of the last image is {begin - image:.1f} s, "
+            f"allowed: -{SAME_TIME_S:g} to {SAME_TIME_S:g} s; check that all clocks are "
+            "synchronised and that the detector runs"
         )
 
 

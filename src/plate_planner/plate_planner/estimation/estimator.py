@@ -1,8 +1,8 @@
 """Estimates the state of the parts from images and from the plate's motion.
 
 The inputs are the parts detected in each image with its stamp, the cycles sent to the plate, their
-reported starts, and the requests. The outputs are the parts at the start of the running cycle, and
-their predicted state when the next result takes effect. Kalman filters on the stick-slip motion
+reported starts, and the requests. The outputs are the parts at `Estimator.stamp`, and their
+predicted state when the next result takes effect. Kalman filters on the stick-slip motion
 track the parts (`filter.py`). Several hypotheses of the image latency are computed in parallel
 (`latency.py`). `DriftBias` estimates the remaining prediction error.
 """
@@ -21,13 +21,13 @@ from .filter import Coast, StateEstimate, propagate
 from .frame_clock import FrameClock
 from .latency import LatencyHypotheses
 
-COAST = Coast(parts=5, unknown=10)
+MISSED_IMAGES = Coast(parts=5, unknown=10)
 """Maximum number of consecutive images that do not show an object. Until then, the state of the
 object is propagated. After this number of images, vision no longer keeps the name of a part.
 Objects of the class `unknown` are often not detected although they are on the plate, so their
 number is larger. If images are taken at cycle starts, this number corresponds to `MEMORY_S`."""
 
-FRESH = 1.5
+MAX_REQUEST_AGE = 1.5
 """Maximum age of a request [periods]. An older request does not describe the running cycle. This is
 also the maximum time over which a mean drift or spin is measured [periods]."""
 
@@ -38,15 +38,15 @@ SAME_LATENCY_S = 2e-3
 """Latencies that differ by less count as equal in a prediction [s]. Parts drift by about 0.05 mm in
 this time."""
 
-STARTS_S = 1e-3
+TRIGGER_TOLERANCE_S = 1e-3
 """Maximum difference between the stamp of an image and a reported cycle start [s]. If it is
 smaller, the stamp counts as the time of the camera trigger. The image was then taken at its
 stamp."""
 
 LATE = 0.01
-"""Maximum difference between the stamp of an image and the time of a prediction, as a fraction of
-the time that the prediction covers. If the difference is larger, the parts are not compared with
-the prediction."""
+"""Maximum deviation of `Estimator.stamp` from the time for which positions were predicted, as a
+fraction of the prediction horizon (`DriftBias.span`). If the deviation is larger, the parts are not
+compared with the prediction."""
 
 FEWER = 0.02
 """Tolerance of the image rate, as a fraction of the cycle rate."""
@@ -62,7 +62,7 @@ starts."""
 FEW_UNANSWERED = 0.05
 """Fraction of cycles without a result that does not noticeably slow down a task."""
 
-NOBODY = Parts.make((), np.zeros((0, 2)))
+NO_PARTS = Parts.make((), np.zeros((0, 2)))
 
 
 def rows_of(ids: tuple[str, ...], among: tuple[str, ...]) -> np.ndarray:
@@ -89,11 +89,11 @@ class LastRequest:
         """Return the drift (M, 2) [m/s] of parts detected at time t [s], if they follow the
         request.
 
-        If a part has no request, or its request is older than `FRESH` periods, its measured drift
-        is returned.
+        If a part has no request, or its request is older than `MAX_REQUEST_AGE` periods, its
+        measured drift is returned.
         """
         drift = parts.velocity.copy()
-        if 0 <= t - self.stamp <= FRESH * period:
+        if 0 <= t - self.stamp <= MAX_REQUEST_AGE * period:
             row = rows_of(parts.ids, self.ids)
             drift[row >= 0] = self.drift[row[row >= 0]]
         return drift
@@ -176,7 +176,9 @@ class DriftBias:
             drift += gain * np.where((known & seen)[:, None], new - drift, 0.0)
         return DriftBias(parts.ids, drift, parts.position)
 
-    def predict(self, place: np.ndarray, t: float, at: float, latency: float | None) -> DriftBias:
+    def with_prediction(
+        self, place: np.ndarray, t: float, at: float, latency: float | None
+    ) -> DriftBias:
         """Return the observer with a new prediction: the positions (M, 2) [m] for the time `at`
         [s], predicted at time t [s]."""
         return replace(self, place=place, stamp=at, span=at - t, latency=latency)
@@ -196,8 +198,8 @@ class DriftBias:
 
 @dataclass(frozen=True)
 class Turning:
-    """Orientation and angular velocity of the parts. The values are known only if cycle starts are
-    reported.
+    """Orientation and angular velocity of the parts. The values are known only if images are not
+    taken at cycle starts.
 
     The values are measured in the image closest to each cycle start, because the plate hardly moves
     then.
@@ -232,7 +234,7 @@ class Turning:
             return self
         last = self.last if same else replace(self, last=None)
         spin = np.zeros(len(parts))
-        if last is not None and 0 < time - last.time < FRESH * log.period:
+        if last is not None and 0 < time - last.time < MAX_REQUEST_AGE * log.period:
             row = rows_of(parts.ids, last.ids)
             turned = parts.angle - np.append(last.angle, 0.0)[row]
             turned = (turned + np.pi) % (2 * np.pi) - np.pi
@@ -259,7 +261,7 @@ class Estimator:
     clock : CycleClock
     frames : FrameClock
         Estimated exposure times of a free-running camera.
-    latency : LatencyHypotheses
+    hypotheses : LatencyHypotheses
         State estimates of the parts for each hypothesis of the image latency.
     log : CycleLog
     seen : Parts
@@ -271,7 +273,7 @@ class Estimator:
         Number of consecutive images whose interval to the previous image is not a whole number of
         cycles.
     turning : Turning
-        Orientations of the parts. The orientations are known only if cycle starts are reported.
+        Orientations of the parts. They are known only if images are not taken at cycle starts.
     before, before_stamp : Parts, float
         Parts at the last call of `observe`, and their stamp [s].
     bias : DriftBias
@@ -280,14 +282,14 @@ class Estimator:
 
     rig: Rig
     clock: CycleClock
-    latency: LatencyHypotheses
+    hypotheses: LatencyHypotheses
     frames: FrameClock = field(default_factory=FrameClock)
     log: CycleLog = field(default_factory=CycleLog)
-    seen: Parts = NOBODY
+    seen: Parts = NO_PARTS
     request: LastRequest = field(default_factory=LastRequest)
     odd: int = 0
     turning: Turning = field(default_factory=Turning)
-    before: Parts = NOBODY
+    before: Parts = NO_PARTS
     before_stamp: float = -np.inf
     bias: DriftBias = field(default_factory=DriftBias)
 
@@ -321,45 +323,47 @@ class Estimator:
     def started(self, cycle: PlateCycle, begin: float, triggered: bool = False) -> Estimator:
         """Record that the plate began a cycle at `begin` [s, the time of the stamps], as in
         `CycleLog.started`."""
-        latency = self.latency
-        if self.rig.camera.trigger is not None and not self.log.reported:
-            # If cycle starts are reported, the exposure times are known.
-            latency = LatencyHypotheses.of(0.0)
-        return replace(self, log=self.log.started(cycle, begin, triggered), latency=latency)
+        hypotheses = self.hypotheses
+        if self.rig.camera.trigger is not None and not self.log.free_running:
+            # The trigger determines the exposure times.
+            hypotheses = LatencyHypotheses.of(0.0)
+        log = self.log.started(cycle, begin, triggered)
+        return replace(self, log=log, hypotheses=hypotheses)
 
-    def update(self, parts: Parts, t: float, coast: Coast = COAST) -> Estimator:
+    def update(self, parts: Parts, t: float, coast: Coast = MISSED_IMAGES) -> Estimator:
         """Process one image: its parts and its stamp t [s].
 
         Parts that are not detected are propagated for up to `coast` images.
         """
-        log, hypotheses = self.log.advance(t), self.latency
+        log, hypotheses = self.log.advance(t), self.hypotheses
         if self.clock.went_back(t):
             forgotten = StateEstimate.nothing(len(hypotheses.latencies))
             hypotheses = replace(hypotheses, estimate=forgotten)
-        if not log.reported and abs(t - log.last_report) < STARTS_S:
+        if not log.free_running and abs(t - log.last_report) < TRIGGER_TOLERANCE_S:
             hypotheses = hypotheses.none_old(log, self.friction_accel)
         delay = np.zeros(len(parts))
         if self.rig.camera.readout_s > 0:
             delay = row_delay(self.rig, parts.position)
         clock, frames = self.clock.tick(t), self.frames.tick(t)
-        taken, unsure = (frames.instant, frames.deviation) if log.reported else (t, 0.0)
+        # `stamped` is the corrected stamp. The image is older by the latency.
+        stamped, unsure = (frames.instant, frames.deviation) if log.free_running else (t, 0.0)
         camera = self.rig.camera
-        if log.reported and camera.trigger is not None:
+        if log.free_running and camera.trigger is not None:
             shown = camera.exposure_s + camera.readout_s
-            taken, unsure = log.triggered(t, camera.trigger.phase) + shown / 2, 0.0
+            stamped, unsure = log.triggered(t, camera.trigger.phase) + shown / 2, 0.0
         cycles = clock.interval / log.period if log.known else 1.0
         odd = self.odd + 1 if abs(cycles - max(round(cycles), 1)) > ODD else 0
         types = [self.rig.part_type(part_class(name)) for name in parts.ids]
         friction = np.array([part.mu for part in types], float) / self.rig.friction.mu
-        latency = hypotheses.update(
-            log, parts, taken, unsure, delay, self.friction_accel, coast, friction
+        hypotheses = hypotheses.update(
+            log, parts, stamped, unsure, delay, self.friction_accel, coast, friction
         )
         turning = self.turning
-        if log.reported:
-            turning = turning.update(log, parts, taken - latency.latency)
+        if log.free_running:
+            turning = turning.update(log, parts, stamped - hypotheses.latency)
         return replace(
-            self, clock=clock, frames=frames, seen=parts, log=log, latency=latency, odd=odd,
-            turning=turning,
+            self, clock=clock, frames=frames, seen=parts, log=log, hypotheses=hypotheses,
+            odd=odd, turning=turning,
         )  # fmt: skip
 
     @property
@@ -373,9 +377,9 @@ class Estimator:
         if not self.log.known:
             return ""
         rate, cycles = self.image_rate, 1 / self.period
-        if self.log.reported and 0 < rate < (1 - FEWER) * cycles:
+        if self.log.free_running and 0 < rate < (1 - FEWER) * cycles:
             return f"{rate:.3g} images per second, allowed: {cycles:.3g} or more (one per cycle)"
-        if not self.log.reported and self.odd >= ODD_IMAGES:
+        if not self.log.free_running and self.odd >= ODD_IMAGES:
             return (
                 f"{rate:.3g} images per second for {cycles:.3g} cycles per second: the camera is "
                 "not triggered at the start of each cycle"
@@ -391,25 +395,23 @@ class Estimator:
 
     def begin_task(self) -> Estimator:
         """Reset the counts of cycles and the observed drift error."""
-        log = replace(self.log, begun=0, unanswered=0)
+        log = replace(self.log, begun=0, unanswered_cycles=0)
         return replace(self, bias=DriftBias(), log=log)
 
     @property
-    def unanswered(self) -> str:
+    def unanswered_problem(self) -> str:
         """Description of the number of cycles without a result since the task began. Empty if at
         most a fraction of `FEW_UNANSWERED` had none."""
         log = self.log
-        if log.unanswered <= FEW_UNANSWERED * log.begun:
+        if log.unanswered_cycles <= FEW_UNANSWERED * log.begun:
             return ""
-        lacking = "" if log.reported else "images are missing, or "
+        lacking = "" if log.free_running else "images are missing, or "
         return (
-            f"{log.unanswered} of {log.begun} cycles were not answered in time: {lacking}the "
-            "computer or the line is too slow"
+            f"{log.unanswered_cycles} of {log.begun} cycles were not answered in time: "
+            f"{lacking}the computer or the line is too slow"
         )
 
-    def request_drift(
-        self, ids: tuple[str, ...], drift: np.ndarray, force: np.ndarray
-    ) -> Estimator:
+    def with_request(self, ids: tuple[str, ...], drift: np.ndarray, force: np.ndarray) -> Estimator:
         """Record the request for the parts: drift (M, 2) [m/s] and force (M, 2) [N]."""
         return replace(self, request=LastRequest(ids, drift, self.stamp, force))
 
@@ -417,10 +419,11 @@ class Estimator:
     def stamp(self) -> float:
         """Time for which `parts` holds [s].
 
-        If cycle starts are reported, it is the start of the running cycle. Otherwise it is the
-        stamp of the last image. Minus infinity before the first image.
+        If images are not taken at cycle starts (free-running camera, or trigger at a phase), it is
+        the start of the running cycle. Otherwise it is the stamp of the last image.
+        Minus infinity before the first image.
         """
-        if self.log.reported:
+        if self.log.free_running:
             return self.log.begin
         return -np.inf if self.clock.stamp is None else self.clock.stamp
 
@@ -428,7 +431,7 @@ class Estimator:
     def taken(self) -> float:
         """Time at which the last image was taken [s]. Minus infinity before the first image."""
         stamp = -np.inf if self.clock.stamp is None else self.clock.stamp
-        return stamp - self.latency.latency
+        return stamp - self.hypotheses.latency
 
     @property
     def at_rest(self) -> bool:
@@ -454,10 +457,13 @@ class Estimator:
         log, requested = self.log, self.request.stamp
         if not log.known:
             return self._known_rest
-        shown = max((begin for begin, _ in log.runs if begin < self.taken + STARTS_S), default=0.0)
+        shown = max(
+            (begin for begin, _ in log.runs if begin < self.taken + TRIGGER_TOLERANCE_S),
+            default=0.0,
+        )
         reports = log.last_report > self.taken - MEMORY_S  # false if there is no recent report
         # `unanswered` is also false if the clock was set back.
-        unanswered = log.answered < requested < self.taken + MEMORY_S
+        unanswered = log.answered_start < requested < self.taken + MEMORY_S
         may_come = unanswered or log.may_move(log.last_report if reports else self.taken)
         return np.inf if may_come or (reports and log.last_report < shown) else log.resting_since
 
@@ -482,13 +488,13 @@ class Estimator:
     @property
     def ids(self) -> tuple[str, ...]:
         """Ids of the tracked parts."""
-        return self.latency.estimate.ids
+        return self.hypotheses.estimate.ids
 
     @property
     def mean(self) -> np.ndarray:
         """State of the parts (M, 5), in the order of `StateEstimate.mean`. Each state holds at the
         time of the part's last detection."""
-        return self.latency.estimate.mean[self.latency.best]
+        return self.hypotheses.estimate.mean[self.hypotheses.best]
 
     @property
     def friction(self) -> np.ndarray:
@@ -501,7 +507,7 @@ class Estimator:
         returned."""
         if not self.log.known:
             return self.seen
-        estimate, best = self.latency.estimate, self.latency.best
+        estimate, best = self.hypotheses.estimate, self.hypotheses.best
         place = estimate.at(best, self.log, self.stamp, self.friction_accel)[:, :2]
         types = [self.rig.part_type(part_class(name)) for name in estimate.ids]
         grip = self.friction_accel * self.friction * np.array([part.mass_kg for part in types])
@@ -513,7 +519,7 @@ class Estimator:
 
         Angle and spin are 0 for parts without a measurement.
         """
-        if self.log.reported:
+        if self.log.free_running:
             return self.turning.of(ids, self.stamp)
         row = rows_of(ids, self.seen.ids)
         return np.append(self.seen.angle, 0.0)[row], np.append(self.seen.spin, 0.0)[row]
@@ -522,13 +528,13 @@ class Estimator:
         """Return the drift (M, 2) [m/s] of the parts. `place` (M, 2) [m] are their positions at
         `stamp`.
 
-        If cycle starts are reported, it is the mean velocity since the last call of `observe`.
-        Otherwise it is the drift that vision measured.
+        If images are not taken at cycle starts, it is the mean velocity since the last call of
+        `observe`. Otherwise it is the drift that vision measured.
         """
-        if not self.log.reported:
-            return self.latency.estimate.drift
+        if not self.log.free_running:
+            return self.hypotheses.estimate.drift
         row, span = rows_of(self.ids, self.before.ids), self.stamp - self.before_stamp
-        usual = 0 < span < FRESH * self.period
+        usual = 0 < span < MAX_REQUEST_AGE * self.period
         displacement = place - np.vstack([self.before.position, np.zeros((1, 2))])[row]
         return np.where((row >= 0)[:, None] & usual, displacement / max(span, MIN_S), 0.0)
 
@@ -548,7 +554,7 @@ class Estimator:
         if not self.log.known:
             return None
         row = rows_of(parts.ids, self.ids)
-        time = self.latency.estimate.time[self.latency.best][row]
+        time = self.hypotheses.estimate.time[self.hypotheses.best][row]
         log = self.log.until_answer
         return propagate(log, self.mean[row], time, log.end, self.friction_accel)[:, :4]
 
@@ -578,26 +584,29 @@ class Estimator:
         # A prediction with a short horizon contains less information.
         ahead = min(self.bias.span / self.period, 1.0)
         bias = self.bias.update(parts, seen, self.stamp, latency, axes, gain * ahead, most)
-        bias = bias.predict(predicted, self._known_until, self.next_start, latency)
+        bias = bias.with_prediction(predicted, self._known_until, self.next_start, latency)
         return replace(self, bias=bias, before=parts, before_stamp=self.stamp)
 
     @property
     def _known_until(self) -> float:
-        """Time of the last detection that predictions use [s]."""
-        if not self.log.reported:
+        """Time of the last detection that predictions use [s]. It is the start of the running
+        cycle if no detection is later."""
+        if not self.log.free_running:
             return self.stamp
-        return float(np.max(self.latency.estimate.time[self.latency.best], initial=self.log.begin))
+        return float(
+            np.max(self.hypotheses.estimate.time[self.hypotheses.best], initial=self.log.begin)
+        )
 
     @property
     def latency_known(self) -> bool:
         """Whether the image latency is known to within a few milliseconds."""
-        return self.latency.estimated
+        return self.hypotheses.estimated
 
     @property
     def _known_latency(self) -> float | None:
         """Latency that predictions assume [s]. None while it is being estimated."""
         known = self.latency_known or not self.log.known
-        return self.latency.latency if known else None
+        return self.hypotheses.latency if known else None
 
 
 def warm_up(rig: Rig) -> None:

@@ -55,7 +55,7 @@ hypotheses are wrong and the estimation restarts."""
 MISFIT_IMAGES = 8
 """Number of images over which the mean square of the normalised innovations is averaged."""
 
-MEMORY_S = 3.0
+FADING_S = 3.0
 """Time constant with which old images lose their weight in the likelihood [s]."""
 
 JITTER_S = (0.5e-3, 1e-3, 20e-3)
@@ -167,7 +167,7 @@ class LatencyHypotheses:
     ) -> LatencyHypotheses:
         """Update with the parts of an image with stamp t [s].
 
-        The log-likelihood L of each hypothesis becomes exp(-dt/MEMORY_S) L + log p(parts). dt is
+        The log-likelihood L of each hypothesis becomes exp(-dt/FADING_S) L + log p(parts). dt is
         the time since the last image, and p is the likelihood of the measured positions.
 
         `unsure` is the minimum standard deviation of the stamp [s]. `delay` (P,) is the time from
@@ -176,7 +176,7 @@ class LatencyHypotheses:
         """
         time = t - self.latencies[:, None] + delay
         last = np.max(self.estimate.time[self.best], initial=-np.inf)
-        fading = np.exp(-max(t - self.latency - last, 0.0) / MEMORY_S)
+        fading = np.exp(-max(t - self.latency - last, 0.0) / FADING_S)
         jitter = max(self.jitter.deviation, unsure)
         estimate, fit = self.estimate.update(
             log, parts, time, friction_accel, most, jitter, friction
@@ -202,7 +202,7 @@ class LatencyHypotheses:
         likely = seen.log_likelihood
         # Images at cycle starts contain little information on the latency. Therefore the required
         # difference increases with the time for which a latency has been accepted.
-        better = BETTER if log.reported else BETTER * max(seen.images / SOON_IMAGES, 1.0)
+        better = BETTER if log.free_running else BETTER * max(seen.images / SOON_IMAGES, 1.0)
         best, middle = int(np.argmax(likely)), len(STEPS) // 2
         if likely[best] - likely[self.best] < better:
             best = self.best
