@@ -183,7 +183,7 @@ static uint8_t begin(Controller *c, const uint8_t *fields)
     return STATUS_DONE;
 }
 
-/* The stream with this number, if knots may be added to it. */
+/* The stream with this number, or NULL if knots cannot be added to it. */
 static Table *stream_of(Controller *c, uint16_t id)
 {
     const bool open[3] = {c->state == STATE_PLAYING, c->waiting, true};
@@ -255,7 +255,7 @@ static void wait_to_play(Controller *c)
     c->waiting = true;
 }
 
-/* Whether the filled table or stream may be played. The check of a table is still to be completed. */
+/* Whether the filled table or stream is allowed to play. The check of a table is still to be completed. */
 static uint8_t commit(Controller *c, uint16_t sequence, const uint8_t *fields)
 {
     Table *table = &c->tables[c->filling];
@@ -469,7 +469,7 @@ void controller_start(Controller *c, Limits limits)
     hal_drive(false);
 }
 
-/* Whether a setpoint may be commanded, `dt` [s] after the last one. A brake adds at most
+/* Whether a setpoint is allowed, `dt` [s] after the last one. A brake adds at most
    1.5 (v / Tb)^2 / accel, a tenth, to the table's acceleration. Between two tables, both may deviate
    from rest at home by the allowed tolerance. */
 static bool sane(const Controller *c, const Setpoint *at, float dt)

@@ -137,7 +137,7 @@ void table_put(Table *table, int number, const uint8_t bytes[KNOT_BYTES])
     table->have++;
 }
 
-/* Whether a knot may follow the one before. If there is a splice, the last knot must be at rest. */
+/* Whether a knot is allowed to follow the one before. If there is a splice, the last knot must be at rest. */
 static uint8_t check_order(const Table *table, int number)
 {
     const Knot *knot = &table->knots[number];

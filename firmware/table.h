@@ -1,4 +1,4 @@
-/* A motor table: quintic pieces between knots, checked before it may play. */
+/* A motor table: quintic pieces between knots, checked before it plays. */
 #ifndef PLATE_TABLE_H
 #define PLATE_TABLE_H
 

@@ -11,7 +11,7 @@
 #define MISSED_CYCLES 3     /* consecutive cycles with no position, or with two, that are a fault */
 #define ANSWER_TICKS 200    /* maximum wait for a reply in SETUP, and for the boot-up after a reset */
 #define BOOT_TICKS 1000     /* maximum wait for an answer; also between two tries, and an alarm's duration */
-#define START_TICKS 100     /* maximum wait for a start; also the time until a started drive may be enabled */
+#define START_TICKS 100     /* maximum wait for a start; also the time until a started drive can be enabled */
 #define STARTS 10           /* maximum number of tries */
 #define KEEPS_TICKS 100     /* maximum time for a drive to switch its current off */
 #define ASTRAY_CYCLES 2     /* consecutive cycles with a following error that are a fault */

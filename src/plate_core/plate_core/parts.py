@@ -24,7 +24,7 @@ GROUP = "group"
 """Class of touching parts that vision cannot separate."""
 
 NAMELESS = (UNKNOWN, GROUP)
-"""Reserved class names: no part type may use them."""
+"""Reserved class names. No part type is allowed to have one of them."""
 
 PLAUSIBLE_AREA = 0.3, 3.0
 """Range of plausible areas of a part: from the first factor times the area of the smallest part to

@@ -142,7 +142,7 @@ class PlateCycle:
         Parameters
         ----------
         times : (k + 1,)
-            Increasing knot times [s], starting at 0. One time may occur twice. The cycle ends
+            Increasing knot times [s], starting at 0. One time can occur twice. The cycle ends
             there, and the following knots are the tail.
         pose, twist, accel : (k + 1, 3)
             State of the plate at the knots.
@@ -169,7 +169,7 @@ class PlateCycle:
             np.all(np.isfinite(times)) and times[0] == 0 and rises and len(twice) < 2 and inside
         ):
             raise CycleError(
-                "knot times must be finite, start at 0 and increase; an inner one may occur twice"
+                "knot times must be finite, start at 0 and increase; an inner one can occur twice"
             )
         if len(twice):
             k = int(twice[0])

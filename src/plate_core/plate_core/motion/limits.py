@@ -76,7 +76,7 @@ def usage(rig: Rig, cycle: PlateCycle, thermal_load: np.ndarray | float = 1.0) -
     Parameters
     ----------
     thermal_load : (4,) or float
-        Allowed `CycleUsage.thermal_load` [-]. It may exceed 1 while the motors are cold.
+        Allowed `CycleUsage.thermal_load` [-]. It can exceed 1 while the motors are cold.
     """
     limits, parts = rig.limits, cycle.parts
     steps = np.concatenate([np.diff(part.times) for part in parts])

@@ -45,7 +45,7 @@ def next_cycle(
     sent : sequence of PlateCycle
         Cycles that the device has received, in order of arrival.
     repeat : bool
-        Whether the running cycle may be repeated.
+        Whether the running cycle is allowed to be repeated.
     idle_s : float
         Length of a cycle at rest [s].
     """

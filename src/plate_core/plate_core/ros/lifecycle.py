@@ -185,8 +185,8 @@ class SafeLifecycleNode(RclpyLifecycleNode, Generic[Options]):
         return timer
 
     def rivals(self, topic: str) -> str:
-        """Return an error message if several nodes publish a topic that only one may publish,
-        otherwise an empty text."""
+        """Return an error message if several nodes publish a topic that only one is allowed to
+        publish, otherwise an empty text."""
         full = self.resolve_topic_name(topic)
         if self.count_publishers(full) < 2:
             return ""

@@ -35,12 +35,12 @@ OF_RCLPY = ("qos_overrides.", "use_sim_time", "start_type_description_service")
 
 @dataclass(frozen=True)
 class Spec:
-    """Allowed values of one parameter, and when it may change.
+    """Allowed values of one parameter, and when it is allowed to change.
 
-    A live parameter may change at any time. A fixed one never changes while the process runs. Any
-    other parameter may change while the node is not active. If the node has no lifecycle, it never
-    changes. The help text lists only the names of parameters with a `group`, after the name of the
-    group.
+    A live parameter can be changed at any time. A fixed one never changes while the process runs.
+    Any other parameter can be changed while the node is not active. If the node has no lifecycle,
+    it never changes. The help text lists only the names of parameters with a `group`, after the
+    name of the group.
     """
 
     description: str

@@ -26,7 +26,8 @@ DATA = QoSProfile(
     reliability=ReliabilityPolicy.RELIABLE,
     durability=DurabilityPolicy.VOLATILE,
 )
-"""For parts, forces, cycles and setpoints. No message may be lost. Old messages are not needed."""
+"""For parts, forces, cycles and setpoints. All messages must arrive. Old messages are not
+needed."""
 
 NEWEST = QoSProfile(
     history=HistoryPolicy.KEEP_LAST,

@@ -1,5 +1,5 @@
 """The feed task: reading and checking of its keys, and the rule that decides which parts a robot
-may grip.
+is allowed to grip.
 
 A part is ready if it is of the right class, in the pick window, at the requested angle, and far
 enough from all other parts (`ready_parts`).
@@ -210,8 +210,8 @@ def to_turn(parts: Parts, angle: float, symmetry: int) -> np.ndarray:
 def ready_parts(
     parts: Parts, pick: Pick, clearance_m: float, rig: Rig, gap: np.ndarray | None = None
 ) -> np.ndarray:
-    """Whether parts (M,) may be gripped: they have the right class and angle, are inside the
-    window, and are far enough from all other parts.
+    """Whether a robot is allowed to grip parts (M,): they have the right class and angle, are
+    inside the window, and are far enough from all other parts.
 
     Parameters
     ----------

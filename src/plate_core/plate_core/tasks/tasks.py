@@ -113,7 +113,7 @@ class FollowTask:
 
 @dataclass(frozen=True)
 class AssembleTask:
-    """Move parts to positions. Each position may get any part of its class.
+    """Move parts to positions. Each position can get any part of its class.
 
     Attributes
     ----------
@@ -142,7 +142,7 @@ class Pose:
     label : str
         Class of the part.
     place : (x, y), or None
-        Position [m, plate_home]. None: the part stays in place, or may be anywhere if
+        Position [m, plate_home]. None: the part stays in place, or can end anywhere if
         `PoseTask.anywhere` is true.
     angle : float
         Angle of the part's mark, counter-clockwise from x [rad]. If the part has rotational
@@ -170,7 +170,7 @@ class PoseTask:
     hold_s : float
         The task succeeds when all parts have been within the tolerances for this time [s].
     anywhere : bool
-        Whether parts without a position may be anywhere on the plate.
+        Whether parts without a position can end anywhere on the plate.
     """
 
     poses: tuple[Pose, ...]
@@ -201,7 +201,7 @@ class PartTarget:
 
 @dataclass(frozen=True)
 class MoveTask:
-    """Move individual parts to targets. The targets may be changed while the task runs.
+    """Move individual parts to targets. The targets can be changed while the task runs.
 
     Attributes
     ----------
@@ -302,7 +302,7 @@ class FeedOrder:
     picks : tuple of Pick
         Picks that replace the picks of the task. Empty: use the picks of the task.
     hidden : bool
-        Whether a robot may hide parts from the camera while the plate rests. Hidden parts are
+        Whether a robot can hide parts from the camera while the plate rests. Hidden parts are
         assumed at their last detected positions.
     """
 
@@ -331,7 +331,7 @@ class FeedTask:
     valid_s : float
         Time for which a part is reserved for the robot [s].
     order : FeedOrder
-        Present order. It may be changed while the task runs.
+        Present order. It can be changed while the task runs.
     """
 
     picks: tuple[Pick, ...]

@@ -16,8 +16,8 @@ from .calibration import Calibration, Experiment, check_writable, save_response
 __all__ = ["CalibrationRun"]
 
 PLAYS_MARGIN = 2.0
-"""Maximum time that the motors may take for an experiment, as a multiple of its duration. The
-experiment fails after this time."""
+"""Maximum time that the motors are allowed to take for an experiment, as a multiple of its
+duration. The experiment fails after this time."""
 
 
 class CalibrationRun:

@@ -177,7 +177,7 @@ def check_setpoints(
     Parameters
     ----------
     times : (k + 1,)
-        Times of the setpoints [s], increasing from 0. A time may occur twice if its setpoints are
+        Times of the setpoints [s], increasing from 0. A time can occur twice if its setpoints are
         equal.
     q, qd, qdd : (k + 1, 4)
         Travel [m], speed [m/s] and acceleration [m/s2] of the motors, with quintic interpolation.

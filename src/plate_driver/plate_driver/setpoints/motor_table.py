@@ -43,7 +43,7 @@ class MotorTable:
 
     A table with a tail is played once. At the end of its cycle, the next table starts if it begins
     in exactly the state at that time. Otherwise the tail brings the plate to rest. A table without
-    a tail begins and ends at rest, and may be repeated.
+    a tail begins and ends at rest, and can be repeated.
 
     Attributes
     ----------

@@ -206,8 +206,8 @@ class Transport(Protocol):
         """Switch on the motors' current once, on a person's request. The order is done when the
         motors are ready.
 
-        A stop after this request has priority. Nothing else may switch on the current: neither
-        `open`, nor `send`, nor a restart of the controller.
+        A stop after this request has priority. Nothing else is allowed to switch on the current:
+        neither `open`, nor `send`, nor a restart of the controller.
         """
 
     def home(self) -> Order:

@@ -189,7 +189,7 @@ class CameraNode(SafeLifecycleNode[CameraParameters]):
         self._source.close()
 
     def retune(self) -> None:
-        """Apply the settings that may change while the node runs."""
+        """Apply the settings that can be changed while the node runs."""
         self._source.change(self.options.settings(self._size_px))
 
     # The reader's thread

@@ -125,7 +125,7 @@ class Frame(NamedTuple):
 
 
 class Source(Protocol):
-    """A source of images. After `close`, `open` and `read` may be called again.
+    """A source of images. After `close`, `open` and `read` can be called again.
 
     Attributes
     ----------
@@ -182,7 +182,7 @@ Warn = Callable[[str], None]
 
 
 class Camera(ABC):
-    """Base class of cameras. Their settings may change while they take images.
+    """Base class of cameras. Their settings can be changed while they take images.
 
     Parameters
     ----------

@@ -55,7 +55,7 @@ MEMBERS = 3
 """Minimum number of pieces of a kind that justifies a straight cut."""
 
 MIN_DENT_PX = 1.2
-"""Minimum depth of a concave corner at which a cut may begin [px]."""
+"""Minimum depth of a concave corner at which a cut can begin [px]."""
 
 MAX_DENTS = 6
 """Maximum number of concave corners of a piece that are used. The deepest ones are used."""
@@ -101,8 +101,8 @@ to others may be a group."""
 
 
 WORK = 12.0
-"""Maximum number of pixels that all cuts within pieces may visit, relative to the number of the
-plate's pixels. The maximum takes half a second and is needed for heaps of 80 parts."""
+"""Maximum number of pixels that all cuts within pieces are allowed to visit, relative to the number
+of the plate's pixels. The maximum takes half a second and is needed for heaps of 80 parts."""
 
 PLATE_SIZED = 0.5
 """Maximum area of a piece that is split, relative to the area of the plate. If a piece is larger,
@@ -115,8 +115,8 @@ LABEL_WORK = 0.1
 
 @dataclass
 class Work:
-    """Number of pixels that may still be visited. Pixels are counted instead of time, so that
-    results do not depend on the computer's speed."""
+    """Number of pixels that cuts are still allowed to visit. Pixels are counted instead of time, so
+    that results do not depend on the computer's speed."""
 
     left: float
 

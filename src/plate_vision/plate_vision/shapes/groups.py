@@ -368,7 +368,7 @@ def take_apart(
 ) -> list[Found]:
     """Return the parts of a group, with poses in plate_home. The result is empty if they are not
     found. If `doubtful`, the group may be a single part, and parts are returned only if they cover
-    it completely. `tries` is the number of combinations that may still be tried for this and other
+    it completely. `tries` is the number of combinations that can still be tried for this and other
     groups."""
     tries = tries or Work(TRIES)
     border = _edge_distances(view)

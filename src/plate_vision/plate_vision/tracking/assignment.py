@@ -59,7 +59,7 @@ TURN_RAD = 0.15
 rotation expected from its last spin [rad]."""
 
 ANY_TURN = 0.05
-"""Fraction of rotations that may have any size, for example because a mark was misread or a part
+"""Fraction of rotations that can have any size, for example because a mark was misread or a part
 was hit."""
 
 VAGUE_RAD = 1.0

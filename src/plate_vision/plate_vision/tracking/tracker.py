@@ -23,9 +23,9 @@ from .assignment import assign
 from .track import UNKNOWN, Prediction, Sighting, Track
 
 UNKNOWN_MISSED = 30
-"""Minimum number of consecutive images in which an object of the class `unknown` may be missed. It
-is larger than for parts, because such an object is at the limit of detection and would otherwise
-have to be confirmed again after each gap."""
+"""Minimum number of consecutive images without a detection before an object of the class `unknown`
+is given up. It is larger than for parts, because such an object is at the limit of detection and
+would otherwise have to be confirmed again after each gap."""
 
 
 @dataclass(frozen=True)
@@ -39,8 +39,8 @@ class TrackerOptions:
         part with a velocity of 100 mm/s reverses its direction, it is 40 mm from its expected
         position after a cycle of 0.2 s.
     max_missed : int
-        Number of consecutive images in which a part may be missed before its id is given up, 0 to
-        1000.
+        Maximum number of consecutive images in which a part is not detected and its id is kept, 0
+        to 1000.
     confirm : int
         Number of consecutive images in which a new part must be detected before it gets an id, 1 to
         100. Parts in the first image get their ids at once. If `confirm` is 2 or more, a single
@@ -238,7 +238,8 @@ def update(
 
 
 def _max_missed(track: Track, options: TrackerOptions) -> int:
-    """Return the number of consecutive images in which a part or an object may be missed."""
+    """Return the maximum number of consecutive images in which a part or an object is not detected
+    and its track is kept."""
     unknown = track.label == NAMELESS[0]
     return max(options.max_missed, UNKNOWN_MISSED) if unknown else options.max_missed
 
