@@ -244,7 +244,8 @@ class SimulatorNode(SafeLifecycleNode[Options]):
         self._driven = options.driven_by == "device"
         if self._driven and self._simulated_time:
             raise PlateError(
-                "driven_by is 'device', which allows no lockstep, rate or simulated_time"
+                "driven_by is 'device', which requires real time, allowed: rate 1 without lockstep "
+                "and simulated_time"
             )
         if options.image_rate > 0 and options.lockstep:
             raise PlateError(

@@ -186,8 +186,8 @@ def test_a_cycle_that_ends_in_motion_is_not_repeated():
     cycle = PlateCycle.stopping(moving, 0.1)  # starts in motion, ends at rest
     simulate(cycle, [[0, 0]], [[0, 0]], MU)
     message = (
-        r"cycles is 2, allowed: 1, as the cycle does not close: .* 0 m or rad in pose, 0\.2 in "
-        r"twist, 0 in acceleration, allowed: 1e-06 m and 1e-05 rad"
+        r"cycles is 2, allowed: 1, because the cycle does not close\. .* 0 m or rad in pose, "
+        r"0\.2 in twist, 0 in acceleration, allowed: 1e-06 m and 1e-05 rad"
     )
     with pytest.raises(PlateError, match=message):
         simulate(cycle, [[0, 0]], [[0, 0]], MU, cycles=2)

@@ -67,7 +67,7 @@ def read_command(text: str | bytes, role: Role) -> Command:
     if not isinstance(name, str) or name not in COMMANDS:
         raise CommandError(f"do is {_short(name)}, allowed: {', '.join(COMMANDS)}")
     if role is not Role.OPERATOR and name not in FOR_ALL:
-        raise CommandError(f"{name} is allowed only for operators, this page is read only")
+        raise CommandError(f"{name} is allowed only for operators, but this page is read only")
     data.pop("number", None)
     readers = COMMANDS[name]
     strange = sorted(data.keys() - readers.keys())

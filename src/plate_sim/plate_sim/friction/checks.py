@@ -33,10 +33,10 @@ def check_motion(cycle: PlateCycle | PlateMotion, cycles: int) -> None:
             pose, twist, accel = np.abs(cycle.state(-1) - cycle.state(0)).max(axis=1)
             most, most_angle = REST_TOLERANCE[0], REST_TOLERANCE[2]
             raise PlateError(
-                f"cycles is {cycles}, allowed: 1, as the cycle does not close: end and start "
-                f"differ by {pose:.3g} m or rad in pose, {twist:.3g} in twist, {accel:.3g} in "
-                f"acceleration, allowed: {most:g} m and {most_angle:g} rad, 100 times that per s, "
-                "10 000 times that per s2"
+                f"cycles is {cycles}, allowed: 1, because the cycle does not close. Its end and "
+                f"start differ by {pose:.3g} m or rad in pose, {twist:.3g} in twist, {accel:.3g} "
+                f"in acceleration, allowed: {most:g} m and {most_angle:g} rad, 100 times that per "
+                "s, 10 000 times that per s2"
             )
         return
     if cycles > 1:

@@ -163,5 +163,7 @@ class Request:
                 value = array.flat[np.argmax(size)]
                 raise PlateError(f"{name} has value {value:g}, allowed: {-most:g} to {most:g}")
         if np.isinf(self.curl).any():
-            raise PlateError("curl has infinite values, allowed: finite numbers, NaN if it is free")
+            raise PlateError(
+                "curl has infinite values, allowed: finite numbers, or NaN for any curl"
+            )
         raise PlateError("tolerance has values below 0 or NaN, allowed: 0 and above")
