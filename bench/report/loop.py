@@ -206,14 +206,15 @@ def rigs(rows: list[Row]) -> Drawn:
             error.points(mine, "rms_mm", "rig", look, hollow=not_all)
             pace.points(mine, "kept", "rig", look, hollow=not_all)
     failures = "; ".join(
-        f"{rig}: " + ", ".join(f"{r['scenario']} {r['succeeded']}" for r in these)
+        f"{rig} (" + ", ".join(f"{r['scenario']} {r['succeeded']}" for r in these) + ")"
         for rig, these in by(list(filter(not_all, rows)), "rig").items()
     )
+    ends = f"Not all runs ended well on these rigs: {failures}." if failures else "All ended well."
     right = sum((r["feasible"] == "likely") == (percent(r) > 50) for r in rows)
     return Drawn(
         panels,
-        f"Rigs on which not all runs ended well: {failures or 'none'}. `feasible` was right in "
-        f"{right} of {len(rows)} cases (likely: more than half of the runs end well).",
+        f"{ends} `feasible` was right in {right} of {len(rows)} cases (likely: more than half of "
+        "the runs end well).",
     )
 
 
@@ -242,13 +243,15 @@ def bound(rows: list[Row]) -> Drawn:
     own = [r for r in rows if r["solver"]]
     second.points(own, "parts", "rest_mm_s", Look("found, the solver's cycle", FAINT, "s", ":"))
     second.points(own, "parts", "loop_mm_s", Look("closed loop", PEER, "D", "--"))
-    gain = ", ".join(
-        f"{r['free_mm_s'] / r['rest_mm_s']:.1f} with {parts(r['parts'])}" for r in best
+    ends = [best[0], best[-1]]
+    gain = " and ".join(
+        f"{r['free_mm_s'] / r['rest_mm_s']:.1f} with {parts(r['parts'])}" for r in ends
     )
     return Drawn(
         panels,
-        f"Best cycle with rest [mm/s]: {listed(best, 'rest_mm_s')}; closed loop: "
-        f"{listed(own, 'loop_mm_s')}. Cycles without rest are faster by a factor of {gain}.",
+        f"The speed [mm/s] of the best cycle with rest is {listed(ends, 'rest_mm_s')}. The speed "
+        f"in the closed loop is {listed([own[0], own[-1]], 'loop_mm_s')}. Cycles without rest are "
+        f"faster by a factor of {gain}.",
     )
 
 
@@ -288,7 +291,7 @@ def changed(row: Row) -> str:
 
 def listed(rows: Iterable[Row], key: str) -> str:
     """Return a text with a column's values, by number of parts."""
-    return ", ".join(f"{r[key]:.0f} with {parts(r['parts'])}" for r in rows)
+    return " and ".join(f"{r[key]:.0f} with {parts(r['parts'])}" for r in rows)
 
 
 def crowds(rows: list[Row]) -> Drawn:
