@@ -328,7 +328,7 @@ def test_motors_that_are_too_warm_end_in_a_scaled_cycle_from_rest_and_go_on(rng)
         before = guard.table.cycle
         assert np.max(guard.thermal.at_time(weak, now).rise) <= 1 + 1e-6
     warm = [text for text in refused if "mean force at the motors' temperature" in text]
-    assert "the plate comes to rest, and cycles from rest can be" in warm[0]
+    assert "The plate comes to rest, and cycles from rest can be" in warm[0]
     scaled = [k for k, factor, _ in taken if factor < 1]
     in_motion = [k for k, _, at_rest in taken if not at_rest]
     assert len(scaled) > 5
