@@ -62,8 +62,9 @@ class ClockSteps:
     steps: tuple[Step, ...] = ()
 
     def with_reading(self, now: float, clock_ns: int) -> ClockSteps:
-        """Record one reading of both clocks. Call this often: the times that count as shown twice
-        extend to the reading that notices the step.
+        """Record one reading of both clocks. After a step back, the clock shows some times
+        twice. The interval of these times is assumed to extend to the reading that detects the
+        step, so call this often.
 
         Parameters
         ----------

@@ -19,7 +19,7 @@ PERSONS = (DriverReason.EMERGENCY_STOP, DriverReason.POWER_CUT)
 
 LOOK = "look at the rig, then call enable"
 OFF = "disabled: the motors are off; call enable"
-UNCERTAIN = "error: the last stop was not acknowledged: cut the power by hand"
+UNCERTAIN = "error: the last stop was not acknowledged; cut the power by hand"
 """Text after a stop that was not acknowledged, until a message of the device arrives again."""
 
 UNANSWERED = "the device does not answer: cut the power by hand"

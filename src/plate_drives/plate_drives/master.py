@@ -78,7 +78,7 @@ class Master:
             self._bus.send(frame, timeout=0.1)
         except (can.CanError, OSError) as error:
             raise PlateError(
-                f"the CAN bus does not accept a frame ({error}): check the drives' supply, "
+                f"the CAN bus does not accept a frame ({error}); check the drives' supply, "
                 "wires, termination and bit rate"
             ) from None
 
@@ -94,7 +94,7 @@ class Master:
                 raise PlateError(f"the CAN bus has failed ({error})") from None
             if message is not None and message.is_error_frame:
                 if message.arbitration_id != LOST_ARBITRATION:
-                    raise PlateError("error on the CAN bus: check wires, termination and bit rate")
+                    raise PlateError("error on the CAN bus; check wires, termination and bit rate")
             elif message is not None and not (message.is_extended_id or message.is_remote_frame):
                 yield message.arbitration_id, bytes(message.data)
             if self.now >= until:

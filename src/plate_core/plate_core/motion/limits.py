@@ -208,7 +208,8 @@ def _peaks(
 
 
 def _at(coefficients: np.ndarray, t: np.ndarray) -> np.ndarray:
-    """Values (n, m) of polynomials (n, d, m) at the times t (n,) since the start of each."""
+    """Values (n, m) of polynomials (n, d, m) at the times t (n,) since the start of each
+    polynomial."""
     value, t = coefficients[:, -1].copy(), t[:, None]
     for power in range(coefficients.shape[1] - 2, -1, -1):
         value *= t

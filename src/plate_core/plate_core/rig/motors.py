@@ -23,7 +23,8 @@ motions. For rotations, the ratio is 1.6 to 2. For sinusoids, it is 2 to 2.5
 (`test_weak_motors.py`)."""
 
 TURN_STEPS = 400
-"""Number of steps of angular acceleration, from 0 to the maximum for the plate's corners."""
+"""Number of steps in which `force_per_accel` varies the angular acceleration from 0 to its maximum,
+at which the plate's corners have 1 m/s2."""
 
 
 class Reach(NamedTuple):

@@ -132,7 +132,7 @@ class FrictionServer:
         driver, response.success = self._driver, False
         try:
             if self._result is None:
-                raise PlateError("friction was not measured, requires measure_friction first")
+                raise PlateError("friction was not measured; call measure_friction first")
             path = rig_path(driver.options.rig_file)
             before, mu = load_rig(path), float(f"{rig_mu(driver.playback.rig, self._result):.3g}")
             edit_rig(

@@ -258,8 +258,8 @@ class V4l2Device:
         whether they refer to the start of the exposure. Return None if the driver does not report
         it.
 
-        Most drivers also answer a process that does not read the images. The driver uvcvideo up to
-        Linux 6.15 does not. For this driver, both results are True.
+        Most drivers report it also to a process that does not read the images. The driver uvcvideo
+        up to Linux 6.15 does not. For this driver, both results are True.
         """
         data = bytearray(88)
         struct.pack_into("II", data, 0, 0, CAPTURE)

@@ -54,9 +54,10 @@ APART = 3
 """Minimum distance between two modes of the histogram of the ratios [bins]."""
 
 PASSES = ((1, 25.0), (3, 25.0), (6, 15.0), (6, 0.0), (6, 0.0))
-"""Number of terms of the surfaces in each pass of the fit, and the minimum of the maximum deviation
-of its pixels [L]. With 0, the maximum deviation is the limit of the plate's noise. The first passes
-have larger deviations, so that a light from one side can be fitted."""
+"""For each pass of the fit of a light: the number of terms of the surfaces, and the tolerance of
+its pixels [L]. A pixel is used if its deviation from the plate in the fitted light is at most the
+larger one of this tolerance and the limit of the plate's noise. The first passes have larger
+tolerances, so that a light from one side can be fitted."""
 
 STEADY = 0.6
 """Fraction of the plate that agrees with the last light. From this fraction on, no other light is

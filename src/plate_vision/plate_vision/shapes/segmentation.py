@@ -30,8 +30,8 @@ MAX_PATCHES = 250
 noise, or texture of a plate that has moved."""
 
 MIN_DEPTH_PX = 1.8
-"""Minimum of the largest distance between a part's inner points and its contour [px]. A scratch is
-thinner."""
+"""Minimum distance of a part's innermost point from its contour [px]. Scratches have a smaller
+distance."""
 
 MIN_HOLE_PX2 = 6
 """Minimum area of a hole [px2]. A smaller area is a speck on the part."""

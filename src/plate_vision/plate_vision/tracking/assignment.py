@@ -38,8 +38,8 @@ PUSHED_M, PUSHED_RATE = 5e-3, 1e-4
 of such parts [-]."""
 
 SWING_M = 2e-3
-"""Additional standard deviation at half of the time to the prediction, because parts oscillate
-during a cycle [m]."""
+"""Additional standard deviation of a predicted position half-way between the last detection and the
+time of the prediction [m]. It is needed because parts oscillate during a cycle."""
 
 MAX_FRACTION = 2.0
 """Maximum fraction of a predicted displacement that is applied [-]. If the fraction is above 1, the
