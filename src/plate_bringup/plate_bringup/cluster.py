@@ -79,14 +79,15 @@ class Cluster(Executor):
         Address of the scheduler, such as `tcp://192.168.0.10:8786`.
     bench : bool
         Whether the functions are in `bench` or `tools` of the clone. If so, each worker must have a
-        clone with the same code at the same place.
+        clone with the same code. The place of the clone does not matter, unless arguments contain
+        absolute paths.
     modules : sequence of str
         Further modules and packages that each worker must have with the same code.
     tell : callable
         Function that receives lines of text about the cluster: its dashboard, and refused workers.
     end : callable, optional
-        Called on each worker that has a run when it is canceled, to end it. By default, an
-        exception is raised in its thread.
+        Called by `shutdown` on each worker that has a run, to end this run. By default, an
+        exception is raised in the thread of the run.
 
     Raises
     ------
@@ -105,6 +106,8 @@ class Cluster(Executor):
     ) -> None:
         self._address, self._tell, self._end = address, tell, end
         self._client = _connect(address)
+        if bench:
+            _make_bench_importable()
         self._terms = facts(bench, tuple(modules)), bench, tuple(modules)
         # Only workers with this resource receive runs. Each worker has the resource once.
         self._key = f"plate-{hashlib.sha256(repr(self._terms).encode()).hexdigest()[:16]}"
@@ -126,7 +129,8 @@ class Cluster(Executor):
         threading.Thread(target=self._watch, daemon=True).start()
 
     def submit(self, fn: Callable[..., Any], /, *args: Any, **kwargs: Any) -> Future[Any]:
-        """Submit a run, see `Executor`. A run that has begun can also be canceled."""
+        """Submit a run, see `Executor`. A run that has begun can also be canceled. Its result is
+        then dropped, but it continues on its worker until it ends or `shutdown` ends it."""
         result: Future[Any] = Future()
         # The run is sent as bytes, because the scheduler also reads arguments and cannot import
         # modules of bench.
@@ -302,8 +306,8 @@ def _connect(address: str) -> Any:
             ) from problem
         if there != distributed.__version__:
             raise PlateError(
-                f"cluster {address}: the scheduler has distributed {there}, allowed: "
-                f"{distributed.__version__} (the version on this computer)"
+                f"cluster {address}: the scheduler's package `distributed` has version {there}, "
+                f"allowed: {distributed.__version__} (the version on this computer)"
             )
         return distributed.Client(address, timeout=RETURN_S, set_as_default=False)
 
@@ -320,11 +324,11 @@ _RUNNING: dict[str, int] = {}
 
 
 class _Stopped(Exception):
-    """Raised in a run that was canceled."""
+    """Raised in a run that `shutdown` ends."""
 
 
 def _work(token: str, call: bytes) -> Any:
-    """Run a function so that `_stop` can end it."""
+    """Run a function so that `_stop` can end it, which `shutdown` calls."""
     _RUNNING[token] = threading.get_ident()
     try:
         function, args, kwargs = pickle.loads(call)
@@ -345,10 +349,12 @@ def _stop(token: str, end: Callable[[], object] | None) -> None:
 
 
 async def _admit(
-    key: str, expected: dict[str, str], bench: bool, modules: Sequence[str], dask_worker: Any
+    key: str, expected: dict[str, str], bench: bool, modules: tuple[str, ...], dask_worker: Any
 ) -> list[str]:
     """Compare this worker with another process. If it would give the same results, give it the
     resource `key`. Return the differences."""
+    if bench:
+        _make_bench_importable()
     found = differences(expected, await asyncio.to_thread(facts, bench, modules))
     if not found and key not in dask_worker.state.total_resources:
         status = type(dask_worker.status)
@@ -374,12 +380,12 @@ def differences(expected: dict[str, str], found: dict[str, str]) -> list[str]:
 
 
 @lru_cache
-def facts(bench: bool = False, modules: Sequence[str] = ()) -> dict[str, str]:
+def facts(bench: bool = False, modules: tuple[str, ...] = ()) -> dict[str, str]:
     """Return facts about this process that determine the results of a seed.
 
     The facts are the versions of Python, C library and `LIBRARIES`, the environment variables of
     `ALIKE`, the processor, digests of the code, and a digest of the first cycles of short runs. If
-    `bench`, the modules of the clone's `bench` can be imported afterwards.
+    `bench`, they include a digest of `bench` and `tools` of the clone.
     """
     found = {
         "Python": ".".join(platform.python_version_tuple()[:2]),
@@ -444,18 +450,27 @@ def _digest(mark: Any, place: Path, name: str) -> None:
 
 
 def _code_of_bench() -> str:
-    """Return a digest of `bench` and `tools` of the clone from which this package was installed.
-    Modules of `bench` can be imported afterwards."""
-    parents = Path(__file__).resolve().parents
-    clone = next((folder for folder in parents if (folder / "bench/harness").is_dir()), None)
+    """Return a digest of `bench` and `tools` of the clone from which this package was installed."""
+    clone = _clone()
     if clone is None:
         return "no clone"
-    if str(clone / "bench") not in sys.path:
-        sys.path.append(str(clone / "bench"))
     mark = hashlib.sha256()
     for name in ("bench", "tools"):
         _digest(mark, clone / name, name)
     return mark.hexdigest()[:16]
+
+
+def _make_bench_importable() -> None:
+    """Add `bench` of the clone, if there is one, to the folders from which modules are imported."""
+    clone = _clone()
+    if clone is not None and str(clone / "bench") not in sys.path:
+        sys.path.append(str(clone / "bench"))
+
+
+def _clone() -> Path | None:
+    """Return the clone from which this package was installed. None if there is none."""
+    parents = Path(__file__).resolve().parents
+    return next((folder for folder in parents if (folder / "bench/harness").is_dir()), None)
 
 
 def _first_cycles() -> str:

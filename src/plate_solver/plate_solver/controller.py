@@ -34,12 +34,14 @@ METHODS = {"A": "rotations", "B": "sinusoids", "rotations": "rotations", "sinuso
 """Names of the methods: the letters A and B of the paper, and the names in this project."""
 
 DRIFT_TOLERANCE = 5e-5
-"""Maximum error of a search for forces, divided by the length of the cycle [m/s]. The search stops
-when the error is below it."""
+"""Maximum error of a search for forces, divided by the length of the cycle [m/s]. The descent from
+one start ends when its largest single error is below it. The search over several starts ends at
+`GOOD_MISS` or `EXACT_MISS`."""
 
 TARGET_TOLERANCE = 2e-4
-"""Maximum error of a search for targets, divided by the length of the cycle [m/s]. The search stops
-when the error is below it. Later cycles correct this error."""
+"""Maximum error of a search for targets, divided by the length of the cycle [m/s]. Each descent,
+and the search over several starts, end when the error is below it. Later cycles correct this
+error."""
 
 FRACTIONS = (1.0, 0.5, 0.25)
 """Fractions of a goal, tried in this order until no part leaves the plate. If forces are requested,
@@ -54,7 +56,7 @@ EXACT_MISS = 0.02
 """Maximum acceptable error (root mean square), as a fraction of the requested displacement. This
 fraction applies to force requests in which a part has zero tolerance on both axes."""
 
-COAST_S = 0.03
+LOOKAHEAD_S = 0.03
 """Time by which the parts are extrapolated with their final velocities at the end of a cycle [s].
 The extrapolation rewards a motion after which a part moves towards its target. The extrapolation is
 used only if a part is far from its target. Parts near their targets would otherwise keep
@@ -77,11 +79,13 @@ class Answer:
     Attributes
     ----------
     cycle : PlateCycle
-        The next cycle. Usually it starts and ends at rest at home. A motion of sinusoids starts in
-        the state `Wanted.plate` if that is given, and may end in any state if the end is free
-        (`Goal.free_end`). The cycle has a tail if it starts in motion or has a free end.
+        The next cycle. Rotations, and sinusoids without `Wanted.plate` or `Wanted.start`, start and
+        end at rest at home. Other sinusoids start in the state `Wanted.plate`, and have a free end
+        (`Goal.free_end`) while a part is far from its target. The cycle has a tail if it starts in
+        motion or has a free end. A cycle at rest always starts at rest. If the plate moves, it then
+        plays the tail of the running cycle first.
     solution : Solution or None
-        Solution of the search. None if nothing was requested.
+        Solution of the search. None if there are no parts, or if all parts are at their targets.
     message : str
         Text for the log.
     error_m, requested_m : float
@@ -207,7 +211,7 @@ class Controller:
             rig, wanted, self._memory, running, facts.rotating is not None, method == "rotations"
         )
         self._memory = start.memory
-        goal = form_goal(rig, wanted, start, period, COAST_S if facts.far else 0.0, free_end)
+        goal = form_goal(rig, wanted, start, period, LOOKAHEAD_S if facts.far else 0.0, free_end)
         rest = PlateCycle.rest(period)
         if goal.lasting and not np.any(goal.error(goal.end(*finely_sampled(rest)))[0]):
             return Answer(rest, None, "all parts are at their targets: plate at rest", 0.0, 0.0)
@@ -246,10 +250,11 @@ def search(
 
 
 def leaves_plate(rig: Rig, ids: tuple[str, ...], goal: Goal, predicted: np.ndarray) -> bool:
-    """Return whether a part would end beyond the edge of the plate and farther out than it started.
+    """Return whether the centre of a part would end less than half a radius from the edge of the
+    plate, and farther out than it started.
 
-    The centre of a part must end at least half a radius inside the edge. Only the predicted end is
-    checked, extrapolated by `Goal.coast`.
+    The radius is that of a disc with the part's area. Only the predicted end is checked,
+    extrapolated by `Goal.coast`.
 
     Parameters
     ----------

@@ -9,7 +9,7 @@ from plate_core import Parts, PlateCycle, Targets, Wanted
 from plate_core.motion import is_rest, usage
 from plate_sim import simulate
 from plate_solver import Controller, Goal
-from plate_solver.controller import COAST_S
+from plate_solver.controller import LOOKAHEAD_S
 from plate_solver.cycle_map import end_turning
 from plate_solver.goal import Turns
 from plate_solver.limits import Limits
@@ -171,7 +171,7 @@ def test_a_motion_is_refused_if_a_part_is_off_the_plate_between_two_plays(rig, m
     edge = rig.plate.half[0] - 0.5 * np.sqrt(rig.part_type("black").area_m2 / np.pi)
     place, velocity = np.array([[edge - 1e-3, 0.0]]), np.array([[0.03, 0.0]])
     still, rng = np.zeros((3, 3)), np.random.default_rng(0)
-    goal = Goal(place, velocity, 0 * place, 0 * place, rig.friction.accel, coast=COAST_S)
+    goal = Goal(place, velocity, 0 * place, 0 * place, rig.friction.accel, coast=LOOKAHEAD_S)
     once, twice = (family_of(rig, plays, still) for plays in (1, 2))
 
     def ends(own):

@@ -54,7 +54,7 @@ BEYOND = 1.3
 """Largest permitted utilisation of any rig limit by a motion during the search (1: exactly at the
 limit)."""
 
-FRESH = 3
+RANDOM_STARTS = 3
 """Number of additional random starts. Random starts are used if there is no last motion."""
 
 AT_ONCE = 4
@@ -88,9 +88,9 @@ class SinusoidSteering:
     iterations : int
         Maximum number of iterations of a descent.
     restarts : int
-        Maximum number of further descents. If there is no last motion, `FRESH` more are made. If a
-        motion is evaluated after `PLAYS` plays, the number is divided by `PLAYS`, because each
-        descent takes longer.
+        Maximum number of further descents. If there is no last motion, `RANDOM_STARTS` more are
+        made. If a motion is evaluated after `PLAYS` plays, the number is divided by `PLAYS`,
+        because each descent takes longer.
     threads : int
         Number of threads, at most `AT_ONCE`.
     clock : callable
@@ -161,7 +161,7 @@ class SinusoidSteering:
             self._motions[key] = Motions.of(family.basis, self._limits)
         motions = self._motions[key]
         known = self._warm.get(key)
-        fresh = FRESH if known is None else 0
+        fresh = RANDOM_STARTS if known is None else 0
         problem = Problem.of(goal, motions, BEYOND)
 
         def start(index: int, near: Fit) -> np.ndarray:
