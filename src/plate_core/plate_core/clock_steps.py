@@ -11,7 +11,7 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 from typing import NamedTuple
 
-__all__ = ["ClockSteps"]
+__all__ = ["KEPT_S", "MAX_STEPS", "ClockSteps"]
 
 STEP_NS = 20_000_000
 """Minimum change of the difference between the clocks that counts as a step [ns]. Smaller changes
