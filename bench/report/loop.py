@@ -86,7 +86,7 @@ def control(rows: list[Row]) -> Drawn:
         )  # fmt: skip
         note = (
             "restarts {restarts}, iterations {iterations}; ended well {good} of {runs}; "
-            "99 % {solve_p99_ms:.3g} ms"
+            "99th percentile {solve_p99_ms:.3g} ms"
         )
         panel.kinds(these, "method", "solve_ms", value, METHODS, hollow=failed, note=note)
         default = next(r for r in these if r["default"])

@@ -60,7 +60,7 @@ def measure(quick: bool) -> Result:
         f"{60 * hours['hours']:.1f} minutes of sorting: {hours['done']} of {hours['tasks']} tasks "
         f"done; {hours['held']} of {hours['cycles']} cycles held, {hours['late']} late; "
         f"{hours['faults']} of {hours['tables']} motor tables broke a limit; image to setpoints "
-        f"{hours['latency_ms']:.0f} ms, 99 % {hours['latency_p99_ms']:.0f} ms"
+        f"{hours['latency_ms']:.0f} ms, 99th percentile {hours['latency_p99_ms']:.0f} ms"
     )
     return Result(tables, summary)
 

@@ -48,7 +48,8 @@ def line(task: Task) -> str:
     memory = " ".join(f"{name} {mb:.1f}" for name, mb in task.memory_mb.items())
     return (
         f"{task.at_s:7.0f} s  {task.ended[:40]:8s} {cycles:4d} cycles, {held} held, {late} late, "
-        f"latency {np.median(latency):.1f} ms, 99 % {np.percentile(latency, 99):.1f} ms; "
+        f"latency {np.median(latency):.1f} ms, 99th percentile "
+        f"{np.percentile(latency, 99):.1f} ms; "
         f"MB: {memory}; load {os.getloadavg()[0]:.1f}"
     )
 
@@ -99,7 +100,8 @@ def text(result: dict[str, Any]) -> str:
             f"{result['faults']} of {result['tables']} motor tables broke a limit",
             f"{result['held']} cycles held and {result['late']} late of {result['cycles']}: "
             f"{100 * result['missed_share']:.3f} %",
-            f"latency {result['latency_ms']:.1f} ms, 99 % {result['latency_p99_ms']:.1f} ms, "
+            f"latency {result['latency_ms']:.1f} ms, 99th percentile "
+            f"{result['latency_p99_ms']:.1f} ms, "
             f"drift {result['latency_ms_per_hour']:.2f} +- {result['latency_interval']:.2f} ms/h",
         ]
     )
