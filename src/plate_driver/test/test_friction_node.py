@@ -70,7 +70,7 @@ def said(driven):
 def test_it_measures_writes_and_lets_cycles_through_again(driven):
     plate = Plate(driven)
     refused = driven.call("write_friction")
-    assert (refused.success, refused.message[:26]) == (False, "friction was not measured,")
+    assert (refused.success, refused.message[:26]) == (False, "friction was not measured;")
     answer = start(driven)
     assert answer.success
     assert driven.node.status.state is DriverState.CALIBRATING
