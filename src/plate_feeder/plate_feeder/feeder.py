@@ -3,7 +3,8 @@ rests, and when the hopper opens.
 
 A `Feeder` receives the statuses of the planner (`hear`) and the commands of the robots. After each
 of them, and about every 0.1 s, `step` returns the actions that the caller must take. All times are
-arguments. All times are from one steady clock. A loop without ROS uses it like this::
+arguments. They are from one steady clock, except the stamps of statuses (`FeedStatus.stamp`), which
+are from the clock of the camera. A loop without ROS uses it like this::
 
     feeder = Feeder(task, rig)
     reply = feeder.get_part("robot", now=t)  # None: the reply comes with a later `step`
@@ -22,11 +23,11 @@ The rules:
   status of an earlier rest is never mistaken for a status of the present rest. If the mode stays
   the same, the picks of an order and `hidden` change at once.
 - From the reply on, the part is reserved and the plate rests. The reservation ends with
-  `part_taken`, with the next `get_part`, `prepare_part` or `purge` of the same client, or at the
-  end of its validity. Only one part is reserved at a time, for one client. If other clients send
-  one of these commands, they get `BUSY`. Only the client of the reservation may report the part as
-  taken. The feeder sends the part's id only to this client. If this client has disconnected, any
-  client that knows the id may report the part.
+  `part_taken`, with the next accepted `get_part`, `prepare_part` or `purge` of the same client, or
+  at the end of its validity. Only one part is reserved at a time, for one client. If other
+  clients send one of these commands, they get `BUSY`. Only the client of the reservation may
+  report the part as taken. The feeder sends the part's id only to this client. If this client has
+  disconnected, any client that knows the id may report the part.
 - After a `stop`, no command starts before a person calls `resume`.
 - A part that was reserved is not offered again until a later image shows that it is ready. The
   stamp of this image must exceed the newest stamp at the end of the reservation by at least
@@ -35,8 +36,9 @@ The rules:
   counts this part as ready.
 - If several parts are ready, the part with the fewest failed picks is offered. Among parts with the
   same number, the one nearest to the centre of its pick window is offered.
-- The hopper is opened if there are fewer parts than `least`. It is also opened if a command waits
-  for a class and no part of this class is on the plate. The hopper is opened for the number of
+- The hopper is opened if there are fewer parts than `least`. It is also opened if a command waits,
+  no part of its class is on the plate, and there are fewer parts than `fill`. A hopper that counts
+  as empty is not opened. The hopper is opened for the number of
   parts that are missing to `fill`. The hopper is not opened while a part is reserved, while the
   plate is purged, or while messages of the planner are missing.
 - After an opening, it is not opened again until `FALLEN_S` after it closed, and until an image
@@ -88,7 +90,7 @@ START_S = 10.0
 SETTLED = 2
 """Number of statuses at rest before the plate counts as settled. A part may have moved between the
 last moving image and the first image at rest. Therefore no part is ready in the first status at
-rest."""
+rest. Until the plate has settled, a waiting command keeps the order to rest."""
 
 FALLEN_S = 1.0
 """Time after the hopper closes until all dropped parts are visible [s]."""
@@ -161,8 +163,9 @@ class Feeder:
 
     Notes
     -----
-    A `client` is any key other than None that identifies a client. Commands return a `Reply` at
-    once. `get_part` and `purge` return None if they wait; the reply then comes with a later `step`.
+    A `client` is any key other than None that identifies a client. `prepare_part` and `part_taken`
+    return a `Reply` at once. `get_part` and `purge` return a refusal at once. Otherwise they return
+    None, and the reply comes with a later `step`.
     """
 
     def __init__(self, task: FeedTask, rig: Rig) -> None:
@@ -173,19 +176,22 @@ class Feeder:
         self._task, self._since = _Task.IDLE, -math.inf  # time of the last command or status
         self._sent, self._in_force = FeedOrder(FeedMode.FEED, task.picks), False
         self._rested = 0  # number of statuses since the plate rests by order
-        self._content = False  # whether the planner came to rest by itself since the last part
+        self._planner_rested = (
+            False  # whether the planner came to rest by itself since the last part
+        )
         self._waiting: _Waiting | None = None
         self._prepared: _Request | None = None
         self._reserved: Reserved | None = None
         self._late: Reserved | None = None  # reservation has ended, result not reported yet
-        self._held: dict[str, float] = {}  # newest stamp at the end of the reservation, by id
+        # Stamp of the newest status when the reservation of a part ended, by id of the part.
+        self._held: dict[str, float] = {}
         self._failures: dict[str, _Failures] = {}
         self._replies: list[tuple[Hashable, Reply]] = []
         # Discharged and lost parts of earlier tasks.
         self._taken = self._discharged = self._lost = 0
         self._unreported = 0  # number of reservations that ended without a report on the pick
         # Total number of parts before the hopper was opened.
-        self._opened: int | None = None
+        self._total_before_opening: int | None = None
         self._evaluate_at, self._barren = -math.inf, 0
 
     # Inputs
@@ -204,7 +210,7 @@ class Feeder:
         self._task, self._since = _Task.RUNNING, now
         self._in_force |= status.mode is self._sent.mode
         self._rested = self._rested + 1 if self._rests() else 0
-        self._content |= status.mode is FeedMode.FEED and status.at_rest
+        self._planner_rested |= status.mode is FeedMode.FEED and status.at_rest
 
     def task_ended(self, text: str) -> None:
         """Process that the planner's task has ended or was refused, or that it must end. A waiting
@@ -270,8 +276,8 @@ class Feeder:
     def prepare_part(
         self, client: Hashable, label: str = "", pick: Pick | None = None, *, now: float
     ) -> Reply:
-        """Get a part ready for the next `get_part` without a class. The parameters are the same as
-        in `get_part`."""
+        """Get a part ready for the next `get_part` without a class, of any client. The preparation
+        stays in force if this client disconnects. The parameters are the same as in `get_part`."""
         wanted = self._read(label, pick)
         if isinstance(wanted, Reply):
             return wanted
@@ -467,7 +473,7 @@ class Feeder:
         self._barren = min(self._barren, MAX_OPENINGS - 1)
         if self._task is _Task.IDLE:
             if now >= self._evaluate_at:  # the parts may have changed since the last opening
-                self._opened = None
+                self._total_before_opening = None
             self._task, self._since, self._ended = _Task.REQUESTED, now, False
             self._sent, self._in_force = FeedOrder(FeedMode.FEED, self._picks()), False
 
@@ -509,7 +515,7 @@ class Feeder:
             part, until = self._best(offers), now + self.task.valid_s
             self._answer_waiting(Code.DONE, f"{part.id} is ready", part, until)
             self._reserved, self._late = Reserved(waiting.client, part, until), None
-            self._content = False
+            self._planner_rested = False
         elif self.hopper_empty and not self._on_plate(waiting.request.label):
             self._answer_waiting(
                 Code.HOPPER_EMPTY,
@@ -531,7 +537,7 @@ class Feeder:
         purging = self._in_force and self._sent.mode is FeedMode.PURGE
         left = self._status.total if self._status is not None else 0
         # No opening is pending, so no more parts will fall.
-        if purging and not left and self._opened is None:
+        if purging and not left and self._total_before_opening is None:
             self._answer_waiting(Code.DONE, "the plate is empty")
             self._end()
         elif now >= waiting.until:
@@ -607,7 +613,7 @@ class Feeder:
         """Whether a dropped part may fall on this part, or may have fallen on it since the
         image."""
         hopper = self.task.hopper
-        if hopper is None or self._opened is None:
+        if hopper is None or self._total_before_opening is None:
             return False
         x, y = hopper.place
         return math.hypot(part.x - x, part.y - y) <= SPREADS * hopper.spread_m
@@ -651,9 +657,9 @@ class Feeder:
         if waiting is not None and waiting.purge:
             return FeedMode.PURGE
         if waiting is not None:
-            stopping = self._sent.mode is FeedMode.REST and self._rested < SETTLED
-            # If the plate is coming to rest, wait for a status at rest.
-            ready = stopping or self._offers(waiting.request)
+            settling = self._sent.mode is FeedMode.REST and self._rested < SETTLED
+            # If the plate is coming to rest, wait until it has settled.
+            ready = settling or self._offers(waiting.request)
             return FeedMode.REST if ready else FeedMode.FEED
         offers = [part.label for part in self._offers(self._prepared or _Request())]
         wanted = {pick.label: pick.ready for pick in self.task.picks}
@@ -661,8 +667,8 @@ class Feeder:
             label, pick = self._prepared.label, self._prepared.pick
             wanted = {label: wanted[label] if pick is None else pick.ready}
         enough = all(offers.count(label) >= count for label, count in wanted.items())
-        self._content &= enough
-        return FeedMode.REST if self._content else FeedMode.FEED
+        self._planner_rested &= enough
+        return FeedMode.REST if self._planner_rested else FeedMode.FEED
 
     # The hopper
 
@@ -671,7 +677,7 @@ class Feeder:
         `Output.open_s`."""
         hopper, status = self.task.hopper, self._status
         purging = self._waiting is not None and self._waiting.purge
-        is_open = self._opened is not None and now < self._evaluate_at - FALLEN_S
+        is_open = self._total_before_opening is not None and now < self._evaluate_at - FALLEN_S
         if is_open and (purging or self._task is _Task.IDLE):
             self._evaluate_at = now + FALLEN_S
             return 0.0
@@ -681,17 +687,17 @@ class Feeder:
         total_parts = (
             total + quantity.taken + self._unreported + quantity.discharged + quantity.lost
         )
-        if self._opened is not None and now >= self._evaluate_at and self._sees_all():
-            self._barren = 0 if total_parts > self._opened else self._barren + 1
-            self._opened = None
+        if self._total_before_opening is not None and now >= self._evaluate_at and self._sees_all():
+            self._barren = 0 if total_parts > self._total_before_opening else self._barren + 1
+            self._total_before_opening = None
         if self._reserved is not None or purging or self.silence(now):
             return None
         absent = self._waiting is not None and not self._on_plate(self._waiting.request.label)
         enough = hopper.fill if absent else hopper.least
-        if self._opened is not None or self.hopper_empty or total >= enough:
+        if self._total_before_opening is not None or self.hopper_empty or total >= enough:
             return None
         open_s = min((hopper.fill - total) / hopper.rate, MAX_OPEN_S)
-        self._opened, self._evaluate_at = total_parts, now + open_s + FALLEN_S
+        self._total_before_opening, self._evaluate_at = total_parts, now + open_s + FALLEN_S
         return open_s
 
 

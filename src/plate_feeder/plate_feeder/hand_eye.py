@@ -140,8 +140,8 @@ def fit_hand_eye(frame: str, plate: np.ndarray, robot: np.ndarray) -> HandEye:
     base = float(np.max(np.abs(p[:, None] - p)))
     if base < MIN_BASE_M:
         raise HandEyeError(
-            f"points are {1e3 * base:.1f} mm apart on the plate, allowed: "
-            f"{1e3 * MIN_BASE_M:g} mm or more"
+            f"the two points farthest apart on the plate have a distance of {1e3 * base:.1f} mm, "
+            f"allowed: {1e3 * MIN_BASE_M:g} mm or more"
         )
     residuals, turn, shift = _fit(p, q)
     worst = int(np.argmax(residuals))

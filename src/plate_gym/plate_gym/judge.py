@@ -34,7 +34,8 @@ START_S = 0.2
 second image takes effect."""
 
 AHEAD_S = 0.1
-"""Time by which a second reference point is ahead of the first one [s]."""
+"""Look-ahead of the second reference point [s]. The first point is the reference at the start of
+the next cycle."""
 
 ROUNDING_S = 1e-6
 """Tolerance for rounding errors in sums of periods [s]."""

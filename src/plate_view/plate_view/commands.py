@@ -116,7 +116,7 @@ def _whole(where: str, value: Any) -> int:
 
 def _text(where: str, value: Any) -> str:
     if not isinstance(value, str) or not 0 < len(value) <= MAX_TEXT or not value.isprintable():
-        raise _wrong(where, value, f"a text of 1 to {MAX_TEXT} characters")
+        raise _wrong(where, value, f"a text of 1 to {MAX_TEXT} printable characters")
     return value
 
 

@@ -88,7 +88,9 @@ def know_plate(
         text, things = f"bare plate learned from {len(images)} images", lying(image, vision.region)
         found = Finding(Level.OK, text)
         if things:
-            found = Finding(Level.WARN, f"{text}; {things}: if these are parts, learn it again")
+            found = Finding(
+                Level.WARN, f"{text}; {things}: if these are parts, remove them and learn it again"
+            )
         return BarePlate(True, vision.background), vision, found
     if vision.background is None:
         vision = replace(vision, background=model_plate(image, vision.region))

@@ -70,7 +70,8 @@ def plate_state(
     point, direction = _geometry(rig)
     home = np.sum(direction * point, axis=1)
     pose = np.zeros((len(q), 3))
-    # Newton's method: because theta is small, three steps are exact up to rounding.
+    # Newton's method: because theta is small, three steps are exact up to rounding, and the
+    # fourth one is a reserve.
     for _ in range(4):
         along, across = _projections(point, direction, pose[:, 2])
         error = q - (pose[:, :2] @ direction.T + along - home)

@@ -213,8 +213,9 @@ def _continued(
         pose, twist, accel = np.max(np.abs(cycle.state(0) - end), axis=1)
         where = "the state in which the last table ends its cycle" if before else "rest"
         raise CycleError(
-            f"plate_cycle: begins in motion, {pose:.3g} m or rad, {twist:.3g} m/s or rad/s and "
-            f"{accel:.3g} m/s2 or rad/s2 from {where}, allowed: in that state, or at rest"
+            f"plate_cycle: begins in motion, and its first state differs from {where} by "
+            f"{pose:.3g} in pose [m, rad], {twist:.3g} in velocity [m/s, rad/s] and {accel:.3g} in "
+            "acceleration [m/s2, rad/s2], allowed: the same state, or rest"
         )
     return running
 

@@ -89,5 +89,5 @@ def for_each(name: str, value: float | np.ndarray, count: int) -> np.ndarray:
     if array.shape not in ((), (count,)):
         raise PlateError(f"{name} has shape {array.shape}, allowed: () or ({count},)")
     if not (np.abs(array) <= LARGEST).all():
-        raise PlateError(f"{name} has values that are not finite: {array.tolist()}")
+        raise PlateError(f"{name} is {array.tolist()}, allowed: -{LARGEST:g} to {LARGEST:g}")
     return np.broadcast_to(array, (count,))

@@ -27,14 +27,14 @@ from .rotations import fit_mean_force, mean_force_error
 from .tour import filled, nearest_order
 
 COARSE = (20, 4)
-"""Number of steps in each ramp and in each hold of a search. Ramps need more steps than holds,
-because the slip of a part may nearly vanish in them."""
+"""Number of steps in each ramp and in each hold of the sequence during the search. Ramps need more
+steps than holds, because the slip of a part may nearly vanish in them."""
 
 FINE = (60, 20)
-"""Number of steps in each ramp and in each hold of the final correction."""
+"""Number of steps in each ramp and in each hold of the sequence during the final correction."""
 
 FINEST = (600, 200)
-"""Number of steps in each ramp and in each hold for the evaluation of curls."""
+"""Number of steps in each ramp and in each hold of the sequence for the evaluation of curls."""
 
 
 @dataclass(frozen=True)
