@@ -14,7 +14,7 @@ from plate_core import CycleError
 from plate_core.clock_steps import KEPT_S, MAX_STEPS, ClockSteps
 from plate_core.status import age_limit
 
-__all__ = ["AHEAD_S", "ALONE_S", "STANDSTILL_S", "Freshness"]
+__all__ = ["AHEAD_S", "ALONE_S", "STALL_S", "Freshness"]
 
 SEND_S = 0.02
 """Maximum time to send a cycle on a busy computer [s]. It is subtracted from the age limit, so that
@@ -27,7 +27,7 @@ CLOCKS_S = 3.0
 """Maximum image age that a slow computer can cause [s]. If the age is larger or negative, the
 message suggests that the clocks disagree."""
 
-STANDSTILL_S = 0.25
+STALL_S = 0.25
 """Time between two calls of `Freshness.with_state` after which the driver counts as stalled [s]. It
 is about one cycle."""
 
@@ -98,7 +98,7 @@ class Freshness:
         away, why = now - self.updated_at, ""
         if number is not None and number != self.number:
             why = "the motors became ready"
-        elif number is not None and away > STANDSTILL_S:
+        elif number is not None and away > STALL_S:
             why = f"the driver was stalled for {away:.1f} s"
         new = replace(self, number=number, updated_at=now)
         return replace(new, since_ns=clock_ns, why=why) if why else new

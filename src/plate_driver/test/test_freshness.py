@@ -10,7 +10,7 @@ import pytest
 from plate_core import CycleError
 from plate_core.clock_steps import KEPT_S, MAX_STEPS
 from plate_core.status import age_limit
-from plate_driver.freshness import AHEAD_S, ALONE_S, STANDSTILL_S, Freshness
+from plate_driver.freshness import AHEAD_S, ALONE_S, STALL_S, Freshness
 from plate_driver.setpoints.motor_table import check_order
 
 PERIOD = 0.2
@@ -71,7 +71,7 @@ def test_what_came_before_the_motors_were_ready_moves_nothing():
 
 
 def test_what_came_before_a_standstill_moves_nothing():
-    fresh = ready(5.0).with_state(0, 5.0 + STANDSTILL_S, at(5.25))
+    fresh = ready(5.0).with_state(0, 5.0 + STALL_S, at(5.25))
     assert fresh.remaining_s(at(5.2), at(5.3), PERIOD) > 0
     stood = fresh.with_state(0, 5.6, at(5.6))
     with pytest.raises(CycleError, match="the driver was stalled for 0"):

@@ -32,7 +32,7 @@ from plate_core.ros import (  # noqa: E402
     to_time,
 )
 from plate_driver.calibration import Response, save_response  # noqa: E402
-from plate_driver.freshness import STANDSTILL_S  # noqa: E402
+from plate_driver.freshness import STALL_S  # noqa: E402
 from plate_driver.node import DriverNode  # noqa: E402
 from plate_driver.status import OFF  # noqa: E402
 from plate_driver.transports import Condition, Measured, Order, Report  # noqa: E402
@@ -337,9 +337,9 @@ def test_without_a_task_rest_is_normal(driven, state):
 
 def test_what_came_while_the_driver_stood_still_moves_nothing(driven):
     driven.pass_time(0.1)
-    driven.clock.now += STANDSTILL_S
+    driven.clock.now += STALL_S
     assert driven.send(GENTLE, driven.clock.time_ns() - 10 * MS) == driven.stamps()[-1]
-    driven.clock.now += STANDSTILL_S + 0.1  # stopped, or without a processor
+    driven.clock.now += STALL_S + 0.1  # stopped, or without a processor
     why = refused(driven, driven.clock.time_ns() - 1)
     assert why == "plate_cycle is for an image from before the driver was stalled for 0.4 s"
     driven.pass_time(0.3)

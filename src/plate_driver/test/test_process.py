@@ -28,7 +28,7 @@ from plate_core.ros import (  # noqa: E402
     nanoseconds,
     to_time,
 )
-from plate_driver.freshness import STANDSTILL_S  # noqa: E402
+from plate_driver.freshness import STALL_S  # noqa: E402
 from plate_interfaces.msg import DriverStatus, TaskStatus  # noqa: E402
 
 DRIVER = [sys.executable, "-c", "from plate_driver.node import main; main()"]
@@ -253,7 +253,7 @@ def test_a_process_is_managed_frozen_and_terminated(peer):
 
     def refused() -> bool:
         peer.process.send_signal(signal.SIGSTOP)
-        time.sleep(STANDSTILL_S + 0.1)
+        time.sleep(STALL_S + 0.1)
         sent.append(peer.send())
         peer.process.send_signal(signal.SIGCONT)
         return peer.seen(lambda: stood in peer.output, 1.0)

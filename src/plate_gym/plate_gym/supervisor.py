@@ -38,7 +38,7 @@ MORE_TASKS = 2000
 """Number of additional processes and threads that the user of an episode may have in total. This
 slows down an agent that starts processes without end. The number is not limited for root."""
 
-EPISODE_LIMITS = 240
+EPISODE_FACTOR = 240
 """Maximum time of an episode, as a multiple of the limit of a decision."""
 
 POLL_S = 0.2
@@ -178,7 +178,7 @@ class Episode:
         for file in (messages, output, self._requests):
             poll.register(file, select.POLLIN)
         waited, checked, sent, total, before = 0.0, 0.0, 0.0, 0.0, time.monotonic()
-        total_s = EPISODE_LIMITS * self._limits.decision_s
+        total_s = EPISODE_FACTOR * self._limits.decision_s
         while True:
             events = dict(poll.poll(1e3 * POLL_S))
             # This process may have been stopped in the meantime, and the episode with it.

@@ -412,7 +412,7 @@ def test_an_episode_in_which_a_limit_is_exceeded_counts_as_failed(bench, hostile
 
 def test_signs_of_life_do_not_prolong_an_episode_for_ever(bench, hostile, tmp_path):
     """An agent that sends them itself."""
-    code = "import plate_gym.supervisor as own; own.EPISODE_LIMITS = 1; own.main()"
+    code = "import plate_gym.supervisor as own; own.EPISODE_FACTOR = 1; own.main()"
     request = {"agent": "hostile:Beats", "world": "nominal", "task": "Sort4-v1", "seed": 3}
     request |= {"path": sys.path, "folder": str(tmp_path)}
     request |= {"limits": {"decision_s": 10, "memory_gb": 1}}

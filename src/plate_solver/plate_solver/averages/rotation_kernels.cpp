@@ -9,16 +9,16 @@ namespace plate {
 using namespace rotations;
 
 // Indices of the requested rows: true entries of a mask (3 M,).
-static std::vector<int> rows_of(const Array<const bool, 1>& asked, size_t parts) {
-    check("asked", asked, {3 * parts});
+static std::vector<int> rows_of(const Array<const bool, 1>& requested, size_t parts) {
+    check("requested", requested, {3 * parts});
     std::vector<int> rows;
     for (size_t row = 0; row < 3 * parts; row++)
-        if (asked.data()[row]) rows.push_back(static_cast<int>(row));
+        if (requested.data()[row]) rows.push_back(static_cast<int>(row));
     return rows;
 }
 
 static nb::object slopes_of_forces(Numbers theta, nb::tuple record, Numbers times, Table knots,
-                                   Table position, Table velocity, Array<const bool, 1> asked) {
+                                   Table position, Table velocity, Array<const bool, 1> requested) {
     const SequencesRecord family(record);
     const size_t parts = position.shape(0);
     check("position", position, {parts, 2}), check("velocity", velocity, {parts, 2});
@@ -26,7 +26,7 @@ static nb::object slopes_of_forces(Numbers theta, nb::tuple record, Numbers time
     if (line.segments() != 2 * (*family).count() + 2)
         throw nb::value_error("the number of knots does not match the number of rotations");
     const Parameters own = family.parameters(theta);
-    const std::vector<int> rows = rows_of(asked, parts);
+    const std::vector<int> rows = rows_of(requested, parts);
     Matrix jacobian;
     {
         nb::gil_scoped_release others_may_run;

@@ -24,7 +24,7 @@ struct SequenceForces {
     Sequences family;
     View<const double, 2> position, velocity;  // (M, 2)
     // Indices of the requested components in the list of all forces x, all forces y and all curls.
-    std::vector<int> asked;
+    std::vector<int> requested;
     View<const double, 1> wanted, scale;       // (R,)
 };
 
@@ -34,9 +34,9 @@ inline void missed(const SequenceForces& problem, View<const double, 2> twist, c
     const int count = problem.position.size(0);
     Matrix mean(count, 3);
     step_forces(problem.position, problem.velocity, twist, dt, {mean[0], {count, 3}});
-    error.resize(problem.asked.size());
+    error.resize(problem.requested.size());
     for (size_t r = 0; r < error.size(); r++)
-        error[r] = (problem.wanted(r) - mean[0][problem.asked[r]]) * problem.scale(r);
+        error[r] = (problem.wanted(r) - mean[0][problem.requested[r]]) * problem.scale(r);
 }
 
 // Positions and velocities of the parts, as one array per coordinate.
@@ -166,13 +166,13 @@ template <bool TURNING>
 // contains the knots that belong to these parameters.
 PLATE_WIDE inline void force_slopes(const Parameters& theta, const Sequences& family,
                                     const Line& line, View<const double, 2> position,
-                                    View<const double, 2> velocity, const std::vector<int>& asked,
-                                    Matrix& jacobian) {
+                                    View<const double, 2> velocity,
+                                    const std::vector<int>& requested, Matrix& jacobian) {
     const int count = position.size(0);
     const Parts parts(position, velocity);
     bool turning = false;
     std::vector<int> results;  // index of each requested row in the results of `forces_back`
-    for (int row : asked) {
+    for (int row : requested) {
         results.push_back(row % 3 * count + row / 3);
         turning = turning || row % 3 == 2;
     }
@@ -192,7 +192,7 @@ inline Fit descend(const SequenceForces& problem, Parameters theta, double toler
     };
     const auto slopes = [&](Matrix& jacobian) {
         force_slopes(run.theta, problem.family, run.line, problem.position, problem.velocity,
-                     problem.asked, jacobian);
+                     problem.requested, jacobian);
         for (int r = 0; r < jacobian.rows; r++)
             for (int p = 0; p < jacobian.columns; p++) jacobian[r][p] *= problem.scale(r);
     };

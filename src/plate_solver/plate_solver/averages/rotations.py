@@ -23,7 +23,7 @@ class SequenceForces(NamedTuple):
     ----------
     family : Sequences
     position, velocity : (M, 2)
-    asked : (3 M,) bool
+    requested : (3 M,) bool
         Whether force x, force y and curl of each part are requested.
     wanted, scale : (R,)
         Requested values, and factors that convert their errors to force errors [mu m g].
@@ -32,7 +32,7 @@ class SequenceForces(NamedTuple):
     family: Sequences
     position: np.ndarray
     velocity: np.ndarray
-    asked: np.ndarray
+    requested: np.ndarray
     wanted: np.ndarray
     scale: np.ndarray
 
@@ -53,8 +53,8 @@ def fit_mean_force(
     tolerance: float,
     iterations: int,
 ) -> Fit:
-    """Adjust a sequence until its average forces (5) match the request. The errors are in mu m
-    g."""
+    """Adjust a sequence until its average forces (5) match the request. `Fit.error` and
+    `tolerance` are in mu m g."""
     forces = SequenceForces.of(request, family)
     return Fit(*_kernels.fit_mean_force(forces, parameters, tolerance, iterations))
 
@@ -74,8 +74,8 @@ def force_slopes(
     line: Line,
     position: np.ndarray,
     velocity: np.ndarray,
-    asked: np.ndarray,
+    requested: np.ndarray,
 ) -> np.ndarray:
-    """Return the derivatives (R, P) of the R rows `asked` (3 M,) of `step_forces` with respect to
-    the parameters."""
-    return _kernels.force_slopes(theta, family, *line, position, velocity, asked)
+    """Return the derivatives (R, P) of the R rows `requested` (3 M,) of `step_forces` with respect
+    to the parameters."""
+    return _kernels.force_slopes(theta, family, *line, position, velocity, requested)

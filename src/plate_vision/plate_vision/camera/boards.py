@@ -417,8 +417,9 @@ def _fit_brown(
 ) -> Fit:
     """Fit a plumb_bob or rational_polynomial to points (n, 3) [m] at image points (n, 2) [px].
 
-    If a rational polynomial folds the image, the pictures do not determine all coefficients. The
-    last ones are then set to 0.
+    If a rational polynomial folds the image, the pictures do not determine all coefficients. Then
+    k6 is set to 0, then also k5, then also k3, until the image does not fold. If it always folds,
+    all coefficients are kept.
     """
     if model == "plumb_bob":
         return _fit_opencv(points, places, size_px, 5, 0)

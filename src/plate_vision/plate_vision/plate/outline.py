@@ -357,8 +357,9 @@ def _fit_curve(
     """Return the curve (3,) that passes the largest number of candidates, and the fraction of
     profiles near it.
 
-    Curves are drawn through triples of candidates `drawn` (S, C) [m] (RANSAC). The best one is
-    refined with `every` (S, C) [m] by least squares.
+    RANSAC: each trial curve passes through three candidates of `drawn` (S, C) [m], offsets of up to
+    C candidates in each of S profiles. The best curve is refined by least squares with the
+    candidates of `every` (S, C) [m].
     """
     rows = np.flatnonzero(np.any(np.isfinite(drawn), axis=1))
     if len(rows) < SUPPORT * len(along):

@@ -135,8 +135,8 @@ inline void find_cover(View<const uint8_t, 2> away, View<const uint8_t, 2> aroun
 }
 
 // Add the pixels between two colours of a part to a mask (h, w) and to the cover. `near` and `far`
-// are the mask after gaps were closed. Pixels of `far` are added if there is a step in lightness,
-// and pixels of `near` are added if their cover is large enough.
+// are the mask after closing with a kernel of 3 x 3 and of 5 x 5 pixels. Pixels of `far` are added
+// if there is a step in lightness, and pixels of `near` are added if their cover is large enough.
 inline void bridge(View<uint8_t, 2> mask, View<float, 2> cover, View<const uint8_t, 2> near,
                    View<const uint8_t, 2> far, View<const uint8_t, 2> step,
                    View<const uint8_t, 2> around) {
