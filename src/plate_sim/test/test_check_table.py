@@ -59,7 +59,7 @@ def test_a_table_in_motion_follows_the_state_in_which_it_begins():
     first, second = leaving(STATE), leaving(2 * STATE, STATE)
     assert check_table(RIG, second, first).stroke_m > 0
     for running in (REST, second, bump(1e-3)):
-        with pytest.raises(CycleError, match="as the running one ends"):
+        with pytest.raises(CycleError, match="end state of the running table"):
             check_table(RIG, second, running)
 
 
