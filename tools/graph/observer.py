@@ -77,7 +77,8 @@ PERSONS = (
 """Reasons of stops that a person must clear."""
 
 SETTLE_S = 0.5
-"""Time in which all images from before a reset of the parts are processed [s]."""
+"""Time after a stop and a reset of the parts in which the plate comes to rest, and all earlier
+images are processed [s]."""
 
 
 @dataclass

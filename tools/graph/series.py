@@ -20,6 +20,7 @@ from plate_bringup import RunOptions
 from plate_core import load_rig
 
 from .hops import Hops
+from .observer import SETTLE_S
 from .proc import cpu_s, memory_mb
 from .relays import CHAIN, NAMESPACE, NODES, command
 from .session import Session, session
@@ -155,11 +156,15 @@ def one_task(
     end = time.time()
     observer.until(lambda: False, 1.2)  # wait for the simulator's next diagnostics
     counts = [int(record.last("simulator", name, "0")) for name in names]
+    state, done = record.states[-1], record.done
+    # The plate must rest before the record is cleared, so that the next record begins at rest.
+    observer.trigger("stop")
+    observer.until(lambda: False, SETTLE_S)
     limits = check_limits(record, load_rig(graph.options.rig_file))
     task = Task(
         time.monotonic() - began,
-        record.states[-1],
-        record.done,
+        state,
+        done,
         (counts[0] - before[0], counts[1] - before[1], counts[2] - before[2]),
         limits.tables,
         len(limits.faults),
