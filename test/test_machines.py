@@ -47,8 +47,8 @@ def test_the_loop_closes_between_machines_that_name_each_other(tmp_path):
     result = machines(tmp_path, "--reach", "named", "--scenario", str(scenario))
     assert result["done"]
     assert result["images"] > 10
-    # Parts, motor tables and the announcements of the participants cross the cable (0.9 to 1.2 MB/s
-    # in short tasks). The images would add 1.5 to 3 MB/s, with cycles of 0.2 to 0.1 s.
+    # Parts, motor tables and the announcements of the participants cross the cable: 1.0 and
+    # 1.2 MB/s in two short tasks. The images would add 1.5 to 3 MB/s, with cycles of 0.2 to 0.1 s.
     cycle_s = 0.1
     assert 0 < result["crossed_kB_per_s"] < 0.75 * IMAGE_KB / cycle_s
 
