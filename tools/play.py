@@ -67,7 +67,7 @@ def arguments() -> argparse.Namespace:
     add("--port", default="", help="port of a motor controller (with a camera: a simulated one)")
     add("--camera", default="", help="device of your camera as in `camera --list`, or a video")
     add("--bag", default="", help="folder of a recorded run to show, without starting a graph")
-    add("--domain", type=int, help="ROS domain, 0 to 101 (a free one)")
+    add("--domain", type=int, help="ROS domain, 0 to 101 (default: a free one)")
     return parser.parse_args()
 
 

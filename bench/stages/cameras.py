@@ -175,7 +175,7 @@ def mirrored(image: np.ndarray) -> np.ndarray:
 
 
 def moved(image: np.ndarray) -> np.ndarray:
-    """Return the image of a camera that was pushed by `MOVED_PX` to the right."""
+    """Return the image shifted to the right by `MOVED_PX`, as after a push of the camera."""
     return np.roll(image, MOVED_PX, axis=1)
 
 

@@ -144,8 +144,10 @@ def by_time(library: Library, position: np.ndarray, direction: np.ndarray) -> fl
 
 
 def by_svd(libraries: list[Library], position: np.ndarray, direction: np.ndarray) -> float:
-    """Return the guaranteed force of the minimum-norm weights, for the best set of centres: the
-    minimum component along the request, per time."""
+    """Return the guaranteed force of the minimum-norm weights, with the best set of centres.
+
+    The force is the minimum component along the request, divided by the time that the rotations
+    take (the sum of the absolute weights)."""
     forces = []
     for library in libraries:
         matrix = library.forces(position)

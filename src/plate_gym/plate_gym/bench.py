@@ -147,7 +147,7 @@ def shortened(text: str) -> str:
 
 
 def named(agent: str, task: str, seed: int, step: int) -> str:
-    """Return the place of a problem of an agent, for messages."""
+    """Return a text that locates an error of an agent, for messages."""
     return f"agent {agent}, {task}, seed {seed}, step {step}"
 
 

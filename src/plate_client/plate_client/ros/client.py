@@ -138,7 +138,9 @@ class Task:
         if self.accepted:
             return
         self._handle = handle = future.result()
-        if not handle.accepted and self._sent == 1:  # rclpy refuses a repeated id
+        # rclpy also rejects the repeated id of a goal that was sent again. So only the rejection of
+        # a goal that was sent once is a refusal.
+        if not handle.accepted and self._sent == 1:
             self.status = TaskStatus(state=TaskStatus.ABORTED, text="the planner refused the goal")
             return
         handle.get_result_async().add_done_callback(self._on_result)

@@ -111,7 +111,7 @@ class Latch:
                 self._reason = reason
 
     def enable_began(self, number: int) -> None:
-        """Record the start of an enable for the stop with this number."""
+        """Record that an enable has started, which will end the stop with this number."""
         self._enabling.append(number)
 
     def enable_ended(self, number: int) -> None:

@@ -156,8 +156,8 @@ inline double nearest(const double* centres, int count, double x, double y) {
 }
 
 // Centres x, y (n, 2) [px] in decreasing order of votes (h, w). Each centre is far enough from the
-// previous ones. The first pixel of `votes` is x0, y0 of the image. Centres are only found where
-// `merged` (h, w) on the grid is true.
+// previous ones. The first pixel of `votes` is x0, y0 of the image. Centres are found only in
+// grid cells where `merged` (rows, columns of the grid) is true.
 inline std::vector<double> find_peaks(View<const float, 2> votes, int x0, int y0,
                                       View<const bool, 2> merged, const Grid& grid, double radius) {
     const double rim = 2 * std::numbers::pi * radius;

@@ -57,8 +57,8 @@ struct Complex {
     void operator+=(const Complex& more) { real += more.real, imag += more.imag; }
 };
 
-// Write the similarity of pixels (h, w, c) to a patch to `field` (h, w). It is 1 for the patch and
-// 0 for its surround. Write the patch's median colour to `colour` (c,).
+// Compute the similarity of each pixel (h, w, c) to the patch, and write it to `field` (h, w). The
+// patch has 1 and its surround has 0. Write the patch's median colour to `colour` (c,).
 //
 // `mask`, `inner` and `around` (h + 2, w + 2) have a frame of one pixel. `mask` is 1 in the patch,
 // `inner` in the area that certainly belongs to it, and `around` in the area that may belong to it.

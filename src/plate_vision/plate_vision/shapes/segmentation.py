@@ -408,8 +408,8 @@ def _patch(piece: Piece, window: Window, region: Region | None) -> Patch | None:
     framed = cv2.copyMakeBorder(body, 1, 1, 1, 1, cv2.BORDER_CONSTANT, value=0)
     if np.max(cv2.distanceTransform(framed, cv2.DIST_L2, 3)) < MIN_DEPTH_PX:
         return None
-    # Pixels outside the mask that the part covers by less than half are included, unless they
-    # belong to another piece.
+    # The part covers less than half of some pixels at its edge. They are outside the mask, but are
+    # included here, except those of other pieces.
     near = cv2.dilate(inside, np.ones((3, 3), np.uint8)) > 0
     others = window.solid[here] & (inside == 0)
     cover = np.where(near & ~others, window.cover[here], np.float32(0))
