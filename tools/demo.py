@@ -68,7 +68,7 @@ def arguments() -> argparse.Namespace:
         help="images per second of a free-running simulated camera (0: one at each cycle's start)",
     )
     add("--one-process", action="store_true", help="run all nodes in one process")
-    add("--domain", type=int, help="ROS domain, 0 to 101 (default: free; with a port: ROS_DOMAIN_ID)")
+    add("--domain", type=int, help="ROS domain, 0 to 101 (free; with a port: ROS_DOMAIN_ID)")
     add("--out", type=Path, help="folder of results (out/demo-TIME_SCENARIO; out/demo links to it)")
     add("--record", action="store_true", help="record all messages in OUT/bag (Foxglove, ros2 bag)")
     add("--picks", type=int, default=20, help="with a feeder: number of parts for the robot (20)")

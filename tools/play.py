@@ -60,7 +60,7 @@ def arguments() -> argparse.Namespace:
     )
     add = parser.add_argument
     add("--scenario", default="play", help="scenario of the parts: name or .yaml file (play)")
-    add("--rig", default="", help="name in config/rigs or .yaml file (that of the scenario)")
+    add("--rig", default="", help="name in config/rigs, or .yaml file (the scenario's rig)")
     add("--method", default="sinusoids", help="rotations (A) or sinusoids (B, the default)")
     add("--seed", type=int, default=0, help="random seed of the parts' places (0)")
     add("--simulated-time", action="store_true", help="the page can change the simulator's rate")

@@ -1,7 +1,7 @@
 """Pictures of a run: a strip of snapshots like Figure 15 of the paper, and an animation over the
 camera images.
 
-A picture is a sheet of frames with a title and a key. A frame shows the plate at one time.
+A picture is a sheet of frames with a title and a legend. A frame shows the plate at one time.
 """
 
 from __future__ import annotations

@@ -68,7 +68,8 @@ Ask = Callable[[int, Command, Answer], None]
 
 
 class RobotServer:
-    """TCP server for robots. The server is created and closed on the graph's thread.
+    """TCP server for robots. The server is created and closed in the thread of the ROS
+    executor.
 
     Parameters
     ----------

@@ -48,9 +48,9 @@ inline double greatest(const Four& value) {
 }
 
 // Largest utilisation of the limits of stroke, speed and acceleration (1: exactly at the limit).
-// limits.py defines these three ratios. If `linear`, R p - p is replaced by its derivative at home
-// times theta. The values of the four motors are computed in parallel, and then the values of the
-// four corners.
+// limits.py defines these three ratios. If `linear`, the displacement R p - p of a point p is
+// linearised in theta at home. The values of the four motors are computed in parallel, and then the
+// values of the four corners.
 PLATE_WIDE inline double motion_use(Samples pose, Samples twist, Samples accel,
                                     const Limits& limits, bool linear) {
     Four px, py, ex, ey, corner_x, corner_y, stroke{}, speed{}, peak{};

@@ -88,7 +88,8 @@ TRANSPORTS = ("raw", "compressed")
 
 
 def _option(kind: type[DetectorOptions] | type[TrackerOptions], name: str, text: str) -> Any:
-    """Return the field of a live parameter that is an option of the detection or the tracking."""
+    """Return the field of a live parameter. Default and range are those of the option with the same
+    name of the detection or the tracking."""
     return parameter(getattr(kind, name), text, *kind.RANGES[name], live=True)
 
 

@@ -130,7 +130,8 @@ struct Landing {
 // Find the time within h [s] at which the slip vanishes along its present direction. Friction is
 // assumed to be constant.
 //
-// r: present slip [m/s]. none: component of the slip along the direction [m/s] that counts as 0.
+// r: present slip [m/s]. none: threshold [m/s]; a smaller component of the slip along the direction
+// counts as 0.
 inline Landing landing(Table table, double t, int k, double h, const Point& part, Vec force,
                        double r, double limit, double none) {
     const Vec n{force.x / limit, force.y / limit};

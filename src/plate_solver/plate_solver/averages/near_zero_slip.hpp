@@ -245,8 +245,8 @@ inline void add_pole(Complex phase, double b, int n, std::vector<Turned>& turned
     add_slopes(share, at.x, at.y, b, turned);
 }
 
-// Subtracts the derivatives about time a from the gradient (3, 2 N) with respect to the
-// coefficients of sines and cosines.
+// Converts the derivatives in `turned` (by harmonics around time a) to derivatives with respect to
+// the coefficients of sines and cosines, and subtracts these from the gradient (3, 2 N).
 inline void take_off(const std::vector<Turned>& turned, View<double, 2> gradient) {
     const int number = static_cast<int>(turned.size()) - 1;
     for (int j = 1; j <= number; j++) {

@@ -18,7 +18,7 @@ constexpr double PI = std::numbers::pi;
 // Number of points on each great circle.
 constexpr int POINTS = 48;
 
-// Maximum number of times that a proof subdivides a cell of great circles.
+// Maximum number of times that a proof subdivides a cell (a set of great circles).
 constexpr int HALVINGS = 4;
 
 // Maximum number of pairs of points in a proof. A proof that exceeds it is abandoned. This number

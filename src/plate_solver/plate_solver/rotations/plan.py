@@ -33,7 +33,7 @@ class RotationPlan:
     Attributes
     ----------
     twist : (J, 3)
-        Signed twist of each rotation, in units of the usual speed of the fastest corner.
+        Signed twist of each rotation. At 1, the fastest corner has the usual speed (see `SPEEDS`).
     fraction : (J,)
         Duration of each rotation as a fraction of the cycle. The sum is at most 1.
     priority : (J,)
