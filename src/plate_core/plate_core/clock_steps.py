@@ -2,20 +2,28 @@
 
 A clock that is synchronised over a network may step. If it steps back while a message is on its
 way, the message seems younger than it is. The steady clock never steps, so the difference between
-the two clocks shows the steps. This module uses neither ROS nor a clock, so all times are
-arguments.
+the two clocks shows the steps. This module uses neither ROS nor a clock of its own, so
+times and clocks are arguments.
 """
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import NamedTuple
 
-__all__ = ["KEPT_S", "MAX_STEPS", "ClockSteps"]
+__all__ = ["KEPT_S", "MAX_STEPS", "ClockSteps", "read_together"]
 
 STEP_NS = 20_000_000
 """Minimum change of the difference between the clocks that counts as a step [ns]. Smaller changes
 occur if the process is interrupted between reading the two clocks."""
+
+TOGETHER_S = 0.002
+"""Maximum duration of a reading of both clocks [s]. If the process is interrupted for longer, the
+reading is repeated. Otherwise it could look like a step."""
+
+READINGS = 5
+"""Maximum number of readings. If all are interrupted, the one with the shortest duration counts."""
 
 KEPT_S = 60.0
 """Time for which a step is considered [s]. No message is on its way for longer. After a step back,
@@ -97,3 +105,30 @@ class ClockSteps:
             if stamp_ns <= step.before_ns:  # the stamp may have been made before this step
                 earliest_ns = min(earliest_ns, stamp_ns + by_ns)
         return earliest_ns
+
+
+def read_together(steady_s: Callable[[], float], stamp_ns: Callable[[], int]) -> tuple[float, int]:
+    """Read two clocks at almost the same time.
+
+    Parameters
+    ----------
+    steady_s : callable
+        Returns the time on the steady clock [s].
+    stamp_ns : callable
+        Returns the time on the other clock [ns].
+
+    Returns
+    -------
+    now : float
+        Time on the steady clock [s].
+    clock_ns : int
+        The same time on the other clock [ns].
+    """
+    shortest, now, clock_ns = float("inf"), 0.0, 0
+    for _ in range(READINGS):
+        began, other, end = steady_s(), stamp_ns(), steady_s()
+        if end - began < shortest:
+            shortest, now, clock_ns = end - began, end, other
+        if shortest <= TOGETHER_S:
+            break
+    return now, clock_ns

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from plate_core.clock_steps import KEPT_S, MAX_STEPS, STEP_NS, ClockSteps
+from plate_core.clock_steps import KEPT_S, MAX_STEPS, STEP_NS, ClockSteps, read_together
 
 S = 1_000_000_000
 
@@ -77,3 +77,27 @@ def test_no_stamp_is_older_than_its_earliest_time(seed):
         for taken, stamp_ns in seen[:: rng.integers(10, 50)]:
             age_ns = round(S * shown) - record.earliest_ns(stamp_ns)
             assert age_ns >= S * (t - taken) - 4 * STEP_NS
+
+
+def test_an_interruption_between_the_clocks_is_no_step():
+    time, pauses = [1.0], [0.05]
+
+    def clock_ns():
+        shown = round(S * time[0]) + 100 * S
+        time[0] += pauses.pop() if pauses else 0.0
+        return shown
+
+    record = readings((0, 100))
+    assert len(record.with_reading(1.05, 101 * S).steps) == 1  # the interrupted reading
+    assert record.with_reading(*read_together(lambda: time[0], clock_ns)).steps == ()
+
+
+def test_if_each_reading_is_interrupted_the_shortest_one_counts():
+    pauses, time = [0.05, 0.03, 0.01, 0.04, 0.05], [1.0]
+
+    def clock_ns():
+        time[0] += pauses.pop(0)
+        return 7
+
+    now, clock = read_together(lambda: time[0], clock_ns)
+    assert (now, clock, pauses) == (pytest.approx(1.09), 7, [])

@@ -7,6 +7,7 @@ import math
 from collections.abc import Callable
 
 from plate_core import CycleError, PlateCycle, PlateError
+from plate_core.clock_steps import read_together
 from plate_core.driver_status import DriverState, DriverStatus
 
 from .clocks import Clocks
@@ -93,9 +94,11 @@ class CycleIntake:
         """
         status = self._status()
         number = self._latch.number if status.state is DriverState.READY else None
-        simulated, clock_ns = self._clocks.simulated(), self._clocks.stamp_ns()
-        now = 0.0 if simulated else self._clocks.steady_s()
-        if not simulated:
+        simulated = self._clocks.simulated()
+        if simulated:
+            now, clock_ns = 0.0, self._clocks.stamp_ns()
+        else:
+            now, clock_ns = read_together(self._clocks.steady_s, self._clocks.stamp_ns)
             self._freshness = self._freshness.with_clocks(now, clock_ns)
         self._freshness = self._freshness.with_state(number, now, clock_ns)
         return status
@@ -159,10 +162,11 @@ class CycleIntake:
         time has expired."""
         if problem := self._second_publisher():
             raise CycleError(problem)
-        clock_ns, simulated = self._clocks.stamp_ns(), self._clocks.simulated()
+        simulated = self._clocks.simulated()
         if simulated:  # the simulated time may arrive after the cycle
-            clock_ns = max(clock_ns, stamp_ns)
+            clock_ns = max(self._clocks.stamp_ns(), stamp_ns)
         else:
-            self._freshness = self._freshness.with_clocks(self._clocks.steady_s(), clock_ns)
+            now, clock_ns = read_together(self._clocks.steady_s, self._clocks.stamp_ns)
+            self._freshness = self._freshness.with_clocks(now, clock_ns)
         remaining = self._freshness.remaining_s(stamp_ns, clock_ns, cycle.period)
         return math.inf if simulated else remaining

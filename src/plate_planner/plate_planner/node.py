@@ -25,7 +25,7 @@ from visualization_msgs.msg import MarkerArray
 
 from plate_core import Parts as CoreParts
 from plate_core import PlateError, Wanted, load_rig
-from plate_core.clock_steps import ClockSteps
+from plate_core.clock_steps import ClockSteps, read_together
 from plate_core.driver_status import DriverState
 from plate_core.ros import (
     CALLS,
@@ -432,8 +432,11 @@ class PlannerNode(SafeLifecycleNode[PlannerParameters]):
         return self._monitor.inputs.ran
 
     def _has_stalled(self) -> bool:
-        now, clock_ns = time.monotonic(), self.get_clock().now().nanoseconds
+        now = time.monotonic()
         if not self._simulated:  # simulated time has no relation to the steady clock
+            now, clock_ns = read_together(
+                time.monotonic, lambda: self.get_clock().now().nanoseconds
+            )
             self._clock_steps = self._clock_steps.with_reading(now, clock_ns)
         failure = self._monitor.wake(now, self._tasks.estimator.period)
         if failure is not None:
