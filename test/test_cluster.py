@@ -87,16 +87,16 @@ def processes(tmp_path):
         started.end()
 
 
-@pytest.fixture(name="told")
+@pytest.fixture(name="messages")
 def _told():
     return []
 
 
 @pytest.fixture
-def pool(processes, told):
+def pool(processes, messages):
     """A cluster of two workers."""
     processes.workers = [processes.worker(), processes.worker()]
-    with Cluster(processes.address, tell=told.append) as pool:
+    with Cluster(processes.address, tell=messages.append) as pool:
         yield pool
 
 
@@ -146,10 +146,10 @@ def test_no_run_is_lost_with_a_scheduler_that_restarts(processes, pool):
     assert numbers(runs) == list(range(20))
 
 
-def test_a_worker_with_other_results_is_refused_by_name(processes, pool, told):
+def test_a_worker_with_other_results_is_refused_by_name(processes, pool, messages):
     other = processes.worker(OPENBLAS_CORETYPE="Prescott")
-    until(lambda: any("is refused" in line for line in told))
-    (line,) = (line for line in told if "is refused" in line)
+    until(lambda: any("is refused" in line for line in messages))
+    (line,) = (line for line in messages if "is refused" in line)
     assert "tcp://127.0.0.1:" in line
     assert "OPENBLAS_CORETYPE is 'Prescott', allowed: ''" in line
     found = {run.result(WAIT_S)[1] for run in submitted(pool, 10)}
@@ -157,19 +157,19 @@ def test_a_worker_with_other_results_is_refused_by_name(processes, pool, told):
     assert other.pid not in found
 
 
-def test_workers_without_the_packages_are_refused(processes, told):
+def test_workers_without_the_packages_are_refused(processes, messages):
     processes.worker(PYTHONPATH="")
     with contextlib.ExitStack() as stack:
-        while "is refused" not in "".join(told):  # until it has joined
+        while "is refused" not in "".join(messages):  # until it has joined
             try:
-                stack.enter_context(Cluster(processes.address, tell=told.append))
+                stack.enter_context(Cluster(processes.address, tell=messages.append))
             except PlateError as problem:
                 assert "all 1 workers are refused" in str(problem)  # noqa: PT017
             stack.close()
-    assert any("No module named 'plate_bringup'" in line for line in told)
+    assert any("No module named 'plate_bringup'" in line for line in messages)
 
 
-def test_what_is_canceled_ends_on_the_workers(pool, processes, told):
+def test_what_is_canceled_ends_on_the_workers(pool, processes, messages):
     run = "(open({!r}, 'w').close(), sum(0 for _ in iter(int, 1)))"
     begun = [processes.folder / f"begun{k}" for k in range(2)]
     endless = [pool.submit(eval, run.format(str(file))) for file in begun]
@@ -177,7 +177,7 @@ def test_what_is_canceled_ends_on_the_workers(pool, processes, told):
     pool.shutdown()
     assert not wait(endless, WAIT_S).not_done
     assert all(run.cancelled() for run in endless)
-    with Cluster(processes.address, tell=told.append) as again:
+    with Cluster(processes.address, tell=messages.append) as again:
         assert len({run.result(WAIT_S)[1] for run in submitted(again, 8)}) == 2
 
 

@@ -57,13 +57,14 @@ def test_judge_and_guard_agree(seed):
     harmonics = np.array([f(k * PHASE) for k in (1, 2, 3) for f in (np.sin, np.cos)])
     pose = 1e-3 * harmonics.T @ (rng.normal(size=(6, 3)) * [1, 1, 5])
     cycle = PlateCycle.from_samples(PERIOD, pose)
-    told, limits = usage(rig, cycle), rig.limits
+    reported, limits = usage(rig, cycle), rig.limits
     guard = [
-        told.stroke_m / limits.stroke_m, told.speed / limits.speed, told.accel / limits.accel,
-        told.force / limits.force,
+        reported.stroke_m / limits.stroke_m, reported.speed / limits.speed,
+        reported.accel / limits.accel,
+        reported.force / limits.force,
     ]  # fmt: skip
     np.testing.assert_allclose(limit_shares(rig, cycle), guard, rtol=1e-3)
-    np.testing.assert_allclose(thermal_load(rig, cycle), told.thermal_load, rtol=1e-3)
+    np.testing.assert_allclose(thermal_load(rig, cycle), reported.thermal_load, rtol=1e-3)
 
 
 def jump(seconds):
@@ -97,10 +98,10 @@ def _ros():
     def faults(cycles=(), starts=()):
         stamp = to_time(1)
         tables = [serialize_message(motors_to_msg(RIG, cycle, stamp)) for cycle in cycles]
-        told = [
+        starts = [
             serialize_message(cycle_to_msg(cycle, to_time(round(1e9 * at)))) for at, cycle in starts
         ]
-        return list(check_limits(Record(tables=tables, starts=told), RIG).faults)
+        return list(check_limits(Record(tables=tables, starts=starts), RIG).faults)
 
     return faults
 

@@ -20,7 +20,7 @@ from std_srvs.srv import Trigger
 from tf2_msgs.msg import TFMessage
 from visualization_msgs.msg import MarkerArray
 
-from plate_core import NAMELESS, OverlookedThing, PlateError, Rig, load_rig, part_class
+from plate_core import NAMELESS, OverlookedThing, PlateError, load_rig, part_class
 from plate_core.rig import doubts, home_pose
 from plate_core.ros import (
     CAMERA,
@@ -60,13 +60,13 @@ from .camera import (
 )
 from .detection import DetectorOptions
 from .drawing import ARROW_S, draw_detections, outlines_px
-from .errors import ImageError, TeachError, check_size
+from .errors import ImageError, TeachError
 from .faint import faint_finding, faint_patches
 from .live_teaching import Teaching, learn_shown
 from .overlooked import Expected, OverlookedTally, beside_parts, remedy
 from .plate import OutlineCheck, PlateLocation, light_problem
 from .recognition import camera_limits
-from .ros import AimingView
+from .ros import AimingView, lens_of
 from .shapes.part_files import OUT, load_bare
 from .tracking import Prediction, Tracker, TrackerOptions, found_text
 from .vision import HOME, follow_plate, make_vision, observe
@@ -355,7 +355,7 @@ class DetectorNode(SafeLifecycleNode[DetectorParameters]):
         self.get_logger().info(f"{name}: {found_text(self._tracker)}")
         overlooked = OverlookedTally()
         overlooked.add(*self._counts())
-        for found in (overlooked.finding(expected_parts(self._rig)), self._faint):
+        for found in (overlooked.finding(Expected.of(self._rig)), self._faint):
             if found is not None:
                 self._warn(f"{name}: {found.message}")
 
@@ -487,7 +487,7 @@ class DetectorNode(SafeLifecycleNode[DetectorParameters]):
 
     def _situation(self) -> Situation:
         """Return the detector's state that is shown while the camera is aimed."""
-        expected = expected_parts(self._rig)
+        expected = Expected.of(self._rig)
         count, things, radius = self._counts()
         tally = OverlookedTally()
         tally.add(count, things, radius)
@@ -728,7 +728,7 @@ class DetectorNode(SafeLifecycleNode[DetectorParameters]):
         if self._outline is not None:
             findings.append(self._outline.finding)
         findings.append(self._faint)
-        findings.append(tally.overlooked_lately.finding(expected_parts(self._rig)))
+        findings.append(tally.overlooked_lately.finding(Expected.of(self._rig)))
         findings.append(self._input.gone(now))
         if self._input.came is None:
             return worst(findings, f"waiting for images on {self._input.topic}")
@@ -788,28 +788,6 @@ class DetectorNode(SafeLifecycleNode[DetectorParameters]):
         options = replace(self.options.detector(), radius_px=radius_px)
         self._vision = replace(self._vision, options=options)
         self._tracker = replace(self._tracker, options=self.options.tracker())
-
-
-def expected_parts(rig: Rig) -> Expected:
-    """Return the sizes of a rig's parts, for warnings."""
-    if not rig.types:
-        return Expected(rig.parts.radius_m, rig.parts.radius_m)
-    radii = [math.sqrt(part.area_m2 / math.pi) for part in rig.types.values()]
-    return Expected(min(radii), max(radii), typed=True)
-
-
-def lens_of(msg: CameraInfo, size_px: tuple[int, int]) -> Lens | None:
-    """Return the lens of a camera_info. Return None if the camera is not calibrated (K[0] is 0).
-
-    Raises
-    ------
-    PlateError
-        If the image size differs from the rig's image size, or if the lens model is not supported.
-    """
-    check_size("size is", (msg.width, msg.height), size_px)
-    if msg.k[0] == 0:
-        return None
-    return Lens(np.array(msg.k, dtype=float).reshape(3, 3), np.array(msg.d), msg.distortion_model)
 
 
 def main() -> None:

@@ -7,11 +7,12 @@ as obstacles.
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, field
 
 import numpy as np
 
-from plate_core import GROUP, NAMELESS, PLAUSIBLE_AREA
+from plate_core import GROUP, NAMELESS, PLAUSIBLE_AREA, Rig
 from plate_core.status import Finding, Level
 
 REASONS = (
@@ -170,6 +171,14 @@ class Expected:
     smallest: float
     largest: float
     typed: bool = False
+
+    @classmethod
+    def of(cls, rig: Rig) -> Expected:
+        """Return the sizes of a rig's parts."""
+        if not rig.types:
+            return cls(rig.parts.radius_m, rig.parts.radius_m)
+        radii = [math.sqrt(part.area_m2 / math.pi) for part in rig.types.values()]
+        return cls(min(radii), max(radii), typed=True)
 
     @property
     def size(self) -> str:

@@ -12,7 +12,7 @@ from stepped_clock import STEP_S
 
 from plate_core import PlateError
 from plate_core.ros import DATA
-from plate_vision.node import lens_of
+from plate_vision.ros import lens_of
 
 pytestmark = pytest.mark.usefixtures("detector_time")
 

@@ -1,0 +1,215 @@
+"""Hostile agents: each end of an agent is named, and no process outlives its episode."""
+
+import json
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from plate_core import PlateError
+
+pytestmark = pytest.mark.needs("gymnasium")
+
+
+@pytest.fixture
+def bench():
+    import plate_gym.bench
+
+    return plate_gym.bench
+
+
+HOSTILE = """
+import ctypes, os, signal, subprocess, sys, time
+from pathlib import Path
+
+class Base:
+    action, observation = "motion", "parts"
+    def __init__(self, brief, seed): self.space = brief.action_space
+    def act(self, seen, info):
+        self.do()
+        return 0 * self.space.sample()
+
+def noted(process):
+    with open("pids", "a") as file:
+        print(process, file=file)
+
+class Unreadable(Exception):
+    def __str__(self): raise RuntimeError
+
+class Generator(Base):
+    def do(self): raise GeneratorExit
+class Any(Base):
+    def do(self): raise BaseException("\\x1b[2Jgone")
+class Interrupt(Base):
+    def do(self): raise KeyboardInterrupt
+class NoText(Base):
+    def do(self): raise Unreadable
+class LongText(Base):
+    def do(self): raise ValueError("x" * 10**8)
+class Fault(Base):
+    def do(self): ctypes.string_at(0)
+class Parent(Base):
+    def do(self): os.kill(os.getppid(), signal.SIGKILL); time.sleep(1e6)
+class Group(Base):
+    def do(self): os.kill(0, signal.SIGKILL); time.sleep(1e6)
+class Closes(Base):
+    def do(self): os.closerange(0, 1000)
+class Forges(Base):
+    def do(self): os.write(3, b'{"row": {}}\\n'); time.sleep(1e6)
+class Fills(Base):
+    def do(self): os.write(3, b"{" * 10**6)
+class Never(Base):
+    def do(self): signal.pthread_sigmask(signal.SIG_BLOCK, range(1, 64)); time.sleep(1e6)
+class Stops(Base):
+    def do(self): os.kill(os.getpid(), signal.SIGSTOP)
+class Large(Base):
+    def do(self): self.kept = b"x" * 2_000_000_000
+class LargeTogether(Base):
+    def do(self):
+        for _ in range(3):
+            if not os.fork():
+                kept = b"x" * 600_000_000
+                time.sleep(1e6)
+        time.sleep(1e6)
+class Many(Base):
+    def do(self):
+        for _ in range(300):
+            if not os.fork(): time.sleep(1e6)
+        time.sleep(1e6)
+class Daemon(Base):
+    def do(self):
+        noted(subprocess.Popen(["sleep", "1000"], start_new_session=True, env={}).pid)
+        if not os.fork():
+            os.setsid()
+            if not os.fork():
+                noted(os.getpid())
+                os.closerange(0, 1000)
+                time.sleep(1e6)
+            os._exit(0)
+        raise RuntimeError("done")
+class DaemonOfKiller(Base):
+    def do(self):
+        if not os.fork():
+            os.setsid()
+            if os.fork(): os._exit(0)
+            noted(os.getpid())
+            time.sleep(1e6)
+        while not Path("pids").exists(): time.sleep(0.01)
+        os.kill(os.getppid(), signal.SIGKILL)
+        time.sleep(1e6)
+class Beats(Base):
+    def do(self):
+        while True:
+            os.write(3, b".")
+            time.sleep(0.1)
+class Rare(Base):
+    def do(self): os.kill(os.getpid(), 40); time.sleep(1e6)
+class LargeFile(Base):
+    def do(self): os.posix_fallocate(os.memfd_create("a"), 0, 2_000_000_000)
+class Prints(Base):
+    def do(self):
+        for _ in range(100): print("x" * 10**6)
+        raise RuntimeError("done")
+"""
+
+
+@pytest.fixture
+def hostile(bench, tmp_path, monkeypatch):
+    """A function that runs a hostile agent, with low limits."""
+    (tmp_path / "hostile.py").write_text(HOSTILE, encoding="utf-8")
+    monkeypatch.syspath_prepend(tmp_path)
+    monkeypatch.chdir(tmp_path)
+    bench.isolation.stop()
+
+    def run(name):
+        limits = bench.Limits(decision_s=10, memory_gb=1)
+        messages = []
+        found = bench.evaluate(
+            f"hostile:{name}", "Sort4-v1", [3], workers=1, tell=messages.append, limits=limits
+        )
+        return found, messages
+
+    yield run
+    bench.isolation.stop()
+
+
+@pytest.mark.parametrize(
+    ("name", "words"),
+    [
+        ("Generator", "step 0: GeneratorExit$"),
+        ("Any", r"step 0: BaseException: \?\[2Jgone$"),
+        ("Interrupt", "step 0: KeyboardInterrupt$"),
+        ("NoText", r"step 0: Unreadable: \(its text cannot be read: RuntimeError\)$"),
+        ("LongText", r"step 0: ValueError: x{200,300}\.\.\.$"),
+        ("Fault", "step 0: its process died: it was ended by SIGSEGV$"),
+        ("Rare", "step 0: its process died: it was ended by signal 40$"),
+        ("LargeFile", r"step 0: OSError: \[Errno 27\] File too large$"),
+        ("Parent", "its supervisor failed: it has ended$"),
+        ("Group", "step 0: its process died: it was ended by SIGKILL$"),
+        ("Closes", "step 0: its process died: it exited with code 0 before its last step$"),
+        ("Forges", " has , allowed: time_s, "),
+        ("Fills", "step 0: its process closed its pipe, or sent no valid reply$"),
+    ],
+)
+def test_any_end_of_an_agent_is_named_as_its_own(bench, hostile, name, words):
+    with pytest.raises(PlateError, match=f"^agent hostile:{name}, Sort4-v1, seed 3.*{words}"):
+        hostile(name)
+
+
+@pytest.mark.parametrize(
+    ("name", "failure"),
+    [
+        ("Never", "no decision within 10 s"),
+        ("Stops", "no decision within 10 s"),
+        ("Large", "more than 1 GB of memory"),
+        ("LargeTogether", "more than 1 GB of memory"),
+        ("Many", "more than 256 processes"),
+    ],
+)
+def test_an_episode_in_which_a_limit_is_exceeded_counts_as_failed(bench, hostile, name, failure):
+    found, messages = hostile(name)
+    found = json.loads(json.dumps(found))
+    assert messages[0] == f"failed: agent hostile:{name}, Sort4-v1, seed 3, step 0: {failure}"
+    (row,) = found["tasks"]["Sort4-v1"]["rows"]
+    assert (row["success"], row["failure"]) == (False, failure)
+    assert found["tasks"]["Sort4-v1"]["success"] == 0
+    bench.validate(found)
+    row["success"] = True
+    with pytest.raises(PlateError, match="success is True, but a failure requires False"):
+        bench.validate(found)
+
+
+def test_signs_of_life_do_not_prolong_an_episode_for_ever(bench, hostile, tmp_path):
+    """An agent that sends them itself."""
+    code = "import plate_gym.supervisor as own; own.EPISODE_FACTOR = 1; own.main()"
+    request = {"agent": "hostile:Beats", "world": "nominal", "task": "Sort4-v1", "seed": 3}
+    request |= {"path": sys.path, "folder": str(tmp_path)}
+    request |= {"limits": {"decision_s": 10, "memory_gb": 1}}
+    pipes = {"stdin": subprocess.PIPE, "stdout": subprocess.PIPE, "bufsize": 0}
+    with subprocess.Popen([sys.executable, "-c", code], **pipes) as process:
+        process.stdin.write(json.dumps(request).encode() + b"\n")
+        reply = next(line for line in process.stdout if line != bench.isolation.ALIVE)
+    assert json.loads(reply)["failure"] == "no end of the episode within 10 s"
+
+
+@pytest.mark.parametrize("name", ["Daemon", "DaemonOfKiller"])
+def test_no_process_of_an_agent_outlives_its_episode(hostile, tmp_path, name):
+    with pytest.raises(PlateError, match=r"RuntimeError: done|its supervisor failed"):
+        hostile(name)
+    pids = (tmp_path / "pids").read_text().split()
+    assert len(pids) == (2 if name == "Daemon" else 1)
+    for pid in pids:
+        try:
+            status = Path(f"/proc/{pid}/status").read_text()
+        except OSError:
+            continue
+        assert "State:\tZ" in status  # ended, but not yet noticed by the process with id 1
+
+
+def test_most_of_a_long_output_is_omitted(hostile, capfd):
+    with pytest.raises(PlateError, match="RuntimeError: done"):
+        hostile("Prints")
+    said = capfd.readouterr().err
+    assert said.count("x") < 101_000
+    assert "seed 3, step 0: omitted the agent's output after 100,000 bytes\n" in said
