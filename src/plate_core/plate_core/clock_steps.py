@@ -27,8 +27,9 @@ READINGS = 5
 
 KEPT_S = 60.0
 """Time for which a step is considered [s]. No message is on its way for longer. After a step back,
-the clock shows some times twice. A stamp with such a time counts as made before the step, so the
-plate rests until the clock has passed these times, or until `KEPT_S` is over."""
+the clock shows some times twice. A stamp with such a time may be older than it seems, so it counts
+as made before the step. The plate therefore rests until the clock has passed these times, or until
+`KEPT_S` is over."""
 
 MAX_STEPS = 20
 """Maximum number of steps in `KEPT_S`. If there are more, the clock is not usable, so each stamp
@@ -70,9 +71,8 @@ class ClockSteps:
     steps: tuple[Step, ...] = ()
 
     def with_reading(self, now: float, clock_ns: int) -> ClockSteps:
-        """Record one reading of both clocks. After a step back, the clock shows some times
-        twice. The interval of these times is assumed to extend to the reading that detects the
-        step, so call this often.
+        """Record one reading of both clocks. The exact time of a step is unknown, so the time of
+        the reading that detects it is used. Frequent readings keep the difference short.
 
         Parameters
         ----------
@@ -95,8 +95,8 @@ class ClockSteps:
         return len(self.steps) <= MAX_STEPS
 
     def earliest_ns(self, stamp_ns: int) -> int:
-        """Return the earliest time at which a stamp may have been made, on the clock as it runs
-        now [ns]. It is the stamp itself unless the clock was set back, or is not `usable`."""
+        """Return the earliest time at which a stamp may have been made, converted to the present
+        clock [ns]. It is the stamp itself unless the clock was set back, or is not `usable`."""
         if not self.usable:
             return stamp_ns - round(1e9 * KEPT_S)
         earliest_ns, by_ns = stamp_ns, 0

@@ -48,16 +48,16 @@ ALIVE_S = 1.0
 """Interval between two lines `ALIVE` [s]."""
 
 ENDING_S = 10.0
-"""Maximum time in which the processes of an agent must end [s]. All processes are ended again and
-again until none is left. Each pass of the loop in `_kill_all` takes some milliseconds."""
+"""Maximum time in which the processes of an agent must end [s]. They are killed
+repeatedly until none is left. Each pass of the loop in `_kill_all` takes some milliseconds."""
 
 PR_SET_PDEATHSIG, PR_SET_CHILD_SUBREAPER = 1, 36
 """Options from linux/prctl.h. The first is the signal that a process receives when its parent ends.
 With the second, orphaned descendants become children of this process."""
 
 CONTROL = bytes(set(range(32)) - set(b"\t\n\r"))
-"""Control characters except tab, newline and carriage return. They could hide other lines of a
-terminal."""
+"""Control characters except tab, newline and carriage return. An agent could overwrite other
+lines of the terminal with them."""
 
 BEAT = b"."
 """Byte that an episode sends before each decision."""
@@ -181,7 +181,7 @@ class Episode:
         total_s = EPISODE_FACTOR * self._limits.decision_s
         while True:
             events = dict(poll.poll(1e3 * POLL_S))
-            # This process may have been stopped in the meantime, and the episode with it.
+            # If this process was stopped, the episode was stopped too, so that time does not count.
             passed = min(time.monotonic() - before, 2 * POLL_S)
             before = time.monotonic()
             waited, checked, sent = waited + passed, checked + passed, sent + passed
@@ -344,8 +344,7 @@ def _resident(process: int) -> int:
 
 
 def _proportional(process: int) -> int:
-    """Return the memory of a process. Shared memory is divided by the number of its users
-    [bytes]."""
+    """Return the memory of a process [bytes]. Memory that n processes share counts as 1/n."""
     return 1024 * _number(process, "smaps_rollup", b"Pss:")
 
 
