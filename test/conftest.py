@@ -2,6 +2,7 @@
 
 import contextlib
 import os
+import shutil
 from functools import partial
 from pathlib import Path
 
@@ -10,6 +11,8 @@ import yaml
 from device_orders import running
 from graph.domains import own_domain
 from simulated_firmware import SimulatedFirmware, compiled
+
+from plate_core import config_path
 
 FOUR = {
     "description": "As `play`, but with few parts, far from the edges.",
@@ -39,7 +42,14 @@ def graph(tmp_path_factory, request):
     folder = tmp_path_factory.mktemp("logs")
     (folder / "four.yaml").write_text(yaml.safe_dump(FOUR), encoding="utf-8")
     lockstep = getattr(request.module, "LOCKSTEP", False)
-    options = LightOptions(scenario=str(folder / "four.yaml"), view=True, lockstep=lockstep)
+    # The page's `save_home` and others write into the rig file, so the graph has a copy of it.
+    shutil.copy(config_path("rig.yaml"), folder)
+    options = LightOptions(
+        scenario=str(folder / "four.yaml"),
+        rig_file=str(folder / "rig.yaml"),
+        view=True,
+        lockstep=lockstep,
+    )
     # The page's `teach` writes its file into the detector's working folder.
     with contextlib.chdir(folder), session(options, folder, pictures=False) as running:
         assert running.page(), running.processes.tail("page")

@@ -13,6 +13,7 @@ import json
 import multiprocessing
 import os
 import random
+import shutil
 import time
 from collections import Counter
 from collections.abc import Iterator
@@ -27,6 +28,7 @@ from graph.session import Session, session
 
 from cases import Outcome
 from plate_bringup import RunOptions
+from plate_core import config_path
 from plate_view import COMMANDS, URGENT
 
 STOP_S, LATE_S = 0.25, 0.1
@@ -204,7 +206,9 @@ def flooded(graph: Session, verdict: Verdict, seed: int) -> None:
 def run(logs: Path, minutes: float = 3.0, seed: int = 0) -> Iterator[Outcome]:
     """Flood the page for a number of minutes, and call stops meanwhile."""
     verdict = Verdict(minutes, SOCKETS)
-    options = RunOptions(scenario="play", view=True)
+    # `save_home` and others write into the rig file, so the graph has a copy of it.
+    rig = shutil.copy(config_path("rig.yaml"), logs)
+    options = RunOptions(scenario="play", rig_file=str(rig), view=True)
     there = contextlib.chdir(logs)  # `teach` writes its file into the detector's working folder
     with there, session(options, logs, pictures=False) as graph:
         flooded(graph, verdict, seed)
