@@ -3,8 +3,9 @@ recorder."""
 
 from __future__ import annotations
 
+import re
 import sys
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from functools import partial
 from itertools import pairwise
 from pathlib import Path
@@ -31,6 +32,9 @@ from plate_core.rig import unmeasured
 from plate_core.tasks import load_scenario
 
 from .graph import GraphError, RunOptions, load_graph
+
+LEVELS = {"*": "/[^/]+", "**": "(/[^/]+)*"}
+"""Regular expressions for the wildcards in section names of parameter files."""
 
 COMMON = {
     "method": "method of the solver: rotations or sinusoids",
@@ -172,12 +176,14 @@ def start(hardware: bool, file: str, context: Any) -> list[Any]:
             check_file(Path(own[0]), YAML_BYTES)
         except PlateError as error:
             raise GraphError(f"params_file {error}") from None
-    rigs = [given["rig_file"]] if "rig_file" in given else []
-    rigs = rigs or rigs_in([*context.launch_configurations.get("global_params", []), *own])
-    if "scenario" in given and not rigs:
-        values["rig_file"] = load_scenario(given["scenario"]).rig
     pushed = context.launch_configurations.get("ros_namespace", "")
     space = namespace_of(pushed, given.get("namespace", ""))
+    names = [node.name for node in load_graph()]
+    parameters = [*context.launch_configurations.get("global_params", []), *own]
+    rigs = [given["rig_file"]] if "rig_file" in given else rigs_in(parameters, space, names)
+    if "scenario" in given and not rigs:
+        rigs = [load_scenario(given["scenario"]).rig]
+        values["rig_file"] = rigs[0]
     if space:  # two plates need two simulated devices
         values["link"] = RunOptions.link + "_" + space.replace("/", "_")
     options = RunOptions(
@@ -209,33 +215,47 @@ def start(hardware: bool, file: str, context: Any) -> list[Any]:
     return [GroupAction(actions)]
 
 
-def rigs_in(parameters: Sequence[Any]) -> list[str]:
-    """Return the values of `rig_file` in ROS parameters, each once.
+def rigs_in(parameters: Sequence[Any], space: str, names: Sequence[str]) -> list[str]:
+    """Return the values of `rig_file` that ROS parameters set for the nodes, each once.
 
     Parameters
     ----------
     parameters : sequence
         Parameters as launch_ros keeps them: paths of parameter files, and pairs of name and value.
         A file that cannot be read has no values here. The nodes report the error.
+    space : str
+        Namespace of the nodes, without slashes at its ends.
+    names : sequence of str
+        Names of the nodes.
     """
-    rigs: list[str] = []
+    paths, rigs = [f"/{space}/{name}".replace("//", "/") for name in names], []
     for each in parameters:
         if isinstance(each, tuple):
             rigs += [str(each[1])] if each[0] == "rig_file" else []
             continue
         try:
-            rigs += _rigs_below(yaml.safe_load(read_file(str(each), YAML_BYTES)))
+            sections = list(_sections(yaml.safe_load(read_file(str(each), YAML_BYTES))))
         except (PlateError, yaml.YAMLError):
             continue
+        rigs += [
+            str(values["rig_file"])
+            for section, values in sections
+            if values.get("rig_file") and any(re.fullmatch(section, path) for path in paths)
+        ]
     return list(dict.fromkeys(rigs))
 
 
-def _rigs_below(data: Any) -> list[str]:
-    """Return the values of `rig_file` at any depth of a parameter file's content."""
-    if not isinstance(data, dict):
-        return []
-    rigs = [str(data["rig_file"])] if data.get("rig_file") else []
-    return rigs + [rig for value in data.values() for rig in _rigs_below(value)]
+def _sections(data: Any, above: str = "") -> Iterator[tuple[str, dict[Any, Any]]]:
+    """Yield each section of a parameter file's content: a regular expression for the full names of
+    its nodes, and its parameters. In section names, `*` stands for one level of a name, and `**`
+    for any number of levels."""
+    for key, value in data.items() if isinstance(data, dict) else ():
+        if key == "ros__parameters" and isinstance(value, dict):
+            yield above, value
+        else:
+            levels = [level for level in str(key).split("/") if level]
+            own = [LEVELS.get(level, "/" + re.escape(level)) for level in levels]
+            yield from _sections(value, above + "".join(own))
 
 
 def default_files(hardware: bool, space: str, names: Sequence[str]) -> list[str]:

@@ -179,18 +179,37 @@ def test_rig_of_the_scenario_is_taken_where_none_is_given(stand_in, tmp_path):
     assert rigs("closed_loop") == {"desk"}
     assert rigs("closed_loop", rig_file="my_rig.yaml") == {"my_rig.yaml"}
     assert rigs("closed_loop", params_file=str(mine)) == {"desk"}
-    for text in ("/**: {ros__parameters: {rig_file: washers}}",
-                 "left: {'*': {ros__parameters: {rig_file: washers}}}"):  # fmt: skip
-        mine.write_text(text, encoding="utf-8")
-        assert rigs("closed_loop", params_file=str(mine)) == {None}
-        assert rigs("closed_loop", outer=[str(mine)]) == {None}  # of SetParametersFromFile
-        both = rigs("closed_loop", params_file=str(mine), rig_file="my_rig.yaml")
-        assert both == {"my_rig.yaml"}
+    mine.write_text("/**: {ros__parameters: {rig_file: washers}}", encoding="utf-8")
+    assert rigs("closed_loop", params_file=str(mine)) == {None}
+    assert rigs("closed_loop", outer=[str(mine)]) == {None}  # of SetParametersFromFile
+    both = rigs("closed_loop", params_file=str(mine), rig_file="my_rig.yaml")
+    assert both == {"my_rig.yaml"}
     assert rigs("closed_loop", outer=[("rig_file", "washers")]) == {None}  # of SetParameter
     assert rigs("closed_loop", outer=[("seed", 3)]) == {"desk"}
     for text in (b"[", b"\xff", b"", b"- rig_file"):  # the nodes refuse it
         mine.write_bytes(text)
         assert rigs("closed_loop", params_file=str(mine)) == {"desk"}
+
+
+@pytest.mark.parametrize("space", ["", "left", "cell/left"])
+@pytest.mark.parametrize(
+    "section",
+    ["/**", "/*", "/**/solver", "/*/solver", "solver", "/left/solver", "left: {'*': ",
+     "left: {solver: ", "cell/left/solver", "/cell/*/solver", "/cell/**", "/*/*/solver",
+     "/right/**", "/**/left/*", "sol"],
+)  # fmt: skip
+def test_a_parameter_file_sets_the_rig_of_the_nodes_that_its_sections_match(
+    stand_in, tmp_path, section, space
+):
+    own = tmp_path / "own.yaml"
+    below = "{ros__parameters: {rig_file: washers}}"
+    text = f"{section}{below}}}" if "{" in section else f"{section}: {below}"
+    own.write_text(text, encoding="utf-8")
+    given = {"scenario": "follow_2_desk", "params_file": str(own), "namespace": space}
+    nodes, _ = started("closed_loop", **given)
+    added = {node.parameters[-1].pop("rig_file", None) for node in nodes.values()}
+    of_file = in_ros(nodes["solver"], tmp_path, f"/{space}" if space else "").get("rig_file")
+    assert (of_file, added) in [("washers", {None}), (None, {"desk"})]
 
 
 def test_unmeasured_facts_are_those_of_the_rig_that_the_nodes_use(stand_in, tmp_path):
