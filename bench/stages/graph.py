@@ -40,26 +40,26 @@ def measure(quick: bool) -> Result:
         tables.append(Table(f"faults_{transport}", where, FAULTS, cells(found)))
         well = sum(row["well"] for row in found["rows"])
         summary.append(
-            f"{where}: {well} of {len(found['rows'])} faults ended as they should; "
-            f"{found['tables']} motor tables, {len(found['faults'])} broke a limit"
+            f"{where}: {well} of {len(found['rows'])} faults had the expected effect; "
+            f"{len(found['faults'])} of {found['tables']} motor tables exceeded a limit"
         )
     verdicts = run_case("fuzz", "--count", QUICK_MESSAGES if quick else MESSAGES)
     tables.append(Table.of("fuzz", verdicts))
-    summary.append(f"malformed messages: {sum(v['crashes'] for v in verdicts)} crashes")
+    summary.append(f"Malformed messages: {sum(v['crashes'] for v in verdicts)} crashes")
     goals = run_case("goals", "--count", QUICK_GOALS if quick else GOALS)
     reasons = ", ".join(f"{count} {name.lower()}" for name, count in goals.pop("reasons").items())
     summary.append(
-        f"goals at random: {goals['goals']}, of which {goals['wrong']} wrong, {goals['cancels']} "
-        f"cancels, {goals['stops']} stops: {goals['unanswered']} without an answer, "
-        f"{goals['wrong ones that began']} wrong ones began ({reasons}); at the end the plate "
-        + ("rests" if goals["plate rests"] else "does not rest")
+        f"Random goals: {goals['goals']} (invalid: {goals['wrong']}), {goals['cancels']} cancels and "
+        f"{goals['stops']} stops. {goals['unanswered']} goals got no result, and "
+        f"{goals['wrong ones that began']} invalid goals were started. Results: {reasons}. At the "
+        f"end, the plate {'rests' if goals['plate rests'] else 'does not rest'}"
     )
     hours = run_case("soak", "--minutes", QUICK_MINUTES if quick else MINUTES)
     tables.append(memory(hours))
     summary.append(
         f"{60 * hours['hours']:.1f} minutes of sorting: {hours['done']} of {hours['tasks']} tasks "
         f"done; {hours['held']} of {hours['cycles']} cycles held, {hours['late']} late; "
-        f"{hours['faults']} of {hours['tables']} motor tables broke a limit; image to setpoints "
+        f"{hours['faults']} of {hours['tables']} motor tables exceeded a limit; image to setpoints "
         f"{hours['latency_ms']:.0f} ms, 99th percentile {hours['latency_p99_ms']:.0f} ms"
     )
     return Result(tables, summary)

@@ -78,15 +78,15 @@ while True:
 BUSY = "while True: sum(range(100000))"
 
 CONDITIONS: dict[str, dict[str, Any]] = {
-    "cycles each 200 ms": {},
-    "the whole graph, sorting ten parts": {"graph": True},
-    "the same in one process": {"graph": True, "one_process": True},
-    "20,000 points, again and again": {"points": 20_000, "pause_s": 0.02},
-    "1,000,000 points, again and again": {"points": 1_000_000, "pause_s": 0.2},
-    "clock that stands still": {"simulated_time": True},
-    "cycles each 5 ms, queues full": {"period_s": 0.005},
-    "two programs that take all cores": {"busy": 2},
-    "all at once": {"points": 1_000_000, "pause_s": 0.2, "period_s": 0.005, "busy": 2,
+    "a cycle every 200 ms": {},
+    "the whole graph sorts ten parts": {"graph": True},
+    "the same graph in one process": {"graph": True, "one_process": True},
+    "flood of cycles with 20,000 points": {"points": 20_000, "pause_s": 0.02},
+    "flood of cycles with 1,000,000 points": {"points": 1_000_000, "pause_s": 0.2},
+    "the clock stands still": {"simulated_time": True},
+    "a cycle every 5 ms, full queues": {"period_s": 0.005},
+    "two programs load all cores": {"busy": 2},
+    "all of these loads together": {"points": 1_000_000, "pause_s": 0.2, "period_s": 0.005, "busy": 2,
                     "simulated_time": True},
 }  # fmt: skip
 
