@@ -49,8 +49,8 @@ def measure(quick: bool) -> Result:
     goals = run_case("goals", "--count", QUICK_GOALS if quick else GOALS)
     reasons = ", ".join(f"{count} {name.lower()}" for name, count in goals.pop("reasons").items())
     summary.append(
-        f"Random goals: {goals['goals']} (invalid: {goals['wrong']}), {goals['cancels']} cancels and "
-        f"{goals['stops']} stops. {goals['unanswered']} goals got no result, and "
+        f"Random goals: {goals['goals']} (invalid: {goals['wrong']}), {goals['cancels']} cancels "
+        f"and {goals['stops']} stops. {goals['unanswered']} goals got no result, and "
         f"{goals['wrong ones that began']} invalid goals were started. Results: {reasons}. At the "
         f"end, the plate {'rests' if goals['plate rests'] else 'does not rest'}"
     )

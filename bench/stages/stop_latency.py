@@ -86,8 +86,8 @@ CONDITIONS: dict[str, dict[str, Any]] = {
     "the clock stands still": {"simulated_time": True},
     "a cycle every 5 ms, full queues": {"period_s": 0.005},
     "two programs load all cores": {"busy": 2},
-    "all of these loads together": {"points": 1_000_000, "pause_s": 0.2, "period_s": 0.005, "busy": 2,
-                    "simulated_time": True},
+    "all of these loads together": {"points": 1_000_000, "pause_s": 0.2, "period_s": 0.005,
+                                    "busy": 2, "simulated_time": True},
 }  # fmt: skip
 
 
