@@ -2,6 +2,7 @@
 
 from collections.abc import Callable
 from dataclasses import replace
+from functools import partial
 
 import pytest
 from simulated_firmware import (
@@ -58,19 +59,31 @@ def stopped_by(firmware: SimulatedFirmware, latch: Latch, reason: DriverReason) 
     return transport
 
 
-@provokes(DriverReason.SWITCHED_OFF, DriverState.DISABLED)
-def provoke_switched_off(firmware, latch):
-    return stopped_by(firmware, latch, DriverReason.SWITCHED_OFF)
+for by_person in (DriverReason.SWITCHED_OFF, DriverReason.EMERGENCY_STOP, DriverReason.POWER_CUT):
+    off = by_person is DriverReason.SWITCHED_OFF
+    state = DriverState.DISABLED if off else DriverState.STOPPED
+    PROVOKE[by_person] = state, partial(stopped_by, reason=by_person)
+
+EVENTS = {
+    DriverReason.SUPPLY: (DriverState.STOPPED, lambda board: board.order("fault 8")),
+    # A failing supply may be its doing.
+    DriverReason.HARDWARE: (DriverState.STOPPED, lambda board: board.order("fault 24")),
+    DriverReason.DEVICE_RESET: (DriverState.STOPPED, lambda board: board.order("reset")),
+    DriverReason.NO_ANSWER: (DriverState.ERROR, lambda board: setattr(board, "loss", 1.0)),
+    DriverReason.PORT: (DriverState.ERROR, lambda board: setattr(board, "cut", True)),
+}
+"""What happens to a board with current, and the state after it."""
 
 
-@provokes(DriverReason.EMERGENCY_STOP, DriverState.STOPPED)
-def provoke_emergency_stop(firmware, latch):
-    return stopped_by(firmware, latch, DriverReason.EMERGENCY_STOP)
+def provoke_event(firmware, latch, event):
+    transport = enabled(firmware)
+    event(firmware)
+    pass_time(firmware, transport, 2.0)
+    return transport
 
 
-@provokes(DriverReason.POWER_CUT, DriverState.STOPPED)
-def provoke_power_cut(firmware, latch):
-    return stopped_by(firmware, latch, DriverReason.POWER_CUT)
+for happened, (state, event) in EVENTS.items():
+    PROVOKE[happened] = state, partial(provoke_event, event=event)
 
 
 @provokes(DriverReason.EARLIER_STOP, DriverState.STOPPED)
@@ -101,22 +114,6 @@ def provoke_limit(firmware, latch):
     return transport
 
 
-@provokes(DriverReason.SUPPLY, DriverState.STOPPED)
-def provoke_supply(firmware, latch):
-    transport = enabled(firmware)
-    firmware.order("fault 8")
-    pass_time(firmware, transport, 0.2)
-    return transport
-
-
-@provokes(DriverReason.HARDWARE, DriverState.STOPPED)
-def provoke_hardware(firmware, latch):
-    transport = enabled(firmware)
-    firmware.order("fault 24")  # a failing supply may be its doing
-    pass_time(firmware, transport, 0.2)
-    return transport
-
-
 @provokes(DriverReason.HEAT, DriverState.STOPPED)
 def provoke_heat(firmware, latch):
     firmware.options = "0.005", "20"  # quicker than the table, which as a whole is allowed
@@ -137,28 +134,12 @@ def provoke_following(firmware, latch):
     return transport
 
 
-@provokes(DriverReason.DEVICE_RESET, DriverState.STOPPED)
-def provoke_device_reset(firmware, latch):
-    transport = enabled(firmware)
-    firmware.order("reset")
-    pass_time(firmware, transport, 2.0)
-    return transport
-
-
 @provokes(DriverReason.DEVICE_CLOCK, DriverState.STOPPED)
 def provoke_device_clock(firmware, latch):
     transport = enabled(firmware)
     play(firmware, transport, 0.5)
     firmware.fast = 0.2
     pass_time(firmware, transport, 2.0)
-    return transport
-
-
-@provokes(DriverReason.NO_ANSWER, DriverState.ERROR)
-def provoke_no_answer(firmware, latch):
-    transport = enabled(firmware)
-    firmware.loss = 1.0
-    pass_time(firmware, transport, 1.0)
     return transport
 
 
@@ -175,14 +156,6 @@ def provoke_no_telemetry(firmware, latch):
 
     firmware.read = read_without
     pass_time(firmware, transport, 0.7)
-    return transport
-
-
-@provokes(DriverReason.PORT, DriverState.ERROR)
-def provoke_port(firmware, latch):
-    transport = enabled(firmware)
-    firmware.cut = True
-    pass_time(firmware, transport, 0.5)
     return transport
 
 

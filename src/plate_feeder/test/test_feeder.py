@@ -97,18 +97,6 @@ def test_nothing_runs_until_a_command_comes():
     assert cell.feeder.state(cell.t) is State.STARTING
 
 
-def test_a_part_is_told_and_reserved_and_the_plate_rests():
-    cell = Cell()
-    cell.get()
-    reply = cell.answer()
-    assert reply.code is Code.DONE
-    assert reply.part.id in cell.ready
-    assert reply.valid_until == pytest.approx(cell.t + TASK.valid_s)
-    assert cell.feeder.state(cell.t) is State.RESERVED
-    cell.run(5)
-    assert cell.output.order.mode is FeedMode.REST
-
-
 def test_a_robot_does_not_wait_if_enough_are_ready():
     """Then the plate rests by order before it asks."""
     cell = Cell()
@@ -131,20 +119,6 @@ def test_the_planner_rests_by_itself_before_it_is_ordered_to():
     cell.busy = False
     cell.run(2)
     assert cell.output.order.mode is FeedMode.REST
-
-
-def test_parts_that_have_moved_before_the_first_image_at_rest_are_ready_in_the_next():
-    cell = Cell(ready=("black_1",))
-    cell.get()
-    cell.run()
-    assert cell.output.order.mode is FeedMode.REST
-    ready, cell.ready = cell.ready, {}
-    while cell.mode is not FeedMode.REST:
-        cell.run()
-    assert cell.output.order.mode is FeedMode.REST
-    cell.ready = ready
-    cell.run()
-    assert [reply.code for reply in cell.replies] == [Code.DONE]
 
 
 def test_which_parts_are_ready_is_judged_when_the_plate_rests():
@@ -464,12 +438,15 @@ def test_after_a_stop_nothing_begins_before_a_person_says_so():
     assert cell.output.run
 
 
-def test_a_stop_keeps_the_reservation_and_its_report():
+@pytest.mark.parametrize("end", ["stop", "task_ended"])
+def test_the_end_of_the_task_keeps_the_reservation_and_its_report(end):
     cell = Cell()
     cell.get()
     name = cell.answer().part.id
-    cell.feeder.stop("driver: emergency stop")
+    getattr(cell.feeder, end)("driver: emergency stop")
     cell.run(2)
+    other = Code.STOPPED if end == "stop" else Code.BUSY
+    assert cell.feeder.get_part("other", now=cell.t).code is other
     assert cell.do("part_taken", name).code is Code.DONE
     cell.run(2)
     assert not cell.output.run
@@ -486,16 +463,6 @@ def test_where_nothing_was_stopped_there_is_nothing_to_resume():
     cell.feeder.resume()
     assert cell.feeder.state(cell.t) is State.STOPPED
     assert cell.get() is None, "a technical failure needs no person"
-
-
-def test_a_reservation_outlives_the_task():
-    cell = Cell()
-    cell.get()
-    name = cell.answer().part.id
-    cell.feeder.task_ended("the driver stopped")
-    cell.step()
-    assert cell.feeder.get_part("other", now=cell.t).code is Code.BUSY
-    assert cell.do("part_taken", name).code is Code.DONE
 
 
 def test_counts_go_on_from_task_to_task():

@@ -300,20 +300,13 @@ def test_no_part_in_time(graph):
     graph.until(lambda: [each.x_max for each in graph.planner.orders[-1].picks] == [0.26])
 
 
-def test_the_hopper_is_opened_and_missed(graph):
-    graph.planner.seen = 5
-    graph.call(PreparePart, "prepare_part")
-    graph.until(lambda: graph.planner.opened)
-    assert graph.planner.opened == [pytest.approx((15 - 5) / 10)]
-
-
-def test_a_stop_shuts_the_hopper(graph):
+def test_the_hopper_opens_for_missing_parts_and_a_stop_shuts_it(graph):
     graph.planner.seen = 5
     graph.call(PreparePart, "prepare_part")
     graph.until(lambda: graph.planner.opened)
     graph.planner.end("stopped", TaskStatus.STOPPED)
     graph.until(lambda: len(graph.planner.opened) == 2)
-    assert graph.planner.opened[1] == 0
+    assert graph.planner.opened == [pytest.approx((15 - 5) / 10), 0]
 
 
 @pytest.mark.parametrize(

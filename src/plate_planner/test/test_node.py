@@ -284,22 +284,6 @@ def test_a_driver_that_is_not_ready_ends_the_task_at_once(graph, status):
     assert graph.image(0.5, APART).parts.ids == ()
 
 
-def test_what_ended_a_task_is_told_once_beside_what_else_is_wrong(graph):
-    graph = graph(input_timeout_s=30.0)
-    graph.begin()
-    graph.driver = NOT_READY[0]
-    aborted = f"aborted after 0.1 s: driver: {graph.driver.text}"
-    graph.until(lambda: graph.states[-1] == aborted)
-    other = rclpy.create_node("other_driver")
-    other.create_publisher(DriverStatus, graph.drivers.topic_name, LATCHED)
-    try:
-        graph.until(lambda: graph.planner._monitor.second_publishers())
-        text = f"{aborted}; {graph.planner._monitor.second_publishers()}"
-        graph.until(lambda: graph.report() == (DiagnosticStatus.ERROR, text))
-    finally:
-        other.destroy_node()
-
-
 def test_a_second_driver_is_told_of_and_no_task_begins(graph):
     graph = graph(input_timeout_s=30.0)
     graph.image(0.0, APART)
@@ -406,30 +390,6 @@ def test_the_same_image_again_and_again_is_no_news(silenced):
     assert ": no parts for " in silenced.states[-1]
 
 
-def test_a_solver_that_does_not_answer_ends_the_task(silenced):
-    silenced.answering = False
-    silenced.feed(lambda: silenced.states[-1] != "running")
-    assert ": no plate_cycle for 0." in silenced.states[-1]
-    assert silenced.states[-1].endswith("does the solver run?")
-
-
-def test_a_driver_that_falls_silent_ends_the_task(silenced):
-    silenced.driver = None
-    silenced.feed(lambda: silenced.states[-1] != "running")
-    assert ": no driver_status for " in silenced.states[-1]
-
-
-def test_a_node_of_the_loop_that_misses_its_input_ends_the_task(silenced):
-    silenced.feed(
-        lambda: silenced.states[-1] != "running",
-        lambda: [
-            silenced.others.publish(stale("camera_driver", "no coffee")),
-            silenced.others.publish(stale("simulator", "no motor table for 1.5 s")),
-        ],
-    )
-    assert silenced.states[-1].endswith(": simulator: no motor table for 1.5 s")
-
-
 @pytest.mark.parametrize("lasts", [True, False])
 def test_an_error_of_the_detector_ends_the_task_if_it_lasts(silenced, lasts):
     """Parts come as before, but their places are wrong."""
@@ -468,12 +428,6 @@ def test_a_feed_goes_on_without_orders_but_not_without_a_feeder_that_gave_some(g
     for _ in range(5):
         graph.image_and_pause(next(images))
     assert graph.states[-1].startswith("running")
-
-
-def test_a_planner_that_stood_still_does_not_go_on(silenced):
-    silenced.clock.step(1.0)
-    why = "aborted after 0.1 s: the planner was stalled for"
-    silenced.until(lambda: silenced.states[-1].startswith(why))
 
 
 def test_a_goal_that_was_sent_while_the_planner_stood_still_is_not_begun(graph):
@@ -521,16 +475,6 @@ def test_an_order_of_a_stranger_is_not_carried_out(graph, monkeypatch):
     assert modes == {FeedOrder.REST}
 
 
-def test_a_failure_tells_its_reason(graph):
-    graph = graph(unseen_timeout_s=0.1)
-    graph.answering = False  # else the planner carries the part on
-    handle = graph.begin(0.8)
-    for t in (1.1, 1.2, 1.3):
-        graph.image(t, APART[:3], IDS[:3])
-    assert graph.result(handle)[1].reason == TaskStatus.PART_UNSEEN
-    graph.until(lambda: graph.states[-1].startswith("lost part after 0.4 s: grey_2 was last"))
-
-
 def test_forces_are_drawn_for_those_who_look(graph):
     graph, drawn = graph(), []
     graph.probe.create_subscription(MarkerArray, "markers", drawn.append, DATA)
@@ -547,42 +491,6 @@ def test_forces_are_drawn_for_those_who_look(graph):
         tail, tip = marker.points
         assert (tail.x, tail.y) == tuple(place)
         assert np.allclose([tip.x - tail.x, tip.y - tail.y], 0.1 * force / unit)
-
-
-@pytest.fixture
-def asked_of_the_next_image(graph):
-    """Function to the forces (4, 2) for an image that comes after the answer to the one before, or
-    earlier."""
-
-    def ask(late):
-        node = graph(lockstep=True)
-        t = np.arange(64) / 64 * 0.1
-        node.cycle = PlateCycle.from_samples(
-            0.1, 2e-3 * np.outer(np.sin(20 * np.pi * t), [1, 0, 0])
-        )
-        node.begin(1.0)
-        node.until(lambda: not node.planner._lockstep.unanswered)
-        node.answering = not late
-        node.image(1.3, APART)
-        node.until(lambda: node.planner._lockstep.unanswered is late)
-        count, stamp = len(node.forces), to_time(1_400_000_000)
-        node.starts.publish(cycle_to_msg(node.cycle, stamp))
-        node.parts.publish(parts_to_msg(Parts.make(IDS, APART + 1e-3), stamp))
-        if late:
-            node.until(lambda: node.planner._lockstep.image_waits)
-            assert len(node.forces) == count
-            node.answer()
-        node.until(lambda: len(node.forces) > count)
-        assert node.forces[count].header.stamp == stamp
-        return msg_to_wanted(node.forces[count]).forces.force
-
-    return ask
-
-
-def test_in_lockstep_it_does_not_matter_who_hears_a_cycle_first(asked_of_the_next_image):
-    in_time = asked_of_the_next_image(late=False)
-    np.testing.assert_array_equal(asked_of_the_next_image(late=True), in_time)
-    assert np.any(in_time)
 
 
 STATE = np.array([[1e-3, 0, 0], [0.02, 0, 0], [0, 0, 0]])
@@ -724,34 +632,6 @@ def test_in_lockstep_a_player_that_does_not_report_is_not_waited_for_twice(graph
     for k in range(2, 10):
         assert graph.image(1.0 + 0.1 * k, APART).plate is None
     assert graph.states[-1] == "running"
-
-
-def test_in_lockstep_the_task_begins_with_the_second_image(graph):
-    graph = graph(lockstep=True)
-    for _ in range(2):
-        assert graph.image(1.0, APART).parts.ids == ()
-    graph.until(lambda: not graph.planner._lockstep.unanswered)
-    count = len(graph.forces)
-    graph.parts.publish(parts_to_msg(Parts.make(IDS, APART), to_time(1_100_000_000)))
-    graph.until(lambda: graph.planner._lockstep.image_waits)
-    graph.report()
-    assert len(graph.forces) == count
-    graph.send()
-    graph.starts.publish(cycle_to_msg(graph.cycle, to_time(1_100_000_000)))
-    graph.until(lambda: len(graph.forces) > count)
-    assert msg_to_wanted(graph.forces[-1]).parts.ids == IDS
-
-
-def test_in_lockstep_an_image_that_comes_again_after_the_goal_is_not_planned(graph):
-    """Whether one does is chance; the run must be the same."""
-    graph = graph(lockstep=True)
-    graph.image(1.0, APART)
-    graph.until(lambda: not graph.planner._lockstep.unanswered)
-    graph.report()
-    graph.send()
-    graph.until(lambda: graph.planner._tasks.run is not None)
-    assert graph.image(1.0, APART).parts.ids == ()
-    assert graph.image(1.1, APART).parts.ids == IDS
 
 
 def test_in_lockstep_an_image_of_the_task_before_is_answered_by_rest(graph):

@@ -1,6 +1,7 @@
 """Each reason why a task ends, provoked through the node."""
 
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 import pytest
@@ -89,36 +90,6 @@ def provoke_parts_missing(make):
     return graph.until_ended(handle, lambda k: graph.image(0.1 * k, APART[:3], IDS[:3]))
 
 
-@provokes(Reason.CANCELED)
-def provoke_canceled(make):
-    graph = make()
-    handle = graph.begin()
-    handle.cancel_goal_async()
-    return graph.result(handle)[1]
-
-
-@provokes(Reason.PREEMPTED)
-def provoke_preempted(make):
-    graph = make(preempt=True)
-    handle = graph.begin()
-    graph.send()
-    return graph.result(handle)[1]
-
-
-@provokes(Reason.STOPPED)
-def provoke_stopped(make):
-    graph = make()
-    handle = graph.begin()
-    graph.stop()
-    return graph.result(handle)[1]
-
-
-@provokes(Reason.NO_PARTS)
-def provoke_no_parts(make):
-    graph = make(input_timeout_s=0.5)
-    return graph.result(graph.begin())[1]
-
-
 @provokes(Reason.NO_CYCLE)
 def provoke_no_cycle(make):
     graph = make(input_timeout_s=0.5)
@@ -135,14 +106,6 @@ def provoke_no_driver(make):
     return graph.until_ended(handle, graph.image_and_pause)
 
 
-@provokes(Reason.DRIVER_STOPPED)
-def provoke_driver_stopped(make):
-    graph = make()
-    handle = graph.begin()
-    graph.driver = NOT_READY[0]
-    return graph.result(handle)[1]
-
-
 @provokes(Reason.CUT_OFF)
 def provoke_cut_off(make):
     graph = make(input_timeout_s=0.5)
@@ -155,12 +118,25 @@ def provoke_cut_off(make):
     return graph.until_ended(handle, go_on)
 
 
-@provokes(Reason.STOOD_STILL)
-def provoke_stood_still(make):
-    graph = make(input_timeout_s=0.5)
+AT_ONCE = {
+    Reason.CANCELED: lambda graph, handle: handle.cancel_goal_async(),
+    Reason.PREEMPTED: lambda graph, handle: graph.send(),
+    Reason.STOPPED: lambda graph, handle: graph.stop(),
+    Reason.NO_PARTS: lambda graph, handle: None,
+    Reason.DRIVER_STOPPED: lambda graph, handle: setattr(graph, "driver", NOT_READY[0]),
+    Reason.STOOD_STILL: lambda graph, handle: graph.clock.step(1.0),
+}
+"""What ends a running task without another image."""
+
+
+def provoke_at_once(make, reason):
+    graph = make(preempt=True, input_timeout_s=0.5)
     handle = graph.begin()
-    graph.clock.step(1.0)
+    AT_ONCE[reason](graph, handle)
     return graph.result(handle)[1]
+
+
+PROVOKE.update((reason, partial(provoke_at_once, reason=reason)) for reason in AT_ONCE)
 
 
 @provokes(Reason.INVALID_GOAL)
