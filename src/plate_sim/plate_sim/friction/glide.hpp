@@ -5,6 +5,8 @@
 #include <algorithm>
 #include <cmath>
 
+#include <plate/simd.hpp>
+
 #include "friction/step.hpp"
 
 namespace plate::gliding {
@@ -104,6 +106,9 @@ inline bool describe(const State& state, int i, const Body& body, double step, b
         for (int k = 0; k < count; k++) {
             Group& g = groups[k];
             const Stages& s = stages[k];
+            // The loop does not write the states directly, because the compiler would then use masked
+            // stores, which are slow.
+            double next[6][LANES];
 #pragma omp simd
             for (int i = 0; i < LANES; i++) {
                 const double x = g.state[X][i], y = g.state[Y][i], angle = g.state[ANGLE][i];
@@ -127,12 +132,16 @@ inline bool describe(const State& state, int i, const Body& body, double step, b
                                     (std::max(s.ak2[i], s.bk2[i]) <= disc::SERIES) & (turn > 0);
                 g.moved[i] = steady ? 1.0 : 0.0;
                 all[i] += g.moved[i];
-                g.state[X][i] = steady ? px : x;
-                g.state[Y][i] = steady ? py : y;
-                g.state[ANGLE][i] = steady ? angle + half * (spin + uc) : angle;
-                g.state[VX][i] = steady ? ux : vx;
-                g.state[VY][i] = steady ? uy : vy;
-                g.state[SPIN][i] = steady ? uc : spin;
+                next[X][i] = steady ? px : x;
+                next[Y][i] = steady ? py : y;
+                next[ANGLE][i] = steady ? angle + half * (spin + uc) : angle;
+                next[VX][i] = steady ? ux : vx;
+                next[VY][i] = steady ? uy : vy;
+                next[SPIN][i] = steady ? uc : spin;
+            }
+            for (int row = 0; row < 6; row++) {
+                Four own;
+                load(own, next[row]), store(own, g.state[row]);
             }
         }
     }
