@@ -20,7 +20,7 @@ from report.chart import Chart, Data, Drawn, Sheet, table
 from report.documents import fill_documents, names
 from report.feeding import feeding
 from report.forces import force_map, inversion, learning, rotations
-from report.loop import bound, cameras, control, crowds, drives, horizon, rigs, tracking
+from report.loop import bound, cameras, control, crowds, drives, rigs, tracking
 from report.model import model
 from report.page import write_report
 from report.panels import Row
@@ -68,7 +68,6 @@ CHARTS: tuple[Entry, ...] = (
     of_table(cameras, "cameras", "free_running"),
     of_table(drives, "drives"),
     of_table(bound, "bound"),
-    of_table(horizon, "horizon"),
     of_table(rigs, "rigs"),
     of_table(crowds, "crowds", "sizing", "parts"),
     Entry("cost", cost, cost_rows, ("stages", "sim")),

@@ -255,40 +255,6 @@ def bound(rows: list[Row]) -> Drawn:
     )
 
 
-def horizon(rows: list[Row]) -> Drawn:
-    """Return the chart of the changes of task time and computing time by trials beyond the greedy
-    step."""
-    panels, trials = Panels(), [r for r in rows if r["trial"] != "once"]
-    trials = [r | {"name": f"{r['trial']}, {r['scenario']}"} for r in trials]
-    y = Axis("", names=tuple(by(trials, "name"))[::-1])
-    time = panels.add("Time of the task", Axis("change of the mean [%]"), y)
-    work = panels.add("Computing", Axis("for an answer, over one play"), y)
-    note = "{runs} runs, ended well {good}, {dropped} parts dropped"
-    time.rule("one play", x=0.0)
-    work.rule("one play", x=1.0)
-    for colour, (trial, these) in zip(COUNT_COLOURS, by(trials, "trial").items(), strict=False):
-        time.points(these, "change", "name", Look(trial, colour, "o"), hollow=failed, note=note)
-        work.points(these, "answer", "name", Look(trial, colour, "o"), hollow=failed)
-        for one in these:
-            ends = [one | {"change": one["change"] + sign * one["error"]} for sign in (-1, 1)]
-            time.points(ends, "change", "name", Look(trial, colour, "", "-"))
-    changes = "; ".join(
-        f"{trial.replace('times', 'plays')} " + ", ".join(changed(r) for r in these)
-        for trial, these in by(trials, "trial").items()
-    )
-    return Drawn(
-        panels,
-        "Each trial changed the task time by these percentages (in brackets the relative computing "
-        f"time): {changes}.",
-    )
-
-
-def changed(row: Row) -> str:
-    """Return the change of a task's time by a trial, and the ratio of the computing."""
-    change = f"{row['change']:+.0f} ± {row['error']:.0f}"
-    return f"{row['scenario']} {change} ({row['answer']:.2f})"
-
-
 def listed(rows: Iterable[Row], key: str) -> str:
     """Return a text with a column's values, by number of parts."""
     return " and ".join(f"{r[key]:.0f} with {parts(r['parts'])}" for r in rows)

@@ -34,9 +34,8 @@ hollow mark means that not all runs ended well. Times are CPU times without ROS;
 measurement; `make bench ARGS=NAME` repeats it.
 
 Since commit fa867c50 the solver evaluates motions after two plays. The measurements `control`,
-`free_running`, `drives`, `rigs` and `feeding`, and the demos, are older and used one play. The
-trials of longer horizons used an earlier search; README compares one play with two plays in the
-present one.
+`free_running`, `drives`, `rigs` and `feeding`, and the demos, are older and used one play. README
+compares one play with two plays.
 """
 
 
