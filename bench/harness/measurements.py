@@ -18,7 +18,7 @@ from harness.result import ROOT, write
 CHAPTERS = {
     "stages": (
         "sim", "model", "trust", "bodies", "force_map", "solver", "rotations", "inversion",
-        "steering", "options", "vision", "cameras", "classes", "shapes", "stages", "learning",
+        "steering", "options", "vision", "cameras", "stages", "learning",
         "friction", "stop_latency", "board", "latency", "graph", "page",
     ),
     "maps": ("stability",),
