@@ -212,15 +212,6 @@ def test_all_stages_are_timed_although_cycles_begin_in_motion():
     assert row["answer"] == sum(row[name] for name in ("vision", "planner", "solver", "driver"))
 
 
-def test_no_motion_that_is_found_beats_the_bounds():
-    from plate_bringup.bounds import speed_bounds
-    from tasks.bound import fastest
-
-    rig = load_rig()
-    rest, free = (fastest(rig, 1, 0.1, at_rest, 0, quick=True) for at_rest in (True, False))
-    assert 0.05 < rest < free < speed_bounds(rig, 0.1).least
-
-
 @pytest.mark.parametrize(
     ("drive", "late_ms"),
     [("interpolated", 2), ("held, with its speed", 1), ("held", 1 + 2e3 / (2 * np.pi * 150))],

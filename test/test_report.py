@@ -81,7 +81,7 @@ def drawn(tmp_path_factory):
 
 @pytest.fixture(scope="module")
 def chart():
-    """A chart with a panel of every kind: points and a front, bars, a field with a line on it."""
+    """A chart with a panel of every kind: points and a front, names, a field with a line on it."""
     from report.axis import Axis
     from report.chart import Chart, Sheet
     from report.panels import Look, Panels
@@ -93,7 +93,8 @@ def chart():
     first.rule("wanted", x=20.0)
     first.rule("limit", y=2.0)
     first.mark(1.0, 3.0)
-    panels.add("bars", y, Axis("", names=("b", "a"))).bars("bars", [1.0, 2.0], ["a", "b"])
+    names = panels.add("names", y, Axis("", names=("b", "a")))
+    names.points([{"x": 1.0, "y": "a"}, {"x": 2.0, "y": "b"}], "x", "y", Look("named"))
     field = panels.add("field", y, y)
     field.heat([1.0, 2.0, 3.0], [2.0, 5.0], [[0.0, 0.5, None], [0.1, 0.9, 1.0]], "success", (0, 1))
     theory = [{"x": 1.0, "y": 2.0}, {"x": 3.0, "y": 5.0}]

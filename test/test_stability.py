@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from harness import Cache
-from maps import gamma, harmonics, latency, separation, stick, suspension
+from maps import gamma, harmonics, separation, stick, suspension
 from maps.grid import Grid, StabilityMap, crossing
 from maps.stability import MAPS, grids, nearness
 from plate_core import PlateCycle, load_rig
@@ -81,30 +81,6 @@ def test_averages_hold_above_the_predicted_shaking_ratio(rig, parts):
     first = gamma.first_order(rig, cycle, position) / 1000
     at_1000 = gamma.error(rig, cycle.scaled(1000), position)
     assert at_1000 == pytest.approx(first, rel=0.05)
-
-
-def test_the_loop_swings_up_from_the_predicted_latency_on(rig, monkeypatch):
-    linear = []
-    for seed in range(5):  # one draw of motions may give a tenth less
-        monkeypatch.setattr(latency, "SEED", seed)
-        linear.append(latency.LinearLoop(rig))
-    for friction in (1.0, 1.4):
-        margin = np.median([one.delay_margin(friction) for one in linear])
-        ages = margin * np.array([0.6, 1.0, 1.4])
-        error = [1e3 * latency.Loop(rig, 1).run(friction, age) for age in ages]
-        observed = crossing(ages.tolist(), error, latency.LEVEL_MM)
-        assert observed == pytest.approx(margin, rel=0.4)
-
-
-def test_the_linear_loop_does_as_asked_where_all_is_as_believed(rig, monkeypatch):
-    growth = []
-    for seed in range(5):  # one draw of motions may give a tenth more
-        monkeypatch.setattr(latency, "SEED", seed)
-        linear = latency.LinearLoop(rig)
-        assert linear.response(1.0, 1.0)[0, 0] == pytest.approx(1.0, abs=0.1)
-        assert linear.growth(1.0, 1.0) > 1
-        growth.append(linear.growth(1.0, 0.0))
-    assert np.median(growth) < 0.5
 
 
 @pytest.mark.parametrize(("method", "parts"), [("sinusoids", 2), ("rotations", 6)])

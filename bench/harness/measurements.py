@@ -17,13 +17,13 @@ from harness.result import ROOT, write
 
 CHAPTERS = {
     "stages": (
-        "sim", "model", "trust", "bodies", "force_map", "solver", "rotations", "inversion",
+        "sim", "model", "trust", "bodies", "force_map", "solver",
         "steering", "options", "vision", "cameras", "stages", "learning",
         "friction", "stop_latency", "board", "latency", "graph", "page",
     ),
     "maps": ("stability",),
     "tasks": (
-        "tasks", "tracking", "bound", "rigs", "sizing", "sameness", "free_running", "drives",
+        "tasks", "tracking", "rigs", "sameness", "free_running", "drives",
         "control", "views", "serial", "lines", "closed_loop", "feeding", "feeding_hour",
     ),
 }  # fmt: skip

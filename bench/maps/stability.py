@@ -7,12 +7,11 @@ from dataclasses import asdict
 import numpy as np
 
 from harness import Cache, Result, rounded
-from maps import gamma, harmonics, latency, separation, stick, suspension
+from maps import gamma, harmonics, separation, stick, suspension
 from maps.grid import Grid, StabilityMap, crossing
 
 MAPS: dict[str, StabilityMap] = {
-    module.MAP.key: module.MAP
-    for module in (separation, harmonics, gamma, latency, stick, suspension)
+    module.MAP.key: module.MAP for module in (separation, harmonics, gamma, stick, suspension)
 }
 """All maps by their keys. Each is defined in `maps/KEY.py`."""
 

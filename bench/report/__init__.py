@@ -19,8 +19,8 @@ from plate_core import PlateError
 from report.chart import Chart, Data, Drawn, Sheet, table
 from report.documents import fill_documents, names
 from report.feeding import feeding
-from report.forces import force_map, inversion, learning, rotations
-from report.loop import bound, cameras, control, crowds, drives, rigs, tracking
+from report.forces import force_map, learning
+from report.loop import cameras, control, drives, rigs, tracking
 from report.model import model
 from report.page import write_report
 from report.panels import Row
@@ -58,8 +58,6 @@ CHARTS: tuple[Entry, ...] = (
     Entry("solver", solver, solver_rows, ("solver",)),
     of_table(options, "options"),
     of_table(steering, "steering"),
-    of_table(rotations, "rotations"),
-    of_table(inversion, "inversion", name="fate"),
     Entry("sim", sim, sim_rows, ("sim", "bodies")),
     of_table(model, "model"),
     of_table(vision, "vision"),
@@ -67,9 +65,7 @@ CHARTS: tuple[Entry, ...] = (
     of_table(tracking, "tracking"),
     of_table(cameras, "cameras", "free_running"),
     of_table(drives, "drives"),
-    of_table(bound, "bound"),
     of_table(rigs, "rigs"),
-    of_table(crowds, "crowds", "sizing", "parts"),
     Entry("cost", cost, cost_rows, ("stages", "sim")),
     of_table(learning, "learning"),
     of_table(feeding, "feeding"),

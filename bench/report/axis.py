@@ -30,7 +30,7 @@ class Axis:
     Attributes
     ----------
     names : tuple of str
-        Names instead of numbers, for the axis of a bar chart, from bottom to top.
+        Names instead of numbers, from bottom to top.
     ticks : tuple of float
         Positions of numbers. If it is empty, the positions are chosen automatically.
     limits : (low, high), optional

@@ -1,13 +1,11 @@
-"""Charts of the closed loop: tracking, control time, cameras, drives, rigs, bounds, crowds."""
+"""Charts of the closed loop: tracking, control time, cameras, drives, rigs."""
 
 from __future__ import annotations
-
-from collections.abc import Iterable
 
 from harness import shown
 from report.axis import Axis
 from report.chart import Drawn, column, parts
-from report.panels import FAINT, LIMIT, OURS, PEER, SECOND, Look, Panels, Row, by
+from report.panels import FAINT, LIMIT, OURS, SECOND, Look, Panels, Row, by
 from report.solver import METHODS
 from tasks.free_running import ALLOWED_MM
 
@@ -218,65 +216,6 @@ def rigs(rows: list[Row]) -> Drawn:
     )
 
 
-def bound(rows: list[Row]) -> Drawn:
-    """Return the chart of the parts' speed: bounds, result of a search, closed loop."""
-    panels, counts = Panels(), by(rows, "parts")
-    one = [r | {"period": 1e3 * r["period_s"]} for r in counts[1]]
-    first = panels.add("One part", Axis("cycle [ms]"), Axis("mean speed [mm/s]", log=True))
-    for name, line in (("acceleration", "--"), ("stroke", ":")):
-        key = {"acceleration": "accel_mm_s", "stroke": "stroke_mm_s"}[name]
-        first.points(one, "period", key, Look(f"bound of {name}", LIMIT, "", line))
-    kinds = {
-        "free_mm_s": Look("found, without rest", SECOND, "o", "-"),
-        "rest_mm_s": Look("found, with rest", OURS, "o", "-"),
-    }
-    second = panels.add(
-        "Best cycle, and the closed loop", Axis("parts", log=True, ticks=tuple(counts)),
-        Axis("mean speed [mm/s]", log=True),
-    )  # fmt: skip
-    best = [
-        {"parts": n} | {key: max(column(mine, key)) for key in kinds} for n, mine in counts.items()
-    ]
-    for key, look in kinds.items():
-        first.points(one, "period", key, look)
-        second.points(best, "parts", key, look)
-    own = [r for r in rows if r["solver"]]
-    second.points(own, "parts", "rest_mm_s", Look("found, the solver's cycle", FAINT, "s", ":"))
-    second.points(own, "parts", "loop_mm_s", Look("closed loop", PEER, "D", "--"))
-    ends = [best[0], best[-1]]
-    gain = " and ".join(
-        f"{r['free_mm_s'] / r['rest_mm_s']:.1f} with {parts(r['parts'])}" for r in ends
-    )
-    return Drawn(
-        panels,
-        f"The speed [mm/s] of the best cycle with rest is {listed(ends, 'rest_mm_s')}. The speed "
-        f"in the closed loop is {listed([own[0], own[-1]], 'loop_mm_s')}. Cycles without rest are "
-        f"faster by a factor of {gain}.",
-    )
-
-
-def listed(rows: Iterable[Row], key: str) -> str:
-    """Return a text with a column's values, by number of parts."""
-    return " and ".join(f"{r[key]:.0f} with {parts(r['parts'])}" for r in rows)
-
-
-def crowds(rows: list[Row]) -> Drawn:
-    """Return the chart of a sort's time and lost parts against the number of parts."""
-    panels = Panels()
-    panel = panels.add(
-        "Sorting", Axis("parts", log=True, ticks=tuple(by(rows, "parts"))),
-        Axis("time of the task [s]", log=True),
-    )  # fmt: skip
-    note = ENDED + ", {dropped} parts dropped"
-    panel.points(rows, "parts", "time_s", Look("sort", line="-"), hollow=not_all, note=note)
-    dropped = sum(r["dropped"] for r in rows)
-    return Drawn(
-        panels,
-        f"{' / '.join(shown(n) for n in by(rows, 'parts'))} parts are sorted in "
-        f"{medians(rows, 'time_s')} s; {dropped or 'none'} are dropped.",
-    )
-
-
 def not_all(row: Row) -> bool:
     """Whether some runs of a row failed. The row contains a text such as "9 of 10"."""
     return percent(row) < 100
@@ -286,8 +225,3 @@ def percent(row: Row) -> float:
     """Return the percentage of a row's runs that succeeded."""
     good, runs = map(int, row["succeeded"].split(" of "))
     return 100 * good / runs
-
-
-def medians(rows: list[Row], key: str) -> str:
-    """Return a text with a column's values, and with the number of runs if some failed."""
-    return " / ".join(shown(r[key]) + (f" ({r['succeeded']})" if not_all(r) else "") for r in rows)

@@ -169,7 +169,7 @@ class Panels:
             figure.update_xaxes(panel.x.settings(panel.places("x")), row=row, col=column)
             figure.update_yaxes(panel.y.settings(panel.places("y")), row=row, col=column)
         figure.update_layout(
-            template="none", height=high, barmode="stack", hovermode="closest",
+            template="none", height=high, hovermode="closest",
             font={"family": "sans-serif", "size": 14, "color": INK},
             margin=margin,
             legend={"orientation": "h", "x": 0, "y": 1, "yref": "container", "yanchor": "top"},
@@ -254,19 +254,6 @@ class Panel:
         """Draw the points of every kind, by the values of a column. `more` is as in `points`."""
         for kind, mine in by(rows, key).items():
             self.points(mine, x, y, looks[kind], **more)
-
-    def bars(
-        self, name: str, length: Sequence[float], names: Sequence[str], colour: str = OURS,
-        labels: Sequence[str] = (),
-    ) -> None:  # fmt: skip
-        """Draw bars from the left, stacked on the existing bars."""
-        self.traces.append(
-            go.Bar(
-                x=list(length), y=list(names), name=name, orientation="h", cliponaxis=False,
-                marker={"color": colour}, text=list(labels) or None, textposition="outside",
-                hovertemplate=f"<b>{name}</b><br>%{{y}}: %{{x}}<extra></extra>",
-            )
-        )  # fmt: skip
 
     def heat(
         self, x: Sequence[float], y: Sequence[float], z: Sequence[Sequence[float | None]],

@@ -10,7 +10,6 @@ from .library import (
     REACH,
     Library,
     grid,
-    ring,
     rotation_matrix,
     solve_weights,
 )
@@ -24,7 +23,6 @@ __all__ = [
     "condition_number",
     "grid",
     "least_time",
-    "ring",
     "rotation_matrix",
     "solve_weights",
 ]

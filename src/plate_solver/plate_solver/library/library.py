@@ -166,12 +166,6 @@ def unit_twists(centre: np.ndarray, half: np.ndarray) -> np.ndarray:
     return np.column_stack([centre[:, 1] * spin, -centre[:, 0] * spin, spin])
 
 
-def ring(half: np.ndarray, count: int = 24) -> np.ndarray:
-    """Return centres (count, 2) [m] on an ellipse slightly larger than the plate."""
-    angle = 2 * np.pi * np.arange(count) / count
-    return np.column_stack([1.1 * half[0] * np.cos(angle), 1.2 * half[1] * np.sin(angle)])
-
-
 def grid(half: np.ndarray, columns: int = 6, rows: int = 4) -> np.ndarray:
     """Return centres (columns * rows, 2) [m] on a regular grid with half side lengths `half`."""
     x, y = np.meshgrid(

@@ -5,11 +5,10 @@ controller uses, is in `solver.py`.
 """
 
 from .family import RotationFamily
-from .plan import RotationPlan, plan_rotations, with_return_strokes
+from .plan import RotationPlan, plan_rotations
 
 __all__ = [
     "RotationFamily",
     "RotationPlan",
     "plan_rotations",
-    "with_return_strokes",
 ]

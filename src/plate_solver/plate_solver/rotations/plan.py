@@ -22,9 +22,6 @@ CLOSURE_PRICE = 1e4
 """Price of a gap between the start and the end of the sequence. The price is so high that the gap
 becomes 0."""
 
-RETURN = 2.5
-"""Speed of a return stroke divided by the speed of the stroke before it."""
-
 
 @dataclass(frozen=True)
 class RotationPlan:
@@ -112,25 +109,4 @@ def plan_rotations(
         / np.maximum(library.clearance(position)[used % len(library.twist)], 1e-9),
         met=1 / max(total, 1.0),
         times=times,
-    )
-
-
-def with_return_strokes(plan: RotationPlan) -> RotationPlan:
-    """Return the plan with a faster return stroke after each rotation, so that each pair of strokes
-    closes.
-
-    Let r be the ratio of the two speeds. A stroke and its return stroke take 1 + 1/r times the
-    duration of the stroke. Both strokes produce 1 - 1/r times its force. Therefore the total time
-    is (r + 1)/(r - 1) times the time of the plan: 2.3 times for r = 2.5.
-    """
-    longer = (RETURN + 1) / (RETURN - 1)
-    fraction = plan.fraction * longer
-    fits = 1 / max(float(np.sum(fraction)), 1.0)
-    out = fraction * fits * RETURN / (RETURN + 1)
-    return RotationPlan(
-        twist=np.stack([plan.twist, -RETURN * plan.twist], axis=1).reshape(-1, 3) / RETURN,
-        fraction=np.stack([out, out / RETURN], axis=1).ravel(),
-        priority=np.repeat(plan.priority, 2),
-        met=plan.met * fits,
-        times=plan.times,
     )

@@ -15,7 +15,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from plate_core import PlateError, Rig
+from plate_core import Rig
 
 from ..fit import Fit, basin_hopping
 from ..goal import Goal, Solution, fit_goal, goal_solution
@@ -23,7 +23,7 @@ from ..library import Library
 from ..limits import within_limits
 from ..motion_solver import MotionSolver, check_options, make_options
 from .family import RotationFamily
-from .plan import RotationPlan, plan_rotations, with_return_strokes
+from .plan import RotationPlan, plan_rotations
 
 FEW = (2, 4)
 """Maximum number of parts for a cycle of half the period, and for a cycle of three quarters of the
@@ -34,8 +34,6 @@ SETTLE = 0.05
 
 PUSH = 0.04
 """In plans towards targets: drift of the part that moves the longest distance [m/s]."""
-
-CLOSURES = ("sequence", "strokes")
 
 FINER = 3
 """Factor on the number of steps if the evaluation with fine steps contradicts the search. The
@@ -63,9 +61,6 @@ class RotationOptions:
         and three quarters of this for up to four parts.
     speed : float
         Usual speed of the plate's fastest corner in a rotation [m/s].
-    closure : str
-        `sequence`: the whole motion closes. `strokes`: each rotation is followed by a return
-        stroke.
     most_price : float
         Maximum time per unit of force on a part [cycles / (mu m g)]. The plan does not meet forces
         that cost more. An example is a force that separates two parts that almost touch.
@@ -79,7 +74,6 @@ class RotationOptions:
 
     period: float = 0.2
     speed: float = 0.25
-    closure: str = "sequence"
     most_price: float = 30.0
     iterations: int = 40
     restarts: int = 4
@@ -95,8 +89,6 @@ class RotationOptions:
             restarts=(0, 10_000),
             seed=(0, 2**31 - 1),
         )
-        if self.closure not in CLOSURES:
-            raise PlateError(f"closure is {self.closure!r}, allowed: {', '.join(CLOSURES)}")
 
 
 class Start(NamedTuple):
@@ -235,8 +227,6 @@ class RotationCycles(MotionSolver):
     ) -> Start:
         """Return the `RotationFamily` of a plan, and the parameters of the plan."""
         options = self.options
-        if options.closure == "strokes":
-            plan = with_return_strokes(plan)
         family = RotationFamily(
             plan.twist,
             self._limits,
