@@ -9,8 +9,9 @@ import pytest
 
 from plate_core import PlateError, load_rig
 from plate_core.rig import rig_path
+from plate_core.serial_protocol import Trouble
 from plate_drives.commission import commission, main
-from plate_drives.master import Master
+from plate_drives.master import Master, trouble_text
 
 pytestmark = pytest.mark.needs("can", "canopen")
 
@@ -545,6 +546,10 @@ def test_lost_arbitration_is_no_error_of_the_bus():
     assert next(frames) == (0x701, b"\x05")
     with pytest.raises(PlateError, match="error on the CAN bus"):
         next(frames)
+
+
+def test_a_negative_code_is_told_as_the_drive_sends_it():
+    assert "is FFFFFFFFh" in trouble_text(2, Trouble.WRONG_DRIVE, 0x6061, -1)
 
 
 def test_without_python_can_it_says_so(capsys, monkeypatch):

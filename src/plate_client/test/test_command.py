@@ -119,6 +119,7 @@ def test_services_and_state(graph):
         asked(graph, "disable")
     with pytest.raises(PlateError, match="no service stop: nodes here: talker"):
         asked(graph, "stop")
+    assert not list(graph.node.clients)
     assert asked(graph, "state").splitlines() == [
         "driver_status: no message",
         "task_status: idle",
@@ -144,11 +145,13 @@ def test_enable_waits_until_the_motors_are_ready(make, view, clock, ends):
     node.create_service(SetBool, "enable", answer)
     # As the driver does: what it says comes beside the answer.
     node.create_timer(0.2, lambda: statuses.publish(due.pop(0)) if due else None, clock=clock.clock)
+    graph = view(NAMESPACE)
     if ends == "ready":
-        assert asked(view(NAMESPACE), "enable") == "ready"
+        assert asked(graph, "enable") == "ready"
     else:
         with pytest.raises(PlateError, match="not enabled, driver_status: stopped: supply"):
-            asked(view(NAMESPACE), "enable")
+            asked(graph, "enable")
+    assert not [*graph.node.subscriptions, *graph.node.clients]
 
 
 @pytest.fixture

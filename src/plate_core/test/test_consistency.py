@@ -35,6 +35,7 @@ MARKERS = {
 OTHER_PLATE = [[170, 390], [470, 390], [470, 90], [170, 90]]
 MIRRORED = [[617.82, 389.50], [21.01, 387.25], [26.86, 91.35], [614.33, 93.94]]
 
+HEAVY = {name: {"radius_m": 0.01, "mass_kg": kg} for name, kg in (("nut", 0.02), ("block", 0.3))}
 DRIVE = {"point_m": [-0.30, 0.10], "direction": [1, 0], "drive": "cia402", "node": 1}
 DRIVE |= {"counts_per_m": 1e6}
 
@@ -59,7 +60,8 @@ WARNINGS = [
     (("camera", "corners_px"), [[-4, 387], [592, 389], [589, 94], [1, 91]], r"corners_px\[0\] is "),
     (("parts", "radius_m"), 0.0035, r"3.45 px, allowed: 3 to 200 px, advised: 4 px"),
     (("parts", "radius_m"), 0.03, r"radius_m is 0.03 on a plate .* advised: up to 0.022"),
-    (("parts", "mass_kg"), 0.3, "mass_kg is 0.3 on a plate of 2 kg"),
+    (("parts", "mass_kg"), 0.3, "parts: mass_kg is 0.3 on a plate of 2 kg"),
+    (("types",), HEAVY, "types: block: mass_kg is 0.3 on a plate of 2 kg"),
     (("limits", "continuous_force_n"), 300, "continuous_force_n is 300, more than the peak force"),
     (("limits", "accel_mps2"), 6.0, r"Gamma is 2.45 \(.*accel_mps2\), advised: 5 or more"),
     (("limits", "stroke_m"), 0.6, "stroke_m is 0.6, but at 5 Hz, .* 0.1 m"),

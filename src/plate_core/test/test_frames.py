@@ -1,9 +1,11 @@
 """Frames: there and back, velocities by differences, the camera's corners."""
 
+from dataclasses import replace
+
 import numpy as np
 
 from plate_core import load_rig
-from plate_core.rig import homography, project, surface_velocity, to_home, to_plate
+from plate_core.rig import homography, project, row_delay, surface_velocity, to_home, to_plate
 
 RIG = load_rig()
 POSE = np.array([0.004, -0.003, 0.05])
@@ -50,3 +52,10 @@ def test_homography_and_its_inverse():
     matrix = homography(RIG)
     back = project(np.linalg.inv(matrix), project(matrix, POINTS))
     np.testing.assert_allclose(back, POINTS, atol=1e-12)
+
+
+def test_the_rows_of_an_image_are_exposed_one_after_the_other():
+    rig = replace(RIG, camera=replace(RIG.camera, readout_s=0.02))
+    pixels = np.column_stack([[30, 600, 200, 320], np.array([0.0, 0.25, 0.5, 1]) * 480])
+    points = project(np.linalg.inv(homography(rig)), pixels)
+    np.testing.assert_allclose(row_delay(rig, points), [-0.01, -0.005, 0, 0.01], atol=1e-12)

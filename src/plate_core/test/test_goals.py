@@ -5,15 +5,15 @@ from dataclasses import replace
 
 import pytest
 
-from plate_core import ScenarioError
+from plate_core import PlateError, ScenarioError
 from plate_core.tasks import FeedTask, PartTarget, PoseTask, load_scenario, scenario_names
 
 pytest.importorskip("rclpy")
 from geometry_msgs.msg import Point
 from rclpy.serialization import deserialize_message, serialize_message
 
-from plate_core.ros import ACTIONS, goal_to_scenario, scenario_to_goal
-from plate_interfaces.msg import PartCount, Region
+from plate_core.ros import ACTIONS, goal_to_scenario, msg_to_order, scenario_to_goal
+from plate_interfaces.msg import FeedOrder, FeedPick, PartCount, Region
 
 
 def sent(scenario):
@@ -142,3 +142,12 @@ def test_a_window_of_which_a_side_is_no_number_is_not_the_whole_plate(value):
     goal.picks[0].x_min = value
     with pytest.raises(ScenarioError, match=r"window_m is .*(nan|inf)"):
         goal_to_scenario(goal)
+
+
+def test_an_order_without_a_window_is_for_the_whole_plate():
+    everywhere, window = FeedPick(type="nut"), FeedPick(type="nut", y_max=0.1)
+    first, second = msg_to_order(FeedOrder(mode=1, picks=[everywhere, window])).picks
+    assert (first.low, first.high) == ((-math.inf, -math.inf), (math.inf, math.inf))
+    assert (second.low, second.high) == ((0, 0), (0, 0.1))
+    with pytest.raises(PlateError, match="feed_orders: mode is 77, allowed: 0 "):
+        msg_to_order(FeedOrder(mode=77))

@@ -92,6 +92,11 @@ def test_moments_of_a_polygon_agree_with_a_grid():
                 "[[0, 0], [0.02, 0], [0.02, 0.02], [0, 0.02]]",
             )
         ),
+        (
+            "nut: {outline_m: [[0, 0], [0.02, 0], [0.02, 0.02], [0, 0.02]], holes_m: [[[1.0e-8, "
+            "1.0e-8], [0.01999999, 1.0e-8], [0.01999999, 0.01999999], [1.0e-8, 0.01999999]]]}",
+            "holes_m is .*allowed: holes smaller than the part",
+        ),
         ("nut: {radius_m: 0.01, symmetry: 3}", "symmetry is 3, allowed: 0 for a disc"),
         ("nut: {radius_m: 0.01, colour: red}", "unknown key colour"),
         ("nut: {radius_m: 0.01, holes_m: [[[0, 0], [0.009, 0], [0, 0.009]]]}", "around its centre"),

@@ -110,6 +110,13 @@ def test_a_trigger_of_the_camera(data, load):
         load(data)
 
 
+def test_motors_bear_half_of_their_peak_force_unless_stated(data, load):
+    data["limits"] |= {"force_n": 180.0, "continuous_force_n": 70.0}
+    assert load(data).limits.continuous_force == 70.0
+    del data["limits"]["continuous_force_n"]
+    assert load(data).limits.continuous_force == 90.0
+
+
 def test_missing_key_is_named(data, load):
     del data["limits"]["speed_mps"]
     with pytest.raises(RigError, match=r"limits: speed_mps is missing, expected a number from 0\."):

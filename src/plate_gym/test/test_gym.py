@@ -4,7 +4,7 @@ import copy
 import pickle
 import re
 import sys
-from dataclasses import replace
+from dataclasses import fields, replace
 from functools import partial
 from itertools import islice
 from multiprocessing import get_context
@@ -606,9 +606,10 @@ def test_who_is_told_what_runs_cannot_change_it(gym):
 
 
 def test_the_guide_is_right(capsys):
-    """Its programs run, and its table of environments says what their scenarios say."""
+    """Its programs run, and its tables say what the scenarios and the worlds say."""
     from plate_gym.agents import KNOWN, Brief
-    from plate_gym.tasks import TASKS, scenario_of
+    from plate_gym.tasks import TASKS, WORLDS, scenario_of
+    from plate_sim.world import NONE
 
     page = (Path(__file__).resolve().parents[3] / "docs/guide/gym.md").read_text(encoding="utf-8")
     scope: dict = {}
@@ -633,3 +634,12 @@ def test_the_guide_is_right(capsys):
         (row,) = [line for line in table.splitlines() if f"{name.removesuffix('-v1')}" in line]
         assert f"{getattr(scenario.task, 'hold_s', 0.0):.1f} |" in row
         assert f"{scenario.time_limit_s:.0f}" in row.rsplit("|", 2)[1]
+    for name, world in WORLDS.items():
+        (row,) = [line for line in page.splitlines() if line.startswith(f"| `{name}` |")]
+        values = {each.name: getattr(world.disturbances, each.name) for each in fields(NONE)}
+        values = {key: value for key, value in values.items() if value != getattr(NONE, key)}
+        figures = {round(1e3 * values.pop("latency", 0)), 100 - round(100 * world.mu_scale)}
+        figures |= {round(float(np.degrees(values.pop("tilt_x", 0))), 1)}
+        figures |= {round(100 * (values.pop("static_ratio", 1) - 1))}
+        figures |= {round(100 * value) for value in values.values()}
+        assert {float(figure) for figure in re.findall(r"[\d.]+", row)} == figures - {0}, name

@@ -121,17 +121,17 @@ def test_a_new_target_far_away_is_no_lack_of_progress():
             PartTarget("grey_1", (0.295, 0.0)),
             r"grey_1 is \(0.295, 0\) m, .*allowed: \|x\| up to 0.2",
         ),
+        (PartTarget("nut_1", (0.0, 0.0)), "class of nut_1 is not in this task, .*black, grey"),
         (PartTarget("grey_1", (np.nan, 0.0)), r"grey_1 is \(nan, 0\) m"),
         (PartTarget("grey_1", (0.0, -np.inf)), r"grey_1 is \(0, -inf\) m"),
-        (
-            PartTarget("grey_1", (0.0, 0.0), 1.0),
-            "angle of grey_1 is given, .*marked",
-        ),
+        (PartTarget("grey_1", (0.0, 0.0), 1.0), "angle of grey_1 is given, .*marked"),
+        (PartTarget("grey_1", (0.0, 0.0), np.inf), "angle of grey_1 is inf, allowed: finite"),
     ],
 )
 def test_a_wrong_target_is_refused_and_the_others_count(target, words):
     plant, planner = Plant(SORT_4), endless()
     state, _, _ = run(planner, plant, cycles=3)
+    state = replace(state, known=(*state.known, "nut_1"))
     planner, _, (text,) = planner.retarget(state, [target, THERE])
     assert re.search(words, text)
     assert len(text) < 300

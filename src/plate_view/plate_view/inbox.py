@@ -27,7 +27,12 @@ class Inbox:
         self._waiting.append((browser, command, time.monotonic()))
 
     def take(self) -> tuple[Any, Command, bool]:
-        """Return the next browser, its command, and whether the command is too old. Return None if
-        the queue is empty."""
+        """Return the next browser, its command, and whether the command is too old.
+
+        Raises
+        ------
+        IndexError
+            If the queue is empty.
+        """
         browser, command, since = self._waiting.popleft()
         return browser, command, time.monotonic() - since > OLD_S

@@ -16,6 +16,7 @@ from rosbags.typesys import Stores, get_types_from_msg, get_typestore  # noqa: E
 from plate_core import PlateError  # noqa: E402
 from plate_core.ros import start_nodes  # noqa: E402
 from plate_interfaces.msg import Part, Parts, TaskStatus  # noqa: E402
+from plate_view.commands import Command  # noqa: E402
 from plate_view.node import PageNode  # noqa: E402
 from plate_view.ros import Replay  # noqa: E402
 
@@ -167,6 +168,9 @@ def test_the_page_shows_what_was_recorded(bag):
             assert node._listener.task.text == "begun"
             assert node._listener._newest["parts"].parts[0].x == pytest.approx(0.040)
             node.trigger_deactivate()
+            node._take(None, Command("replay", 1, {}))  # received before, by the server's thread
+            node._work()
+            assert not node._inbox
         finally:
             node.destroy_node()
     finally:

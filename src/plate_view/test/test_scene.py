@@ -1,5 +1,6 @@
 """What the page gets fits into JSON, and says what there is."""
 
+import base64
 import json
 
 import cv2
@@ -9,6 +10,8 @@ import pytest
 from plate_core import AngleTargets, Parts, PlateCycle, PlateError, Targets, Wanted, load_rig
 from plate_core.rig import homography
 from plate_view.scene import (
+    CAMERA_PX,
+    camera_scene,
     cycle_scene,
     motors_scene,
     nodes_scene,
@@ -32,6 +35,19 @@ def cycle():
 
 def strict(scene):
     return json.loads(json.dumps(scene, allow_nan=False))
+
+
+@pytest.mark.parametrize("size", [(80, 120, 3), (80, 120), (1000, 1920, 3), (3, 6000)])
+def test_a_camera_image_is_reduced_to_the_width_of_the_page(size):
+    image = np.full(size, 200, np.uint8)
+    image[: size[0] // 2] = (30, 90, 150) if len(size) == 3 else 60
+    scene = strict(camera_scene(1.5, image))
+    assert (scene["stamp"], scene["height"], scene["width"]) == (1.5, *size[:2])
+    shown = cv2.imdecode(np.frombuffer(base64.b64decode(scene["jpeg"]), np.uint8), -1)
+    scale = min(1, CAMERA_PX / size[1])
+    assert shown.shape[:2] == (max(1, round(scale * size[0])), round(scale * size[1]))
+    if len(shown) > 1:
+        assert shown[[4, -4], 4] == pytest.approx(image[[4, -4], 4], abs=4)
 
 
 def test_parts_and_how_sure_they_are():

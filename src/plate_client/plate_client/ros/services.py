@@ -169,7 +169,12 @@ class Services:
         self, kind: Any, service: str, request: Any, urgent: bool = False, once: bool = False
     ) -> Any:
         client = self.node.create_client(kind, service, qos_profile=CALLS)
+        try:
+            return self._answer(client, service, request, urgent, once)
+        finally:
+            self.node.destroy_client(client)
 
+    def _answer(self, client: Any, service: str, request: Any, urgent: bool, once: bool) -> Any:
         def there() -> bool:  # a service may be discovered before its node's name
             return urgent or client.service_is_ready() or bool(self._seen())
 
@@ -181,7 +186,6 @@ class Services:
         for _ in range(round(ANSWER_S / again_s)):
             client.call_async(request).add_done_callback(lambda done: answers.append(done.result()))
             if self._until(lambda: bool(answers), again_s):
-                self.node.destroy_client(client)
                 return answers[0]
         raise PlateError(f"{service} does not answer{cut}")
 
