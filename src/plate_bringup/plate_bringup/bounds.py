@@ -37,7 +37,6 @@ from typing import NamedTuple
 import numpy as np
 
 from plate_core import Rig
-from plate_core.rig import motor_levers
 
 __all__ = ["SpeedBounds", "rest_to_rest_s", "shift_accel", "speed_bounds"]
 
@@ -109,7 +108,7 @@ def shift_accel(rig: Rig) -> float:
 def _travel(rig: Rig) -> float:
     """Return the maximum travel of any motor per travel of the plate, along the most favourable
     line [-]."""
-    return _least(motor_levers(rig))
+    return _least(rig.motor_levers)
 
 
 def _least(rows: np.ndarray) -> float:

@@ -12,8 +12,6 @@ from plate_core.rig import (
     Motor,
     Suspension,
     mass_matrix,
-    motor_levers,
-    plate_mass,
 )
 from plate_core.rig.motors import PEAK_OVER_RMS, force_per_accel
 
@@ -45,7 +43,9 @@ def test_force_for_an_acceleration_against_a_linear_programme(seed):
     rows = [
         np.column_stack([normal, normal @ [-y, x]]) for x, y in rig.plate.corners
     ]  # of a + theta'' J r
-    for most, row in zip(force_per_accel(rig), rig.motor_loads[2], strict=True):
+    for most, row in zip(
+        force_per_accel(rig.motor_loads[2], rig.plate.half), rig.motor_loads[2], strict=True
+    ):
         best = linprog(-row, np.vstack(rows), np.ones(4 * 360), bounds=(None, None))
         assert most == pytest.approx(-best.fun, rel=1e-4)
 
@@ -55,7 +55,7 @@ def test_reach_against_the_best_that_motors_could_give(seed):
     """No sharing of the load gives more than the best one, found by a linear programme; motors of
     the default rig share as well as can be."""
     rig = weak(20.0, 20.0, scattered(seed) if seed else RIG)
-    mass, levers, best = plate_mass(rig), motor_levers(rig).T, []
+    mass, levers, best = rig.plate_mass, rig.motor_levers.T, []
     for angle in np.linspace(0, np.pi, 33):
         way = mass @ [np.cos(angle), np.sin(angle), 0.0]
         found = linprog(

@@ -23,7 +23,6 @@ import numpy as np
 
 from plate_core import CycleError, PlateCycle, Rig
 from plate_core.motion import PIECES
-from plate_core.rig import motor_levers, motor_reach
 
 from . import _kernels
 
@@ -86,7 +85,7 @@ class Limits(NamedTuple):
     def of(cls, rig: Rig, fraction: float = MARGIN) -> Limits:
         """Return a fraction of the limits of a rig."""
         limits = rig.limits
-        weak = motor_reach(rig).accel < HEADROOM * limits.accel
+        weak = rig.motor_reach.accel < HEADROOM * limits.accel
         return cls(
             np.array([[m.point, m.direction] for m in rig.motors], dtype=float),
             np.asarray(rig.plate.half, dtype=float),
@@ -94,7 +93,7 @@ class Limits(NamedTuple):
             fraction * limits.speed,
             fraction * limits.accel,
             float(np.hypot(*rig.plate.half)) * 0.6,
-            motor_levers(rig),
+            rig.motor_levers,
             rig.motor_loads / (fraction * limits.force),
             limits.force / limits.continuous_force,
             rig.suspension is not None or weak,

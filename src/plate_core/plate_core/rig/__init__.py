@@ -26,7 +26,7 @@ from .keys import ODRIVE_COUNTS
 from .lens import MODELS as LENS_MODELS
 from .lens import Lens, lens_of_matrix
 from .measured import unmeasured
-from .motors import PEAK_OVER_RMS, Reach, motor_levers, motor_reach, plate_mass
+from .motors import PEAK_OVER_RMS, Reach
 from .part_types import (
     MAX_CORNERS,
     MAX_HEIGHT_M,
@@ -37,23 +37,9 @@ from .part_types import (
     read_part_types,
 )
 from .polygons import is_simple, moments
-from .rig import (
-    SECTIONS,
-    Camera,
-    CameraTrigger,
-    Drive,
-    EdgeMargin,
-    Friction,
-    Limits,
-    Motor,
-    PartFacts,
-    Plate,
-    Rig,
-    default_rig_path,
-    load_rig,
-    rig_names,
-    rig_path,
-)
+from .rig import EdgeMargin, Rig
+from .rig_file import SECTIONS, default_rig_path, load_rig, rig_names, rig_path
+from .sections import Camera, CameraTrigger, Drive, Friction, Limits, Motor, PartFacts, Plate
 from .suspension import Suspension, mass_matrix, modal_matrices
 
 __all__ = [
@@ -99,10 +85,7 @@ __all__ = [
     "mass_matrix",
     "modal_matrices",
     "moments",
-    "motor_levers",
-    "motor_reach",
     "part_radius_px",
-    "plate_mass",
     "project",
     "read_part_types",
     "rig_names",

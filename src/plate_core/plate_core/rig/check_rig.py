@@ -18,8 +18,9 @@ from ..errors import PlateError
 from .consistency import Doubt, doubts
 from .frames import camera_place
 from .keys import ODRIVE_COUNTS
-from .motors import PEAK_OVER_RMS, motor_levers
-from .rig import Rig, read_rig, rig_names, rig_path
+from .motors import PEAK_OVER_RMS
+from .rig import Rig
+from .rig_file import read_rig, rig_names, rig_path
 
 EXAMPLE_M = 0.005
 """Height of the example part for the reported parallax [m], such as a nut or a low cap."""
@@ -158,7 +159,7 @@ def shake(rig: Rig, way: str, hz: float) -> Shake:
     pose = np.array([way == "x", way == "y", way == "theta"], dtype=float)
     # Lever arm [m] of a corner.
     radius = float(np.hypot(*rig.plate.half)) if way == "theta" else 1.0
-    travel = float(np.max(np.abs(motor_levers(rig) @ pose)))
+    travel = float(np.max(np.abs(rig.motor_levers @ pose)))
     if travel < 1e-9:
         return Shake(0.0, 0.0, 0.0, "no motor in this direction")
     stiffness, damping, mass = rig.motor_loads

@@ -7,17 +7,14 @@ the plate, image corners of a plate with another shape, and parts that are one p
 from __future__ import annotations
 
 from collections.abc import Iterator
-from typing import TYPE_CHECKING, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
 from ..errors import RigError
 from .frames import camera_place, fit_homography, part_radius_px
 from .keys import ODRIVE_COUNTS
-from .motors import motor_levers
-
-if TYPE_CHECKING:
-    from .rig import Rig
+from .rig import Rig
 
 PART_PX = (3.0, 200.0)
 """Range of part radii in the image that the detector can detect [px]."""
@@ -113,7 +110,7 @@ def _motors(rig: Rig) -> Iterator[Doubt]:
             )
     yield from _drives(rig)
     scale = np.array([1, 1, float(np.hypot(*rig.plate.half))])
-    sizes = np.linalg.svd(motor_levers(rig) / scale, compute_uv=False)
+    sizes = np.linalg.svd(rig.motor_levers / scale, compute_uv=False)
     if sizes[-1] < 0.05 * sizes[0]:
         yield Doubt(
             "motors",

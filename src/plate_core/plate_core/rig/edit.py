@@ -15,7 +15,8 @@ import yaml
 
 from ..errors import PlateError
 from ..files import YAML_BYTES, draft, read_file
-from .rig import Rig, load_rig
+from .rig import Rig
+from .rig_file import load_rig
 
 Values = Mapping[tuple[str, ...], Mapping[str, str]]
 """New values as text. The outer key is the path to a mapping, the inner key is a key in it."""

@@ -6,14 +6,10 @@ a calibrated lens is added to it. The camera's pose follows from homography and 
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
 import numpy as np
 
 from ..errors import RigError
-
-if TYPE_CHECKING:
-    from .rig import Rig
+from .rig import Rig
 
 CORNER_PX = 1.0
 """Assumed error of a corner's coordinates in the image [px]. It is typical of corners that are

@@ -6,7 +6,8 @@ from __future__ import annotations
 import numpy as np
 
 from .lens import Lens
-from .rig import Rig, load_rig, rig_names
+from .rig import Rig
+from .rig_file import load_rig, rig_names
 
 
 def unmeasured(rig: Rig) -> list[str]:

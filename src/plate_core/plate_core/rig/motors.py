@@ -8,14 +8,12 @@ therefore the heat.
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, NamedTuple
+from collections.abc import Sequence
+from typing import NamedTuple
 
 import numpy as np
 
-from .suspension import mass_matrix
-
-if TYPE_CHECKING:
-    from .rig import Rig
+from .sections import Limits, Motor
 
 PEAK_OVER_RMS = 1.6
 """Approximate minimum ratio of a motor's peak force to its root mean square force in the solvers'
@@ -34,41 +32,41 @@ class Reach(NamedTuple):
     limit: str
 
 
-def motor_levers(rig: Rig) -> np.ndarray:
+def levers(motors: Sequence[Motor]) -> np.ndarray:
     """Return B^T (4, 3) at home, the derivative of each motor's travel by the pose x, y, theta
     [1, 1, m].
 
     Motor forces f (4,) therefore exert the wrench f B^T [N, N, N m] on the plate.
     """
-    (x, y), (ex, ey) = np.array([[m.point, m.direction] for m in rig.motors]).transpose(1, 2, 0)
+    (x, y), (ex, ey) = np.array([[m.point, m.direction] for m in motors]).transpose(1, 2, 0)
     return np.column_stack([ex, ey, x * ey - y * ex])
 
 
-def plate_mass(rig: Rig) -> np.ndarray:
-    """Return the mass matrix M (3, 3) of the suspension, or of a uniform plate if the rig has no
-    suspension."""
-    if rig.suspension is not None:
-        return np.array(rig.suspension.mass)
-    return np.array(mass_matrix(rig.plate.mass_kg, rig.plate.inertia_kgm2))
+def loads(
+    levers: np.ndarray, stiffness: np.ndarray, damping: np.ndarray, mass: np.ndarray
+) -> np.ndarray:
+    """Return the matrices B^+ K, B^+ C and B^+ M (3, 4, 3) from pose, twist and acceleration of the
+    plate to motor forces [N].
+
+    `levers` is B^T (4, 3). Stiffness K, damping C and mass M are (3, 3).
+    """
+    inverse = np.linalg.pinv(levers.T)
+    return np.array([inverse @ each for each in (stiffness, damping, mass)])
 
 
-def motor_loads(rig: Rig) -> np.ndarray:
-    """Compute `Rig.motor_loads`, which caches the result."""
-    inverse = np.linalg.pinv(motor_levers(rig).T)
-    suspension, none = rig.suspension, np.zeros((3, 3))
-    stiffness = none if suspension is None else np.array(suspension.stiffness)
-    damping = none if suspension is None else np.array(suspension.damping)
-    return np.array([inverse @ each for each in (stiffness, damping, plate_mass(rig))])
-
-
-def force_per_accel(rig: Rig) -> np.ndarray:
+def force_per_accel(load: np.ndarray, half: np.ndarray) -> np.ndarray:
     """Return the maximum force (4,) [N] of each motor if no point of the plate exceeds 1 m/s2.
 
     Translation and rotation are combined in the worst direction for each motor. The forces of the
     flexures are omitted, because they depend on the travel and not on the acceleration.
+
+    Parameters
+    ----------
+    load : (4, 3)
+        Matrix B^+ M from acceleration of the plate to motor forces [N].
+    half : (2,)
+        Half sides of the plate [m].
     """
-    load = rig.motor_loads[2]
-    half = rig.plate.half
     turn = np.linspace(0, 1, TURN_STEPS + 1) / float(np.hypot(*half))  # r theta'' from 0 to 1 m/s2
     return np.array([np.max(_support(np.abs(row), half, turn)) for row in load])
 
@@ -86,24 +84,18 @@ def _support(row: np.ndarray, half: np.ndarray, turn: np.ndarray) -> np.ndarray:
     return np.asarray(np.maximum(shift, 0) + row[2] * turn)
 
 
-def motor_reach(rig: Rig) -> Reach:
+def reach(motors: Sequence[Motor], load: np.ndarray, half: np.ndarray, limits: Limits) -> Reach:
     """Return the maximum acceleration that the motors can continuously give any point of the plate.
 
     It is the minimum of two limits. The peak force determines one limit. The continuous force
     determines the other, in motions whose peak force is `PEAK_OVER_RMS` times the root mean square
-    force.
+    force. `load` and `half` are as in `force_per_accel`.
     """
-    most, limits = force_per_accel(rig), rig.limits
-    motor = rig.motors[int(np.argmax(most))].name
+    most = force_per_accel(load, half)
+    motor = motors[int(np.argmax(most))].name
     peak, lasting = limits.force / most.max(), limits.continuous_force / most.max()
     return min(
         Reach(float(peak), f"force_n of {motor}"),
         Reach(float(PEAK_OVER_RMS * lasting), f"continuous_force_n of {motor}"),
         key=lambda each: each.accel,
     )
-
-
-def reach(rig: Rig) -> Reach:
-    """Compute `Rig.reach`, which caches the result."""
-    allowed = Reach(rig.limits.accel, "accel_mps2")
-    return min(allowed, motor_reach(rig), key=lambda each: each.accel)

@@ -15,7 +15,7 @@ from pathlib import Path
 import numpy as np
 
 from plate_core import Rig, load_rig
-from plate_core.rig import Drive, motor_levers, plate_mass
+from plate_core.rig import Drive
 
 
 @dataclass(frozen=True)
@@ -55,10 +55,10 @@ class DeviceLimits:
         is B^+ M (B^T)^+. M contains the inertia and the centre of mass of the suspension. If there
         is no suspension, the plate is uniform.
         """
-        inverse = np.linalg.pinv(motor_levers(rig).T)
+        inverse = np.linalg.pinv(rig.motor_levers.T)
         # Values are rounded, so that rounding errors of the inverse do not affect a check of
         # limits.
-        load = np.round(inverse @ plate_mass(rig) @ inverse.T, 9)
+        load = np.round(inverse @ rig.plate_mass @ inverse.T, 9)
         limits = rig.limits
         return cls(
             limits.stroke_m, limits.speed, limits.accel, limits.force, limits.continuous_force,

@@ -9,7 +9,6 @@ import numpy as np
 
 from plate_core import Rig
 from plate_core.motion import quintic_pieces
-from plate_core.rig import motor_levers
 from plate_core.serial_protocol import MOTORS, TICK_S
 
 from .._kernels import Device
@@ -152,7 +151,7 @@ class SuspendedPlate:
         self._last = np.zeros(INPUT)
         columns = np.eye(STATE + 2 * INPUT) * SCALE
         self._tick = np.stack([_after(rig, tick_s, column) for column in columns], 1) / SCALE
-        self._levers = motor_levers(rig)
+        self._levers = rig.motor_levers
         self._inverse = np.linalg.pinv(self._levers)
 
     def moved(self, setpoint: np.ndarray) -> np.ndarray:

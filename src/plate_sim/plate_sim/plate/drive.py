@@ -20,7 +20,7 @@ from math import factorial, pi
 import numpy as np
 
 from plate_core import PlateCycle, PlateError, Rig
-from plate_core.rig import Suspension, motor_levers
+from plate_core.rig import Suspension
 
 from .motion import PlateMotion
 
@@ -95,7 +95,7 @@ class Plant:
         PlateError
             If nothing holds the plate in place, or if the servo makes it unstable.
         """
-        plant = cls(suspension, motor_levers(rig).T)
+        plant = cls(suspension, rig.motor_levers.T)
         rates = np.linalg.eigvals(plant.system)
         fastest = np.max(np.abs(rates))
         if np.min(np.abs(rates)) < HELD * fastest:
