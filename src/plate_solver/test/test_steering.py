@@ -53,6 +53,18 @@ def rms(array):
     return np.sqrt(np.mean(array**2))
 
 
+@BOTH
+@pytest.mark.parametrize(("count", "turning"), [(2, 0), (2, 1), (4, 0), (4, 1), (7, 4), (8, 8)])
+@pytest.mark.parametrize("lasting", [False, True])
+def test_the_announced_period_is_that_of_the_answer(rig, scene, method, count, turning, lasting):
+    solver, none = method(rig), np.zeros(count)
+    period = solver.steering_period(count, turning, lasting)
+    weight = np.where(np.arange(count) < turning, 0.01, 0.0)
+    turns = Turns(none, np.full((count, 3), 1e-5), none, none, weight) if turning else None
+    goal = replace(random_goal(rig, scene, 0, count, period), turns=turns, lasting=lasting)
+    assert solver.steer(goal, 1.0, 1.0).cycle.period == period
+
+
 # Missed share of the wanted displacement, median over seeds. Measured 0.05, 0.05, 0.07 and
 # 0.04, 0.11, 0.17; the search itself may stop at 0.15.
 @pytest.mark.parametrize(

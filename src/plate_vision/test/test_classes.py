@@ -4,9 +4,10 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+import shapely
 
 from plate_core import config_path
-from plate_core.rig import load_part_types
+from plate_core.rig import load_part_types, to_home, to_plate
 from plate_vision import calibrate_by_scale
 from plate_vision.recognition import camera_limits, find_parts, find_types
 from plate_vision.shapes import model_background
@@ -147,6 +148,21 @@ def test_a_type_is_laid_on_from_each_likely_angle(turn):
     off, rest = laid(turn, decoys, 0.6)
     assert off < 1e-3  # the fourth
     assert rest < 1e-5
+
+
+def test_the_residual_of_a_fit_is_the_mean_of_both_directions():
+    template = make_template(TYPES["bracket"])
+    x, y = template.outline.points.T
+    wavy = to_home(np.array([0.1, -0.05, 0.7]), np.column_stack([x, y + 3e-4 * np.sin(900 * x)]))
+    fit = lay_on(template, make_outline([wavy]), 1e3)
+    samples, outward = np.split(template.samples, 2, axis=1)
+    moved = to_home(fit[:3], samples + fit[3] * outward)
+    there = shapely.distance(shapely.LinearRing(wavy), shapely.points(moved))
+    own, back = shapely.Polygon(TYPES["bracket"].polygon), shapely.points(to_plate(fit[:3], wavy))
+    away = shapely.distance(own.exterior, back) * np.where(shapely.contains(own, back), -1, 1)
+    square = np.mean([np.mean(there**2), np.mean((away - fit[3]) ** 2)])
+    assert fit[4] == pytest.approx(np.sqrt(square), rel=1e-6)
+    assert fit[4] > 1e-4
 
 
 def test_without_colours_outlines_do(draw_types, catalogue):
