@@ -1,5 +1,6 @@
 """The task that runs, and the monitor that ends it, without ROS."""
 
+import re
 from dataclasses import replace
 
 import numpy as np
@@ -13,6 +14,7 @@ from plate_core.tasks import FeedOrder, PartTarget, load_scenario
 from plate_planner import Planner, PlannerOptions
 from plate_planner.diagnostics import PlannerDiagnostics
 from plate_planner.supervision import STOP, Failure, InputMonitor, Inputs, Reason
+from plate_planner.supervision.inputs import CYCLES, FRESH_S, LIFE_S
 from plate_planner.task_run import TaskRunner
 
 IDS = ("black_1", "black_2", "grey_1", "grey_2")
@@ -164,6 +166,62 @@ def test_a_second_publisher_ends_a_task_and_does_not_hide_another_reason(loop):
     failure = loop.problem(9.0)
     assert failure.reason is Reason.NO_DRIVER
     assert failure.text.endswith(f"; {loop.second}")
+
+
+FRESH = max(FRESH_S, CYCLES * T)
+
+
+@pytest.mark.parametrize(
+    ("stale", "silent", "blamed"),
+    [
+        (["detector"], {}, "detector"),
+        (["detector", "simulator"], {}, "detector"),
+        (["detector", "simulator", "device"], {}, "simulator"),
+        (["solver", "driver"], {}, "solver"),
+        (["solver"], {"parts": FRESH + 0.1}, None),
+        (["driver", "simulator"], {}, "driver"),
+        (["driver"], {"plate_cycle": FRESH + 0.1}, None),
+        (["driver"], {"plate_cycle": FRESH - 0.1}, "driver"),
+        (["simulator"], {}, "simulator"),
+        (["simulator", "device"], {}, "device"),
+        (["device"], {"driver_status": LIFE_S + 0.1}, None),
+        ([], {}, None),
+    ],
+)
+def test_the_first_node_that_lacks_input_is_blamed(loop, stale, silent, blamed):
+    """A node that follows one which sends nothing lacks input only as a consequence."""
+    began, now = 10.0, 20.0
+    inputs = loop.monitor.inputs.driver_received(now - silent.get("driver_status", 0), READY)
+    inputs = inputs.parts_received(now - silent.get("parts", 0), 1)
+    if "plate_cycle" in silent:
+        inputs = inputs.request_sent(now - silent["plate_cycle"])
+    for name in ("detector", "solver", "driver", *stale):
+        level = Level.STALE if name in stale else Level.OK
+        inputs = inputs.report_received(now, name, level, f"{name} says so")
+    failure = inputs.problem(now, began, T, lambda topic: 1)
+    expected = blamed and Failure(Reason.CUT_OFF, f"{blamed}: {blamed} says so")
+    assert failure == expected
+    just = inputs.parts.timeout_s  # the first seconds of a task are not blamed on anybody
+    assert inputs.problem(now, now - just, T, lambda topic: 1) is None
+
+
+@pytest.mark.parametrize(
+    ("publishers", "reported_s", "text"),
+    [
+        (0, 0.1, "no node publishes parts"),
+        (1, None, "camera run"),
+        (1, 60.0, "detector no longer publishes"),
+        (1, 0.1, "detector runs and reports: it sees nothing"),
+    ],
+)
+def test_the_reason_for_missing_parts_is_the_nearest_known(loop, publishers, reported_s, text):
+    now, inputs = 100.0, loop.monitor.inputs.driver_received(100.0, READY)
+    if reported_s is not None:
+        inputs = inputs.report_received(now - reported_s, "detector", Level.OK, "it sees nothing")
+    assert text in inputs.parts_problem(now, lambda topic: publishers)
+    failure = inputs.problem(now, 90.0, T, lambda topic: publishers)
+    assert failure.reason is Reason.NO_PARTS
+    assert re.search(f"10.0 s: .*{text}", failure.text)
 
 
 def test_a_stall_of_the_process_is_a_failure_once_and_old_goals_are_refused(loop):

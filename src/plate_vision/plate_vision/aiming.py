@@ -415,5 +415,5 @@ class Situation:
     expected: Expected
     things: tuple[Thing, ...]
     findings: tuple[tuple[str, Finding], ...]
-    lens: Lens | None = None
-    moving: bool = False
+    lens: Lens | None
+    moving: bool
