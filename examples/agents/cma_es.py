@@ -15,7 +15,7 @@ import cma
 import numpy as np
 
 from plate_core import PlateCycle
-from plate_gym.agents import Brief
+from plate_gym.agent import Brief
 from plate_gym.judge import Judge, Memory
 from plate_sim.world import Simulation, WorldState
 

@@ -14,7 +14,7 @@ from typing import Any
 
 import numpy as np
 
-from plate_gym.agents import Brief
+from plate_gym.agent import Brief
 
 WEIGHTS = Path(__file__).with_name("weights.npz")
 

@@ -133,7 +133,6 @@ class DriverNode(SafeLifecycleNode[Options]):
             self._log_defect,
         )
         self.playback = Playback(Guard(load_rig()), self.latch, self._publish_table)
-        self._friction = FrictionServer(self)
         self._calibration = CalibrationRun(
             self.playback, self.latch, self.clocks, self._log_calibration
         )
@@ -145,6 +144,15 @@ class DriverNode(SafeLifecycleNode[Options]):
             decode=bytes_to_cycle,
             second_publisher=lambda: self.rivals("plate_cycle"),
             poll_tasks=lambda: self._inputs.poll_tasks(),
+        )
+        self._friction = FrictionServer(
+            self,
+            self.playback,
+            self.transports,
+            self.intake,
+            self.latch,
+            self.clocks,
+            lambda: self.status,
         )
         self._problems = TransportProblems(WARN_S)
         self._report = DriverDiagnostics(
@@ -163,7 +171,7 @@ class DriverNode(SafeLifecycleNode[Options]):
             self, self._find, self._values, lambda: "plate", self._report.reported
         )
         with urgent():  # the threads of the node's DDS participant inherit the priority
-            self._safety = SafetyNode(self)
+            self._safety = SafetyNode(self, self.transports, self.latch, lambda: self.status)
 
     @property
     def status(self) -> DriverStatus:

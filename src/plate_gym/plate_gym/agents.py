@@ -3,92 +3,23 @@ images, and Method B on the averaged map. The others are the paper's Method A an
 
 from __future__ import annotations
 
-from copy import deepcopy
-from dataclasses import dataclass, replace
-from typing import Any, Protocol
+from dataclasses import replace
+from typing import Any
 
 import numpy as np
-from gymnasium import Space
 
-from plate_core import Parts, PlateCycle, Rig, Wanted, part_class
+from plate_core import Parts, PlateCycle, Wanted, part_class
 from plate_core.motion import IDLE_S
-from plate_core.tasks import Scenario
 from plate_planner import Planner
 from plate_planner.tasks import FollowMemory
 from plate_solver import Controller, SinusoidSolver
 from plate_vision import Prediction, Tracker, make_vision, observe
 from plate_vision.shapes import learn_plate
 
+from .agent import Agent, Brief
 from .classic import Classic
-from .env import PlateEnv, check_begun
-from .motions import Motions
 
-__all__ = ["AGENTS", "KNOWN", "Agent", "Brief", "Ours"]
-
-KNOWN = (
-    "time_s", "running", "bare_images", "limit_share", "scaled", "path_s", "pace", "ids", "rests",
-    "order",
-)  # fmt: skip
-"""Keys of `info` that an agent receives. All of them are available on a real plate, except the
-references of paths, which are given too."""
-
-
-@dataclass(frozen=True)
-class Brief:
-    """Information about the environment for an agent. The information contains copies, which the
-    agent may change.
-
-    Attributes
-    ----------
-    action_space, observation_space : Space
-    rig : Rig
-    scenario : Scenario
-    ids : tuple of str
-        Ids of the parts, in the order of the rows.
-    friction_limit : (M,)
-        mu m g of each part according to the rig file [N].
-    motions : Motions
-        Converts values of the action `motion` to motions.
-    """
-
-    action_space: Space
-    observation_space: Space
-    rig: Rig
-    scenario: Scenario
-    ids: tuple[str, ...]
-    friction_limit: np.ndarray
-    motions: Motions
-
-    @classmethod
-    def of(cls, env: PlateEnv) -> Brief:
-        """Return the brief of an environment after its reset."""
-        plates = env.plates
-        check_begun(plates.plates)
-        return deepcopy(
-            cls(
-                env.action_space, env.observation_space, plates.rig, plates.scenario,
-                plates.plates[0].ids, plates.friction_limit, plates.motions,
-            )
-        )  # fmt: skip
-
-
-class Agent(Protocol):
-    """Interface of agents for `evaluate`. One agent is made for each episode, from a brief and a
-    random seed. The agent receives only the keys `KNOWN` of `info`.
-
-    Attributes
-    ----------
-    action, observation : str
-        Kind of action and kind of observation that the agent needs.
-    """
-
-    action: str
-    observation: str
-
-    def __init__(self, brief: Brief, seed: int) -> None: ...
-
-    def act(self, observation: np.ndarray, info: dict[str, Any]) -> Any:
-        """Return the action for the present observation."""
+__all__ = ["AGENTS", "Ours"]
 
 
 class Random:

@@ -34,7 +34,8 @@ from plate_core.files import read_file
 from plate_core.intervals import of_median, of_share
 
 from . import isolation
-from .agents import AGENTS, KNOWN, Agent, Brief
+from .agent import KNOWN, Agent, Brief
+from .agents import AGENTS
 from .env import PlateEnv, drawn
 from .isolation import LIMITS, Limits
 from .plates import clocks

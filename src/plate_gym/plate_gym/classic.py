@@ -3,7 +3,7 @@ of the averaged map gives the minimum-norm weights of 24 rotations."""
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
@@ -14,10 +14,8 @@ from plate_solver import Limits
 from plate_solver.library import Library, grid, solve_weights
 from plate_solver.rotations import RotationFamily
 
+from .agent import Brief
 from .judge import AHEAD_S
-
-if TYPE_CHECKING:
-    from .agents import Brief
 
 GOAL = 0.8
 """Distance of the goals of sorted parts from the centre [half side]."""

@@ -193,7 +193,7 @@ def test_some_plates_begin_anew(gym):
 def test_what_comes_too_early_or_in_wrong_numbers_is_refused(gym):
     import gymnasium
 
-    from plate_gym.agents import Brief
+    from plate_gym.agent import Brief
 
     one, many = gym.PlateEnv("Sort4-v1"), gym.PlateVectorEnv("Sort4-v1", 2)
     shown, some = gym.PlateEnv("Sort4-v1", render_mode="rgb_array"), {"reset_mask": [True, False]}
@@ -243,7 +243,8 @@ def test_an_image_is_the_callers(gym):
 @pytest.mark.parametrize("task", ["Sort4-v1", "Letters-v1"])
 def test_our_agent_does_what_the_loop_does(gym, task):
     """The same images lead to the same motions, and these to the same places."""
-    from plate_gym.agents import AGENTS, Brief
+    from plate_gym.agent import Brief
+    from plate_gym.agents import AGENTS
 
     kind = AGENTS["B_by_image"]
     env = gym.PlateEnv(task, action=kind.action, observation=kind.observation)
@@ -405,7 +406,8 @@ def test_references_wait_and_end_with_who_leaves_them(gym):
 
 
 def test_ours_follows_the_references_that_it_is_told(gym):
-    from plate_gym.agents import AGENTS, Brief
+    from plate_gym.agent import Brief
+    from plate_gym.agents import AGENTS
 
     env = gym.PlateEnv("Follow2-v1", action="cycle")
     seen, info = env.reset(seed=0)
@@ -418,7 +420,8 @@ def test_ours_follows_the_references_that_it_is_told(gym):
 
 def test_ours_feeds_as_fast_as_the_robot_takes(gym):
     """Who does nothing feeds what happens to lie ready."""
-    from plate_gym.agents import AGENTS, Brief
+    from plate_gym.agent import Brief
+    from plate_gym.agents import AGENTS
 
     for works in (True, False):
         env = gym.PlateEnv("Feed-v1", action="cycle")
@@ -520,7 +523,8 @@ def test_a_window_that_is_closed_or_copied_ends_nothing(gym, monkeypatch):
 
 def test_a_rest_after_motion_is_reached_by_the_tail(gym):
     """What an agent sends that does not begin where the plate is waits until it rests."""
-    from plate_gym.agents import AGENTS, Brief
+    from plate_gym.agent import Brief
+    from plate_gym.agents import AGENTS
 
     env = gym.PlateEnv("Sort10-v1", action="cycle")
     seen, info = env.reset(seed=3)
@@ -607,7 +611,7 @@ def test_who_is_told_what_runs_cannot_change_it(gym):
 
 def test_the_guide_is_right(capsys):
     """Its programs run, and its tables say what the scenarios and the worlds say."""
-    from plate_gym.agents import KNOWN, Brief
+    from plate_gym.agent import KNOWN, Brief
     from plate_gym.tasks import TASKS, WORLDS, scenario_of
     from plate_sim.world import NONE
 

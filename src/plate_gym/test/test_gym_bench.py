@@ -327,7 +327,7 @@ def test_what_is_no_agent_is_refused(bench, module, name, words):
 
 def test_what_an_agent_is_told_is_its_own(bench):
     from plate_gym import PlateEnv
-    from plate_gym.agents import Brief
+    from plate_gym.agent import Brief
 
     env = PlateEnv("Sort4-v1")
     env.reset(seed=0)
@@ -542,7 +542,7 @@ def test_wrong_names_are_refused(bench, settings, words):
 @pytest.mark.parametrize("name", ["A", "averaged", "1998", "random"])
 def test_the_other_agents_act(bench, name):
     from plate_gym import PlateEnv
-    from plate_gym.agents import Brief
+    from plate_gym.agent import Brief
 
     kind = bench.agent_class(name)
     env = PlateEnv("Sort4-v1", action=kind.action, observation=kind.observation)
@@ -558,7 +558,7 @@ def test_the_papers_method_has_the_forces_it_asks_for(bench, monkeypatch):
     """On the averaged map, where the plate turns so slowly that it takes no time to turn round:
     what gives a part 30 mm/s in 0.2 s, of 0.25 times 9.81 m/s^2."""
     from plate_gym import PlateEnv, classic
-    from plate_gym.agents import Brief
+    from plate_gym.agent import Brief
     from plate_solver import average_force
 
     monkeypatch.setattr(classic, "SPEED_MPS", 2e-3)

@@ -2,19 +2,21 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
-from typing import TYPE_CHECKING
+from typing import Any
 
 from std_srvs.srv import Trigger
 from trajectory_msgs.msg import JointTrajectory
 
 from plate_core import Parts, PlateCycle, PlateError, load_rig
-from plate_core.driver_status import DriverState
+from plate_core.driver_status import DriverState, DriverStatus
 from plate_core.rig import edit_rig, rig_path
 from plate_core.ros import (
     CALLS,
     DATA,
     LATCHED,
+    SafeLifecycleNode,
     msg_to_cycle,
     msg_to_parts,
     nanoseconds,
@@ -24,11 +26,13 @@ from plate_interfaces.msg import Friction, PartFriction
 from plate_interfaces.msg import Parts as PartsMsg
 from plate_interfaces.srv import MeasureFriction
 
+from ..clocks import Clocks
+from ..intake import CycleIntake
+from ..playback import Playback
+from ..transport_owner import TransportOwner
+from ..transports import Latch
 from .measurement import FrictionMeasurement, FrictionResult, Rest, rig_mu
 from .push import Push
-
-if TYPE_CHECKING:
-    from ..node import DriverNode
 
 SETTLE_S = 0.4
 """Minimum time from the end of a push to the stamp of an image that is used [s]. Stamps may be late
@@ -62,11 +66,30 @@ class FrictionServer:
 
     Parameters
     ----------
-    driver : DriverNode
+    driver : SafeLifecycleNode
+        Node that owns the services, the topic and the subscriptions. Its parameter `rig_file` names
+        the file that `write_friction` changes.
+    playback : Playback
+    transports : TransportOwner
+    intake : CycleIntake
+    latch : Latch
+    clocks : Clocks
+    status : callable
+        Function that returns the state of the motors.
     """
 
-    def __init__(self, driver: DriverNode) -> None:
-        self._driver = driver
+    def __init__(
+        self,
+        driver: SafeLifecycleNode[Any],
+        playback: Playback,
+        transports: TransportOwner,
+        intake: CycleIntake,
+        latch: Latch,
+        clocks: Clocks,
+        status: Callable[[], DriverStatus],
+    ) -> None:
+        self._driver, self._playback, self._transports = driver, playback, transports
+        self._intake, self._latch, self._clocks, self._status = intake, latch, clocks, status
         self._result: FrictionResult | None = None
         self._end()
 
@@ -105,8 +128,7 @@ class FrictionServer:
     def _on_measure(
         self, request: MeasureFriction.Request, response: MeasureFriction.Response
     ) -> MeasureFriction.Response:
-        driver, response.success = self._driver, False
-        status = driver.status
+        response.success, status = False, self._status()
         if not request.start:
             response.success, response.message = True, "no measurement of friction was running"
             if self._running:
@@ -116,25 +138,25 @@ class FrictionServer:
             response.message = "a measurement already runs, allowed: one measurement at a time"
         elif status.state is not DriverState.READY:
             response.message = f"the driver is {status.text}, allowed: ready"
-        elif driver.intake.task_runs:
+        elif self._intake.task_runs:
             response.message = "a task runs, allowed: no task; end it with stop"
         else:
             self._end()
-            self._result, self._stops = None, driver.latch.number
-            self._running, self._since = True, driver.clocks.playback_s()
-            self._started = self._after_ns = driver.get_clock().now().nanoseconds
+            self._result, self._stops = None, self._latch.number
+            self._running, self._since = True, self._clocks.playback_s()
+            self._started = self._after_ns = self._driver.get_clock().now().nanoseconds
             self._publish(Friction.RUNNING, "waiting for images of parts at rest", 0.0)
             response.success, response.message = True, "started; see the topic friction"
             response.started = to_time(self._started)
         return response
 
     def _on_write(self, _: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
-        driver, response.success = self._driver, False
+        response.success = False
         try:
             if self._result is None:
                 raise PlateError("friction was not measured; call measure_friction first")
-            path = rig_path(driver.options.rig_file)
-            before, mu = load_rig(path), float(f"{rig_mu(driver.playback.rig, self._result):.3g}")
+            path = rig_path(self._driver.options.rig_file)
+            before, mu = load_rig(path), float(f"{rig_mu(self._playback.rig, self._result):.3g}")
             edit_rig(
                 path, {("friction",): {"mu": f"{mu:g}"}},
                 lambda rig: rig == replace(before, friction=replace(before.friction, mu=mu)),
@@ -180,10 +202,9 @@ class FrictionServer:
 
     def watch(self, now: float) -> None:
         """Continue at `now` [s, playback]."""
-        driver = self._driver
         try:
             # This number of stops also differs if the motors were enabled again after a stop.
-            if driver.latch.number != self._stops:
+            if self._latch.number != self._stops:
                 raise PlateError("the motors were stopped")
             self._still = self._still + 1 if now == self._now else 0
             self._now = now
@@ -193,14 +214,14 @@ class FrictionServer:
                     "simulator active? In lockstep, friction cannot be measured"
                 )
             if self._plays is not None:
-                guard = driver.playback.guard
+                guard = self._playback.guard
                 over_s = now - guard.sent_at - guard.lasts_s
                 if over_s > SETTLE_S and not self._starts_received:
-                    self._after_ns = driver.get_clock().now().nanoseconds
+                    self._after_ns = self._driver.get_clock().now().nanoseconds
                 elif over_s > LATE_S and self._after_ns is None:
                     raise PlateError(f"friction: a push has not begun within {LATE_S:g} s")
                 if over_s > SETTLE_S and self._after_ns is not None:
-                    driver.playback.rest(driver.clocks.playback_s())
+                    self._playback.rest(self._clocks.playback_s())
                     self._plays, self._since = None, now
                 return
             if len(self._images) >= IMAGES:
@@ -221,10 +242,10 @@ class FrictionServer:
 
     def _step(self, rest: Rest, now: float) -> None:
         """Evaluate the places of the parts, and send the next push."""
-        driver, self._images = self._driver, []
+        self._images = []
         if self._measurement is None:
-            corrected = driver.playback.guard.correction is not None
-            new = FrictionMeasurement.start(driver.playback.rig, rest, corrected)
+            corrected = self._playback.guard.correction is not None
+            new = FrictionMeasurement.start(self._playback.rig, rest, corrected)
         else:
             new = self._measurement.after(rest, self._played)
         self._measurement, push = new, new.push
@@ -232,9 +253,9 @@ class FrictionServer:
             self._finish(new.result)
             return
         self._plays, self._played, self._after_ns = push.cycle, None, None
-        transport, stamp_ns = driver.transports.current, driver.clocks.stamp_ns()
+        transport, stamp_ns = self._transports.current, self._clocks.stamp_ns()
         assert transport is not None
-        factor = driver.playback.send_push(transport, push.cycle, stamp_ns, now)
+        factor = self._playback.send_push(transport, push.cycle, stamp_ns, now)
         if factor < 1:
             less = push.cycle.scaled(factor)
             self._played = replace(push, accel=push.accel * factor, cycle=less)

@@ -7,7 +7,7 @@ import contextlib
 import threading
 import time
 from collections.abc import Callable
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import rclpy
 from rclpy.callback_groups import MutuallyExclusiveCallbackGroup, ReentrantCallbackGroup
@@ -19,15 +19,19 @@ from rclpy.signals import SignalHandlerOptions
 from std_srvs.srv import SetBool, Trigger
 
 from plate_core.driver_status import DriverReason, DriverState, DriverStatus
-from plate_core.ros import CALLS, LATCHED, driver_status_to_msg, end_executor
+from plate_core.ros import (
+    CALLS,
+    LATCHED,
+    SafeLifecycleNode,
+    driver_status_to_msg,
+    end_executor,
+)
 from plate_core.standstill import Standstill
 from plate_interfaces.msg import DriverStatus as DriverStatusMsg
 
 from ..status import UNANSWERED
-from ..transports import ANSWER_S, Condition
-
-if TYPE_CHECKING:
-    from ..node import DriverNode
+from ..transport_owner import TransportOwner
+from ..transports import ANSWER_S, Condition, Latch
 
 STATE_PERIOD_S = 0.05
 """Time between checks whether driver_status has changed [s]."""
@@ -70,11 +74,23 @@ class SafetyNode:
 
     Parameters
     ----------
-    driver : DriverNode
+    driver : SafeLifecycleNode
+        Node whose names, domain and clock are used.
+    transports : TransportOwner
+    latch : Latch
+    status : callable
+        Function that returns the state of the motors.
     """
 
-    def __init__(self, driver: DriverNode) -> None:
-        self._driver, self._latch = driver, driver.latch
+    def __init__(
+        self,
+        driver: SafeLifecycleNode[Any],
+        transports: TransportOwner,
+        latch: Latch,
+        status: Callable[[], DriverStatus],
+    ) -> None:
+        self._driver, self._transports = driver, transports
+        self._latch, self._driver_status = latch, status
         self._context = rclpy.Context()
         rclpy.init(
             args=[], context=self._context, domain_id=driver.context.get_domain_id(),
@@ -138,7 +154,7 @@ class SafetyNode:
     def publish_status(self) -> None:
         """Publish driver_status if it has changed or `LIFE_PERIOD_S` has passed."""
         with self._publishing:
-            status, now = self._driver.status, time.monotonic()
+            status, now = self._driver_status(), time.monotonic()
             self._standstill.is_late(now)
             if status == self._status and now - self._status_at < LIFE_PERIOD_S:
                 return
@@ -178,8 +194,8 @@ class SafetyNode:
     ) -> Any:  # fmt: skip
         """Close the latch, stop the motors, and set the response to the result."""
         self._latch.close(reason, over)
-        response.success = self._driver.transports.stop(cut=reason is DriverReason.POWER_CUT)
-        response.message = self._driver.status.text if response.success else UNANSWERED
+        response.success = self._transports.stop(cut=reason is DriverReason.POWER_CUT)
+        response.message = self._driver_status().text if response.success else UNANSWERED
         self.publish_status()
         return response
 
@@ -199,12 +215,12 @@ class SafetyNode:
         if self._standstill.is_late(time.monotonic()):
             response.success, response.message = False, LATE
             return response
-        transport, number = self._driver.transports.current, self._latch.number
+        transport, number = self._transports.current, self._latch.number
         if transport is None or not self._driver.active:
             response.success = False
-            response.message = f"the driver is {self._driver.status.text}, allowed: active"
+            response.message = f"the driver is {self._driver_status().text}, allowed: active"
             return response
-        status = self._driver.status
+        status = self._driver_status()
         # The motors are already enabled, so do not disturb a task that may run.
         if status.state is DriverState.READY:
             response.success, response.message = True, status.text
@@ -215,17 +231,17 @@ class SafetyNode:
         order.wait(end - time.monotonic())
         self.publish_status()
         response.success = not order.failure
-        done = self._driver.status.text if order.settled else ENABLING
+        done = self._driver_status().text if order.settled else ENABLING
         response.message = order.failure or done
         return response
 
     def _on_home(self, _: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
-        transport = self._driver.transports.current
+        transport = self._transports.current
         response.success = False
         if self._standstill.is_late(time.monotonic()):
             response.message = LATE
         elif transport is None or transport.report.condition is not Condition.OFF:
-            state = self._driver.status.text
+            state = self._driver_status().text
             response.message = f"the driver is {state}, allowed: motors off; call enable with false"
         else:
             end = time.monotonic() + ANSWER_S
