@@ -14,7 +14,7 @@ from typing import Any
 from plate_core import PlateError
 from plate_core.serial_protocol import DriveTrouble, Trouble, abort_words
 
-__all__ = ["Master", "open_bus"]
+__all__ = ["Master", "open_bus", "trouble_text"]
 
 OWN_NODE = 127
 NODES = range(1, OWN_NODE)
