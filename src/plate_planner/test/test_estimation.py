@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from plate_core import Parts, PlateCycle, load_rig
-from plate_core.rig import CameraTrigger, PartType
+from plate_core.rig import CameraTrigger, PartType, row_delay
 from plate_planner.estimation.cycle_log import CycleLog
 from plate_planner.estimation.estimator import MISSED_IMAGES, DriftBias, Estimator, LastRequest
 from plate_planner.estimation.filter import CAMERA_M, propagate
@@ -102,6 +102,24 @@ def test_it_finds_friction_and_the_place_at_the_stamp(age):
         assert np.median(raw[10:]) > 10 * np.median(errors[10:])
     assert estimator.friction == pytest.approx(friction, rel=0.04)
     assert estimator.parts.friction_limit == pytest.approx(friction * ACCEL * MASS, rel=0.04)
+
+
+def test_each_row_of_a_rolling_shutter_has_its_own_time():
+    rolling = replace(RIG, camera=replace(RIG.camera, readout_s=0.04))
+    world, cycle, age = World(4, 1.1), PlateCycle.rest(T), 0.05
+    estimators, errors = [Estimator.of(rig, T, age) for rig in (rolling, RIG)], []
+    for k in range(25):
+        delay = row_delay(rolling, world.place)
+        shown = [world.ago(age - late)[i] for i, late in enumerate(delay)]
+        parts = Parts.make(tuple(f"black_{i + 1}" for i in range(4)), np.array(shown))
+        estimators = [each.update(parts, k * T) for each in estimators]
+        errors.append([np.abs(e.parts.position - world.place).max() for e in estimators])
+        world.run(cycle)
+        cycle = shaken(world.rng)
+        estimators = [each.record_cycle(cycle, k * T) for each in estimators]
+    known, unknown = np.median(errors[10:], axis=0)
+    assert known < 0.05e-3
+    assert unknown > 5 * known
 
 
 @pytest.mark.parametrize(
