@@ -1,11 +1,19 @@
 """Cycles as an endless stream of setpoints."""
 
 import numpy as np
+import pytest
 from scipy.interpolate import BPoly
 
 from plate_core import PlateCycle, load_rig
 from plate_driver.setpoints.motor_table import MotorTable
-from plate_driver.setpoints.setpoint_stream import MAX_S, TICKS, SetpointStream, knots, refined
+from plate_driver.setpoints.setpoint_stream import (
+    MAX_S,
+    TICKS,
+    SetpointStream,
+    densest,
+    knots,
+    refined,
+)
 
 RIG = load_rig()
 
@@ -93,3 +101,18 @@ def test_a_newer_cycle_begins_the_count_anew():
     stream, _ = SetpointStream.of(first, 2).until(0.3)
     stream, _ = stream.followed_by(second, 3).until(50.0)
     assert abs(stream.time - (0.4 + 0.6 + 0.01)) < 1e-9
+
+
+@pytest.mark.parametrize("repeats", [1, 2, 9])
+@pytest.mark.parametrize("window_s", [0.03, 0.15, 0.7])
+@pytest.mark.parametrize("seed", range(3))
+def test_the_most_setpoints_in_a_window_are_those_of_the_stream(seed, window_s, repeats):
+    rng = np.random.default_rng(seed)
+    t = 0.01 * np.append(0, np.sort(rng.choice(np.arange(1, 20), 7, replace=False)))
+    states = 1e-3 * rng.normal(size=(3, 8, 3))
+    states[:, [0, -1]] = 0
+    table = MotorTable.of(RIG, PlateCycle.from_knots(t, *states), 1)
+    _, sent = SetpointStream.of(table, repeats).until(50.0)
+    ticks = np.array([k.ticks for k in sent])
+    counts = [np.sum((first <= ticks) & (ticks <= first + 1e8 * window_s)) for first in ticks]
+    assert densest(table, repeats, window_s) == max(counts)
