@@ -67,8 +67,15 @@ def said(driven):
     return driven.said["friction"][-1]
 
 
-def test_it_measures_writes_and_lets_cycles_through_again(driven):
-    plate = Plate(driven)
+@pytest.mark.parametrize("factor", [1.0, 0.9])
+def test_it_measures_writes_and_lets_cycles_through_again(driven, monkeypatch, factor):
+    """Also if the limits permit less than the push that was intended."""
+    plate, playback = Plate(driven), driven.node.playback
+
+    def less(transport, cycle, stamp_ns, now, send_push=playback.send_push):
+        return factor * send_push(transport, cycle.scaled(factor), stamp_ns, now)
+
+    monkeypatch.setattr(playback, "send_push", less)
     refused = driven.call("write_friction")
     assert (refused.success, refused.message[:26]) == (False, "friction was not measured;")
     answer = start(driven)
