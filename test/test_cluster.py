@@ -4,6 +4,7 @@ import contextlib
 import json
 import os
 import signal
+import socket
 import subprocess
 import sys
 import time
@@ -16,7 +17,8 @@ import yaml
 from short_task import short_task
 
 from plate_bringup import cluster
-from plate_bringup.cluster import Cluster, differences, facts
+from plate_bringup.cluster import Cluster
+from plate_bringup.identity import differences, facts
 from plate_core import PlateError
 
 pytestmark = pytest.mark.needs("distributed")
@@ -24,6 +26,9 @@ pytestmark = pytest.mark.needs("distributed")
 BENCH = Path(__file__).resolve().parents[1] / "bench"
 WAIT_S = 100.0
 """Maximum time of each wait [s]."""
+
+ADDRESS = "__import__('distributed').get_worker().address"
+"""A run that returns the address of its worker."""
 
 PROCESS = "(__import__('time').sleep({s}), __import__('os').getpid(), {k})"
 """A run: it takes `s` seconds and returns its process and its number."""
@@ -191,6 +196,28 @@ def test_an_address_without_a_scheduler_is_refused(address):
     with pytest.raises(PlateError, match="no Dask scheduler answers") as problem:
         Cluster(address)
     assert repr(address) in str(problem.value)
+
+
+def test_a_server_of_another_kind_is_refused():
+    """Such as the dashboard, whose address is also printed: it does not answer in Dask's way."""
+    with socket.create_server(("127.0.0.1", 0)) as server:
+        address = f"tcp://127.0.0.1:{server.getsockname()[1]}"
+        with pytest.raises(PlateError, match="no Dask scheduler answers within 5 s"):
+            Cluster(address)
+
+
+def test_the_address_of_a_worker_is_refused(processes):
+    processes.worker()
+    found = []
+
+    def workers():
+        with contextlib.suppress(PlateError), Cluster(processes.address, tell=found.append) as pool:
+            found[:] = pool.submit(eval, ADDRESS).result(WAIT_S)
+        return found
+
+    until(workers)
+    with pytest.raises(PlateError, match="the address of a Worker, allowed: "):
+        Cluster(found[0])
 
 
 def test_without_dask_the_command_is_named(monkeypatch):

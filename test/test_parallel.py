@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 
 from harness import Cache, Rows, cache, parallel, resumed
-from plate_bringup import cluster
+from plate_bringup import identity
 from plate_core import PlateError
 
 
@@ -76,16 +76,16 @@ def test_an_interrupted_measurement_goes_on(tmp_path):
 
 
 def test_the_digest_is_that_of_the_sources(monkeypatch, tmp_path):
-    for name in cluster.PACKAGES:
+    for name in identity.PACKAGES:
         (tmp_path / f"plate_{name}").mkdir()
         (tmp_path / f"plate_{name}" / "__init__.py").write_text(f"NAME = {name!r}\n")
     # Also those that have been imported from elsewhere.
     found = lambda name: PathFinder.find_spec(name, [str(tmp_path)])  # noqa: E731
-    monkeypatch.setattr(cluster, "find_spec", found)
+    monkeypatch.setattr(identity, "find_spec", found)
     marks = []
     for file, text in (("a.py", "1"), ("a.py", "1"), ("a.py", "2"), ("b.hpp", "3")):
         (tmp_path / "plate_sim" / file).write_text(text)
-        marks.append(cluster.code_of_packages.__wrapped__())
+        marks.append(identity.code_of_packages.__wrapped__())
     assert marks[0] == marks[1]
     assert len(set(marks)) == 3
 
@@ -96,7 +96,8 @@ def test_a_module_depends_on_what_it_imports():
     assert "tasks/serial.py" not in names
 
 
-MARKS = {"code": "c", "settings": "s"}
+MARKS = {"code": "c", "settings": "s", "machine": {"numpy": "2", "scipy": "1"}}
+MACHINE = json.dumps(MARKS["machine"])
 
 
 def test_a_second_call_finds_the_rows_of_the_first(tmp_path):
@@ -115,10 +116,31 @@ def test_a_second_call_finds_the_rows_of_the_first(tmp_path):
 @pytest.mark.parametrize(
     ("content", "words"),
     [
-        ('[{"seed": 3, "code": "other", "settings": "s"}]', ("seed 3", "code 'other'", "'c'")),
-        ('[{"seed": 3, "code": "c", "settings": "x"}]', ("seed 3", "settings 'x'", "'s'")),
-        ('[{"seed": 3}]', ("no rows with code, seed, settings",)),
-        ('[{"seed": "3", "code": "c", "settings": "s"}]', ("no rows with",)),
+        (
+            f'[{{"seed": 3, "code": "other", "settings": "s", "machine": {MACHINE}}}]',
+            ("seed 3", "code 'other'", "'c'"),
+        ),
+        (
+            f'[{{"seed": 3, "code": "c", "settings": "x", "machine": {MACHINE}}}]',
+            ("seed 3", "settings 'x'", "'s'"),
+        ),
+        (
+            '[{"seed": 3, "code": "c", "settings": "s", "machine": {"numpy": "1", "scipy": "1"}}]',
+            ("seed 3", "numpy '1', allowed: '2'"),
+        ),
+        (
+            '[{"seed": 3, "code": "c", "settings": "s", "machine": {"numpy": "2"}}]',
+            ("seed 3", "scipy None, allowed: '1'"),
+        ),
+        (
+            '[{"seed": 3, "code": "c", "settings": "s", "machine": "here"}]',
+            ("seed 3", "machine 'here', allowed: {'numpy'"),
+        ),
+        ('[{"seed": 3}]', ("no rows with code, machine, seed, settings",)),
+        (
+            f'[{{"seed": "3", "code": "c", "settings": "s", "machine": {MACHINE}}}]',
+            ("no rows with",),
+        ),
         ('{"seed": 3}', ("no rows with",)),
         ("[" * 100_000, ("is not JSON",)),
         ("[{", ("is not JSON",)),

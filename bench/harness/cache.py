@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from harness.result import ROOT
-from plate_bringup.cluster import code_of_packages
+from plate_bringup.identity import code_of_packages, machine
 
 FOLDERS = (ROOT / "bench", ROOT / "tools")
 """Folders with the modules of measurements."""
@@ -57,9 +57,10 @@ def code_of(module: str) -> str:
     """Return a digest of all files on which a module of a measurement depends.
 
     These are the installed packages with their kernels and the configuration, and the module with
-    the files of `bench` and `tools` that it imports.
+    the files of `bench` and `tools` that it imports. The digest also includes the versions of the
+    libraries and the other facts of `machine`.
     """
-    digest = hashlib.sha256(code_of_packages().encode())
+    digest = hashlib.sha256(f"{code_of_packages()} {machine()}".encode())
     for path in sorted(own_files(module)):
         digest.update(path.read_bytes())
     return digest.hexdigest()[:16]

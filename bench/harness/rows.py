@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import time
+from collections.abc import Mapping
 from pathlib import Path
 from types import TracebackType
 from typing import Any
@@ -21,8 +22,9 @@ class Rows:
     ----------
     path : Path, optional
         File of the rows. Default: none is read or written.
-    marks : mapping of str to str
-        Digests of the code and the settings of the runs. Each row contains them.
+    marks : mapping
+        Digests of the code and the settings of the runs, and facts about the computer by name. Each
+        row contains them.
 
     Raises
     ------
@@ -32,7 +34,7 @@ class Rows:
         If the file cannot be written.
     """
 
-    def __init__(self, path: Path | None, marks: dict[str, str]) -> None:
+    def __init__(self, path: Path | None, marks: Mapping[str, str | dict[str, str]]) -> None:
         self._path, self._marks, self._written = path, marks, 0.0
         self.by_seed: dict[int, dict[str, Any]] = {}
         if path is not None:
@@ -68,12 +70,17 @@ class Rows:
         ):
             raise PlateError(f"{path} has no rows with {', '.join(sorted(keys))}, {other}")
         for row in rows:
-            for name, mark in self._marks.items():
-                if row[name] != mark:
-                    raise PlateError(
-                        f"{path}: seed {row['seed']} was run with {name} {row[name]!r}, allowed: "
-                        f"{mark!r}, as in this call, or another file"
-                    )
+            for name in self._marks:
+                was, now = row[name], self._marks[name]
+                if was == now:
+                    continue
+                if isinstance(was, dict) and isinstance(now, dict):
+                    name = next(key for key in now | was if now.get(key) != was.get(key))
+                    was, now = was.get(name), now.get(name)
+                raise PlateError(
+                    f"{path}: seed {row['seed']} was run with {name} {was!r}, allowed: {now!r}, "
+                    "as in this call, or another file"
+                )
         return rows
 
     def _write(self) -> None:

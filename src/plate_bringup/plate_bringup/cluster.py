@@ -9,10 +9,7 @@ from __future__ import annotations
 import asyncio
 import ctypes
 import hashlib
-import importlib
-import os
 import pickle
-import platform
 import sys
 import threading
 import uuid
@@ -20,26 +17,14 @@ import warnings
 from collections.abc import Callable, Sequence
 from concurrent.futures import Executor, Future, InvalidStateError
 from contextlib import suppress
-from functools import lru_cache, partial
-from importlib.util import find_spec
-from itertools import islice
-from pathlib import Path
+from functools import partial
 from typing import Any
 
-from plate_core import PlateError, config_path
-from plate_solver import METHODS
+from plate_core import PlateError
 
-from .loop import ALIKE, Setup, run
+from .identity import clone, differences, facts
 
-__all__ = ["Cluster", "code_of", "code_of_packages", "differences", "facts"]
-
-PACKAGES = (
-    "bringup", "core", "driver", "feeder", "native", "planner", "sim", "solver", "vision",
-)  # fmt: skip
-"""Packages `plate_*` on which every run depends."""
-
-LIBRARIES = ("numpy", "scipy", "cv2", "shapely")
-"""Modules whose versions can change a result."""
+__all__ = ["Cluster"]
 
 INSTALL = "pip install 'distributed==2026.8.0'"
 """Command that installs Dask, in the version of requirements-test.txt."""
@@ -59,12 +44,6 @@ FIRST_S = 60.0
 STOP_S = 5.0
 """Maximum time for each step when the cluster is closed [s]."""
 
-TRIAL, TRIAL_CYCLES = "sort_4", 4
-"""Scenario and number of its cycles that each worker runs for the comparison."""
-
-REQUIRED = ("avx2", "fma")
-"""Features of a processor. If a processor has them, the variables `ALIKE` give the same results."""
-
 
 class Cluster(Executor):
     """Executor that runs functions on the workers of a Dask scheduler.
@@ -82,7 +61,9 @@ class Cluster(Executor):
         clone with the same code. The place of the clone does not matter, unless arguments contain
         absolute paths.
     modules : sequence of str
-        Further modules and packages that each worker must have with the same code.
+        Further packages of the project that each worker must have with the same code.
+    agent : str
+        Module of others that each worker must have with the same files and libraries.
     tell : callable
         Function that receives lines of text about the cluster: its dashboard, and refused workers.
     end : callable, optional
@@ -101,6 +82,7 @@ class Cluster(Executor):
         address: str,
         bench: bool = False,
         modules: Sequence[str] = (),
+        agent: str = "",
         tell: Callable[[str], None] = lambda text: print(text, file=sys.stderr, flush=True),
         end: Callable[[], object] | None = None,
     ) -> None:
@@ -108,7 +90,8 @@ class Cluster(Executor):
         self._client = _connect(address)
         if bench:
             _make_bench_importable()
-        self._terms = facts(bench, tuple(modules)), bench, tuple(modules)
+        terms = bench, tuple(modules), agent
+        self._terms = facts(*terms), terms
         # Only workers with this resource receive runs. Each worker has the resource once.
         self._key = f"plate-{hashlib.sha256(repr(self._terms).encode()).hexdigest()[:16]}"
         self._pool = self._client.get_executor(pure=False, resources={self._key: 1})
@@ -294,26 +277,47 @@ def _connect(address: str) -> Any:
         import distributed
     except ImportError as problem:
         raise PlateError(f"cluster is {address!r}, which requires Dask: {INSTALL}") from problem
+    try:
+        kind, there = asyncio.run(asyncio.wait_for(_ask_server(address), CONNECT_S))
+    except Exception as problem:
+        raise PlateError(
+            f"cluster is {address!r}, where no Dask scheduler answers within {CONNECT_S:g} s "
+            f"({_text(problem)}), allowed: the address that `dask scheduler` prints"
+        ) from problem
+    if kind != "Scheduler":
+        raise PlateError(
+            f"cluster is {address!r}, the address of a {kind}, allowed: the address that "
+            "`dask scheduler` prints"
+        )
+    if there != distributed.__version__:
+        raise PlateError(
+            f"cluster {address}: the scheduler's package `distributed` has version {there}, "
+            f"allowed: {distributed.__version__} (the version on this computer)"
+        )
     with warnings.catch_warnings():
-        warnings.simplefilter("ignore")  # Dask warns of other versions; they are refused here
-        try:
-            with distributed.Client(address, timeout=CONNECT_S, set_as_default=False) as client:
-                there = client.get_versions()["scheduler"]["packages"]["distributed"]
-        except Exception as problem:
-            raise PlateError(
-                f"cluster is {address!r}, where no Dask scheduler answers within {CONNECT_S:g} s "
-                f"({_text(problem)}), allowed: the address that `dask scheduler` prints"
-            ) from problem
-        if there != distributed.__version__:
-            raise PlateError(
-                f"cluster {address}: the scheduler's package `distributed` has version {there}, "
-                f"allowed: {distributed.__version__} (the version on this computer)"
-            )
+        warnings.simplefilter("ignore")  # Dask warns of other versions; they are refused elsewhere
         return distributed.Client(address, timeout=RETURN_S, set_as_default=False)
 
 
+async def _ask_server(address: str) -> tuple[str, str]:
+    """Return the kind of a Dask server, and the version of its package `distributed`. Dask's client
+    cannot ask this, because it waits without end for other servers than Dask's."""
+    from distributed import Security
+    from distributed.comm import connect
+    from distributed.core import send_recv
+
+    options = Security().get_connection_args("client")
+    comm = await connect(address, timeout=CONNECT_S, **options)
+    try:
+        about = await send_recv(comm, op="identity", reply=True)
+        versions = await send_recv(comm, op="versions", reply=True)
+    finally:
+        comm.abort()
+    return about["type"], versions["packages"]["distributed"]
+
+
 def _text(problem: BaseException) -> str:
-    return " ".join(f"{type(problem).__name__}: {problem}".split())
+    return " ".join(f"{type(problem).__name__}: {problem}".split()).removesuffix(":")
 
 
 # Functions that run on the workers
@@ -349,13 +353,16 @@ def _stop(token: str, end: Callable[[], object] | None) -> None:
 
 
 async def _admit(
-    key: str, expected: dict[str, str], bench: bool, modules: tuple[str, ...], dask_worker: Any
+    key: str,
+    expected: dict[str, str],
+    terms: tuple[bool, tuple[str, ...], str],
+    dask_worker: Any,
 ) -> list[str]:
     """Compare this worker with another process. If it would give the same results, give it the
-    resource `key`. Return the differences."""
-    if bench:
+    resource `key`. `terms` are the arguments of `facts`. Return the differences."""
+    if terms[0]:
         _make_bench_importable()
-    found = differences(expected, await asyncio.to_thread(facts, bench, modules))
+    found = differences(expected, await asyncio.to_thread(facts, *terms))
     if not found and key not in dask_worker.state.total_resources:
         status = type(dask_worker.status)
         running = dask_worker.status == status.running
@@ -367,119 +374,8 @@ async def _admit(
     return found
 
 
-# Functions that run on both sides
-
-
-def differences(expected: dict[str, str], found: dict[str, str]) -> list[str]:
-    """Return a text for each fact that differs."""
-    return [
-        f"{name} is {found.get(name)!r}, allowed: {expected.get(name)!r}"
-        for name in expected | found
-        if expected.get(name) != found.get(name)
-    ]
-
-
-@lru_cache
-def facts(bench: bool = False, modules: tuple[str, ...] = ()) -> dict[str, str]:
-    """Return facts about this process that determine the results of a seed.
-
-    The facts are the versions of Python, C library and `LIBRARIES`, the environment variables of
-    `ALIKE`, the processor, digests of the code, and a digest of the first cycles of short runs. If
-    `bench`, they include a digest of `bench` and `tools` of the clone.
-    """
-    found = {
-        "Python": ".".join(platform.python_version_tuple()[:2]),
-        "C library": " ".join(platform.libc_ver()),
-    }
-    for name in LIBRARIES:
-        found[name] = str(importlib.import_module(name).__version__)
-    found |= {name: os.environ.get(name, "") for name in ALIKE}
-    found["processor"] = _processor(ALIKE.items() <= os.environ.items())
-    found["code of the packages"] = code_of_packages()
-    found |= {f"code of {name}": code_of(name) for name in modules}
-    if bench:
-        found["code of bench"] = _code_of_bench()
-    found["first cycles"] = _first_cycles()
-    return found
-
-
-def _processor(alike: bool) -> str:
-    """Return the model of the processor. If only the required features determine the results,
-    return these features."""
-    lines = [line.partition(":") for line in Path("/proc/cpuinfo").read_text().splitlines()]
-    about = {name.strip(): value.strip() for name, _, value in reversed(lines)}
-    if alike and set(REQUIRED) <= set(about.get("flags", "").split()):
-        return f"{platform.machine()} with {', '.join(REQUIRED)}"
-    keys = ("vendor_id", "cpu family", "model", "model name")
-    return " ".join([platform.machine(), *(about.get(key, "") for key in keys)]).strip()
-
-
-@lru_cache
-def code_of_packages() -> str:
-    """Return a digest of `PACKAGES`, with their kernels and the configuration."""
-    return code_of(*(f"plate_{name}" for name in PACKAGES))
-
-
-def code_of(*modules: str) -> str:
-    """Return a digest of the sources of modules or packages, including their kernels. The digest of
-    `plate_core` includes its configuration."""
-    mark = hashlib.sha256()
-    for name in modules:
-        try:
-            spec = find_spec(name)
-        except ValueError:  # raised for names such as __main__
-            spec = None
-        if spec is None or spec.origin is None:
-            return f"no module {name}"
-        origin = Path(spec.origin)
-        if spec.submodule_search_locations is not None:
-            _digest(mark, origin.parent, name)
-        else:
-            mark.update(origin.read_bytes())
-        if name == "plate_core":
-            _digest(mark, config_path("rig.yaml").parent, "config")
-    return mark.hexdigest()[:16]
-
-
-def _digest(mark: Any, place: Path, name: str) -> None:
-    """Add the sources in a folder to a digest."""
-    for path in sorted(place.rglob("*")):
-        if path.suffix in (".py", ".hpp", ".cpp", ".yaml"):
-            mark.update(f"{name}/{path.relative_to(place).as_posix()}\n".encode())
-            mark.update(path.read_bytes())
-
-
-def _code_of_bench() -> str:
-    """Return a digest of `bench` and `tools` of the clone from which this package was installed."""
-    clone = _clone()
-    if clone is None:
-        return "no clone"
-    mark = hashlib.sha256()
-    for name in ("bench", "tools"):
-        _digest(mark, clone / name, name)
-    return mark.hexdigest()[:16]
-
-
 def _make_bench_importable() -> None:
     """Add `bench` of the clone, if there is one, to the folders from which modules are imported."""
-    clone = _clone()
-    if clone is not None and str(clone / "bench") not in sys.path:
-        sys.path.append(str(clone / "bench"))
-
-
-def _clone() -> Path | None:
-    """Return the clone from which this package was installed. None if there is none."""
-    parents = Path(__file__).resolve().parents
-    return next((folder for folder in parents if (folder / "bench/harness").is_dir()), None)
-
-
-def _first_cycles() -> str:
-    """Return a digest of the first cycles of the scenario `TRIAL` by each method."""
-    mark = hashlib.blake2b(digest_size=8)
-    for method in dict.fromkeys(METHODS.values()):
-        for moment in islice(run(Setup(TRIAL, method=method)), TRIAL_CYCLES):
-            cycle = moment.answer.cycle
-            for knots in (cycle.times, cycle.knot_pose, cycle.knot_twist, cycle.knot_accel):
-                mark.update(knots.tobytes())
-            mark.update(moment.world.position.tobytes())
-    return mark.hexdigest()
+    folder = clone()
+    if folder is not None and str(folder / "bench") not in sys.path:
+        sys.path.append(str(folder / "bench"))

@@ -19,6 +19,7 @@ import time
 from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import Executor, ThreadPoolExecutor, wait
 from contextlib import nullcontext
+from dataclasses import asdict
 from functools import partial
 from importlib.metadata import PackageNotFoundError, version
 from importlib.util import find_spec
@@ -27,7 +28,8 @@ from typing import Any
 
 import numpy as np
 
-from plate_bringup.cluster import Cluster, code_of
+from plate_bringup.cluster import Cluster
+from plate_bringup.identity import files_of, libraries_of, machine
 from plate_bringup.loop import ALIKE
 from plate_core import PlateError, did_you_mean, piped
 from plate_core.files import read_file
@@ -46,8 +48,9 @@ __all__ = [
     "summary", "validate",
 ]  # fmt: skip
 
-LIBRARIES = ("vibrating-plate", "plate_gym", "gymnasium", "numpy", "scipy")
-"""Libraries whose versions are recorded in a result if they are installed."""
+LIBRARIES = ("vibrating-plate", "plate_gym", "gymnasium")
+"""Libraries whose versions are recorded in a result if they are installed, in addition to those of
+`machine`."""
 
 PACKAGES = (
     "bringup", "core", "driver", "feeder", "gym", "native", "planner", "sim", "solver", "vision",
@@ -70,6 +73,15 @@ RESULT: dict[str, type] = {
     "agent": str, "world": str, "commit": str, "sources": str, "versions": dict, "tasks": dict
 }  # fmt: skip
 """Keys and types of a result."""
+
+LATER: dict[str, type] = {"limits": dict, "files": dict}
+"""Further keys and types of a result. Results of earlier versions of this module lack them."""
+
+SHOWN = 5
+"""Maximum number of differences in an error message."""
+
+MAX_NAMES = 10_000
+"""Maximum number of versions, and of files of an agent, in a result."""
 
 CHECKED = 10
 """Number of seeds of each task that a check repeats."""
@@ -270,16 +282,16 @@ def evaluate(
     -------
     dict
         Result for JSON. The result contains what was run (`agent`, `world`, `commit`, digest of the
-        `sources`, `versions`), and for each task the `rows` of `episode` with their summary. The
-        summary contains `success`, `time_s` and `decision_ms` (medians; times of successful
-        episodes), each with a 95 % confidence interval (Wilson for `success`, bootstrap for the
-        medians).
+        `sources`, `versions`, `limits`, digests of the agent's `files`), and for each task the
+        `rows` of `episode` with their summary. The summary contains `success`, `time_s` and
+        `decision_ms` (medians; times of successful episodes), each with a 95 % confidence interval
+        (Wilson for `success`, bootstrap for the medians).
 
     Raises
     ------
     PlateError
         If a name is unknown, if a seed is not allowed, if the agent fails, or if `done` is a result
-        of other code or of another agent or world.
+        of other code or files, or of another agent, world, limit or computer.
     """
     if ":" not in agent:  # code of others is loaded only in workers
         agent_class(agent)
@@ -292,16 +304,21 @@ def evaluate(
         raise PlateError(f"seeds are {seeds}, allowed: one or more, 0 or larger, each once")
     result: dict[str, Any] = {
         "agent": agent, "world": world, "commit": commit(), "sources": sources(),
-        "versions": versions(agent), "tasks": {},
+        "versions": versions(agent), "limits": asdict(limits), "files": files(agent), "tasks": {},
     }  # fmt: skip
     if done is not None:
         validate(done)
-        for key in ("agent", "world", "sources", "versions"):
-            if done[key] != result[key]:
-                raise PlateError(
-                    f"the earlier result has {key} {done[key]!r}, allowed: {result[key]!r}, or "
-                    "another file"
-                )
+        was, now = terms(done), terms(result)
+        if found := [
+            shortened(f"{name} is {was.get(name)} in it, {now.get(name)} now")
+            for name in now | was
+            if now.get(name) != was.get(name)
+        ]:
+            more = f"; {len(found) - SHOWN} more differences" if len(found) > SHOWN else ""
+            raise PlateError(
+                f"the earlier result cannot be continued: {'; '.join(found[:SHOWN])}{more}; "
+                "allowed: the same, or another file"
+            )
         result["tasks"] |= done["tasks"]
     for task in tasks:
         rows = {row["seed"]: row for row in result["tasks"].get(task, {"rows": []})["rows"]}
@@ -478,11 +495,13 @@ def check(
     world = result["world"] if world is None else world
     chosen("world", world, WORLDS)
     tell(f"agent {result['agent']}, commit {result['commit'] or 'unknown'}")
-    here = versions(agent) | {"sources": sources()}
-    for name, own in here.items():
-        made = (result["versions"] | {"sources": result["sources"]}).get(name)
-        if made != own:
-            tell(f"{name}: {made} in the result, {own} here")
+    own = {"sources": sources(), "versions": versions(agent)}
+    if "limits" in result:
+        own |= {"limits": asdict(limits), "files": files(agent)}
+    made, here = terms(result), terms(result | own)
+    for name in here | made if "limits" in result else made:
+        if made.get(name) != here.get(name):
+            tell(shortened(f"{name}: {made.get(name)} in the result, {here.get(name)} here"))
     wrong, chance = [], np.random.default_rng()  # the choice of seeds must be unpredictable
     for task, claimed in result["tasks"].items():
         rows = {row["seed"]: row for row in claimed["rows"]}
@@ -550,8 +569,15 @@ def validate(result: Any) -> None:
     PlateError
         If the data are not a result. The message contains the place, the value and what is allowed.
     """
-    check_fields("result", result, RESULT)
-    check_fields("result: versions", result["versions"], dict.fromkeys(result["versions"], str))
+    earlier = isinstance(result, dict) and not set(LATER) & set(result)
+    check_fields("result", result, RESULT if earlier else RESULT | LATER)
+    for key in ("versions", "files"):
+        texts = result.get(key, {})
+        check_fields(f"result: {key}", texts, dict.fromkeys(texts, str))
+        if len(texts) > MAX_NAMES:
+            raise PlateError(f"result: {key} has {len(texts)} names, allowed: {MAX_NAMES}")
+    if not earlier:
+        check_fields("result: limits", result["limits"], dict.fromkeys(asdict(LIMITS), float))
     for key, form in (("agent", r"[\w.]+(:\w+)?"), ("commit", r"[\w.-]*")):
         if not re.fullmatch(form, result[key]):
             raise PlateError(f"result: {key} is {result[key]!r}, allowed: the form {form}")
@@ -606,17 +632,29 @@ def ranges(seeds: list[int]) -> str:
     return ", ".join(f"{run[0]}:{run[-1] + 1}" if len(run) > 1 else f"{run[0]}" for run in runs)
 
 
+def terms(result: dict[str, Any]) -> dict[str, Any]:
+    """Return the parts of a result that determine its rows, by name."""
+    names = {f"file {name}": mark for name, mark in result.get("files", {}).items()}
+    found = {key: result[key] for key in ("agent", "world", "sources")}
+    return result["versions"] | result.get("limits", {}) | names | found
+
+
 def versions(agent: str = "") -> dict[str, str]:
-    """Return the versions of Python and of the installed `LIBRARIES`."""
+    """Return the facts of `machine`, and the versions of Python, of the installed `LIBRARIES`, and
+    of the libraries that the agent imports."""
     found = {"python": sys.version.split()[0]}
     for name in LIBRARIES:
         try:
             found[name] = version(name)
         except PackageNotFoundError:
             continue
-    if ":" in agent:
-        found["agent"] = code_of(module_of(agent))
-    return found
+    found |= {name: text for name, text in machine().items() if name != "Python"}
+    return found | (libraries_of(module_of(agent)) if ":" in agent else {})
+
+
+def files(agent: str) -> dict[str, str]:
+    """Return digests of the files of an agent `MODULE:CLASS`. Empty for agents of this package."""
+    return files_of(module_of(agent)) if ":" in agent else {}
 
 
 def module_of(agent: str) -> str:
@@ -730,8 +768,8 @@ def main() -> int:
         agent = args.agent or "B"
         pool: Any = nullcontext()
         if args.cluster:
-            modules = ("plate_gym", *([module_of(agent)] if ":" in agent else []))
-            pool = Cluster(args.cluster, modules=modules, end=isolation.stop)
+            other = module_of(agent) if ":" in agent else ""
+            pool = Cluster(args.cluster, modules=("plate_gym",), agent=other, end=isolation.stop)
         with pool as shared:
             evaluate(
                 agent, args.task or list(TASKS), args.seeds or range(100), args.world or "nominal",

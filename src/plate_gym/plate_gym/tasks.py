@@ -55,14 +55,15 @@ TASKS = {
     "Sort50-v1": ("sort_50", "ed57b3b26b6eb6ef"),
     "Corners12-v1": ("sort_corners_12", "4b4755c75f38f85e"),
     "Assemble8-v1": ("assemble_8", "3eff4724f5357ad9"),
-    "AlignBars-v1": ("align_6", "c306df5349d3345c"),
-    "Letters-v1": ("assemble_letters", "9324afcf78a51f3f"),
+    "AlignBars-v1": ("align_6", "812251a9d81431b5"),
+    "Letters-v1": ("assemble_letters", "f882fe1a40841667"),
     "Follow1-v1": ("follow_1", "7ff500bbf5727d5f"),
     "Follow2-v1": ("follow_2", "a308ffcb1e295d1c"),
     "Follow5-v1": ("follow_5", "3057df7c5f244eed"),
     "Feed-v1": ("feed", "5b99341f03a50dbc"),
 }
-"""Name, scenario, and digest of the contents of its scenario file and rig file."""
+"""Name, scenario, and digest of the contents of its scenario file, its rig file, and the file of
+part types that the rig names."""
 
 
 FEED_S = 60.0
@@ -99,8 +100,13 @@ def chosen(name: str, key: str, among: dict[str, Value]) -> Value:
 
 
 def digest(scenario: str) -> str:
-    """Return a digest of the contents of a scenario file and its rig file, without comments."""
-    keys = yaml.safe_load((config_path("scenarios") / f"{scenario}.yaml").read_text("utf-8"))
-    rig = f"rigs/{keys['rig']}.yaml" if "rig" in keys else "rig.yaml"
-    both = keys, yaml.safe_load(config_path(rig).read_text("utf-8"))
-    return hashlib.sha256(json.dumps(both, sort_keys=True).encode()).hexdigest()[:16]
+    """Return a digest of the contents of a scenario file, its rig file, and the rig's file of part
+    types. Comments do not count."""
+    path = config_path("scenarios") / f"{scenario}.yaml"
+    contents = [yaml.safe_load(path.read_text("utf-8"))]
+    path = config_path(f"rigs/{contents[0]['rig']}.yaml" if "rig" in contents[0] else "rig.yaml")
+    contents.append(yaml.safe_load(path.read_text("utf-8")))
+    if "types" in contents[1]:
+        types = path.parent / contents[1]["types"]
+        contents.append(yaml.safe_load(types.read_text("utf-8")))
+    return hashlib.sha256(json.dumps(contents, sort_keys=True).encode()).hexdigest()[:16]

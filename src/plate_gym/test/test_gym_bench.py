@@ -80,13 +80,17 @@ def test_what_was_changed_is_noticed(bench, result, key, value, words, monkeypat
     [
         ([], None, "result has None, allowed: agent, "),
         ([], "text", "result has 'text', allowed: agent, "),
-        (["more"], 1, "result has agent, world, commit, sources, versions, tasks, more, allowed: "),
+        (["more"], 1, "versions, limits, files, tasks, more, allowed: agent, world, commit, "),
         (["agent"], 3, "result: agent is 3, allowed: str"),
         (["agent"], "a\x1b[2J", "result: agent is 'a\\x1b[2J', allowed: up to 300 printable "),
         (["agent"], "B](https://example.org)", "agent is 'B](https://example.org)', allowed: "),
         (["commit"], "a b", "commit is 'a b', allowed: the form "),
         (["agent"], "a" * 10**7, "aaa', allowed: up to 300 printable characters"),
         (["versions"], {"numpy": ["2"]}, "result: versions: numpy is ['2'], allowed: str"),
+        (["limits"], {"decision_s": 60.0}, "result: limits has decision_s, allowed: decision_s, "),
+        (["limits", "memory_gb"], "4", "result: limits: memory_gb is '4', allowed: a number "),
+        (["files"], {"w.npz": 3}, "result: files: w.npz is 3, allowed: str"),
+        (["files"], dict.fromkeys(map(str, range(10_001)), ""), "files has 10001 names, allowed: "),
         (["tasks"], ["x" * 10**6] * 10**3, "...], allowed: dict"),
         (["tasks"], {}, "result: tasks is {}, allowed: one task or more"),
         (["tasks"], [1], "result: tasks is [1], allowed: dict"),
@@ -433,31 +437,62 @@ def test_a_second_call_runs_only_missing_episodes(bench, result, monkeypatch, tm
     assert [file.name for file in tmp_path.iterdir()] == ["found.json"]
 
 
-@pytest.mark.parametrize("key", ["agent", "world", "sources", "versions"])
-def test_a_second_call_with_other_code_or_agent_is_refused(
-    bench, result, monkeypatch, tmp_path, capsys, key
+@pytest.mark.parametrize(
+    ("place", "value", "words"),
+    [
+        (("agent",), "B", "agent is B in it, A now; allowed: "),
+        (("world",), "friction", "world is friction in it, nominal now; "),
+        (("sources",), "of another commit", "sources is of another commit in it, "),
+        (("versions", "numpy"), "1.0", "numpy is 1.0 in it, 2."),
+        (("versions", "shapely"), "1.0", "shapely is 1.0 in it, 2."),
+        (("versions", "first cycles"), "00", "first cycles is 00 in it, "),
+        (("limits", "decision_s"), 5.0, "decision_s is 5.0 in it, 60.0 now; "),
+        (("limits", "memory_gb"), 1.0, "memory_gb is 1.0 in it, 4.0 now; "),
+        (("files", "weights.npz"), "00", "file weights.npz is 00 in it, None now; "),
+        (("limits",), None, "decision_s is None in it, 60.0 now; memory_gb is None in it, 4.0"),
+    ],
+)
+def test_a_result_of_other_terms_is_not_continued(
+    bench, result, monkeypatch, tmp_path, capsys, place, value, words
 ):
-    other = {"agent": "B", "world": "friction", "sources": "of another commit", "versions": {}}
-    place = tmp_path / "found.json"
-    place.write_text(json.dumps(result | {key: other[key]}), encoding="utf-8")
-    before = place.read_text()
-    words = ["bench", "--json", str(place), "--task", "Sort4-v1", "--agent", "A", "--seeds", "0"]
-    monkeypatch.setattr(sys, "argv", words)
+    other = copy.deepcopy(result)
+    if value is None:  # as earlier versions wrote it
+        del other["limits"], other["files"]
+    else:
+        (other if len(place) == 1 else other[place[0]])[place[-1]] = value
+    file = tmp_path / "found.json"
+    file.write_text(json.dumps(other), encoding="utf-8")
+    before = file.read_text()
+    words_of_call = ["--json", str(file), "--task", "Sort4-v1", "--agent", "A", "--seeds", "0"]
+    monkeypatch.setattr(sys, "argv", ["bench", *words_of_call])
     assert bench.main() == 2
-    assert f"the earlier result has {key} {other[key]!r}, allowed: " in capsys.readouterr().err
-    assert place.read_text() == before
+    assert f"the earlier result cannot be continued: {words}" in capsys.readouterr().err
+    assert file.read_text() == before
 
 
-def test_the_code_of_another_agent_is_part_of_the_versions(bench, tmp_path, monkeypatch):
+def test_a_result_of_other_weights_is_not_continued(bench, monkeypatch, tmp_path, capsys):
+    text = LAZY.replace("print(", "open(__file__[:-7] + 'weights.npz'); print(")
+    (tmp_path / "lazy.py").write_text(text, encoding="utf-8")
+    (tmp_path / "weights.npz").write_bytes(b"1")
+    monkeypatch.chdir(tmp_path)
     monkeypatch.syspath_prepend(tmp_path)
-    marks = []
-    for text in ("X = 1\n", "X = 1\n", "raise SystemExit\n"):
-        (tmp_path / "own_agent.py").write_text(text, encoding="utf-8")
-        marks.append(bench.versions("own_agent:Agent")["agent"])
-    assert marks[0] == marks[1] != marks[2]
-    assert bench.versions("no_such.part:Agent")["agent"] == "no module no_such"
-    assert bench.versions(":Agent")["agent"] == "no module "
-    assert "agent" not in bench.versions("A")
+    own = bench.files("lazy:Lazy")
+    assert sorted(own) == ["lazy.py", "weights.npz"]
+    monkeypatch.setattr(bench, "episodes", lambda *words, **more: iter(()))
+    words = ["--json", "lazy.json", "--task", "Sort4-v1", "--agent", "lazy:Lazy", "--seeds", "0"]
+    monkeypatch.setattr(sys, "argv", ["bench", *words])
+    row = {key: kind() for key, kind in bench.ROW.items()}
+    found = {
+        "agent": "lazy:Lazy", "world": "nominal", "commit": "", "sources": bench.sources(),
+        "versions": bench.versions("lazy:Lazy"), "limits": {"decision_s": 60.0, "memory_gb": 4.0},
+        "files": own, "tasks": {"Sort4-v1": bench.summary([row])},
+    }  # fmt: skip
+    (tmp_path / "lazy.json").write_text(json.dumps(found), encoding="utf-8")
+    assert bench.main() == 0
+    (tmp_path / "weights.npz").write_bytes(b"2")
+    assert bench.main() == 2
+    mark = own["weights.npz"]
+    assert f"continued: file weights.npz is {mark} in it, " in capsys.readouterr().err
 
 
 def test_a_summary_is_of_its_rows(bench, result, monkeypatch):

@@ -1,0 +1,258 @@
+"""Identity of code, libraries and processor. The results of a seed depend on them."""
+
+from __future__ import annotations
+
+import ast
+import hashlib
+import importlib
+import os
+import platform
+from functools import lru_cache
+from importlib.machinery import ModuleSpec
+from importlib.metadata import packages_distributions, version
+from importlib.util import find_spec
+from itertools import islice
+from pathlib import Path
+from typing import Any
+
+from plate_core import config_path
+from plate_solver import METHODS
+
+from .loop import ALIKE, Setup, run
+
+__all__ = [
+    "clone", "code_of", "code_of_packages", "differences", "facts", "files_of", "libraries_of",
+    "machine",
+]  # fmt: skip
+
+PACKAGES = (
+    "bringup", "core", "driver", "feeder", "native", "planner", "sim", "solver", "vision",
+)  # fmt: skip
+"""Packages `plate_*` on which every run depends."""
+
+LIBRARIES = ("numpy", "scipy", "cv2", "shapely")
+"""Modules whose versions can change a result."""
+
+MAX_PATH = 200
+"""Maximum length of a path in a text of a module [characters]."""
+
+TRIAL, TRIAL_CYCLES = "sort_4", 4
+"""Scenario and number of its cycles that each worker runs for the comparison."""
+
+REQUIRED = ("avx2", "fma")
+"""Features of a processor. If a processor has them, the variables `ALIKE` give the same results."""
+
+
+def differences(expected: dict[str, str], found: dict[str, str]) -> list[str]:
+    """Return a text for each fact that differs."""
+    return [
+        f"{name} is {found.get(name)!r}, allowed: {expected.get(name)!r}"
+        for name in expected | found
+        if expected.get(name) != found.get(name)
+    ]
+
+
+@lru_cache
+def facts(bench: bool = False, modules: tuple[str, ...] = (), agent: str = "") -> dict[str, str]:
+    """Return facts about this process that determine the results of a seed.
+
+    The facts are those of `machine`, and digests of the code. If `bench`, they include a digest of
+    `bench` and `tools` of the clone. If there is an agent, they include the files and libraries of
+    its module.
+    """
+    found = machine() | {"code of the packages": code_of_packages()}
+    found |= {f"code of {name}": code_of(name) for name in modules}
+    if agent:
+        found |= {f"file {name}": mark for name, mark in files_of(agent).items()}
+        found |= libraries_of(agent)
+    if bench:
+        found["code of bench"] = _code_of_bench()
+    return found
+
+
+@lru_cache
+def machine() -> dict[str, str]:
+    """Return the facts that do not depend on the code: versions of Python, C library and
+    `LIBRARIES`, environment variables `ALIKE`, and processor. A digest of the first cycles of short
+    runs is added, because compilers and BLAS libraries can also change results."""
+    found = {
+        "Python": ".".join(platform.python_version_tuple()[:2]),
+        "C library": " ".join(platform.libc_ver()),
+    }
+    for name in LIBRARIES:
+        found[name] = str(importlib.import_module(name).__version__)
+    found |= {name: os.environ.get(name, "") for name in ALIKE}
+    found["processor"] = _processor(ALIKE.items() <= os.environ.items())
+    found["first cycles"] = _first_cycles()
+    return found
+
+
+def _processor(alike: bool) -> str:
+    """Return the model of the processor. If only the required features determine the results,
+    return these features."""
+    lines = [line.partition(":") for line in Path("/proc/cpuinfo").read_text().splitlines()]
+    about = {name.strip(): value.strip() for name, _, value in reversed(lines)}
+    if alike and set(REQUIRED) <= set(about.get("flags", "").split()):
+        return f"{platform.machine()} with {', '.join(REQUIRED)}"
+    keys = ("vendor_id", "cpu family", "model", "model name")
+    return " ".join([platform.machine(), *(about.get(key, "") for key in keys)]).strip()
+
+
+@lru_cache
+def code_of_packages() -> str:
+    """Return a digest of `PACKAGES`, with their kernels and the configuration."""
+    return code_of(*(f"plate_{name}" for name in PACKAGES))
+
+
+def code_of(*modules: str) -> str:
+    """Return a digest of the sources of modules or packages, including their kernels. The digest of
+    `plate_core` includes its configuration."""
+    mark = hashlib.sha256()
+    for name in modules:
+        spec = _spec(name)
+        if spec is None or spec.origin is None:
+            return f"no module {name}"
+        origin = Path(spec.origin)
+        if spec.submodule_search_locations is not None:
+            _digest(mark, origin.parent, name)
+        else:
+            mark.update(origin.read_bytes())
+        if name == "plate_core":
+            _digest(mark, config_path("rig.yaml").parent, "config")
+    return mark.hexdigest()[:16]
+
+
+def files_of(module: str) -> dict[str, str]:
+    """Return digests of the files of a module of others, by path. The module is not imported.
+
+    Of a package, these are all files in its folder, except hidden files and bytecode. Of a module
+    in a single file, these are this file and the files in its folder that it names: modules that it
+    imports, and texts in quotes such as "weights.npz". The result is empty if there is no module.
+    """
+    files = _files(module)
+    if not files:
+        return {}
+    folder = files[0].parent.parent if files[0].name == "__init__.py" else files[0].parent
+    marks = {}
+    for path in sorted(files):
+        with path.open("rb") as file:
+            mark = hashlib.file_digest(file, "sha256").hexdigest()[:16]
+        marks[path.relative_to(folder).as_posix()] = mark
+    return marks
+
+
+def libraries_of(module: str) -> dict[str, str]:
+    """Return the versions of the installed distributions that the files of a module import."""
+    names = {name for path in _files(module) for name in _named_in(path)[0]}
+    among = packages_distributions() if names else {}
+    own = {f"plate_{name}" for name in PACKAGES}
+    return {
+        label: version(label)
+        for name in sorted(names - own & set(among))
+        for label in among.get(name, ())
+    }
+
+
+def _files(module: str) -> list[Path]:
+    """Return the files of `files_of`, first that of the module."""
+    spec = _spec(module)
+    if spec is None or spec.origin is None or not Path(spec.origin).is_file():
+        return []
+    first = Path(spec.origin)
+    if spec.submodule_search_locations is not None:
+        return [first, *_all_files(first.parent) - {first}]
+    found: set[Path] = set()
+    waiting = {first}
+    while waiting:
+        path = waiting.pop()
+        found.add(path)
+        imported, texts = _named_in(path)
+        # In a folder of installed libraries, the neighbours are other libraries.
+        near = set() if first.parent.name.endswith("-packages") else imported
+        places = [first.parent, *(first.parent / text for text in texts)]
+        named = {folder / text for folder in places if os.path.isdir(folder) for text in texts}
+        named |= {first.parent / f"{name}.py" for name in near}
+        waiting |= {path for path in named if os.path.isfile(path)}  # False if a name is too long
+        for name in near:
+            if (first.parent / name / "__init__.py").is_file():
+                waiting |= _all_files(first.parent / name)
+        waiting -= found
+    return [first, *found - {first}]
+
+
+def _all_files(folder: Path) -> set[Path]:
+    """Return the files in the folder of a package, except hidden files and bytecode."""
+    return {
+        path
+        for path in folder.rglob("*")
+        if path.is_file()
+        and not any(
+            part.startswith(".") or part == "__pycache__" for part in path.relative_to(folder).parts
+        )
+    }
+
+
+def _named_in(path: Path) -> tuple[set[str], set[str]]:
+    """Return the top-level names of the modules that a Python file imports, and its texts that can
+    be paths in its folder. Both are empty if it is no Python file."""
+    imported: set[str] = set()
+    texts: set[str] = set()
+    try:
+        nodes = list(ast.walk(ast.parse(path.read_bytes()))) if path.suffix == ".py" else []
+    except (SyntaxError, ValueError, RecursionError, MemoryError):
+        nodes = []
+    for node in nodes:
+        if isinstance(node, ast.Import):
+            imported |= {alias.name.partition(".")[0] for alias in node.names}
+        elif isinstance(node, ast.ImportFrom) and not node.level and node.module:
+            imported.add(node.module.partition(".")[0])
+        elif isinstance(node, ast.Constant) and isinstance(node.value, str):
+            text = node.value
+            short = 0 < len(text) <= MAX_PATH and text.isprintable()
+            if short and not {"/", ".."} & set(Path(text).parts):
+                texts.add(text)
+    return imported, texts
+
+
+def _spec(module: str) -> ModuleSpec | None:
+    try:
+        return find_spec(module)
+    except ValueError:  # raised for names such as __main__
+        return None
+
+
+def _digest(mark: Any, place: Path, name: str) -> None:
+    """Add the sources in a folder to a digest."""
+    for path in sorted(place.rglob("*")):
+        if path.suffix in (".py", ".hpp", ".cpp", ".yaml"):
+            mark.update(f"{name}/{path.relative_to(place).as_posix()}\n".encode())
+            mark.update(path.read_bytes())
+
+
+def _code_of_bench() -> str:
+    """Return a digest of `bench` and `tools` of the clone from which this package was installed."""
+    folder = clone()
+    if folder is None:
+        return "no clone"
+    mark = hashlib.sha256()
+    for name in ("bench", "tools"):
+        _digest(mark, folder / name, name)
+    return mark.hexdigest()[:16]
+
+
+def clone() -> Path | None:
+    """Return the clone from which this package was installed. None if there is none."""
+    parents = Path(__file__).resolve().parents
+    return next((folder for folder in parents if (folder / "bench/harness").is_dir()), None)
+
+
+def _first_cycles() -> str:
+    """Return a digest of the first cycles of the scenario `TRIAL` by each method."""
+    mark = hashlib.blake2b(digest_size=8)
+    for method in dict.fromkeys(METHODS.values()):
+        for moment in islice(run(Setup(TRIAL, method=method)), TRIAL_CYCLES):
+            cycle = moment.answer.cycle
+            for knots in (cycle.times, cycle.knot_pose, cycle.knot_twist, cycle.knot_accel):
+                mark.update(knots.tobytes())
+            mark.update(moment.world.position.tobytes())
+    return mark.hexdigest()

@@ -1,0 +1,71 @@
+"""Identity of code: which files belong to a module of others, and which libraries it uses."""
+
+import numpy as np
+import pytest
+
+from plate_bringup.identity import files_of, libraries_of
+
+MODULE = """
+import os, helper
+from sub.part import thing
+import numpy as np
+
+WEIGHTS = np.load("weights.npz")
+MORE = open(os.path.join("data", "table.csv"))
+TEXTS = ["", ".", "..", "/etc/hostname", "x" * 300, "line\\nline", "\\0"]
+"""
+
+
+@pytest.fixture
+def folder(tmp_path, monkeypatch):
+    monkeypatch.syspath_prepend(tmp_path)
+    texts = {
+        "other_agent.py": MODULE,
+        "helper.py": "open('helped.txt')",
+        "helped.txt": "1",
+        "sub/__init__.py": "raise SystemExit",
+        "sub/part.py": "thing = 1",
+        "sub/map.bin": "1",
+        "weights.npz": "1",
+        "data/table.csv": "1",
+        "data/else.csv": "1",
+        "result.json": "1",
+        "unused.py": "1",
+        "bad.py": "((((",
+    }
+    for name, text in texts.items():
+        (tmp_path / name).parent.mkdir(exist_ok=True)
+        (tmp_path / name).write_text(text, encoding="utf-8")
+    return tmp_path
+
+
+def test_files_of_a_module_are_those_that_it_names(folder):
+    before = files_of("other_agent")
+    assert sorted(before) == [
+        "data/table.csv", "helped.txt", "helper.py", "other_agent.py", "sub/__init__.py",
+        "sub/map.bin", "sub/part.py", "weights.npz",
+    ]  # fmt: skip
+    (folder / "weights.npz").write_text("2", encoding="utf-8")
+    after = files_of("other_agent")
+    assert {name for name in before if before[name] != after[name]} == {"weights.npz"}
+
+
+def test_files_of_a_package_are_all_in_its_folder(folder):
+    (folder / "sub" / "__pycache__").mkdir()
+    (folder / "sub" / "__pycache__" / "part.pyc").touch()
+    (folder / "sub" / ".hidden").touch()
+    assert sorted(files_of("sub")) == ["sub/__init__.py", "sub/map.bin", "sub/part.py"]
+
+
+def test_a_module_that_is_no_python_is_one_file(folder):
+    assert list(files_of("bad")) == ["bad.py"]
+    assert libraries_of("bad") == {}
+
+
+@pytest.mark.parametrize("name", ["no_such_module", "", "sys"])
+def test_without_a_file_there_are_no_files(name):
+    assert files_of(name) == libraries_of(name) == {}
+
+
+def test_libraries_are_those_that_are_imported(folder):
+    assert libraries_of("other_agent") == {"numpy": np.__version__}
