@@ -71,7 +71,8 @@ class Rows:
             raise PlateError(f"{path} has no rows with {', '.join(sorted(keys))}, {other}")
         for row in rows:
             for name in self._marks:
-                was, now = row[name], self._marks[name]
+                was: Any = row[name]
+                now: Any = self._marks[name]
                 if was == now:
                     continue
                 if isinstance(was, dict) and isinstance(now, dict):
