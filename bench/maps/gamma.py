@@ -116,7 +116,7 @@ MAP = StabilityMap(
     title="Averages fail: shaking ratio and number of parts",
     x_label="parts",
     y_label="shaking ratio Γ = a_max/(mu g) [-]",
-    z_label="force error over requested force [-]",
+    z_label="force error divided by requested force [-]",
     line_label="first order in 1/Γ, for the velocity that parts gain within a cycle",
     level=LEVEL,
     measure=measure,

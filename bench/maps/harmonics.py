@@ -62,7 +62,7 @@ MAP = StabilityMap(
     title="Too many parts: number of parts and harmonics, Method B",
     x_label="harmonics N",
     y_label="parts M",
-    z_label="fraction of requests solved [-]",
+    z_label="fraction of solved requests [-]",
     line_label="2 M = 6 N - 2",
     level=0.5,
     measure=measure,

@@ -7,9 +7,9 @@ from report.chart import Drawn
 from report.panels import OURS, PEER, SECOND, Look, Panels, Row, by
 
 LOOKS = {
-    "ours": Look("ours, part by part", OURS, "o"),
-    "vibrated": Look("baseline: shakes in the plane, detects", PEER, "s"),
-    "thrown": Look("idealised baseline: all parts thrown again", SECOND, "D"),
+    "ours": Look("this project, part by part", OURS, "o"),
+    "vibrated": Look("baseline: vibrated in the plane", PEER, "s"),
+    "thrown": Look("idealised baseline: thrown", SECOND, "D"),
 }
 LINES = {method: look._replace(line="-") for method, look in LOOKS.items()}
 
@@ -21,8 +21,7 @@ CHANGED = {
 """Label and values of the axis, by the varied column."""
 
 ROBOT_S, GOAL = 2.0, 2.0
-"""The robot's cycle in most cases [s], and the maximum fraction of waiting that is wanted with it
-[%]."""
+"""The robot's cycle in most cases [s], and the maximum allowed fraction of waiting with it [%]."""
 
 
 def feeding(rows: list[Row]) -> Drawn:
@@ -30,7 +29,7 @@ def feeding(rows: list[Row]) -> Drawn:
     value."""
     panels, cases = Panels(), [r | {"case": case(r)} for r in rows]
     speed = panels.add(
-        "Speed and accuracy, robot of 2 s", Axis("parts a minute"),
+        "Speed and accuracy, robot cycle of 2 s", Axis("parts a minute"),
         Axis("pose error at the grip, 95th percentile [mm]", log=True),
     )  # fmt: skip
     usual = [r for r in cases if r["error_95_mm"] is not None and r["cycle_s"] == ROBOT_S]
@@ -43,18 +42,18 @@ def feeding(rows: list[Row]) -> Drawn:
         mine = [r for r in cases if r["changed"] == key.split("_")[0]]
         note = "{case}; worst run {most_waiting:.1f} %"
         panel.kinds(mine, "method", key, "waiting", LINES, note=note)
-        panel.rule("goal", y=GOAL)
+        panel.rule(f"goal: {GOAL:g} %", y=GOAL)
     small = [{**r, "kind": "discs in a window of 100 mm"} for r in rows if r["window_mm"]]
     kinds = by([*(r for r in rows if r["changed"] == "kind"), *small], "kind")
     rates = "; ".join(
-        f"{kind} " + ", ".join(f"{r['parts_per_min']:.1f} ({r['method']})" for r in these)
+        f"{kind} " + ", ".join(f"{r['parts_per_min']:.1f}" for r in these)
         for kind, these in kinds.items()
     )
     lost = sum(r["lost"] for r in rows if r["method"] == "ours")
     return Drawn(
         panels,
-        "With a robot cycle of 2 s (maximum 30), the feeders deliver these parts a minute: "
-        f"{rates}. "
+        "Parts a minute with a robot cycle of 2 s (maximum 30), by this project, vibrated and "
+        f"thrown: {rates}. "
         f"This project's feeder lost {lost or 'none'} over an edge.",
     )
 

@@ -22,20 +22,20 @@ def force_map(rows: list[Row]) -> Drawn:
     panels, groups = Panels(), by(rows, "case")
     for case, title, name in (
         ("many", "Many motions in one call, N = 2", "forces"),
-        ("one", "One finished cycle, 1 part", "average_force"),
+        ("one", "One cycle, 1 part", "average_force"),
     ):
         mine = groups[case]
         limits = (0.1, 1e4) if case == "one" else (0, 1.6 * max(column(mine, "us")))
         panel = panels.add(
             title, Axis("time of one part's force [µs]", log=case == "one", limits=limits),
-            Axis("error, worst 1 % of cases [mu mg]", log=True, least=MIN_ERROR), "less less",
+            Axis("error, 99th percentile [mu mg]", log=True, least=MIN_ERROR), "less less",
         )  # fmt: skip
         best = next(r for r in mine if r["method"] == name)
         others = [r for r in mine if r is not best]
         for r, colour, marker in zip([best, *others], (OURS, *COLOURS), "osD^vx", strict=False):
             look = Look(r["method"], colour, marker)
             panel.points([r], "us", "p99", look, note="median error {median:.3g}")
-        panel.rule("wanted", y=MAX_P99)
+        panel.rule("required", y=MAX_P99)
         panel.mark(best["us"], best["p99"])
     best, quad = (
         next(r for r in groups["one"] if r["method"].startswith(name))
@@ -43,10 +43,10 @@ def force_map(rows: list[Row]) -> Drawn:
     )
     return Drawn(
         panels,
-        f"The 99th percentile of the error is {best['p99']:.0e} mu mg in {best['us']:.0f} µs, "
-        f"{quad['us'] / best['us']:.0f} times as fast as scipy's quad. Equal steps are faster, "
-        f"but their error exceeds {MAX_P99:g} a hundredfold if the surface is almost at rest, as "
-        "at the end of a search.",
+        f"`average_force` takes {best['us']:.0f} µs, and the 99th percentile of its error is "
+        f"{best['p99']:.0e} mu mg. It is {quad['us'] / best['us']:.0f} times as fast as scipy's "
+        f"quad. Equal steps are faster, but their error exceeds {MAX_P99:g} a hundredfold if the "
+        "surface is almost at rest, as at the end of a search.",
         "`average_force` evaluates motions, and `forces` is used inside the search. They are the "
         f"fastest functions with a 99th percentile below {MAX_P99:g} mu mg.",
     )
@@ -58,7 +58,7 @@ def learning(rows: list[Row]) -> Drawn:
     panel = panels.add(
         "Error of realised harmonics", Axis("experiments", ticks=ticks), Axis("error [%]", log=True)
     )
-    panel.points(rows, "iteration", "most", Look("largest of the cycles", SECOND, "s", "--"))
+    panel.points(rows, "iteration", "most", Look("maximum over the cycles", SECOND, "s", "--"))
     panel.points(rows, "iteration", "median", Look("median", OURS, "o", "-"))
     panel.rule("2 %", y=2, colour=LIMIT)
     first, last = rows[0], rows[-1]

@@ -32,15 +32,15 @@ def tracking(rows: list[Row]) -> Drawn:
         )  # fmt: skip
         panel.kinds(mine, "parts", "speed_mm_s", "rms_mm", looks, hollow=is_lost)
         for bound in by(mine, "bound_mm_s"):
-            panel.rule("bounds aT/16", x=bound)
+            panel.rule("bound aT/16", x=bound)
     last = panels.add(
-        "Fastest speed that is kept", Axis("parts", ticks=tuple(counts)),
+        "Maximum speed", Axis("parts", ticks=tuple(counts)),
         Axis("speed [mm/s]", log=True, ticks=SPEEDS),
     )  # fmt: skip
     for method, mine in groups.items():
         name, colour, *_ = METHODS[method]
         of_count = [r | {"kept": fastest(mine, r["parts"]) or None} for r in mine]
-        last.points(of_count, "parts", "kept", Look(f"{name}, kept", colour, "o", "-"))
+        last.points(of_count, "parts", "kept", Look(f"{name}, reached", colour, "o", "-"))
         last.points(mine, "parts", "bound_mm_s", Look(f"{name}, bound aT/16", colour, "", "--"))
     leads = all(
         fastest(groups["sinusoids"], n) >= fastest(groups.get("rotations", []), n) for n in counts
@@ -52,7 +52,7 @@ def tracking(rows: list[Row]) -> Drawn:
         f"to {max(column(rows, 'bound_mm_s')):.0f}.",
         "Method B, never slower than Method A in the same case."
         if leads
-        else "Method B. The last panel shows where Method A keeps a higher speed.",
+        else "Method B. The last panel shows where Method A is faster.",
     )
 
 
@@ -106,7 +106,7 @@ CAMERAS = {
     "image_rate": ("Rate", "images a second", 1.0, True),
     "exposure_s": ("Exposure", "exposure [ms]", 1e3, False),
     "latency": ("Latency", "latency [ms]", 1e3, False),
-    "stamp_jitter": ("Scatter of stamps", "standard deviation of the stamps [ms]", 1e3, False),
+    "stamp_jitter": ("Noise of the stamps", "standard deviation of the stamps [ms]", 1e3, False),
 }
 """Title, label, unit, and whether the axis is logarithmic, by varied parameter of a camera."""
 
@@ -146,8 +146,8 @@ def cameras(rows: list[Row]) -> Drawn:
 
 ON_A_BUS = {
     "latency_ms": ("Latency", "latency of the bus [ms]"),
-    "jitter_ms": ("Jitter", "jitter, up to [ms]"),
-    "loop_hz": ("The drives' loop", "bandwidth [Hz]"),
+    "jitter_ms": ("Jitter", "maximum jitter [ms]"),
+    "loop_hz": ("Position loop of the drives", "bandwidth [Hz]"),
 }
 """Title and label, by varied parameter of drives on a bus."""
 
@@ -199,7 +199,7 @@ def rigs(rows: list[Row]) -> Drawn:
         note = ENDED + "; feasible: {feasible}"
         share.points(mine, "share", "rig", look, hollow=not_all, note=note)
         time.points(mine, "time_s", "rig", look, hollow=not_all)
-        time.points(mine, "feasible_s", "rig", Look(f"{scenario}, by feasible", colour, "x"))
+        time.points(mine, "feasible_s", "rig", Look(f"{scenario}, predicted", colour, "x"))
         if any(column(mine, "rms_mm")):
             error.points(mine, "rms_mm", "rig", look, hollow=not_all)
             pace.points(mine, "kept", "rig", look, hollow=not_all)
@@ -211,8 +211,8 @@ def rigs(rows: list[Row]) -> Drawn:
     right = sum((r["feasible"] == "likely") == (percent(r) > 50) for r in rows)
     return Drawn(
         panels,
-        f"{ends} `feasible` was right in {right} of {len(rows)} cases (likely: more than half of "
-        "the runs end well).",
+        f"{ends} `feasible` was right in {right} of {len(rows)} cases; *likely* means that more "
+        "than half of the runs end well.",
     )
 
 

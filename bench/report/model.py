@@ -11,9 +11,10 @@ COLOURS = (OURS, PEER, SECOND, THIRD, "#8a6d00")
 """Colours of scenes."""
 
 LOOKS = {
-    name: Look(name, colour, marker, "-")
-    for name, colour, marker in (
-        ("one model", OURS, "o"), ("by events", SECOND, "s"), ("pymunk", PEER, "D"),
+    method: Look(name, colour, marker, "-")
+    for method, name, colour, marker in (
+        ("one model", "finite parts, in steps", OURS, "o"),
+        ("by events", "reference, by events", SECOND, "s"), ("pymunk", "pymunk", PEER, "D"),
     )
 }  # fmt: skip
 """Appearance of methods."""
@@ -25,12 +26,12 @@ MIN_UM = 1e-4
 def model(rows: list[Row]) -> Drawn:
     """Return the chart of the CPU time and the error of a cycle, by scene and number of parts."""
     panels, ours = Panels(), by([r for r in rows if r["method"] == "one model"], "scene")
-    parts, time = Axis("parts", log=True), Axis("core time of a cycle [ms]", log=True)
+    parts, time = Axis("parts", log=True), Axis("CPU time of a cycle [ms]", log=True)
     for scene, mine in by(rows, "scene").items():
         panel = panels.add(scene, parts, time)
         panel.kinds(mine, "method", "parts", "cpu_ms", LOOKS, note="error {error_um:.3g} µm")
     error = Axis("error after a cycle [µm]", log=True, least=MIN_UM)
-    last = panels.add("Error of the one model", parts, error)
+    last = panels.add("Error of finite parts", parts, error)
     for (scene, mine), colour in zip(ours.items(), COLOURS, strict=False):
         last.points(mine, "parts", "error_um", Look(f"error, {scene}", colour, "s", "-"))
     most = [mine[-1] for mine in ours.values()]

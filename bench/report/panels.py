@@ -31,7 +31,7 @@ SYMBOLS = {
 }  # fmt: skip
 DASHES = {"-": "solid", "--": "dash", ":": "dot"}
 
-FRONT, DEFAULT = "Pareto front", "our default"
+FRONT, DEFAULT = "Pareto front", "default"
 
 ACROSS = 2
 """Maximum number of panels in a row. Pages show pictures with a width of about 700 px."""

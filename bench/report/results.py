@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import re
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -17,12 +16,6 @@ FOLDER = "results"
 FACTS = "measured.json"
 """File in this folder with the times, computers and headings of the CSV files."""
 
-AS_USUAL = re.compile(
-    r"^Success: | and \d+ cycles|, none dropped|"
-    r"; all \d+ motor tables within limits( \(\d+ % used\))?"
-)
-"""Parts of a demo's result that `demos` states only once for all demos."""
-
 ABOUT = """# Results: speed against accuracy
 
 This page compares each stage with baselines in speed and accuracy, and shows where methods fail.
@@ -30,12 +23,10 @@ This page compares each stage with baselines in speed and accuracy, and shows wh
 charts with zoom and all rows. Forces are in mu mg, the sliding friction of one part. A black line
 connects the results that no other result beats in both time and error. A ring marks the default. A
 hollow mark means that not all runs ended well. Times are CPU times without ROS; on a busy machine
-(the load is given) they are up to twice as long. Each section ends with the name of its
-measurement; `make bench ARGS=NAME` repeats it.
+(the load is given) they are up to twice as long. `make bench ARGS=NAME` repeats a measurement.
 
-Since commit fa867c50 the solver evaluates motions after two plays. The measurements `control`,
-`free_running`, `drives`, `rigs` and `feeding`, and the demos, are older and used one play. README
-compares one play with two plays.
+The solver evaluates motions after two plays, but `control`, `free_running`, `drives`, `rigs`,
+`feeding` and the films were made before, with one play.
 """
 
 
@@ -71,12 +62,11 @@ def write_results(path: Path, facts: Data, charts: Sequence[Chart]) -> None:
     ]
     quick = ", ".join(name for name, item in used.items() if item["quick"])
     lines += [f"**Quick measurements with few cases: {quick}.**"] if quick else []
-    minutes = sum(item["seconds"] for item in used.values()) / 60
     commit = usual_commit(used)
     lines += [f"Commit: {commit}, unless another is given."]
     parts = [
         ABOUT,
-        "\n".join([*lines, f"Total run time of the measurements: {minutes:.0f} minutes."]) + "\n",
+        "\n".join(lines) + "\n",
         *(section(one, facts, commit) for one in charts),
         demos(folder),
     ]
@@ -100,21 +90,19 @@ def section(chart: Chart, facts: Data, commit: str) -> str:
 
 
 def demos(folder: Path) -> str:
-    """Return the section of the demos, with their results."""
+    """Return the section of the demos."""
     path = folder / "demos.json"
     if not path.exists():
         return ""
     runs: Mapping[str, Mapping[str, Any]] = json.loads(path.read_text(encoding="utf-8"))
     lines = [
         "## Demos\n",
-        "Each demo is one run of the real graph by `make demo SCENARIO=NAME ARGS=--lockstep`, "
-        "unless another command is given; `python tools/demos.py` runs all. Unless stated "
-        "otherwise, the task succeeded, no part was dropped, and all motor tables were within the "
-        "limits. Arrows show the mean friction force of the running cycle. A click on a film opens "
-        "a picture strip.\n",
+        "Each film is one run of the real graph by `make demo SCENARIO=NAME ARGS=--lockstep`, "
+        "unless another command is given; `python tools/demos.py` makes all films. Arrows show the "
+        "mean friction force of the running cycle. A click on a film opens a picture strip.\n",
     ]
     for name, run in runs.items():
-        text = f"{run['description']} {AS_USUAL.sub('', run['outcome'])}"
+        text = run["description"]
         if run["command"] != f"make demo SCENARIO={name} ARGS=--lockstep":
             text += f" `{run['command']}`"
         lines.append(f"### {name}\n\n{text}\n")

@@ -38,7 +38,7 @@ def solver(rows: list[Row]) -> Drawn:
     for count in counts:
         panel = panels.add(
             parts(count), Axis("time of one cold solve [ms]", log=True),
-            Axis("largest error of a force [mu mg]", log=True, least=MIN_ERROR), "less less",
+            Axis("maximum force error [mu mg]", log=True, least=MIN_ERROR), "less less",
         )  # fmt: skip
         for method, look in looks.items():
             mine = groups[count, method]
@@ -47,7 +47,7 @@ def solver(rows: list[Row]) -> Drawn:
             median = Look(f"{look.name}, median", look.colour, "D")
             panel.points([typical], "ms", "error", median)
         panel.mark(typical["ms"], typical["error"])
-        panel.rule("wanted", y=MAX_ERROR)
+        panel.rule("required", y=MAX_ERROR)
 
     def solved_text(count: int, method: str) -> str:
         mine = groups[count, method]
@@ -66,18 +66,18 @@ def options(rows: list[Row]) -> Drawn:
     """Return the chart of the simulated error against the time of a solution, for all options and
     scipy."""
     looks = {
-        ("B", "restarts"): Look("B: sinusoids, more and more restarts", OURS, "o", "-"),
-        ("A", "restarts"): Look("A: rotations, more and more restarts", SECOND, "s", "-"),
+        ("B", "restarts"): Look("B: sinusoids, increasing restarts", OURS, "o", "-"),
+        ("A", "restarts"): Look("A: rotations, increasing restarts", SECOND, "s", "-"),
         ("B", "paper"): Look("B on the paper's map", OURS, "v"),
         ("A", "paper"): Look("A on the paper's map", SECOND, "^"),
-        ("scipy, our derivatives", ""): Look("scipy, our derivatives", PEER, "D", "-"),
-        ("scipy, own differences", ""): Look("scipy, own differences", PEER, "x", "--"),
+        ("scipy, our derivatives", ""): Look("scipy, exact derivatives", PEER, "D", "-"),
+        ("scipy, own differences", ""): Look("scipy, finite differences", PEER, "x", "--"),
     }
     panels = Panels()
     for count, these in by(rows, "parts").items():
         panel = panels.add(
             parts(count), Axis("median time of a cold solve [ms]", log=True),
-            Axis("drift missed in the simulator, RMS [%]", log=True), "less less",
+            Axis("drift error in the simulator, RMS [%]", log=True), "less less",
         )  # fmt: skip
         for (method, option), look in looks.items():
             mine = [r for r in these if r["method"] == method and option in r["option"]]
@@ -108,7 +108,7 @@ def steering(rows: list[Row]) -> Drawn:
     panels = Panels()
     for title, axis, *starts in (
         ("Time", Axis("median time of a solve [ms]", log=True), "warm_ms", "cold_ms"),
-        ("What is missed", Axis("displacement missed, RMS [% of asked]"), "missed_percent",
+        ("Error", Axis("displacement error, RMS [% of the request]"), "missed_percent",
          "cold_percent"),
     ):  # fmt: skip
         panel = panels.add(title, Axis("parts", ticks=counts), axis)
@@ -116,7 +116,7 @@ def steering(rows: list[Row]) -> Drawn:
             for start, key, marker, line in zip(("warm", "cold"), starts, "os", "-:", strict=True):
                 name = f"{look.name}, {start} start"
                 panel.points(groups[method], "parts", key, Look(name, look.colour, marker, line))
-    panel.rule("good enough", y=15)
+    panel.rule("acceptable", y=15)
     missed = {(r["method"], r["parts"]): r["missed_percent"] for r in rows}
     less = [n for n in counts if missed["sinusoids", n] < missed["rotations", n]]
     where = "in all cases" if less == list(counts) else f"with {', '.join(map(str, less))} parts"

@@ -17,7 +17,7 @@ DEFAULT_TOLERANCE = f"{TOLERANCE:g} m"
 
 SIMULATORS = {
     "by events": Look("points, by events", OURS), "in steps": Look("points, in steps", SECOND, "s"),
-    "plate_sim": Look("discs, ours", OURS), "bodies": Look("bodies that turn, ours", SECOND, "s"),
+    "plate_sim": Look("discs", OURS), "bodies": Look("rotating bodies", SECOND, "s"),
     "pymunk": Look("pymunk", PEER, "D"), "MuJoCo": Look("MuJoCo", THIRD, "^"),
     "scipy RK45": Look("scipy", FAINT, "x"),
 }  # fmt: skip
@@ -26,8 +26,8 @@ SIMULATORS = {
 SIMULATED = (
     ("travel", "gamma", "1 part, shaken at {} mu g", "error of the travel after 1 s [mm]",
      "error_mm", MIN_MM, "-"),
-    ("discs", "parts", "{} discs that collide", "deepest overlap [µm]", "overlap_um", 0.01, ""),
-    ("body", "case", "1 {} that slides and turns, 0.2 s", "error of centre or rim [mm]",
+    ("discs", "parts", "{} colliding discs", "maximum overlap [µm]", "overlap_um", 0.01, ""),
+    ("body", "case", "1 {} that slides and rotates, 0.2 s", "error of centre or edge [mm]",
      "error_mm", None, "-"),
 )  # fmt: skip
 """Case, column that distinguishes its panels, their title, label, column, minimum number, and
@@ -57,7 +57,7 @@ def sim(rows: list[Row]) -> Drawn:
     """Return the chart of the simulator's error against speed, for separate and for colliding
     parts."""
     panels, cases = Panels(), by(rows, "case")
-    speed = Axis("simulated time per core time [s/s]", log=True)
+    speed = Axis("simulated time per CPU time [s/s]", log=True)
     for case, key, title, label, error, least, line in SIMULATED:
         looks = {method: look._replace(line=line) for method, look in SIMULATORS.items()}
         for value, mine in sorted(by(cases[case], key).items()):
@@ -107,7 +107,7 @@ def cost(rows: list[Row]) -> Drawn:
     counts = column(stages, "parts")
     panels = Panels()
     first = panels.add(
-        "Every stage, one image", Axis("parts on the plate", ticks=tuple(counts)),
+        "All stages, one image", Axis("parts on the plate", ticks=tuple(counts)),
         Axis("median time for one image [ms]", log=True),
     )  # fmt: skip
     for key, *look in (
@@ -115,11 +115,11 @@ def cost(rows: list[Row]) -> Drawn:
         ("driver", "driver", SECOND, "D", "-"), ("planner", "planner", THIRD, "^", "-"),
         ("simulator", "simulator", FAINT, "v", ":"), ("camera", "camera", FAINT, "x", "--"),
         ("answer", "image to setpoints", "#111111", "", "-"),
-        ("period", "one cycle: the limit", LIMIT, "", "-"),
+        ("period", "limit: one cycle", LIMIT, "", "-"),
     ):  # fmt: skip
         first.points(stages, "parts", key, Look(*look))
     second = panels.add(
-        "The simulator", Axis("parts", log=True), Axis("core time for 1 s [s]", log=True)
+        "The simulator", Axis("parts", log=True), Axis("CPU time for 1 s [s]", log=True)
     )
     for key, *look in (
         ("by events", "points, by events", OURS, "o", "-"),
@@ -155,15 +155,15 @@ def vision(rows: list[Row]) -> Drawn:
             f"{discs} discs, {place}", Axis("time for one image, in a loop [ms]", log=True),
             Axis("error of the centres, RMS [px]", log=True), "less less",
         )  # fmt: skip
-        note = "missed {missed_percent:.0f} %, invented {false_percent:.0f} %"
+        note = "missed {missed_percent:.0f} %, false {false_percent:.0f} %"
         panel.kinds(mine, "method", "loop_ms", "rms_px", looks, hollow=is_wrong, note=note)
         panel.mark(mine[0]["loop_ms"], mine[0]["rms_px"])
     ours = [r for r in rows if r["method"] == methods[0]]
     return Drawn(
         panels,
-        f"The error of this project is {span(ours, 'rms_px')} px, in {span(ours, 'loop_ms')} ms in "
-        f"a separate loop, or {span(ours, 'turns_ms')} ms in turns with the baselines. No disc is "
-        "missed, and no false disc is detected.",
+        f"The detector has an error of {span(ours, 'rms_px')} px. It takes {span(ours, 'loop_ms')} "
+        f"ms in a separate loop, or {span(ours, 'turns_ms')} ms in turns with the baselines. It "
+        "misses no disc, and detects no false disc.",
     )
 
 

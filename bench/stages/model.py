@@ -28,7 +28,7 @@ from plate_sim.world import STEP
 from stages.learning import hung
 from stages.pymunk_scene import PymunkScene
 
-KINDS = ("apart", "turning", "touching", "touching and turning", "suspension")
+KINDS = ("apart", "rotating", "touching", "touching and rotating", "suspension")
 COUNTS = (1, 3, 10, 30, 100)
 PERIOD, HARMONICS, SIZE_M = 0.1, 4, 2.5e-3
 """Period [s], number of harmonics, and approximate amplitude [m] of the plate's motion."""
@@ -73,7 +73,7 @@ class Scene:
     @classmethod
     def of(cls, kind: str, count: int) -> Scene:
         """Return a scene with `count` moving parts on a grid."""
-        rig, touching, turns = load_rig(), "touching" in kind, "turning" in kind
+        rig, touching, turns = load_rig(), "touching" in kind, "rotating" in kind
         spacing = 2 * rig.parts.radius_m + 4e-4 if touching else 0.037
         k, columns = np.arange(count), int(np.ceil(np.sqrt(2 * count)))
         place = spacing * np.column_stack([k % columns, k // columns])
