@@ -18,8 +18,8 @@ from harness.result import ROOT, write
 CHAPTERS = {
     "stages": (
         "sim", "model", "trust", "bodies", "force_map", "solver",
-        "steering", "options", "vision", "cameras", "stages", "learning",
-        "friction", "stop_latency", "board", "latency", "graph", "page",
+        "options", "vision", "cameras", "stages", "learning",
+        "friction", "stop_latency", "board", "latency", "graph",
     ),
     "maps": ("stability",),
     "tasks": (

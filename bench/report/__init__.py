@@ -25,7 +25,7 @@ from report.model import model
 from report.page import write_report
 from report.panels import Row
 from report.results import read_facts, write_results
-from report.solver import options, solver, solver_rows, steering
+from report.solver import options, solver, solver_rows
 from report.stability import chart_of, rows_of, words_of
 from report.world import cost, cost_rows, sim, sim_rows, vision
 
@@ -57,7 +57,6 @@ CHARTS: tuple[Entry, ...] = (
     of_table(force_map, "force_map"),
     Entry("solver", solver, solver_rows, ("solver",)),
     of_table(options, "options"),
-    of_table(steering, "steering"),
     Entry("sim", sim, sim_rows, ("sim", "bodies")),
     of_table(model, "model"),
     of_table(vision, "vision"),

@@ -99,31 +99,3 @@ def options(rows: list[Row]) -> Drawn:
         for n in sorted({counts[0], counts[-1]})
     )
     return Drawn(panels, lead)
-
-
-def steering(rows: list[Row]) -> Drawn:
-    """Return the chart of time and displacement error against the number of parts."""
-    groups = by(rows, "method")
-    counts = tuple(sorted(by(rows, "parts")))
-    panels = Panels()
-    for title, axis, *starts in (
-        ("Time", Axis("median time of a solve [ms]", log=True), "warm_ms", "cold_ms"),
-        ("Error", Axis("displacement error, RMS [% of the request]"), "missed_percent",
-         "cold_percent"),
-    ):  # fmt: skip
-        panel = panels.add(title, Axis("parts", ticks=counts), axis)
-        for method, look in METHODS.items():
-            for start, key, marker, line in zip(("warm", "cold"), starts, "os", "-:", strict=True):
-                name = f"{look.name}, {start} start"
-                panel.points(groups[method], "parts", key, Look(name, look.colour, marker, line))
-    panel.rule("acceptable", y=15)
-    missed = {(r["method"], r["parts"]): r["missed_percent"] for r in rows}
-    less = [n for n in counts if missed["sinusoids", n] < missed["rotations", n]]
-    where = "in all cases" if less == list(counts) else f"with {', '.join(map(str, less))} parts"
-    cold = {r["parts"]: r["cold_percent"] for r in groups["sinusoids"]}
-    errors = [f"{cold[n]:.1f} % with {parts(n)}" for n in sorted({counts[0], counts[-1]})]
-    return Drawn(
-        panels,
-        f"From a cold start, the error of Method B is {' and '.join(errors)}.",
-        f"Method B has the smaller error {where}.",
-    )
