@@ -1,4 +1,4 @@
-"""One task after the other in the real graph, beside one that only forwards; what is said of it."""
+"""One task after the other in the real graph; what is said of it."""
 
 import numpy as np
 import pytest
@@ -18,7 +18,7 @@ def task(number, counts=(100, 0, 0), growth=0.0, ended="done"):
     stamps = at + 0.2 * np.arange(50)
     hops = stamps[:, None] + 1e-3 * np.array([0, 1, 4, 9, 29, 34 + number % 2])
     memory = dict.fromkeys(NODES, 100.0 + growth * at / 3600)
-    return Task(at, ended, ended == "done", counts, 100, 0, memory, hops, np.zeros((0, 6)))
+    return Task(at, ended, ended == "done", counts, 100, 0, memory, hops)
 
 
 def test_a_slope_has_the_interval_that_its_name_promises():
@@ -52,9 +52,9 @@ def test_stages_add_up_to_the_whole():
     assert stages["image to setpoints"] == pytest.approx(np.full(50, 33.0))
 
 
-def test_two_tasks_beside_a_graph_that_forwards(tmp_path):
+def test_two_tasks_in_the_same_graph(tmp_path):
     options = LightOptions(scenario="sort_4", autostart=False)
-    many = work_again(options, tmp_path, lambda s: len(s.tasks) == 2, beside=True, longest_s=1.5)
+    many = work_again(options, tmp_path, lambda s: len(s.tasks) == 2, longest_s=1.5)
     *_, series = many
     first, second = series.tasks
     for one in series.tasks:
@@ -62,10 +62,8 @@ def test_two_tasks_beside_a_graph_that_forwards(tmp_path):
         assert one.tables > 0
         assert one.faults == 0
         assert set(one.memory_mb) == set(NODES)
-        for hops in (one.hops, one.beside):
-            assert len(hops) > 1
-            assert np.all(np.diff(hops[:, 1:], axis=1) > 0), "published in the order of the chain"
-    # The graph was not started again: its stamps go on, and so do those of the other.
+        assert len(one.hops) > 1
+        assert np.all(np.diff(one.hops[:, 1:], axis=1) > 0), "published in the order of the chain"
+    # The graph was not started again: its stamps go on.
     assert second.hops[0, 0] > first.hops[-1, 0]
-    assert second.beside[0, 0] > first.beside[-1, 0]
-    assert set(series.cpu) == {*NODES, *(f"beside_{name}" for name in NODES)}
+    assert set(series.cpu) == set(NODES)

@@ -23,8 +23,8 @@ from itertools import product
 from pathlib import Path
 from typing import Any
 
+from graph.gate import GATE
 from graph.observer import ALL, Observer, Received
-from graph.relays import GATE
 from graph.session import Session, session
 from record.judge import check_limits
 from trajectory_msgs.msg import JointTrajectory
@@ -284,8 +284,8 @@ class Faults:
 
 
 def run(logs: Path, nodes: Iterable[str] = (), transport: str = "sim") -> Iterator[Outcome]:
-    """Inject all faults into a running graph one after the other. For cuts, a gate relays the
-    nodes' inputs."""
+    """Inject all faults into a running graph one after the other. For cuts, a gate forwards
+    the nodes' inputs."""
     options = RunOptions(transport=transport, link=str(logs / "device"))
     names = chosen(nodes, [node.name for node in options.nodes(load_graph())])
     rows: list[dict[str, Any]] = []

@@ -16,7 +16,7 @@ from rclpy.executors import SingleThreadedExecutor
 
 from plate_core.ros import CAMERA
 
-from .relays import CHAIN
+from .gate import CHAIN
 
 STAMP = struct.Struct("<4xiI")
 """First bytes of a serialised message: 4 bytes of encapsulation, then the header's stamp."""
@@ -26,8 +26,8 @@ class Listener:
     """ROS node that receives messages with their publication times, in a separate thread. Use it as
     a context manager inside the context of an `Observer`."""
 
-    def __init__(self, name: str, namespace: str = "") -> None:
-        self.node = rclpy.create_node(name, namespace=namespace)
+    def __init__(self, name: str) -> None:
+        self.node = rclpy.create_node(name)
         # EventsExecutor does not support raw messages with publication times.
         self._executor = SingleThreadedExecutor()
         self._executor.add_node(self.node)
@@ -48,7 +48,6 @@ class Hops(Listener):
 
     Parameters
     ----------
-    namespace : str
     images : bool
         Whether to receive images. If it is False, an image counts as published at its stamp.
 
@@ -58,27 +57,23 @@ class Hops(Listener):
         For each image's stamp [ns], the publication times of the image and of its answers [ns,
         UTC], in the order of `CHAIN`. 0 if not published yet. If a topic has several messages with
         the stamp, the first one counts.
-    newest : dict of str to bytes
-        Last message of each topic, serialised.
     """
 
-    def __init__(self, namespace: str = "", images: bool = True) -> None:
-        super().__init__("hops", namespace)
+    def __init__(self, images: bool = True) -> None:
+        super().__init__("hops")
         self._images = images
         self.times: dict[int, list[int]] = defaultdict(lambda: [0] * len(CHAIN))
-        self.newest: dict[str, bytes] = {}
         for number, (topic, kind) in enumerate(CHAIN):
             if number or images:
-                on_message = self._listener(number, topic)
+                on_message = self._listener(number)
                 self.node.create_subscription(kind, topic, on_message, CAMERA, raw=True)
 
-    def _listener(self, number: int, topic: str) -> Any:
+    def _listener(self, number: int) -> Any:
         def on_message(data: bytes, info: dict[str, int]) -> None:
             second, nanosecond = STAMP.unpack_from(data)
             stamp = second * 1_000_000_000 + nanosecond
             row = self.times[stamp]
             row[0] = row[0] if self._images else stamp
             row[number] = row[number] or info["source_timestamp"]
-            self.newest[topic] = data
 
         return on_message

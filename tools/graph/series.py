@@ -1,14 +1,12 @@
 """Series of tasks in the same running graph. The parts are put down again for each task.
 
-After each task, `work_again` yields counts of cycles, latencies, memory and CPU time so far. For
-comparison it can run a second graph that only forwards messages of the same sizes.
+After each task, `work_again` yields counts of cycles, latencies, memory and CPU time so far.
 """
 
 from __future__ import annotations
 
 import time
 from collections.abc import Callable, Iterator, Mapping
-from contextlib import ExitStack
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -19,10 +17,10 @@ from record.judge import check_limits
 from plate_bringup import RunOptions
 from plate_core import load_rig
 
+from .gate import CHAIN
 from .hops import Hops
 from .observer import SETTLE_S
 from .proc import cpu_s, memory_mb
-from .relays import CHAIN, NAMESPACE, NODES, command
 from .session import Session, session
 
 TASK_S = 240.0
@@ -51,9 +49,9 @@ class Task:
         Number of motor tables, and number of violated limits.
     memory_mb : dict of str to float
         Memory of each node at the end of the task [MB].
-    hops, beside : (n, 6) arrays
+    hops : (n, 6)
         Stamp of each answered image, and the publication times of the image and of its answers [s,
-        UTC], in the real graph and in the one that only forwards.
+        UTC].
     """
 
     at_s: float
@@ -64,7 +62,6 @@ class Task:
     faults: int
     memory_mb: dict[str, float]
     hops: np.ndarray
-    beside: np.ndarray
 
     @property
     def latency(self) -> np.ndarray:
@@ -79,16 +76,16 @@ class Series:
     tasks: list[Task] = field(default_factory=list)
     cpu: dict[str, float] = field(default_factory=dict)
 
-    def hops(self, kind: str = "hops") -> np.ndarray:
-        """Return `hops` or `beside` of all tasks, concatenated."""
-        return np.concatenate([getattr(task, kind) for task in self.tasks])
+    @property
+    def hops(self) -> np.ndarray:
+        """`hops` of all tasks, concatenated."""
+        return np.concatenate([task.hops for task in self.tasks])
 
 
 def work_again(
     options: RunOptions,
     logs: Path,
     done: Callable[[Series], bool],
-    beside: bool = False,
     longest_s: float = TASK_S,
     world: Mapping[str, float] | None = None,
 ) -> Iterator[Series]:
@@ -102,29 +99,20 @@ def work_again(
         Folder for the nodes' logs.
     done : callable
         Receives the series so far.
-    beside : bool
-        Whether a graph that only forwards runs at the same time.
     longest_s : float
         Maximum duration of a task [s].
     world : mapping, optional
         Parameters of the simulator.
     """
-    with ExitStack() as stack:
-        graph = stack.enter_context(session(options, logs, pictures=False))
-        hops = stack.enter_context(Hops())
+    with session(options, logs, pictures=False) as graph, Hops() as hops:
         graph.free()
         for name, value in (world or {}).items():
             graph.observer.set_parameter("simulator", name, value)
-        names, others = [*graph.processes.names], None
-        if beside:
-            # A short task provides messages of realistic size for the graph that forwards.
-            one_task(graph, hops, None, 0.0, min(longest_s, 5.0))
-            others = stack.enter_context(Hops(NAMESPACE))
-            names += forward(graph, hops, others, logs)
+        names = [*graph.processes.names]
         series, began = Series(), time.monotonic()
         before = {name: cpu_s(graph.processes.pid(name)) for name in names}
         while not done(series):
-            series.tasks.append(one_task(graph, hops, others, began, longest_s))
+            series.tasks.append(one_task(graph, hops, began, longest_s))
             passed = time.monotonic() - began
             for name in names:
                 used = cpu_s(graph.processes.pid(name)) - before[name]
@@ -132,20 +120,7 @@ def work_again(
             yield series
 
 
-def forward(graph: Session, hops: Hops, others: Hops, logs: Path) -> list[str]:
-    """Start the graph that only forwards. When all its messages arrive, return the names of its
-    processes."""
-    for topic, _ in CHAIN:
-        (logs / topic).write_bytes(hops.newest[topic])
-    commands = {f"{NAMESPACE}_{name}": command(name, str(logs)) for name in NODES}
-    graph.processes.add(commands)
-    graph.observer.until(lambda: any(map(all, [*others.times.values()])), TASK_S)
-    return list(commands)
-
-
-def one_task(
-    graph: Session, hops: Hops, others: Hops | None, began: float, longest_s: float
-) -> Task:
+def one_task(graph: Session, hops: Hops, began: float, longest_s: float) -> Task:
     """Run one task, for at most `longest_s` [s], and return its measurements."""
     observer, record = graph.observer, graph.observer.record
     names = ("cycles", "held cycles", "late cycles")
@@ -171,10 +146,9 @@ def one_task(
         {
             name: memory_mb(graph.processes.pid(name))
             for name in graph.processes.names
-            if not name.startswith(("beside_", "page"))
+            if name != "page"
         },
         rows(hops, start, end),
-        rows(others, start, end) if others is not None else np.zeros((0, len(CHAIN) + 1)),
     )
     record.tables.clear()
     record.starts.clear()

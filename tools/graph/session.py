@@ -14,7 +14,7 @@ from plate_bringup import RunOptions, load_graph
 from plate_core import load_rig
 from plate_core.tasks import Scenario, load_scenario
 
-from . import relays
+from . import gate
 from .domains import own_domain
 from .observer import Observer
 from .processes import Processes
@@ -125,7 +125,7 @@ def session(
     watched : bool
         Whether a wait raises GraphError if a node has ended.
     gated : bool
-        Whether the gate of `relays` relays the main input of each node.
+        Whether the gate of `gate` forwards the main input of each node.
 
     Raises
     ------
@@ -134,7 +134,7 @@ def session(
         message contains the reason.
     """
     nodes = options.nodes(load_graph())
-    remaps = relays.remaps(options.transport) if gated else {}
+    remaps = gate.remaps(options.transport) if gated else {}
     with (
         own_domain(domain) as domain,
         Processes(nodes, options, logs, domain, remaps=remaps) as processes,
@@ -147,7 +147,7 @@ def session(
         ) as observer,
     ):
         if gated:
-            processes.add({relays.GATE: relays.command(relays.GATE, options.transport)})
+            processes.add({gate.GATE: gate.command(options.transport)})
         loop = [node.name for node in nodes if not node.view]
         seen = observer.await_nodes(loop, START_S)
         if driver_triggers(options) and not options.autostart:
