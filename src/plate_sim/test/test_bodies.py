@@ -5,6 +5,7 @@ from itertools import pairwise
 import numpy as np
 import pytest
 from footprints import on_feet
+from harmonic import MU, G, TwoHarmonics, waves
 from scipy.integrate import solve_ivp
 
 from plate_core import PlateCycle, PlateError
@@ -13,7 +14,6 @@ from plate_sim import Ground, PlateMotion, simulate, simulate_bodies
 from plate_sim.contacts import Contacts
 from plate_sim.friction import bar, disc, union
 
-MU, G = 0.25, 9.81
 L_SHAPE = union(
     [
         [[0, 0], [0.03, 0], [0.03, 0.01], [0, 0.01]],
@@ -21,19 +21,6 @@ L_SHAPE = union(
     ]
 )
 TRIPOD = on_feet(disc(0.01), [[0.008, 0], [-0.004, 0.007], [-0.004, -0.007]])
-
-
-def waves(period, sine, cosine, count=256):
-    """Cycle with velocity sum_j sine[j] sin((j+1) w t) + cosine[j] cos(...); both (N, 3)."""
-    t = np.arange(count) * period / count
-    pose, twist, accel = np.zeros((3, count, 3))
-    for j, (a, b) in enumerate(zip(np.array(sine), np.array(cosine), strict=True)):
-        w = 2 * np.pi * (j + 1) / period
-        sin, cos = np.sin(w * t)[:, None], np.cos(w * t)[:, None]
-        pose += (-cos * a + sin * b) / w
-        twist += sin * a + cos * b
-        accel += (cos * a - sin * b) * w
-    return PlateCycle.from_samples(period, pose, twist, accel)
 
 
 def random_cycle(seed, scale=1.0):
@@ -107,10 +94,7 @@ def test_a_small_disc_moves_as_a_point():
 @pytest.mark.parametrize(("gamma", "exact"), [(4, 4.997416048e-3), (20, 65.3462e-3)])
 def test_a_disc_on_a_line_travels_as_the_exact_point(gamma, exact):
     # Sticking and reversals; translation alone does not turn it.
-    w = 60 * np.pi
-    phase = np.linspace(0, 2 * np.pi, 20001)
-    speed = gamma * MU * G / w / np.max(np.abs(np.cos(phase) - np.sin(2 * phase)))
-    cycle = waves(1 / 30, [[speed, 0, 0], [0, 0, 0]], [[0, 0, 0], [0.5 * speed, 0, 0]])
+    cycle = TwoHarmonics(gamma).cycle()
     run = simulate_bodies(cycle, disc(0.008), [[0, 0.1]], 0, [[0, 0]], 0, MU, cycles=30)
     assert run.position[-1, 0, 0] == pytest.approx(exact, rel=1e-4)
     assert run.angle[-1, 0] == pytest.approx(0, abs=1e-9)

@@ -1,5 +1,6 @@
 """What holds for any finite parts: energy, momentum, names, turned and mirrored rooms."""
 
+import harmonic
 import numpy as np
 import pytest
 from footprints import on_feet
@@ -57,17 +58,11 @@ def amounts(parts, run):
 
 
 def waves(seed, size, mirror=False, turn=0.0, period=0.05):
-    t = np.arange(128) * period / 128
-    w = 2 * np.pi / period * np.arange(1, 3)
     sine, cosine = np.random.default_rng(seed).normal(size=(2, 2, 3)) * [0.2, 0.2, 0.7] * size
     if mirror:
         sine, cosine = sine * [1, -1, -1], cosine * [1, -1, -1]
-    s, c = np.sin(np.outer(t, w)), np.cos(np.outer(t, w))
     q = np.array([[np.cos(turn), -np.sin(turn), 0], [np.sin(turn), np.cos(turn), 0], [0, 0, 1]])
-    return PlateCycle.from_samples(
-        period, (-c / w @ sine + s / w @ cosine) @ q.T, (s @ sine + c @ cosine) @ q.T,
-        (c * w @ sine - s * w @ cosine) @ q.T,
-    )  # fmt: skip
+    return harmonic.waves(period, sine @ q.T, cosine @ q.T, 128)
 
 
 def test_the_scenes_below_are_not_empty():

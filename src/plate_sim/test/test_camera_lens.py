@@ -5,6 +5,7 @@ from dataclasses import replace
 import cv2
 import numpy as np
 import pytest
+from dark_parts import BLACK, PLATE, centroid, covered, light_of, ring
 
 from plate_core import PlateError, load_rig
 from plate_core.rig import Lens, PartType, homography, moments, project, to_home, to_image, to_plate
@@ -18,7 +19,7 @@ LENSES = [
     Lens((620.0, 620.0), (319.5, 239.5), (0.2, 0.0, 0.0, 0.0, 0.05)),
     Lens((620.0, 620.0), (319.5, 239.5)),
 ]
-BLACK, PLATE, ROOM = 40.0, 220.0, 60.0
+ROOM = 60.0
 SQUARE = 0.009 * np.array([[-1.0, -1], [1, -1], [1, 1], [-1, 1]])
 SQUARE_TYPE = PartType("square", outline=tuple(map(tuple, SQUARE.tolist())), symmetry=4)
 
@@ -40,34 +41,6 @@ def shoot(camera, position, **more):
     return camera.render(position, grey, np.random.default_rng(0), **more).astype(float)
 
 
-def light_of(camera):
-    """The camera's shading, from an image of a plate that is everywhere."""
-    return np.asarray(camera._light, float)
-
-
-def covered(camera, image, point, reach=15):
-    """Centre (2,) [px] and area [px2] of what is black around a point [px]."""
-    u0, v0 = np.round(point).astype(int)
-    window = np.s_[max(v0 - reach, 0) : v0 + reach + 1, max(u0 - reach, 0) : u0 + reach + 1]
-    share = (PLATE - image[window] / light_of(camera)[window]) / (PLATE - BLACK)
-    share[np.abs(share) < 0.01] = 0  # rounding of grey values
-    v, u = np.mgrid[window]
-    return np.array([np.sum(share * u), np.sum(share * v)]) / share.sum(), share.sum()
-
-
-def centroid(outline):
-    """Centre (2,) and area of a polygon (k, 2)."""
-    origin = outline[0]
-    a, b = outline - origin, np.roll(outline, -1, axis=0) - origin
-    cross = a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0]
-    return origin + (a + b).T @ cross / (3 * cross.sum()), abs(cross.sum()) / 2
-
-
-def ring(radius, count=400):
-    turn = 2 * np.pi * np.arange(count) / count
-    return radius * np.stack([np.cos(turn), np.sin(turn)], axis=1)
-
-
 PLACES = np.stack(
     [g.ravel() for g in np.meshgrid(np.linspace(-0.27, 0.27, 6), np.linspace(-0.12, 0.12, 4))], 1
 ) + np.random.default_rng(5).uniform(-1e-3, 1e-3, (24, 2))
@@ -82,7 +55,7 @@ def test_discs_are_where_opencv_projects_them(lens):
     for place in PLACES:
         outline = seen(lens, place + ring(rig.parts.radius_m))
         expected, area = centroid(outline)
-        centre, weight = covered(camera, image, expected)
+        centre, weight = covered(camera, image, expected, 15)
         assert np.hypot(*(centre - expected)) < 0.02
         assert weight == pytest.approx(area, rel=0.01)
         # What is left to the image of the disc's centre is perspective's and the lens's bias.
@@ -149,7 +122,7 @@ def test_polygons_are_drawn_as_they_lie(lens):
     edge = (SQUARE[:, None] + side * (np.roll(SQUARE, -1, axis=0) - SQUARE)[:, None]).reshape(-1, 2)
     for place, turn in zip(PLACES, angle, strict=True):
         expected, area = centroid(seen(lens, to_home(np.append(place, turn), edge)))
-        centre, weight = covered(camera, image, expected)
+        centre, weight = covered(camera, image, expected, 15)
         assert (
             np.hypot(*(centre - expected)) < 0.05
         )  # more than a disc's: corners are sharper than a pixel
@@ -226,10 +199,7 @@ def test_frames_agree_with_the_camera():
         ({"pose": [0, 1]}, r"pose: shape is \(2,\)"),
         ({"angle": [0, np.nan]}, "angle: value of part 1"),
         ({"types": [SQUARE_TYPE]}, "types: 1 for 2 parts"),
-        (
-            {"position": np.zeros((3, 2, 2)), "velocity": np.zeros((2, 2))},
-            "velocity requires pos",
-        ),
+        ({"position": np.zeros((3, 2, 2)), "velocity": np.zeros((2, 2))}, "velocity requires pos"),
     ],
 )
 def test_bad_scenes_are_refused(change, message):

@@ -5,6 +5,7 @@ from dataclasses import replace
 import cv2
 import numpy as np
 import pytest
+from dark_parts import BLACK, PLATE, centroid, covered, ring
 
 import plate_sim.camera.camera as camera_module
 from plate_core import PlateCycle, PlateError, load_rig
@@ -20,7 +21,6 @@ LENSES = [
     Lens((620.0, 625.0), (316.0, 243.0), (-0.3, 0.09, 1e-3, -1e-3, 0.0)),
     Lens((620.0, 620.0), (319.5, 239.5)),
 ]
-BLACK, PLATE = 40.0, 220.0
 HEIGHT = 0.02
 PLACES = np.array([[-0.24, -0.1], [0.01, -0.02], [0.2, 0.07], [-0.13, 0.08], [0.22, -0.1]])
 CORNERS = 0.02 * np.array([[0.0, 0], [1, 0], [1, 0.4], [0.4, 0.4], [0.4, 1], [0, 1]]) - 0.006
@@ -61,11 +61,6 @@ def seen(camera, points):
     return project(camera._to_image, np.array(points))
 
 
-def ring(radius, count=200):
-    turn = 2 * np.pi * np.arange(count) / count
-    return radius * np.stack([np.cos(turn), np.sin(turn)], axis=1)
-
-
 def dense(corners, each=12):
     """Points along a polygon's sides, which a lens bends."""
     side = np.linspace(0, 1, each, endpoint=False)[:, None]
@@ -82,30 +77,12 @@ def mask_of(polygon, corner):
     return mask.astype(bool)
 
 
-def centroid(outline):
-    """Centre (2,) and area of a polygon (k, 2)."""
-    origin = outline[0]
-    a, b = outline - origin, np.roll(outline, -1, axis=0) - origin
-    cross = a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0]
-    return origin + (a + b).T @ cross / (3 * cross.sum()), abs(cross.sum()) / 2
-
-
 def moments_of(mask, corner):
     """Centre (2,) [px] and area [px2] of the mask of a window, which is larger by 1 to 2 %: it has
     the sub-pixels on the edge."""
     v, u = np.nonzero(mask)
     middle = np.array([u.mean() + 0.5, v.mean() + 0.5]) / FINE - 0.5
     return corner + middle, len(u) / FINE**2
-
-
-def covered(camera, image, around, reach=25):
-    """Centre (2,) [px] and area [px2] of what is black around a point [px]."""
-    u0, v0 = np.round(around).astype(int)
-    window = np.s_[max(v0 - reach, 0) : v0 + reach + 1, max(u0 - reach, 0) : u0 + reach + 1]
-    share = (PLATE - image[window] / camera._light[window]) / (PLATE - BLACK)
-    share[np.abs(share) < 0.01] = 0
-    v, u = np.mgrid[window]
-    return np.array([np.sum(share * u), np.sum(share * v)]) / share.sum(), share.sum()
 
 
 @pytest.mark.parametrize("lens", LENSES)

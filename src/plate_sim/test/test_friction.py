@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from harmonic import MU, G, TwoHarmonics, waves
 from scipy.integrate import solve_ivp
 
 from plate_core import PlateCycle, PlateError
@@ -9,38 +10,13 @@ from plate_core.rig import surface_velocity, to_plate
 from plate_sim import PlateMotion, simulate, simulate_bodies
 from plate_sim.friction import disc
 
-MU, G = 0.25, 9.81
-
-
-def waves(period, sine, cosine, count=256):
-    """Cycle with velocity sum_j sine[j] sin((j+1) w t) + cosine[j] cos(...); both (N, 3)."""
-    t = np.arange(count) * period / count
-    pose, twist, accel = np.zeros((3, count, 3))
-    for j, (a, b) in enumerate(zip(np.array(sine), np.array(cosine), strict=True)):
-        w = 2 * np.pi * (j + 1) / period
-        sin, cos = np.sin(w * t)[:, None], np.cos(w * t)[:, None]
-        pose += (-cos * a + sin * b) / w
-        twist += sin * a + cos * b
-        accel += (cos * a - sin * b) * w
-    return PlateCycle.from_samples(period, pose, twist, accel)
-
-
-def two_harmonics(gamma, frequency=30.0, turn=0.0):
-    """Velocity V (sin wt + 0.5 cos 2wt) along x with peak acceleration gamma mu g."""
-    w = 2 * np.pi * frequency
-    phase = np.linspace(0, 2 * np.pi, 20001)
-    speed = gamma * MU * G / w / np.max(np.abs(np.cos(phase) - np.sin(2 * phase)))
-    sine = [[speed, 0, turn], [0, 0, 0]]
-    cosine = [[0, 0, 0], [0.5 * speed, 0, 0]]
-    return waves(1 / frequency, sine, cosine)
-
 
 def travel(gamma):
-    return simulate(two_harmonics(gamma), [[0, 0.1]], [[0, 0]], MU, G, 30).position[-1, 0, 0]
+    return simulate(TwoHarmonics(gamma).cycle(), [[0, 0.1]], [[0, 0]], MU, G, 30).position[-1, 0, 0]
 
 
 def travel_in_steps(gamma, steps, turn=0.0):
-    cycle = two_harmonics(gamma, turn=turn)
+    cycle = TwoHarmonics(gamma).cycle(turn)
     run = simulate_bodies(
         cycle, disc(0.01), [[0, 0.1]], 0, [[0, 0]], 0, MU, G, 30, 0, cycle.period / steps
     )
@@ -77,7 +53,7 @@ def test_a_slip_that_reverses_on_a_line_is_followed_exactly(gamma, exact):
 
 def test_mean_force_on_a_held_part():
     # Friction so small that the part hardly moves: the impulse is that on a held part.
-    mu, cycle = 1e-7, two_harmonics(4)
+    mu, cycle = 1e-7, TwoHarmonics(4).cycle()
     run = simulate_bodies(
         cycle, disc(0.01), [[0, 0]], 0, [[0, 0]], 0, mu, G, samples=0, step=cycle.period / 4000
     )
@@ -136,14 +112,16 @@ def test_resting_plate_brakes_parts_in_a_straight_line():
 
 
 def test_friction_never_exceeds_its_limit():
-    cycle = two_harmonics(20)
+    cycle = TwoHarmonics(20).cycle()
     run = simulate(cycle, [[0.1, 0.1]], [[0, 0]], MU, G, samples=500)
     change = np.linalg.norm(np.diff(run.velocity, axis=0), axis=2)
     assert np.max(change) <= MU * G * cycle.period / 500 * (1 + 1e-9)
 
 
 def test_result_holds_the_start_and_every_step():
-    run = simulate(two_harmonics(4), np.zeros((3, 2)), np.zeros((3, 2)), MU, cycles=2, samples=50)
+    run = simulate(
+        TwoHarmonics(4).cycle(), np.zeros((3, 2)), np.zeros((3, 2)), MU, cycles=2, samples=50
+    )
     assert run.time.shape == (101,)
     assert run.time[-1] == pytest.approx(2 / 30)
     assert run.position.shape == run.velocity.shape == (101, 3, 2)

@@ -2,33 +2,18 @@
 
 import numpy as np
 import pytest
+from harmonic import MU, TIGHT, G, TwoHarmonics, waves
 from scipy.integrate import solve_ivp
-from scipy.optimize import brentq
 
 from plate_core import PlateCycle, PlateError
 from plate_core.rig import surface_velocity, to_plate
 from plate_sim import Ground, PlateMotion, simulate
 
-MU, G = 0.25, 9.81
 LIMIT = MU * G
 STILL = np.zeros((1, 2))
-TIGHT = {"method": "DOP853", "rtol": 1e-12, "atol": 1e-15}
 BOTH = pytest.mark.parametrize(
     ("how", "error"), [({"tolerance": 1e-11}, 1e-10), ({"samples": 8000}, 2e-6)]
 )
-
-
-def waves(period, sine, cosine, count=256):
-    """Cycle with velocity sum_j sine[j] sin((j+1) w t) + cosine[j] cos(...); both (N, 3)."""
-    t = np.arange(count) * period / count
-    pose, twist, accel = np.zeros((3, count, 3))
-    for j, (a, b) in enumerate(zip(np.array(sine), np.array(cosine), strict=True)):
-        w = 2 * np.pi * (j + 1) / period
-        sin, cos = np.sin(w * t)[:, None], np.cos(w * t)[:, None]
-        pose += (-cos * a + sin * b) / w
-        twist += sin * a + cos * b
-        accel += (cos * a - sin * b) * w
-    return PlateCycle.from_samples(period, pose, twist, accel)
 
 
 def steep(share, heading=0.0):
@@ -80,73 +65,19 @@ def test_static_friction_holds_longer_and_then_lets_go(how, error):
     assert run.velocity[before][-1, 0, 0] < -0.01 * top
 
 
-class Scene:
-    """Velocity V (sin wt + 0.5 cos 2wt) along x at 30 Hz, tilted along x: what moves is known."""
-
-    def __init__(self, gamma, static, share):
-        self.w = 2 * np.pi * 30
-        self.top = gamma * LIMIT / self.w / 1.76
-        self.hold, self.pull = static * LIMIT, share * LIMIT
-        v = self.top
-        self.cycle = waves(1 / 30, [[v, 0, 0], [0, 0, 0]], [[0, 0, 0], [0.5 * v, 0, 0]])
-        self.ground = Ground(static, steep(share))
-
-    def velocity(self, t):
-        return self.top * (np.sin(self.w * t) + 0.5 * np.cos(2 * self.w * t))
-
-    def need(self, t):
-        """Acceleration that friction must give to hold the part."""
-        return self.top * self.w * (np.cos(self.w * t) - np.sin(2 * self.w * t)) - self.pull
-
-    def travel(self, end):
-        """Travel of a part from rest, phase by phase, and how often it stuck."""
-        t, x, v, stuck = 0.0, 0.0, 0.0, 0
-        while t < end:
-            slip = self.velocity(t) - v
-            sign = np.sign(slip)
-            if abs(slip) < 1e-11:
-                if abs(self.need(t)) <= self.hold:
-                    grid = t + np.linspace(0, 1 / 30, 4001)
-                    free = np.flatnonzero(np.abs(self.need(grid)) > self.hold)
-                    until, stuck = end, stuck + 1
-                    if len(free):
-                        until = brentq(
-                            lambda s: abs(self.need(s)) - self.hold,
-                            *grid[free[0] - 1 : free[0] + 1], xtol=1e-16,
-                        )  # fmt: skip
-                    until = min(end, until)
-                    ride = solve_ivp(lambda s, y: [self.velocity(s)], (t, until), [x], **TIGHT)
-                    t, x, v = until, ride.y[0, -1], self.velocity(until)
-                    if t >= end:
-                        break
-                sign = np.sign(self.need(t))
-
-            def meets(s, y):
-                return self.velocity(s) - y[1]
-
-            meets.terminal, meets.direction = True, -sign
-            rate = sign * LIMIT + self.pull
-            run = solve_ivp(
-                lambda s, y, f=rate: [y[1], f], (t, end), [x, v], events=meets, max_step=3e-4,
-                **TIGHT,
-            )  # fmt: skip
-            t, x, v = run.t[-1], *run.y[:, -1]
-        return x, stuck
-
-
 @pytest.mark.parametrize(
     ("gamma", "static", "share"),
     [(1.5, 1.2, 0.0), (2.5, 1.5, 0.3), (4, 1.3, -0.4), (4, 2.0, 0.0), (20, 1.5, 0.2), (3, 1, 0.5)],
 )
 def test_agrees_with_an_event_driven_truth(gamma, static, share):
-    scene = Scene(gamma, static, share)
+    scene, ground = TwoHarmonics(gamma, static, share), Ground(static, steep(share))
     truth, stuck = scene.travel(0.2)
     assert stuck >= 1 or gamma == 20
-    options = {"cycles": 6, "ground": scene.ground}
+    options = {"cycles": 6, "ground": ground}
     for tolerance, error in ((1e-12, 3e-11), (1e-7, 6e-7)):
-        run = simulate(scene.cycle, STILL, STILL, MU, G, tolerance=tolerance, **options)
+        run = simulate(scene.cycle(), STILL, STILL, MU, G, tolerance=tolerance, **options)
         assert run.position[-1, 0, 0] == pytest.approx(truth, abs=error)
-    run = simulate(scene.cycle, STILL, STILL, MU, G, samples=16_000, **options)
+    run = simulate(scene.cycle(), STILL, STILL, MU, G, samples=16_000, **options)
     assert run.position[-1, 0, 0] == pytest.approx(truth, abs=2e-6)
 
 

@@ -2,28 +2,20 @@
 
 import numpy as np
 import pytest
+from harmonic import MU, G, waves
 
 from plate_core import PlateCycle
 from plate_sim import Ground, simulate, simulate_bodies
 from plate_sim.friction import disc
 
-MU, G = 0.25, 9.81
 STILL = np.zeros((1, 2))
 
 
 def on_a_line(rng, period, size, heading, knots=128, harmonics=4):
     """Cycle of random velocity along a direction [rad]."""
-    t = np.arange(knots) * period / knots
-    states = np.zeros((3, knots, 3))
     way = np.array([np.cos(heading), np.sin(heading), 0])
-    for j in range(1, harmonics + 1):
-        w = 2 * np.pi * j / period
-        a, b = size * rng.normal(size=2)
-        sin, cos = np.sin(w * t)[:, None] * way, np.cos(w * t)[:, None] * way
-        states[0] += (-a * cos + b * sin) / w
-        states[1] += a * sin + b * cos
-        states[2] += (a * cos - b * sin) * w
-    return PlateCycle.from_samples(period, *states), way[:2]
+    sine, cosine = size * rng.normal(size=(harmonics, 2)).T[:, :, None] * way
+    return waves(period, sine, cosine, knots), way[:2]
 
 
 def scenes(seed, count):

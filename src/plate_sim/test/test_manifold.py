@@ -4,6 +4,7 @@ import re
 
 import numpy as np
 import pytest
+from harmonic import waves
 
 from plate_core import PlateCycle, PlateError
 from plate_sim import Ground, simulate_bodies
@@ -33,13 +34,8 @@ def collide(parts, place, angle, speed, spin, contacts, time=0.1):
 
 
 def shaken(scale=1.0, period=0.1):
-    t = np.arange(256) * period / 256
-    w = 2 * np.pi / period * np.arange(1, 4)
     sine, cosine = np.random.default_rng(3).normal(size=(2, 3, 3)) * [0.2, 0.2, 0.7] * scale
-    s, c = np.sin(np.outer(t, w)), np.cos(np.outer(t, w))
-    return PlateCycle.from_samples(
-        period, -c / w @ sine + s / w @ cosine, s @ sine + c @ cosine, c * w @ sine - s * w @ cosine
-    )
+    return waves(period, sine, cosine)
 
 
 def scattered(count, reach, rng):

@@ -4,8 +4,8 @@ from itertools import pairwise
 
 import numpy as np
 import pytest
+from harmonic import MU, TIGHT, G, TwoHarmonics, waves
 from scipy.integrate import solve_ivp
-from scipy.optimize import brentq
 
 from plate_core import PlateCycle, PlateError
 from plate_core.rig import surface_velocity, to_plate
@@ -14,82 +14,13 @@ from plate_sim.friction import TOLERANCE, disc
 from plate_sim.friction.point_events import run_points
 from plate_sim.plate.pieces import tabulate
 
-MU, G = 0.25, 9.81
 STILL = np.zeros((1, 2))
-
-
-def waves(period, sine, cosine, count=256):
-    """Cycle with velocity sum_j sine[j] sin((j+1) w t) + cosine[j] cos(...); both (N, 3)."""
-    t = np.arange(count) * period / count
-    pose, twist, accel = np.zeros((3, count, 3))
-    for j, (a, b) in enumerate(zip(np.array(sine), np.array(cosine), strict=True)):
-        w = 2 * np.pi * (j + 1) / period
-        sin, cos = np.sin(w * t)[:, None], np.cos(w * t)[:, None]
-        pose += (-cos * a + sin * b) / w
-        twist += sin * a + cos * b
-        accel += (cos * a - sin * b) * w
-    return PlateCycle.from_samples(period, pose, twist, accel)
-
-
-class Line:
-    """The exact scene: velocity V (sin wt + 0.5 cos 2wt) along x, peak acceleration gamma mu g."""
-
-    def __init__(self, gamma, frequency=30.0):
-        self.w = 2 * np.pi * frequency
-        sine = (1 - np.sqrt(33)) / 8  # where sin + 2 cos 2 = 0: the peak of cos - sin 2
-        peak = np.sqrt(1 - sine**2) * (1 - 2 * sine)
-        self.period, self.top = 1 / frequency, gamma * MU * G / self.w / peak
-
-    def velocity(self, t):
-        return self.top * (np.sin(self.w * t) + 0.5 * np.cos(2 * self.w * t))
-
-    def accel(self, t):
-        return self.top * self.w * (np.cos(self.w * t) - np.sin(2 * self.w * t))
-
-    def cycle(self):
-        v = self.top
-        return waves(self.period, [[v, 0, 0], [0, 0, 0]], [[0, 0, 0], [0.5 * v, 0, 0]])
-
-
-def travel_event_by_event(line, end):
-    """Travel of a part from rest, phase by phase: scipy's DOP853 with events, and brentq."""
-    t, x, v = 0.0, 0.0, 0.0
-    limit = MU * G
-    while t < end:
-        sign = np.sign(line.velocity(t) - v)
-        if abs(line.velocity(t) - v) < 1e-11:
-            if abs(line.accel(t)) <= limit:  # stuck until the plate accelerates too much
-                grid = np.linspace(t, t + line.period, 2001)
-                free = np.flatnonzero(np.abs(line.accel(grid)) > limit)
-                until = end
-                if len(free):
-                    a, b = grid[free[0] - 1], grid[free[0]]
-                    until = min(end, brentq(lambda s: abs(line.accel(s)) - limit, a, b, xtol=1e-16))
-                ride = solve_ivp(lambda s, y: [line.velocity(s)], (t, until), [x], **TIGHT)
-                t, x, v = until, ride.y[0, -1], line.velocity(until)
-                if t >= end:
-                    break
-            sign = np.sign(line.accel(t))
-
-        def meets(s, y):
-            return line.velocity(s) - y[1]
-
-        meets.terminal, meets.direction = True, -sign
-        run = solve_ivp(
-            lambda s, y, f=sign * limit: [y[1], f], (t, end), [x, v], events=meets,
-            max_step=line.period / 100, **TIGHT,
-        )  # fmt: skip
-        t, x, v = run.t[-1], *run.y[:, -1]
-    return x
-
-
-TIGHT = {"method": "DOP853", "rtol": 1e-12, "atol": 1e-15}
 
 
 @pytest.mark.parametrize(("gamma", "known"), [(4, 4.997416048e-3), (20, 65.3462e-3)])
 def test_travel_of_the_exact_scene(gamma, known):
-    line = Line(gamma)
-    truth = travel_event_by_event(line, 30 * line.period)
+    line = TwoHarmonics(gamma)
+    truth, _ = line.travel(30 * line.period)
     for tolerance, error in ((1e-12, 1e-12), (TOLERANCE, 1e-9)):
         run = simulate(line.cycle(), STILL, STILL, MU, G, 30, tolerance=tolerance)
         assert run.position[-1, 0, 0] == pytest.approx(truth, abs=error)
@@ -207,7 +138,7 @@ def test_rotation_throws_parts_off_that_ride_too_far_out():
 
 
 def test_steady_speed_is_the_median_of_the_plates_velocity():
-    line = Line(400)
+    line = TwoHarmonics(400)
     median = np.median(line.velocity(np.arange(100_000) * line.period / 100_000))
     run = simulate(
         line.cycle(), STILL, [[0.8 * median, 0]], MU, G, cycles=600, samples=1, tolerance=1e-9

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from plate_core import PlateCycle, Rig, load_rig
-from plate_solver import Goal, Limits
+from plate_solver import Goal, Limits, _kernels
 from plate_solver.sinusoids import Motions, Problem, SinusoidFamily, descend
 
 
@@ -73,3 +73,46 @@ def through_twist():
         return on_twist + dt * np.concatenate([later, np.zeros_like(on_twist[:1])])
 
     return add
+
+
+def spoilt(array):
+    """Arrays that cannot stand for this one: of other sizes, axes and types."""
+    for axis in range(array.ndim):
+        yield np.repeat(array, 2, axis=axis)
+    yield array[None]
+    yield array.astype(complex)
+    yield None
+
+
+@pytest.fixture(scope="session")
+def check_refusals():
+    """Function that gives a kernel wrong arrays, each one alone, also within named tuples.
+
+    `free` are those that may be wrong: (kernel, number or field, axis), or a field of any kernel.
+    """
+
+    def check(name: str, right: tuple, free: set) -> None:
+        kernel = getattr(_kernels, name)
+        kernel(*right)
+
+        def refuses(array, key, put):
+            for number, wrong in enumerate(spoilt(array)):
+                if (name, key, number) not in free and key not in free:
+                    with pytest.raises((TypeError, ValueError, RuntimeError)):
+                        kernel(*put(wrong))
+
+        for at, argument in enumerate(right):
+            before, after = right[:at], right[at + 1 :]
+            if isinstance(argument, np.ndarray):
+                refuses(argument, at, lambda wrong, b=before, a=after: (*b, wrong, *a))
+            elif isinstance(argument, tuple) and hasattr(argument, "_fields"):
+                for field, value in argument._asdict().items():
+                    if isinstance(value, np.ndarray):
+                        refuses(
+                            value, field,
+                            lambda wrong, b=before, a=after, one=argument, field=field: (
+                                *b, one._replace(**{field: wrong}), *a
+                            ),
+                        )  # fmt: skip
+
+    return check
