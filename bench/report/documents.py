@@ -53,5 +53,6 @@ def text(name: str, item: Mapping[str, Any], key: str, facts: Data, commit: str)
     one = next(each for each in item["tables"] if each["key"] == key)
     frame = pd.DataFrame(one["rows"], columns=list(one["columns"])).rename(columns=one["columns"])
     lines = cells(frame).to_markdown(index=False, disable_numparse=True)
-    note = f"{one['note']} `make bench ARGS={name}`{measured(facts.get(name), commit)}."
+    how = f"`make bench ARGS={name}` repeats the measurement"
+    note = f"{one['note']} {how}{measured(facts.get(name), commit)}."
     return f"{lines}\n\n*{note.strip()}*\n"

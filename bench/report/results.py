@@ -85,7 +85,7 @@ def section(chart: Chart, facts: Data, commit: str) -> str:
         lines.append(f"Default: {chart.default}\n")
     measurements = [f"`{name}`{measured(facts.get(name), commit)}" for name in chart.sources]
     rows = f"[{len(chart.sheet.rows)} rows]({FOLDER}/{chart.key}.csv)"
-    lines.append(f"{rows}: {', '.join(measurements)}.\n")
+    lines.append(f"The data are {rows} of {' and '.join(measurements)}.\n")
     return "\n".join(lines)
 
 
