@@ -100,6 +100,15 @@ MARKS = {"code": "c", "settings": "s", "machine": {"numpy": "2", "scipy": "1"}}
 MACHINE = json.dumps(MARKS["machine"])
 
 
+def test_two_calls_at_once_do_not_write_one_file(tmp_path):
+    path = tmp_path / "rows.json"
+    with Rows(path, MARKS) as rows:
+        rows.add({"seed": 1})
+        with pytest.raises(PlateError, match=r"rows.json is in use"):
+            Rows(path, MARKS)
+    assert list(Rows(path, MARKS).by_seed) == [1]
+
+
 def test_a_second_call_finds_the_rows_of_the_first(tmp_path):
     path = tmp_path / "made" / "rows.json"
     with suppress(KeyboardInterrupt), Rows(path, MARKS) as rows:

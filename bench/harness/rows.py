@@ -10,6 +10,7 @@ from types import TracebackType
 from typing import Any
 
 from plate_core import PlateError
+from plate_core.files import OwnFile
 
 WRITE_S = 1.0
 """Minimum time between two writes of the file [s]."""
@@ -29,16 +30,19 @@ class Rows:
     Raises
     ------
     PlateError
-        If the file contains anything else than rows with these marks.
+        If the file contains anything else than rows with these marks, or if another process writes
+        it.
     OSError
         If the file cannot be written.
     """
 
     def __init__(self, path: Path | None, marks: Mapping[str, str | dict[str, str]]) -> None:
-        self._path, self._marks, self._written = path, marks, 0.0
+        self._file: OwnFile | None = None
+        self._marks, self._written = marks, 0.0
         self.by_seed: dict[int, dict[str, Any]] = {}
         if path is not None:
             path.parent.mkdir(parents=True, exist_ok=True)
+            self._file = OwnFile(path)
             if path.is_file():
                 self.by_seed = {row["seed"]: row for row in self._read(path)}
             self._write()  # fail before the first run if the file cannot be written
@@ -50,6 +54,8 @@ class Rows:
         self, kind: type | None, problem: BaseException | None, where: TracebackType | None
     ) -> None:
         self._write()
+        if self._file is not None:
+            self._file.close()
 
     def add(self, row: dict[str, Any]) -> None:
         """Add the row of a run."""
@@ -85,14 +91,8 @@ class Rows:
         return rows
 
     def _write(self) -> None:
-        if self._path is None:
+        if self._file is None:
             return
         rows = [self.by_seed[seed] for seed in sorted(self.by_seed)]
-        text = json.dumps(rows, indent=1) + "\n"
-        if self._path.exists() and not self._path.is_file():  # such as /dev/stdout
-            self._path.write_text(text, encoding="utf-8")
-        else:  # replace the file, so that it is complete at any time
-            draft = self._path.with_name(f"{self._path.name}.draft")
-            draft.write_text(text, encoding="utf-8")
-            draft.replace(self._path)
+        self._file.write(json.dumps(rows, indent=1) + "\n")
         self._written = time.monotonic()

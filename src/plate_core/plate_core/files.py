@@ -2,21 +2,24 @@
 
 `read_file` accepts only regular files up to a maximum size. A FIFO would block the reader, and a
 device or a wrong file could fill the memory. `draft` writes a temporary file and then renames it,
-so the target is either complete or unchanged.
+so the target is either complete or unchanged. `OwnFile` does the same repeatedly, and no other
+process can write its file at the same time.
 """
 
 from __future__ import annotations
 
 import contextlib
+import fcntl
 import os
 import stat
 from collections.abc import Iterator
 from pathlib import Path
+from types import TracebackType
 from typing import BinaryIO
 
 from .errors import PlateError
 
-__all__ = ["YAML_BYTES", "check_file", "draft", "kind_of", "read_file"]
+__all__ = ["YAML_BYTES", "OwnFile", "check_file", "draft", "kind_of", "read_file"]
 
 YAML_BYTES = 250_000
 """Maximum size of a YAML file [bytes]. Sixty taught part types need 100 kB; a larger file takes
@@ -128,3 +131,84 @@ def draft(path: str | Path, what: str, keeps: bool = True) -> Iterator[BinaryIO]
     finally:
         with contextlib.suppress(OSError):
             beside.unlink(missing_ok=True)
+
+
+class OwnFile:
+    """File that only this process writes. Its content is complete at any time. The object is a
+    context manager.
+
+    Parameters
+    ----------
+    path : path
+        A regular file, which is made if it does not exist, or a device such as /dev/stdout. Links
+        are followed.
+
+    Raises
+    ------
+    PlateError
+        If another process has opened the file in this way.
+    OSError
+        If the file cannot be written.
+    """
+
+    def __init__(self, path: str | Path) -> None:
+        # /dev/stdout can lead to a regular file, which the shell keeps open.
+        of_system = os.path.abspath(path).startswith(("/dev/", "/proc/"))
+        self._path = Path(path) if of_system else Path(path).resolve()
+        self._held = self._open()
+        self._replaced = not of_system and stat.S_ISREG(os.fstat(self._held).st_mode)
+
+    def __enter__(self) -> OwnFile:
+        return self
+
+    def __exit__(
+        self, kind: type | None, problem: BaseException | None, where: TracebackType | None
+    ) -> None:
+        self.close()
+
+    def write(self, text: str) -> None:
+        """Replace the content."""
+        if not self._replaced:
+            self._path.write_text(text, encoding="utf-8")
+            return
+        beside = self._path.with_name(f"{self._path.name}.draft")
+        number = os.open(beside, os.O_WRONLY | os.O_CREAT | os.O_TRUNC, 0o666)
+        _lock(number)
+        with open(number, "w", encoding="utf-8", closefd=False) as file:
+            file.write(text)
+        beside.replace(self._path)
+        os.close(self._held)
+        self._held = number
+
+    def close(self) -> None:
+        """Let other processes write the file."""
+        os.close(self._held)
+
+    def _open(self) -> int:
+        while True:
+            number = os.open(self._path, os.O_WRONLY | os.O_CREAT | os.O_NONBLOCK, 0o666)
+            try:
+                found = os.fstat(number)
+                free = not stat.S_ISREG(found.st_mode) or _lock(number)
+                if free and os.path.samestat(found, os.stat(self._path)):
+                    return number
+            except FileNotFoundError:
+                free = True
+            os.close(number)
+            if not free:
+                raise PlateError(
+                    f"{self._path} is in use: another process writes it, allowed: another file, or "
+                    "the same after that process has ended"
+                )
+            # another process has replaced the file in the meantime, so open the new one
+
+
+def _lock(number: int) -> bool:
+    """Lock an open file. Return whether that is possible. The lock ends when the file is closed."""
+    try:
+        fcntl.flock(number, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except BlockingIOError:
+        return False
+    except OSError:  # this file system has no locks
+        return True
+    return True

@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from plate_core import PlateError, RigError, load_rig
-from plate_core.files import check_file, read_file
+from plate_core.files import OwnFile, check_file, read_file
 
 MOST = 1_000_000
 ALLOWED = "allowed: a regular file up to 1 MB"
@@ -101,3 +101,50 @@ def test_a_rig_file_is_one_of_them(tmp_path, kind):
     make, is_what = ODD[kind]
     with pytest.raises(RigError, match=is_what):
         load_rig(make(tmp_path / "rig.yaml"))
+
+
+def test_two_processes_do_not_write_one_file(tmp_path):
+    """Also after the file was replaced: each has a lock of its own."""
+    path = tmp_path / "rows.json"
+    with OwnFile(path) as file:
+        for text in ("", "1", "2"):
+            if text:
+                file.write(text)
+            with pytest.raises(PlateError, match=r"rows.json is in use: another process writes it"):
+                OwnFile(path)
+            assert path.read_text() == text
+    with OwnFile(path) as file:
+        assert path.read_text() == "2"
+        file.write("3")
+    assert path.read_text() == "3"
+    assert [one.name for one in tmp_path.iterdir()] == ["rows.json"]
+
+
+def test_an_own_file_that_is_a_link_stays_one(tmp_path):
+    (tmp_path / "far").mkdir()
+    (tmp_path / "near.json").symlink_to(tmp_path / "far" / "rows.json")
+    with OwnFile(tmp_path / "near.json") as file:
+        file.write("1")
+        with pytest.raises(PlateError, match="is in use"):
+            OwnFile(tmp_path / "far" / "rows.json")
+    assert (tmp_path / "near.json").is_symlink()
+    assert (tmp_path / "far" / "rows.json").read_text() == "1"
+
+
+def test_an_own_file_of_the_system_is_written_directly(tmp_path):
+    """The shell's `> FILE` makes /dev/stdout a regular file, which stays the same."""
+    path = tmp_path / "out"
+    with path.open("w") as stdout:
+        before = path.stat().st_ino
+        with OwnFile(f"/proc/self/fd/{stdout.fileno()}") as file:
+            file.write("1")
+    assert (path.read_text(), path.stat().st_ino) == ("1", before)
+    with OwnFile("/dev/null") as file, OwnFile("/dev/null") as again:
+        file.write("1")
+        again.write("2")
+
+
+@pytest.mark.parametrize("kind", [fifo, folder])
+def test_an_own_file_of_another_kind_is_refused_at_once(tmp_path, kind):
+    with pytest.raises(OSError, match=str(tmp_path)):
+        OwnFile(kind(tmp_path / "rows.json"))

@@ -32,7 +32,7 @@ from plate_bringup.cluster import Cluster
 from plate_bringup.identity import files_of, libraries_of, machine
 from plate_bringup.loop import ALIKE
 from plate_core import PlateError, did_you_mean, piped
-from plate_core.files import read_file
+from plate_core.files import OwnFile, read_file
 from plate_core.intervals import of_median, of_share
 
 from . import isolation
@@ -759,21 +759,25 @@ def main() -> int:
             print("\n".join(wrong) or "the repeated seeds give the same result")
             return bool(wrong)
 
+        # If the file cannot be written, fail now and not after hours.
+        file = OwnFile(args.json) if args.json else None
         done = None
-        if args.json:
-            # If the file cannot be written, fail now and not after hours.
-            os.close(os.open(args.json, os.O_WRONLY | os.O_CREAT | os.O_NONBLOCK, 0o666))
-            if args.json.is_file() and args.json.stat().st_size:
-                done = read(args.json)
+        if args.json and args.json.is_file() and args.json.stat().st_size:
+            done = read(args.json)
+
+        def keep(result: dict[str, Any]) -> None:
+            if file is not None:
+                file.write(json.dumps(result, indent=1) + "\n")
+
         agent = args.agent or "B"
         pool: Any = nullcontext()
         if args.cluster:
             other = module_of(agent) if ":" in agent else ""
             pool = Cluster(args.cluster, modules=("plate_gym",), agent=other, end=isolation.stop)
-        with pool as shared:
+        with file or nullcontext(), pool as shared:
             evaluate(
                 agent, args.task or list(TASKS), args.seeds or range(100), args.world or "nominal",
-                args.workers, tell, partial(write, args.json), limits, shared, done,
+                args.workers, tell, keep, limits, shared, done,
             )  # fmt: skip
     except BrokenPipeError:
         raise
@@ -785,19 +789,6 @@ def main() -> int:
         print(f"stopped{kept}", file=sys.stderr)
         return 130
     return 0
-
-
-def write(path: Path | None, result: dict[str, Any]) -> None:
-    """Write a result, if there is a path. A regular file is complete at any time."""
-    if path is None:
-        return
-    text = json.dumps(result, indent=1) + "\n"
-    if path.is_file():
-        draft = path.with_name(f"{path.name}.draft")
-        draft.write_text(text, encoding="utf-8")
-        draft.replace(path)
-    else:
-        path.write_text(text, encoding="utf-8")
 
 
 def seed_range(text: str) -> range:

@@ -15,6 +15,7 @@ import numpy as np
 import pytest
 
 from plate_core import PlateError
+from plate_core.files import OwnFile
 
 pytestmark = pytest.mark.needs("gymnasium")
 
@@ -468,6 +469,17 @@ def test_a_result_of_other_terms_is_not_continued(
     assert bench.main() == 2
     assert f"the earlier result cannot be continued: {words}" in capsys.readouterr().err
     assert file.read_text() == before
+
+
+def test_two_calls_at_once_do_not_write_one_file(bench, result, monkeypatch, tmp_path, capsys):
+    place = tmp_path / "found.json"
+    place.write_text(json.dumps(result), encoding="utf-8")
+    words = ["--json", str(place), "--task", "Sort4-v1", "--agent", "A", "--seeds", "0:2"]
+    monkeypatch.setattr(sys, "argv", ["bench", *words])
+    with OwnFile(place):
+        assert bench.main() == 2
+    assert f"error: {place} is in use: " in capsys.readouterr().err
+    assert bench.main() == 0
 
 
 def test_a_result_of_other_weights_is_not_continued(bench, monkeypatch, tmp_path, capsys):
