@@ -3,10 +3,9 @@
 import json
 from pathlib import Path
 
-import numpy as np
 import pytest
 
-from plate_core import PlateError, load_rig
+from plate_core import PlateError
 
 ROOT = Path(__file__).resolve().parents[1]
 FILES = sorted((ROOT / "benchmarks").glob("*"))
@@ -87,26 +86,3 @@ def test_the_network_that_has_learned_sorts(monkeypatch):
     rows = [episode("learned:Learned", "nominal", "Sort4-v1", seed) for seed in (1000, 1001, 1002)]
     assert sum(row["success"] for row in rows) >= 2
     assert max(row["limit_share"] for row in rows) <= 1
-
-
-def test_proposed_starts_count_and_mirrors_show_true_motions(monkeypatch):
-    """A mirrored goal's parts end where a mirror shows those of the goal."""
-    monkeypatch.syspath_prepend(ROOT / "examples/agents")
-    from warm_starts import mirrored, played
-
-    from plate_solver import SinusoidSolver
-    from plate_solver.sinusoids import BEYOND, ROUGH, limited_sinusoids
-
-    (row,), solved = played("Sort4-v1", range(1), 2, lambda goal: [])
-    (other,), _ = played("Sort4-v1", range(1), 2, lambda goal: [solved[-1][1]])
-    assert row["success"]
-    assert other["success"]
-    assert row["places"] != other["places"]
-    limits = SinusoidSolver(load_rig())._steering._limits
-    for goal, motion in solved[::7]:
-        ends = []
-        for own, parameters in ((goal, motion), mirrored(goal, motion, np.array([-1, 1]))):
-            family = limited_sinusoids(8, 0.1, limits, BEYOND, ROUGH, True, own.plate)
-            ends.append(own.end(*family.samples(parameters)))
-        x, y = ends[0].reshape(2, -1)
-        np.testing.assert_allclose(ends[1], np.concatenate([-x, y]), atol=1e-9)

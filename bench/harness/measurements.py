@@ -24,7 +24,7 @@ CHAPTERS = {
     "maps": ("stability",),
     "tasks": (
         "tasks", "tracking", "rigs", "sameness", "free_running", "drives",
-        "control", "views", "serial", "lines", "closed_loop", "feeding", "feeding_hour",
+        "views", "serial", "lines", "closed_loop", "feeding", "feeding_hour",
     ),
 }  # fmt: skip
 """Modules with `measure(quick)`, by their folder in bench. The first line of a module's docstring

@@ -20,7 +20,7 @@ from report.chart import Chart, Data, Drawn, Sheet, table
 from report.documents import fill_documents, names
 from report.feeding import feeding
 from report.forces import force_map, learning
-from report.loop import cameras, control, drives, rigs, tracking
+from report.loop import cameras, drives, rigs, tracking
 from report.model import model
 from report.page import write_report
 from report.panels import Row
@@ -60,7 +60,6 @@ CHARTS: tuple[Entry, ...] = (
     Entry("sim", sim, sim_rows, ("sim", "bodies")),
     of_table(model, "model"),
     of_table(vision, "vision"),
-    of_table(control, "control"),
     of_table(tracking, "tracking"),
     of_table(cameras, "cameras", "free_running"),
     of_table(drives, "drives"),

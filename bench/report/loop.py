@@ -1,4 +1,4 @@
-"""Charts of the closed loop: tracking, control time, cameras, drives, rigs."""
+"""Charts of the closed loop: tracking, cameras, drives, rigs."""
 
 from __future__ import annotations
 
@@ -64,42 +64,6 @@ def is_lost(row: Row) -> bool:
 def fastest(rows: list[Row], count: int) -> float:
     """Return the maximum speed kept with a number of parts [mm/s]. 0 if there is none."""
     return max((r["speed_mm_s"] for r in rows if r["kept"] and r["parts"] == count), default=0)
-
-
-def failed(row: Row) -> bool:
-    """Whether a run of a row failed."""
-    return bool(row["good"] < row["runs"])
-
-
-def control(rows: list[Row]) -> Drawn:
-    """Return the chart of the closed loop's results against the controller's time."""
-    panels = Panels()
-    for scenario, these in by(rows, "scenario").items():
-        tracks = these[0]["rms_mm"] is not None
-        value = "rms_mm" if tracks else "time_s"
-        panel = panels.add(
-            scenario, Axis("median time of the controller for one cycle [ms]", log=True),
-            Axis("tracking error, RMS [mm]" if tracks else "time of the task [s]", log=tracks),
-            "less less",
-        )  # fmt: skip
-        note = (
-            "restarts {restarts}, iterations {iterations}; ended well {good} of {runs}; "
-            "99th percentile {solve_p99_ms:.3g} ms"
-        )
-        panel.kinds(these, "method", "solve_ms", value, METHODS, hollow=failed, note=note)
-        default = next(r for r in these if r["default"])
-        panel.mark(default["solve_ms"], default[value])
-    defaults = ", ".join(
-        f"{r['scenario']} {shown(r['rms_mm'])} mm with {r['solve_ms']:.1f} ms"
-        if r["rms_mm"] is not None
-        else f"{r['scenario']} {r['time_s']:.0f} s with {r['solve_ms']:.1f} ms"
-        for r in rows
-        if r["default"] and r["method"] == "sinusoids"
-    )
-    return Drawn(
-        panels,
-        f"Result of the default settings, with the computing time per cycle: {defaults}.",
-    )
 
 
 CAMERAS = {

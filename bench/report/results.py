@@ -25,8 +25,8 @@ connects the results that no other result beats in both time and error. A ring m
 hollow mark means that not all runs ended well. Times are CPU times without ROS; on a busy machine
 (the load is given) they are up to twice as long. `make bench ARGS=NAME` repeats a measurement.
 
-The solver evaluates motions after two plays, but `control`, `free_running`, `drives`, `rigs`,
-`feeding` and the films were made before, with one play.
+The solver evaluates motions after two plays, but `free_running`, `drives`, `rigs`, `feeding` and
+the films were made before, with one play.
 """
 
 
