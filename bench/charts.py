@@ -90,7 +90,8 @@ def arguments() -> argparse.Namespace:
         "--out",
         type=Path,
         default=ROOT / "out",
-        help="folder of bench/ (measurements), report/ and, unless it is out, docs/results (out)",
+        help="folder for bench/ (measurements) and report/, and for docs/results unless it is out "
+        "(default: out)",
     )
     cluster_option(parser)
     return parser.parse_args()

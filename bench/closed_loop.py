@@ -194,13 +194,15 @@ def _arguments() -> argparse.Namespace:
         help="a setting: method, latency, kp, ...",
     )
     parser.add_argument("--json", type=Path, help="file for the rows")
-    parser.add_argument("--rig", default="", help="name or file of a rig (that of the scenario)")
+    parser.add_argument(
+        "--rig", default="", help="name or file of a rig (default: that of the scenario)"
+    )
     parser.add_argument("--planner", default="", help="Python file with a class OwnPlanner")
     parser.add_argument("--workers", type=int, default=1, help="number of processes (1)")
     cluster_option(parser)
     args = parser.parse_args()
     if args.cluster and args.workers != 1:
-        parser.error("--cluster allows no --workers: the workers of the cluster run")
+        parser.error("--cluster allows no --workers, because the workers of the cluster are used")
     if args.workers < 1:
         parser.error(f"--workers is {args.workers}, allowed: 1 or more")
     return args

@@ -44,35 +44,71 @@ def arguments() -> argparse.Namespace:
         "results.",
     )
     add = parser.add_argument
-    add("--scenario", default="sort_10", help="name in config/scenarios or .yaml file (sort_10)")
-    add("--rig", default="", help="name in config/rigs or .yaml file (that of the scenario)")
-    add("--method", default="sinusoids", help="rotations (A) or sinusoids (B, the default)")
+    add(
+        "--scenario",
+        default="sort_10",
+        help="name in config/scenarios or .yaml file; default: sort_10",
+    )
+    add("--rig", default="", help="name in config/rigs or .yaml file; default: the scenario's rig")
+    add("--method", default="sinusoids", help="rotations (A) or sinusoids (B); default: sinusoids")
     add(
         "--transport",
         default="",
-        help="sim, serial, cia402 or odrive (sim; with a port or camera: serial)",
+        help="sim, serial, cia402 or odrive; default: serial with a port or camera, otherwise sim",
     )
-    add("--port", default="", help="port of a motor controller (with serial: a simulated one)")
+    add(
+        "--port",
+        default="",
+        help="port of a motor controller; default with serial: a simulated one",
+    )
     add(
         "--camera",
         default="",
-        help="device of your camera as in `camera --list`, or a video (with a port: another node "
-        "publishes the images)",
+        help="device of your camera as in `camera --list`, or a video; default with a port: "
+        "another node publishes the images",
     )
-    add("--seed", type=int, default=0, help="random seed of the parts' places and of noise (0)")
-    add("--lockstep", action="store_true", help="as fast as possible: simulated time waits for all")
+    add(
+        "--seed",
+        type=int,
+        default=0,
+        help="random seed of the parts' places and of noise; default: 0",
+    )
+    add(
+        "--lockstep",
+        action="store_true",
+        help="run as fast as possible: simulated time waits for all nodes",
+    )
     add(
         "--image-rate",
         type=float,
         default=0.0,
-        help="images per second of a free-running simulated camera (0: one at each cycle's start)",
+        help="images per second of a free-running simulated camera; default: 0, which takes one "
+        "image at the start of each cycle",
     )
     add("--one-process", action="store_true", help="run all nodes in one process")
-    add("--domain", type=int, help="ROS domain, 0 to 101 (free; with a port: ROS_DOMAIN_ID)")
-    add("--out", type=Path, help="folder of results (out/demo-TIME_SCENARIO; out/demo links to it)")
+    add(
+        "--domain",
+        type=int,
+        help="ROS domain, 0 to 101; default: a free one, or ROS_DOMAIN_ID with a port",
+    )
+    add(
+        "--out",
+        type=Path,
+        help="folder of results; default: out/demo-TIME_SCENARIO, to which out/demo links",
+    )
     add("--record", action="store_true", help="record all messages in OUT/bag (Foxglove, ros2 bag)")
-    add("--picks", type=int, default=20, help="with a feeder: number of parts for the robot (20)")
-    add("--robot-cycle", type=float, default=2.0, help="with a feeder: the robot's cycle [s] (2)")
+    add(
+        "--picks",
+        type=int,
+        default=20,
+        help="with a feeder: number of parts for the robot; default: 20",
+    )
+    add(
+        "--robot-cycle",
+        type=float,
+        default=2.0,
+        help="with a feeder: the robot's cycle [s]; default: 2",
+    )
     add("--no-view", action="store_true", help="do not start the live page")
     add("--no-pictures", action="store_true", help="write result.json only")
     args = parser.parse_args()

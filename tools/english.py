@@ -110,7 +110,7 @@ def check(names: list[str]) -> int:
 
 
 def _listed() -> list[str]:
-    """Return the names of the repository's files. Links and deleted files are left out."""
+    """Return the names of the repository's files. Links and deleted files are omitted."""
     listed = subprocess.run(["git", "ls-files", "-z"], capture_output=True, text=True, check=True)
     names = [name for name in listed.stdout.split("\0") if name]
     return [name for name in names if Path(name).is_file() and not Path(name).is_symlink()]

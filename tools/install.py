@@ -1,4 +1,4 @@
-"""Install Python packages into .venv: python tools/install.py [what `pip install` takes]
+"""Install Python packages into .venv: python tools/install.py [arguments of `pip install`]
 
 If uv is installed, it installs the packages about five times faster than pip, and from its cache if
 there is no network. It gets the settings of pip. If uv fails, pip is used.

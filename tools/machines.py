@@ -41,7 +41,7 @@ SEEING = ("simulator", "detector")
 
 REACHES = ("named", "subnet", "nobody")
 DOMAIN = 0
-"""ROS domain. Any one is free, because the machines have a separate network."""
+"""ROS domain. All domains are free, because the machines have a separate network."""
 
 START_S, TASK_S, ALONE_S, CARD_S = 180.0, 180.0, 3.0, 10.0
 DISCOVERY_S = 3.0
@@ -136,7 +136,7 @@ def do(*words: str) -> str:
 
 
 def enter(pid: int) -> list[str]:
-    """Return the words that make a command run on a machine, to put before it."""
+    """Return the words before a command that run it on a machine."""
     return ["nsenter", f"--target={pid}", "--net", "--mount", "--wd"]
 
 

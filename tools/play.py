@@ -59,15 +59,23 @@ def arguments() -> argparse.Namespace:
         epilog="With make: make play SCENARIO=align_6 RIG=desk ARGS='--seed 3'. Ctrl-C ends it.",
     )
     add = parser.add_argument
-    add("--scenario", default="play", help="scenario of the parts: name or .yaml file (play)")
-    add("--rig", default="", help="name in config/rigs, or .yaml file (the scenario's rig)")
-    add("--method", default="sinusoids", help="rotations (A) or sinusoids (B, the default)")
-    add("--seed", type=int, default=0, help="random seed of the parts' places (0)")
+    add(
+        "--scenario",
+        default="play",
+        help="scenario of the parts: name or .yaml file; default: play",
+    )
+    add("--rig", default="", help="name in config/rigs, or .yaml file; default: the scenario's rig")
+    add("--method", default="sinusoids", help="rotations (A) or sinusoids (B); default: sinusoids")
+    add("--seed", type=int, default=0, help="random seed of the parts' places; default: 0")
     add("--simulated-time", action="store_true", help="the page can change the simulator's rate")
-    add("--port", default="", help="port of a motor controller (with a camera: a simulated one)")
+    add(
+        "--port",
+        default="",
+        help="port of a motor controller; default with a camera: a simulated controller",
+    )
     add("--camera", default="", help="device of your camera as in `camera --list`, or a video")
     add("--bag", default="", help="folder of a recorded run to show, without starting a graph")
-    add("--domain", type=int, help="ROS domain, 0 to 101 (default: a free one)")
+    add("--domain", type=int, help="ROS domain, 0 to 101; default: a free one")
     return parser.parse_args()
 
 

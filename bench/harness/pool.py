@@ -106,7 +106,7 @@ def by_case(
     workers: int | None = None,
 ) -> dict[Any, list[Any]]:  # fmt: skip
     """Return run(*item) for every item of every case, by case. Default: on all cores, or on the
-    cluster of `on_cluster`. A number of workers is always of processes on this computer.
+    cluster of `on_cluster`. If `workers` is given, that number of processes on this computer.
 
     Parameters
     ----------

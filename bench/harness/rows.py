@@ -30,7 +30,7 @@ class Rows:
     Raises
     ------
     PlateError
-        If the file contains anything else than rows with these marks, or if another process writes
+        If the file contains anything other than rows with these marks, or if another process writes
         it.
     OSError
         If the file cannot be written.

@@ -57,12 +57,12 @@ def tracking(rows: list[Row]) -> Drawn:
 
 
 def is_lost(row: Row) -> bool:
-    """Whether the speed of a row was not kept."""
+    """Whether the speed of a row was not reached."""
     return not row["kept"]
 
 
 def fastest(rows: list[Row], count: int) -> float:
-    """Return the maximum speed kept with a number of parts [mm/s]. 0 if there is none."""
+    """Return the maximum speed reached with a number of parts [mm/s]. 0 if there is none."""
     return max((r["speed_mm_s"] for r in rows if r["kept"] and r["parts"] == count), default=0)
 
 

@@ -1,4 +1,4 @@
-"""The chart of the simulator's model of parts, which computes only what a scene needs."""
+"""The chart of the simulator's model of parts, which computes only the effects in a scene."""
 
 from __future__ import annotations
 

@@ -74,7 +74,7 @@ def section(chart: Chart, facts: Data) -> str:
         include_plotlyjs=False,
         config={"responsive": True, "displayModeBar": False},
     )
-    default = f'<p class="why"><b>Our default.</b> {escape(chart.default)}</p>'
+    default = f'<p class="why"><b>Default.</b> {escape(chart.default)}</p>'
     table = cells(chart.frame).to_html(index=False, border=0)
     csv = b64encode(chart.sheet.csv.encode()).decode()
     return (

@@ -15,7 +15,7 @@ from plate_sim.device import TICK_US, DeviceLimits, Emulator, PseudoTerminal
 PERIOD_S = 0.2
 
 MAX_BEHIND_US = 100_000
-"""Maximum delay that a device without CPU time catches up [us]. A longer delay is lost."""
+"""Maximum delay that the device makes up for after it got no CPU time [us]."""
 
 
 def shaking(knots: int, amplitude: float) -> MotorTable:

@@ -1,8 +1,7 @@
-"""Faults, malformed messages, goals at random and minutes in the real graph.
+"""Faults, malformed messages, random goals and minutes of sorting in the real graph.
 
-The real graph put to the test by programs of tools/: faults of nodes, malformed messages, goals
-at random, and minutes of sorting.
-"""
+The programs of tools/ disturb the real graph: they inject faults into nodes, and send malformed
+messages and random goals. Then the graph sorts for some minutes."""
 
 from __future__ import annotations
 
@@ -23,7 +22,7 @@ MESSAGES, QUICK_MESSAGES = 10_000, 500
 GOALS, QUICK_GOALS = 200, 10
 
 FAULTS = {key: key for key in ("fault", "node", "task_status", "plate rests", "to go on")}
-"""Columns of the tables of faults; the case `faults` also prints what diagnostics said."""
+"""Columns of the tables of faults; the case `faults` also prints the diagnostics."""
 
 MINUTES, QUICK_MINUTES = 8.0, 0.5
 """Duration of sorting [min]."""

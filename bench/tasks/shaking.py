@@ -16,12 +16,11 @@ There are two kinds of shakes:
   parts to that of the pick window, along x, then y. Stirring rotates the plate about two centres on
   its long axis, one after the other (a blinking vortex, which mixes well), in a random direction
   for each shake. If a part leaves over an edge, only the time until the next drop is lost, because
-  commercial feeders have a border. No vibration in the plane spreads resting parts: the mean
-  friction force of each centre of rotation has no divergence, nor has any sum of them.
+  commercial feeders have a border. No vibration in the plane spreads resting parts, because the
+  field of mean friction forces has no divergence for any centre of rotation.
 - Thrown: idealised vertical shakes, better than any existing feeder's. Within 0.6 s with settling,
   all parts get new random positions and angles, uniformly distributed, with disjoint circumscribed
-  discs. In this comparison the project's feeder has no advantage from the missing spreading of the
-  vibrated baseline.
+  discs. Unlike the vibrated baseline, this one spreads the parts.
 
 Vibrating was tuned with 20 discs, a clearance of 6 mm, a robot cycle of 2 s and seeds 0 to 9, 60 s
 each, over 3 times of stirring, 3 fractions of the conveyed distance and 2 waveforms. `STIR_S`,

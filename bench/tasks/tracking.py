@@ -1,4 +1,4 @@
-"""1 to 6 parts on circles: tracking error against speed, and maximum speed that the loop keeps."""
+"""1 to 6 parts on circles: tracking error against speed, and maximum speed of the loop."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ SPAN_S = 6.0
 """Duration of a run [s], but at least 0.08 laps and at most two laps."""
 
 MAX_RMS_M, MAX_DELAY = 6e-3, 1.05
-"""Limits for a speed that counts as kept, if all runs succeed: maximum error, a hundredth of the
+"""Limits for a speed that counts as reached, if all runs succeed: maximum error, a hundredth of the
 plate's length [m], and maximum ratio of the actual time to the time at this speed."""
 
 

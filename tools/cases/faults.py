@@ -1,6 +1,6 @@
 """Kill, freeze and cut off each node of the graph during a task, and record the reactions.
 
-For each fault the parts are put down again and a new task starts. `kill` sends SIGKILL and starts
+For each fault the parts are placed again and a new task starts. `kill` sends SIGKILL and starts
 the node again after 4 s. `freeze` sends SIGSTOP, and SIGCONT after 3 s. `cut` blocks the node's
 main input for 4 s. A row of the result lists the messages in task_status, driver_status and the
 diagnostics with their delays after the fault, when the plate came to rest, whether it moved again

@@ -1,6 +1,6 @@
 """Sort for hours in real time, and measure growth of memory and drift of latency.
 
-The parts are put down again for each task. Each task prints a line. The result has the slopes of
+The parts are placed again for each task. Each task prints a line. The result has the slopes of
 each node's memory and of the latency (image stamp to motor setpoints) with 95 % confidence
 intervals, from a least-squares line through one sample per task in the same state. It also has the
 fraction of cycles without a new motion in time, and the ends of failed tasks.

@@ -156,8 +156,7 @@ def checked(args: argparse.Namespace) -> Plan:
         raise PlateError(f"transport is {args.transport}, but --lockstep requires transport sim")
     if args.camera and transport == "sim":
         raise PlateError(
-            f"camera is {args.camera!r}, but transport sim requires no camera (the simulator "
-            "publishes the images)"
+            f"camera is {args.camera!r}, but with transport sim the simulator publishes the images"
         )
     if args.image_rate and args.camera:
         raise PlateError(f"image rate is {args.image_rate:g}, but --camera requires --image-rate 0")
@@ -171,12 +170,10 @@ def checked(args: argparse.Namespace) -> Plan:
     within("robot cycle", args.robot_cycle, 0.3, 60, " s")
     if isinstance(scenario.task, FeedTask):
         if args.lockstep:
-            raise PlateError(
-                "lockstep with a task of kind feed, allowed: real time, which the robot uses"
-            )
+            raise PlateError("--lockstep is given, but a task of kind feed requires real time")
         if args.port or args.camera:
             raise PlateError(
-                "port or camera with a task of kind feed, allowed: neither (the robot is simulated)"
+                "--port or --camera is given, but a task of kind feed requires the simulator"
             )
         check_robot(scenario.task, args.robot_cycle)
     # `Planner` raises an error if the task does not fit on the plate.

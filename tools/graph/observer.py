@@ -544,7 +544,7 @@ class Observer:
         return str(answer.message)
 
     def begin_anew(self, scenario: Scenario) -> None:
-        """Put the parts down again, reset the detector's tracking, and start the task.
+        """Place the parts again, reset the detector's tracking, and start the task.
 
         The driver must be ready.
 

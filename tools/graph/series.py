@@ -1,4 +1,4 @@
-"""Series of tasks in the same running graph. The parts are put down again for each task.
+"""Series of tasks in the same running graph. The parts are placed again for each task.
 
 After each task, `work_again` yields counts of cycles, latencies, memory and CPU time so far.
 """
