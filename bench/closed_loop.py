@@ -24,7 +24,7 @@ from plate_bringup.cluster import Cluster
 from plate_bringup.identity import code_of_packages, machine
 from plate_bringup.loop import Setup, load_planner, summary, with_settings
 from plate_core import PlateError, Rig, load_rig, piped
-from plate_core.tasks import load_scenario
+from plate_core.tasks import Scenario, load_scenario
 from plate_planner import Planner
 from tasks.runs import summed
 
@@ -50,7 +50,8 @@ def main() -> int:
             load_planner(args.planner, rig)
         code = Path(args.planner).read_bytes() if args.planner else b""
         setup = with_settings(Setup(scenario, own_planner=args.planner), settings)
-        rows = Rows(args.json, _marks(setup, rig, code) if args.json else {})
+        marks = _marks(scenario, rig, code, settings) if args.json else {}
+        rows = Rows(args.json, marks)
         there = [rows.by_seed[seed] for seed in args.seeds if seed in rows.by_seed]
         missing = [seed for seed in args.seeds if seed not in rows.by_seed]
         work = [(replace(setup, seed=seed), rig, code) for seed in missing]
@@ -110,15 +111,17 @@ def _run(setup: Setup, rig: Rig, code: bytes) -> dict[str, object]:
         return summary(replace(setup, own_planner=str(path)), rig)
 
 
-def _marks(setup: Setup, rig: Rig, code: bytes) -> dict[str, str | dict[str, str]]:
-    """Return digests of the code and of all settings except the seed, and the versions of the
-    libraries, for `Rows`."""
-    planner = hashlib.sha256(code).hexdigest() if code else ""
-    setup = replace(setup, scenario=replace(setup.recipe, file=""), own_planner=planner)
+def _marks(
+    scenario: Scenario, rig: Rig, code: bytes, settings: dict[str, str]
+) -> dict[str, str | dict[str, str]]:
+    """Return the facts that determine the row of a seed, for `Rows`: digests of the code, scenario,
+    rig and planner's file, the settings, and facts about the computer."""
     with np.printoptions(threshold=sys.maxsize, precision=17):
-        text = repr((setup, rig))
-    settings = hashlib.sha256(text.encode()).hexdigest()[:16]
-    return {"code": code_of_packages(), "settings": settings, "machine": machine()}
+        parts = {"scenario": repr(replace(scenario, file="")), "rig": repr(rig)}
+    marks = {name: hashlib.sha256(text.encode()).hexdigest()[:16] for name, text in parts.items()}
+    if code:
+        marks["planner"] = hashlib.sha256(code).hexdigest()[:16]
+    return {"code": code_of_packages(), "settings": marks | settings, "machine": machine()}
 
 
 def _note(text: str) -> None:

@@ -116,6 +116,25 @@ def refusal(monkeypatch, capsys):
 
 
 @pytest.mark.parametrize(
+    ("words", "text"),
+    [
+        (["--set", "kp=0.5"], "seed 3 was run with kp None, allowed: '0.5'"),
+        (["--set", "method=A"], "seed 3 was run with method None, allowed: 'A'"),
+        (["--rig", "desk"], "seed 3 was run with rig '"),
+        (["--scenario", "sort_4"], "seed 3 was run with scenario '"),
+    ],
+)
+def test_a_file_of_other_settings_is_refused_by_their_name(runs, tmp_path, refusal, words, text):
+    file = tmp_path / "kept.json"
+    file.write_text(json.dumps(runs[0]), encoding="utf-8")
+    before = file.read_text(encoding="utf-8")
+    scenario = runs[0][0]["scenario"]
+    code, error = refusal(closed_loop, "--scenario", scenario, "--json", str(file), *words)
+    assert (code, text in error) == (2, True), error
+    assert file.read_text(encoding="utf-8") == before
+
+
+@pytest.mark.parametrize(
     ("program", "arguments", "words"),
     [
         (closed_loop, ["--scenario", "sort_3"], ("'sort_3'", "allowed", "sort_10")),

@@ -154,7 +154,8 @@ class OwnFile:
     def __init__(self, path: str | Path) -> None:
         # /dev/stdout can lead to a regular file, which the shell keeps open.
         of_system = os.path.abspath(path).startswith(("/dev/", "/proc/"))
-        self._path = Path(path) if of_system else Path(path).resolve()
+        self._path = Path(path)
+        self._place = self._path if of_system else self._path.resolve()
         self._held = self._open()
         self._replaced = not of_system and stat.S_ISREG(os.fstat(self._held).st_mode)
 
@@ -171,12 +172,12 @@ class OwnFile:
         if not self._replaced:
             self._path.write_text(text, encoding="utf-8")
             return
-        beside = self._path.with_name(f"{self._path.name}.draft")
+        beside = self._place.with_name(f"{self._place.name}.draft")
         number = os.open(beside, os.O_WRONLY | os.O_CREAT | os.O_TRUNC, 0o666)
         _lock(number)
         with open(number, "w", encoding="utf-8", closefd=False) as file:
             file.write(text)
-        beside.replace(self._path)
+        beside.replace(self._place)
         os.close(self._held)
         self._held = number
 

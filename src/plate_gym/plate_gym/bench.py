@@ -293,15 +293,43 @@ def evaluate(
         If a name is unknown, if a seed is not allowed, if the agent fails, or if `done` is a result
         of other code or files, or of another agent, world, limit or computer.
     """
-    if ":" not in agent:  # code of others is loaded only in workers
-        agent_class(agent)
-    chosen("world", world, WORLDS)
+    result = begun(agent, world, limits, done)
     tasks = [tasks] if isinstance(tasks, str) else list(dict.fromkeys(tasks))
     for task in tasks:
         chosen("task", task, TASKS)
     seeds = [operator.index(seed) for seed in seeds]
     if not seeds or min(seeds) < 0 or len(set(seeds)) < len(seeds):
         raise PlateError(f"seeds are {seeds}, allowed: one or more, 0 or larger, each once")
+    for task in tasks:
+        rows = {row["seed"]: row for row in result["tasks"].get(task, {"rows": []})["rows"]}
+        missing = [seed for seed in seeds if seed not in rows]
+        kept = time.monotonic()
+        try:
+            for row in episodes(agent, world, task, missing, workers, tell, limits, pool):
+                rows[row["seed"]] = row
+                if time.monotonic() - kept > KEEP_S:
+                    result["tasks"][task] = summary([rows[seed] for seed in sorted(rows)])
+                    keep(result)
+                    kept = time.monotonic()
+        finally:  # also if the agent fails, or on Ctrl-C
+            if rows:
+                result["tasks"][task] = summary([rows[seed] for seed in sorted(rows)])
+                keep(result)
+        tell(line(task, result["tasks"][task]))
+    return result
+
+
+def begun(agent: str, world: str, limits: Limits, done: dict[str, Any] | None) -> dict[str, Any]:
+    """Return the result of `evaluate` before its first episode.
+
+    Raises
+    ------
+    PlateError
+        If a name is unknown, or if `done` cannot be continued.
+    """
+    if ":" not in agent:  # code of others is loaded only in workers
+        agent_class(agent)
+    chosen("world", world, WORLDS)
     result: dict[str, Any] = {
         "agent": agent, "world": world, "commit": commit(), "sources": sources(),
         "versions": versions(agent), "limits": asdict(limits), "files": files(agent), "tasks": {},
@@ -320,22 +348,6 @@ def evaluate(
                 "allowed: the same, or another file"
             )
         result["tasks"] |= done["tasks"]
-    for task in tasks:
-        rows = {row["seed"]: row for row in result["tasks"].get(task, {"rows": []})["rows"]}
-        missing = [seed for seed in seeds if seed not in rows]
-        kept = time.monotonic()
-        try:
-            for row in episodes(agent, world, task, missing, workers, tell, limits, pool):
-                rows[row["seed"]] = row
-                if time.monotonic() - kept > KEEP_S:
-                    result["tasks"][task] = summary([rows[seed] for seed in sorted(rows)])
-                    keep(result)
-                    kept = time.monotonic()
-        finally:  # also if the agent fails, or on Ctrl-C
-            if rows:
-                result["tasks"][task] = summary([rows[seed] for seed in sorted(rows)])
-                keep(result)
-        tell(line(task, result["tasks"][task]))
     return result
 
 
@@ -769,15 +781,16 @@ def main() -> int:
             if file is not None:
                 file.write(json.dumps(result, indent=1) + "\n")
 
-        agent = args.agent or "B"
+        agent, world = args.agent or "B", args.world or "nominal"
+        begun(agent, world, limits, done)  # before the cluster, for which it may wait
         pool: Any = nullcontext()
         if args.cluster:
             other = module_of(agent) if ":" in agent else ""
             pool = Cluster(args.cluster, modules=("plate_gym",), agent=other, end=isolation.stop)
         with file or nullcontext(), pool as shared:
             evaluate(
-                agent, args.task or list(TASKS), args.seeds or range(100), args.world or "nominal",
-                args.workers, tell, keep, limits, shared, done,
+                agent, args.task or list(TASKS), args.seeds or range(100), world, args.workers,
+                tell, keep, limits, shared, done,
             )  # fmt: skip
     except BrokenPipeError:
         raise

@@ -471,6 +471,17 @@ def test_a_result_of_other_terms_is_not_continued(
     assert file.read_text() == before
 
 
+def test_a_file_that_cannot_be_continued_is_refused_before_the_cluster(
+    bench, monkeypatch, tmp_path, capsys
+):
+    place = tmp_path / "found.json"
+    place.write_text("[]", encoding="utf-8")
+    monkeypatch.setattr(sys, "argv", ["bench", "--json", str(place), "--cluster", "tcp://x:1"])
+    monkeypatch.setattr(bench, "Cluster", None)
+    assert bench.main() == 2
+    assert "error: result has [], allowed: agent, " in capsys.readouterr().err
+
+
 def test_two_calls_at_once_do_not_write_one_file(bench, result, monkeypatch, tmp_path, capsys):
     place = tmp_path / "found.json"
     place.write_text(json.dumps(result), encoding="utf-8")
