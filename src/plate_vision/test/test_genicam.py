@@ -45,12 +45,14 @@ class Maker:
         )  # fmt: skip
         self.remote_device = SimpleNamespace(node_map=self.nodes)
         self.buffers, self.started, self.gone = [], False, False
+        self.held = 1  # the library, and the camera once it is created
 
     def create(self, key):
         found = [each for each in self.device_info_list
                  if key == 0 or each.serial_number == key["serial_number"]]  # fmt: skip
         if not found:
             raise ValueError("no such device")
+        self.held += 1
         return self
 
     def start(self):
@@ -77,9 +79,10 @@ class Maker:
 
     def destroy(self):
         self.started = False
+        self.held -= 1
 
     def reset(self):
-        pass
+        self.held -= 1
 
 
 def opened(maker, **settings):
@@ -107,7 +110,7 @@ def test_what_is_set_and_how_images_are_stamped():
     assert frame.encoding == "mono16"
     assert int(frame.pixels.max()) == 4095 << 4
     source.close()
-    assert not maker.started
+    assert (maker.started, maker.held) == (False, 0)
 
 
 def test_a_trigger_takes_the_place_of_the_rate():
@@ -126,8 +129,10 @@ def test_a_trigger_takes_the_place_of_the_rate():
     ],
 )
 def test_what_the_camera_cannot_do_is_said_with_what_it_can(settings, words):
+    maker = Maker()
     with pytest.raises(CameraError, match=words):
-        opened(Maker(), **settings)
+        opened(maker, **settings)
+    assert maker.held == 0
 
 
 def test_a_camera_that_goes_and_one_of_another_format():

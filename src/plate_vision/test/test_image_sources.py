@@ -2,6 +2,7 @@
 
 import os
 import threading
+from pathlib import Path
 from threading import Event
 
 import cv2
@@ -121,8 +122,11 @@ def test_what_is_automatic_is_off_and_what_is_given_is_set(make):
     ],
 )
 def test_what_the_device_cannot_do_is_said_with_what_it_can(make, settings, words):
+    refused = make(**settings)
     with pytest.raises(CameraError, match=words):
-        make(**settings).opened()
+        refused.opened()
+    opened = map(os.path.realpath, Path("/proc/self/fd").iterdir())
+    assert os.path.realpath(refused.camera.path) not in opened
 
 
 def test_a_change_that_is_refused_changes_nothing(make):
