@@ -10,6 +10,7 @@ import pytest
 import yaml
 
 from plate_core import PlateCycle, load_rig
+from plate_core.rig import rig_path
 from plate_core.serial_protocol import State
 
 rclpy = pytest.importorskip("rclpy")
@@ -29,7 +30,7 @@ from plate_core.ros import (  # noqa: E402
 )
 from plate_driver.node import DriverNode  # noqa: E402
 from plate_interfaces.msg import DriverStatus  # noqa: E402
-from plate_sim.device import node  # noqa: E402
+from plate_sim.device import SuspendedPlate, node  # noqa: E402
 from plate_sim.device.node import DeviceNode  # noqa: E402
 
 RIG = load_rig()
@@ -171,3 +172,17 @@ def test_on_a_computer_that_is_held_up_the_device_takes_nobody_for_silent(tmp_pa
     finally:
         device.destroy_node()
         rclpy.shutdown()
+
+
+def test_a_plate_on_flexures_moves_in_steps_of_a_millisecond(tmp_path):
+    given = f"-p rig_file:={rig_path('desk')} -p link:={tmp_path / 'port'}"
+    rclpy.init(args=["--ros-args", *given.split()])
+    device = DeviceNode()
+    try:
+        start_nodes(device)
+        expected = SuspendedPlate(load_rig("desk"), 1e-3)
+        now = np.ones((3, 4))
+        np.testing.assert_array_equal(device._emulator._suspended.moved(now), expected.moved(now))
+    finally:
+        device.destroy_node()
+        rclpy.try_shutdown()

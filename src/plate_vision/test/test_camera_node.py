@@ -31,6 +31,7 @@ from plate_core.status import Level  # noqa: E402
 from plate_interfaces.msg import Parts  # noqa: E402
 from plate_vision.camera import Lens, save_lens  # noqa: E402
 from plate_vision.image_sources import Watch  # noqa: E402
+from plate_vision.image_sources import node as camera_node  # noqa: E402
 from plate_vision.image_sources.node import CameraNode  # noqa: E402
 from plate_vision.node import DetectorNode  # noqa: E402
 
@@ -381,3 +382,15 @@ def test_an_image_costs_no_more_than_a_few_copies_of_it():
         times.append(time.thread_time() - copied)
         copies.append(copied - began)
     assert np.median(times) < MAX_COPIES * np.median(copies)
+
+
+def test_devices_are_listed_without_a_node(monkeypatch, capsys, tmp_path):
+    ran, none = [], tmp_path / "video9"
+    monkeypatch.setattr(camera_node, "run_node", lambda *given: ran.append(given))
+    monkeypatch.setattr("sys.argv", ["camera", "--list", str(none)])
+    camera_node.main()
+    assert (str(none) in capsys.readouterr().out, ran) == (True, [])
+    monkeypatch.setattr("sys.argv", ["camera", "--ros-args"])
+    camera_node.main()
+    assert ran == [(CameraNode, camera_node.CameraParameters)]
+    assert not capsys.readouterr().out
