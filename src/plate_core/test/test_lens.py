@@ -124,6 +124,14 @@ def test_of_a_fold_the_side_of_the_axis_counts():
     assert np.isnan(lens.straighten(seen[seen[:, 0] > 320 + 300 * 0.58])).all()
 
 
+def test_a_plate_beyond_the_fold_is_folded_although_the_image_grows_there():
+    """r - 0.565 r^3 + 0.139 r^5 grows up to r = 1, and again from 1.2 on."""
+    lens = Lens((400.0, 400.0), (320.0, 240.0), (-61 / 108, 5 / 36, 0.0, 0.0, 0.0))
+    square = np.array([[-20.0, -20], [20, -20], [20, 20], [-20, 20]])
+    assert lens.folds(square + [320 + 400 * 0.9, 240], straight=True) == ""
+    assert "folds" in lens.folds(square + [320 + 400 * 1.33, 240], straight=True)
+
+
 @pytest.mark.parametrize("model", ["plumb_bob", "rational_polynomial"])
 def test_zeros_of_any_number_are_no_distortion(model):
     for count in (0, 4, 5, 8, 12, 14):

@@ -414,7 +414,9 @@ def test_after_a_person_has_ended_the_task_a_person_has_to_let_it_go_on(graph, e
     planner.silent, planner.ready = False, {"black_4": (0.1, 0.0)}
     for deed in ("get_part", "prepare_part", "get_part black 5"):
         assert graph.say(robot, deed) == answer
-    assert not graph.result(graph.send("get_part", GetPart.Goal()))[1].success
+    for name, goal in (("get_part", GetPart.Goal()), ("purge_plate", PurgePlate.Goal())):
+        result = graph.result(graph.send(name, goal))[1]
+        assert (result.success, result.message) == (False, STOPPED)
     assert not graph.call(PreparePart, "prepare_part").success
     assert graph.say(robot, "resume_feeding").startswith("404 ")
     assert "state=stopped" in (state := graph.say(robot, "state"))

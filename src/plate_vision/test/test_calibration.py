@@ -14,6 +14,7 @@ from plate_vision import (
     calibrate_by_matrix,
     calibrate_by_rig,
 )
+from plate_vision.camera.lens import check_quadrilateral
 
 CORNERS = np.array([[-0.3, -0.15], [0.3, -0.15], [0.3, 0.15], [-0.3, 0.15]])
 TILTED_PX = np.array([[40.0, 420.0], [610.0, 400.0], [540.0, 80.0], [90.0, 100.0]])
@@ -129,6 +130,13 @@ def test_degenerate_corners_are_refused(corners_px, corners, name):
 def test_degenerate_matrices_are_refused(matrix):
     with pytest.raises(CalibrationError, match=r"^homography: .*allowed:"):
         calibrate_by_matrix(matrix)
+
+
+def test_an_area_of_the_least_size_is_allowed():
+    square = np.array([[1.0, 1], [5, 1], [5, 5], [1, 5]])
+    assert check_quadrilateral(square, "it", CalibrationError, least=16.0) is not None
+    with pytest.raises(CalibrationError, match="spans 16 px2, allowed: at least 16.1 px2"):
+        check_quadrilateral(square, "it", CalibrationError, least=16.1)
 
 
 def test_small_plate_is_no_degenerate_plate():

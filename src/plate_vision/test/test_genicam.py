@@ -113,6 +113,18 @@ def test_what_is_set_and_how_images_are_stamped():
     assert (maker.started, maker.held) == (False, 0)
 
 
+@pytest.mark.parametrize("bits", [8, 10, 12, 16])
+def test_the_brightest_grey_of_a_format_fills_its_bits(bits):
+    maker = Maker()
+    maker.now = 0.0
+    source = opened(maker)
+    kind = np.uint8 if bits == 8 else np.uint16
+    maker.buffers.append((np.full((48, 64), 2**bits - 1, kind), f"Mono{bits}", 0.0))
+    frame = source.read(Event())
+    wide = max(bits, 8 if bits == 8 else 16)
+    assert (frame.encoding, frame.pixels.max()) == (f"mono{wide}", 2**wide - 2 ** (wide - bits))
+
+
 def test_a_trigger_takes_the_place_of_the_rate():
     maker = Maker()
     opened(maker, trigger=True, rate=60.0)
