@@ -19,7 +19,7 @@ from trajectory_msgs.msg import JointTrajectory  # noqa: E402
 
 from plate_core.ros import DATA, msg_to_cycle, nanoseconds, start_nodes, to_time, wanted_to_msg  # noqa: E402
 from plate_interfaces.msg import PartForces  # noqa: E402
-from plate_solver.node import Sent, SolverNode  # noqa: E402
+from plate_solver.node import LATER_S, LATEST_S, SOONER_S, Sent, SolverNode  # noqa: E402
 
 MS = 1_000_000
 MASS, MU = 0.02, 0.25  # of the default rig
@@ -277,6 +277,27 @@ def test_the_cycle_that_runs_is_the_last_that_was_sent_in_time(peer):
     ):  # fmt: skip
         assert peer.solver._running(stamp_ms * MS) is expected, stamp_ms
         assert peer.solver._count["late_answers"] == late, stamp_ms
+
+
+def test_cycles_are_sent_earlier_while_they_are_not_played(peer):
+    solver, cycle = peer.solver, PlateCycle.rest(0.1)
+    played, missed = np.zeros((3, 3)), np.full((3, 3), 1e-3)
+    solver._adapt(missed)
+    assert solver._handover_s == 0.0  # the simulator waits
+    solver._handover_s = 0.02
+    solver._adapt(missed)  # nothing was sent yet
+    solver._sent.append(Sent(0, 10 * MS, cycle))
+    for plate, margin_s, count in (
+        (None, 0.02, 0), (missed, 0.02 + LATER_S, 1), (played, 0.02 + LATER_S - SOONER_S, 1),
+    ):  # fmt: skip
+        solver._adapt(plate)
+        assert solver._handover_s == pytest.approx(margin_s)
+        assert solver._count["not_played"] == count
+    for plate, limit_s in ((missed, LATEST_S), (played, solver.options.handover_s)):
+        for _ in range(1000):
+            solver._handover_s = max(solver._handover_s, 1e-9)
+            solver._adapt(plate)
+        assert solver._handover_s == pytest.approx(limit_s, abs=1e-8)
 
 
 @pytest.mark.parametrize(

@@ -135,7 +135,7 @@ def test_degenerate_matrices_are_refused(matrix):
 def test_an_area_of_the_least_size_is_allowed():
     square = np.array([[1.0, 1], [5, 1], [5, 5], [1, 5]])
     assert check_quadrilateral(square, "it", CalibrationError, least=16.0) is not None
-    with pytest.raises(CalibrationError, match="spans 16 px2, allowed: at least 16.1 px2"):
+    with pytest.raises(CalibrationError, match=r"at least 16\.1 px2"):
         check_quadrilateral(square, "it", CalibrationError, least=16.1)
 
 
