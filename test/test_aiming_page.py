@@ -178,8 +178,8 @@ def test_no_camera_one_that_looks_elsewhere_and_a_little_shift_are_reported(grap
 
 def test_it_is_covered_dark_and_burnt(graph, page, shows):
     graph[0].show(np.full((480, 640), 2, np.uint8))
-    shows("light", "is the light on, is the lens open", "3_covered")
-    shows("focus", "is the lens covered")
+    shows("light", "the light is on and the lens is open", "3_covered")
+    shows("focus", "lens is uncovered")
     graph[0].show(np.clip(picture().astype(int) * 2, 0, 255).astype(np.uint8))
     shows("light", "clipped at 255|burnt out", "4_burnt")
     graph[0].show(np.clip(picture().astype(int) - 180, 0, 255).astype(np.uint8))
@@ -205,7 +205,7 @@ def test_what_is_taken_and_what_is_left(graph, page, shows):
     shows("parts", "1 too small", "6_parts")
     left = page.inner_text("#camera-left")
     assert left.startswith("1 too small: radius ")
-    shows("size", "parts are 15.8 to 15.8 px across")
+    shows("size", "diameter of the parts is 15.8 to 15.8 px")
 
 
 def test_home_is_found_where_the_camera_is_mounted(graph, page, shows, folder):
@@ -259,7 +259,7 @@ def test_it_is_ready(graph, page, shows):
     """By the lens that was written, and home found anew with it."""
     view = View(focal=FOCAL, distance=0.9, lens=(BEND[0], BEND[1], 0.0))
     graph[0].show(picture(view, small=False))
-    shows("light", "nothing clipped")  # the board is gone, which is a quadrilateral too
+    shows("light", "at most 1% of its pixels are clipped")  # the board is gone, which is a quadrilateral too
     page.get_by_role("button", name="Find home").click()
     await_text(page, "#camera-state", "Ready")
     assert page.locator("#camera-checks [data-check=home]").count() == 0

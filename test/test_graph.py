@@ -188,7 +188,7 @@ class CameraStandIn:
 WRONG_IMAGES = {
     "encoding is '32FC1', allowed: mono8, bgr8, rgb8": {"encoding": "32FC1"},
     "320 x 240": {"width": 320, "step": 320, "height": 240, "data": bytes(320 * 240)},
-    "1000 bytes of data, allowed: 307200": {"data": bytes(1000)},
+    "data has 1000 bytes, allowed: 307200": {"data": bytes(1000)},
 }
 
 

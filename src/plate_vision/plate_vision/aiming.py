@@ -36,8 +36,8 @@ SMOOTH_PX = 1.0
 [px]."""
 
 MIN_CONTRAST = 4.0
-"""Minimum standard deviation of the grey levels for a measurement of sharpness. Noise alone, for
-example with a covered lens, causes about 2."""
+"""Minimum standard deviation of the grey levels for a measurement of sharpness. If the lens is
+covered, noise alone causes a standard deviation of about 2."""
 
 BINS = 64
 """Number of bins of the histogram. Each bin has four grey levels."""
@@ -51,9 +51,9 @@ BLURRED = 0.85
 a part that is moved, changes sharpness by less than 5 %."""
 
 PASSED, BACK = 0.9, 0.95
-"""Sharpness relative to the maximum of the last minute [-]. The lens was moved through the focus if
-the sharpness was below the first fraction both before and after its maximum. The image is in focus
-again if the present sharpness is above the second fraction."""
+"""Two limits of the sharpness, relative to its maximum in the last minute [-]. The lens was moved
+through the focus if the sharpness was below `PASSED` before its maximum, and again after it. The
+image is back in focus if the present sharpness is at least `BACK`."""
 
 SHARP_PX = 1.5
 """Maximum standard deviation of the blur of the plate's edges in a sharp picture [px]. Drawn
@@ -69,8 +69,8 @@ ESF_ENDS = 4
 both ends."""
 
 BEST_S, LATELY_S = 60.0, 2.0
-"""Time over which the maximum sharpness is determined, and time over which its change is measured
-[s]."""
+"""`BEST_S`: time over which the maximum sharpness is determined [s]. `LATELY_S`: time over which
+the change of the sharpness is measured [s]."""
 
 STEADY = 0.04
 """Maximum relative change of the sharpness that counts as noise [-]."""
@@ -98,8 +98,9 @@ class AimField:
     grid : OutlineGrid
         Image points at which the plate's edges are searched.
     part_px : (float, float)
-        Minimum diameter of the smallest part, and maximum diameter of the largest part, over all
-        positions in the image [px].
+        Range of the parts' diameters in the image [px]. It extends from the smallest part at the
+        smallest image scale to the largest part at the largest scale. The scale is evaluated at the
+        plate's centre and at points of its edges.
     radius : float
         Radius of a part [m].
     """
@@ -115,7 +116,7 @@ class AimField:
 
     @classmethod
     def of(cls, rig: Rig, vision: Vision, expected: Expected) -> AimField:
-        """Return the region for a rig and the sizes of its parts."""
+        """Return the measured region for a rig. `expected` contains the sizes of its parts."""
         width, height = vision.region.size_px
         outline = np.rint(vision.region.outline_px).astype(np.int32)
         plate = np.zeros((height, width), np.uint8)
@@ -143,9 +144,10 @@ class Light:
     ----------
     histogram : (BINS,) int
         Number of pixels in each bin of four grey levels.
-    black, white : float
-        Fraction of the pixels at grey level 0, and fraction of the pixels with a channel at 255
-        [-].
+    black : float
+        Fraction of the pixels at grey level 0 [-].
+    white : float
+        Fraction of the pixels with a channel at 255 [-].
     """
 
     histogram: np.ndarray
@@ -221,9 +223,10 @@ class Focus:
     blur_px : float
         Blur of the plate's edges in the newest image [px]. It is NaN if unknown.
     peaked : bool
-        Whether the maximum was passed.
+        Whether the sharpness has passed its maximum since the focus was last lost.
     sharp : bool
-        Whether the edges were sharp when their blur was last known.
+        Whether the edges were sharp in the last image in which their blur could be measured. It is
+        false after the focus was lost.
     """
 
     values: tuple[tuple[float, float], ...] = ()
@@ -232,8 +235,9 @@ class Focus:
     sharp: bool = False
 
     def add(self, stamp: float, sharpness: float, blur_px: float = math.nan) -> Focus:
-        """Return a copy with one more value, and the blur of the plate's edges [px] in that image.
-        If the clock was set back, drop the earlier values."""
+        """Return a copy with the stamp [s], the sharpness [1/px] and the blur of the plate's edges
+        [px] of one more image. If this stamp is not later than the last one, because the clock was
+        set back, the earlier images are dropped."""
         kept = self.values if self.values and stamp > self.values[-1][0] else ()
         values = (*(one for one in kept if one[0] > stamp - BEST_S), (stamp, sharpness))
         focus = replace(self if kept else Focus(), values=values, blur_px=blur_px)
@@ -270,8 +274,9 @@ class Focus:
 
     @property
     def change(self) -> float:
-        """Relative change during the last `LATELY_S` [-]: the mean of the second half divided by
-        the mean of the first half, minus one. It is NaN if a half has no value."""
+        """Relative change of the sharpness during the last `LATELY_S` [-]. It is the mean of the
+        second half of this time divided by the mean of the first half, minus one. It is NaN if one
+        of the halves contains no value."""
         if not self.values:
             return math.nan
         age = self.values[-1][0] - np.array([stamp for stamp, _ in self.values])
@@ -284,7 +289,7 @@ class Focus:
 
     @property
     def trend(self) -> str:
-        """The change as a word: steady, rises or falls."""
+        """Description of `change`: steady, rises or falls."""
         change = self.change
         if not math.isfinite(change) or abs(change) <= STEADY:
             return "steady"
@@ -294,22 +299,23 @@ class Focus:
     def finding(self) -> Finding:
         """State of the focus, with the remedy."""
         if not math.isfinite(self.now):
-            text = "too little contrast for measuring sharpness: is the lens covered?"
+            text = "too little contrast to measure the sharpness; check that the lens is uncovered"
             return Finding(Level.ERROR, text)
-        text = f"{self.now:.3f} per px, {self.trend}"
+        text = f"sharpness is {self.now:.3f} per px and {self.trend}"
         ratio = self.now / self.best
         if ratio < BLURRED:
-            why = f"{ratio:.0%} of the last minute's best ({self.best:.3f}); turn the focus back"
+            why = f"{ratio:.0%} of the last minute's best value ({self.best:.3f})"
+            why += "; turn the focus back"
             return Finding(Level.WARN, f"{text}, {why}")
         edges = ""
         if math.isfinite(self.blur_px):
-            edges = f", the plate's edges are blurred by {self.blur_px:.1f} px"
+            edges = f"; blur of the plate's edges is {self.blur_px:.1f} px"
         if self.sharp or self.peaked:
-            return Finding(Level.OK, f"{text}, best {self.best:.3f}{edges}")
+            return Finding(Level.OK, f"{text}; best value is {self.best:.3f}{edges}")
         turn = "turn the focus past the best value and back"
         if edges:
-            return Finding(Level.WARN, f"{text}{edges}, allowed: {SHARP_PX:g} px; {turn}")
-        return Finding(Level.STALE, f"{text}, the best value is not known yet; {turn}")
+            return Finding(Level.WARN, f"{text}{edges}, allowed: up to {SHARP_PX:g} px; {turn}")
+        return Finding(Level.STALE, f"{text}; the best value is not known yet; {turn}")
 
 
 def outline_px(outline: Outline, field: AimField) -> np.ndarray:
@@ -324,7 +330,8 @@ def outline_px(outline: Outline, field: AimField) -> np.ndarray:
 def outline_finding(
     image: np.ndarray, outline: Outline, field: AimField, moving: bool = False
 ) -> Finding:
-    """Return whether the outline in an image (H, W) or (H, W, 3) agrees with the expected outline.
+    """Return a finding about the outline in an image (H, W) or (H, W, 3). It states whether this
+    outline agrees with the expected outline.
 
     If `moving` is true, the plate may be away from home.
     """
@@ -343,27 +350,28 @@ def outline_finding(
 
 
 def light_finding(image: np.ndarray, light: Light, field: AimField) -> Finding:
-    """Return the state of the light in an image (H, W) or (H, W, 3), with the remedy."""
+    """Return a finding about the light in an image (H, W) or (H, W, 3), with the remedy."""
     problem = light_problem(image, field.vision.options.min_plate_grey)
     if problem:
         return Finding(Level.ERROR, problem)
     if light.white > CLIPPED:
-        why = "clipped at 255: reduce light or exposure"
-        return Finding(Level.WARN, f"{light.white:.1%} of the plate is {why}")
+        why = "clipped at 255; reduce light or exposure"
+        return Finding(Level.WARN, f"{light.white:.1%} of the plate's pixels are {why}")
     if light.black > CLIPPED:
-        why = "at 0: increase light, exposure or black level"
-        return Finding(Level.WARN, f"{light.black:.1%} of the plate is {why}")
+        why = "clipped at 0; increase light, exposure or black level"
+        return Finding(Level.WARN, f"{light.black:.1%} of the plate's pixels are {why}")
     middle = (float(np.argmax(np.cumsum(light.histogram) * 2 >= light.histogram.sum())) + 0.5) * 4
-    return Finding(Level.OK, f"median of the plate {middle:.0f} grey levels, nothing clipped")
+    few = f"at most {CLIPPED:.0%} of its pixels are clipped"
+    return Finding(Level.OK, f"median brightness of the plate is {middle:.0f} grey levels; {few}")
 
 
 def size_finding(part_px: tuple[float, float]) -> Finding:
-    """Return whether parts are large enough in the image. `part_px` contains their minimum and
-    maximum diameter [px]."""
+    """Return a finding that states whether parts are large enough in the image. `part_px` contains
+    their minimum and maximum diameter [px]."""
     low, high = part_px
-    text = f"parts are {low:.1f} to {high:.1f} px across"
+    text = f"diameter of the parts is {low:.1f} to {high:.1f} px"
     if low < MIN_PART_PX:
-        why = f"allowed: at least {MIN_PART_PX:g} px (use a nearer camera or more pixels)"
+        why = f"allowed: at least {MIN_PART_PX:g} px (move the camera nearer, or use more pixels)"
         return Finding(Level.WARN, f"{text}, {why}")
     return Finding(Level.OK, text)
 
@@ -379,7 +387,7 @@ class Thing:
     x_px, y_px, radius_px : float
         Centre of the object, and radius of the disc with the same area [px].
     reason, remedy : str
-        Reason why it is rejected as a part, and the remedy. It is empty for a part.
+        Reason why the object is rejected as a part, and the remedy. Both are empty for a part.
     """
 
     id: str
@@ -401,9 +409,9 @@ class Situation:
     expected : Expected
         Sizes of the rig's parts.
     things : tuple of Thing
-        Objects in the last image that the detector used.
+        Parts and rejected objects in the last image that was not refused.
     findings : tuple of (str, Finding)
-        Name and state of the steps that the detector itself checks.
+        Findings that do not need this picture, such as the state of the lens, with their names.
     lens : Lens or None
         Lens in use. None: the lens of the rig file, if the file has one.
     moving : bool

@@ -1,8 +1,8 @@
 """State of the bare plate in the detector, for rigs with part types.
 
 On request, the bare plate is learned from images. Otherwise it is modelled from an image with
-parts. Each later image updates its light and focus. The inputs are images and the plate's region.
-The output is the background that recognition subtracts.
+parts. This model is then adapted to the light and the blur of each image. The inputs are images and
+the plate's region. The output is the background that recognition subtracts.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ BARE_IMAGES = 5
 """Number of images from which the bare plate is learned. They are averaged, which reduces their
 noise."""
 
-MODELLED = "the bare plate is estimated from an image with parts: call ~/learn_plate without parts"
+MODELLED = "the bare plate is estimated from an image with parts; remove them, call ~/learn_plate"
 """Warning until the bare plate is learned."""
 
 
@@ -40,7 +40,7 @@ class BarePlate:
     first : Background, optional
         The background as it was learned or modelled.
     light : Light, optional
-        Light of the last image, relative to `first`.
+        Change of the light from `first` to the last image.
     requested : int
         Number of images of the bare plate that are requested. 0 if none is requested.
     images : tuple of (H, W) or (H, W, 3) uint8
@@ -55,23 +55,25 @@ class BarePlate:
 
 
 def learn_next(plate: BarePlate, image: np.ndarray | None, region: Region) -> tuple[BarePlate, str]:
-    """Start learning. The next images must show the bare plate. Also return a message for the user.
-    It states the number of objects on the plate in the last image (H, W) or (H, W, 3)."""
+    """Request the next `BARE_IMAGES` images for learning. They must show the bare plate.
+
+    Return the new state, and a message for the user. If the last image (H, W) or (H, W, 3) shows
+    objects on the plate, the message states their number."""
     text = f"the next {BARE_IMAGES} images are used for the bare plate"
-    things = "" if image is None else lying(image, region)
+    things = "" if image is None else things_text(image, region)
     if things:
-        text += f"; {things} now: if these are parts, remove them and call again"
+        text += f"; now {things}; if these are parts, remove them and call again"
     return replace(plate, requested=BARE_IMAGES, images=()), text
 
 
 def know_plate(
     plate: BarePlate, vision: Vision, image: np.ndarray
 ) -> tuple[BarePlate, Vision, Finding | None]:
-    """Process one image (H, W) or (H, W, 3). If requested, learn the bare plate. If the bare plate
-    is unknown, model it. Otherwise adapt it to the light and focus of the image.
+    """Process one image (H, W) or (H, W, 3). If requested, learn the bare plate from it. If the
+    bare plate is unknown, model it. Otherwise adapt its model to the light and blur of the image.
 
-    Return the new state of the bare plate, a vision with the background in this light, and a
-    finding for the user.
+    Return the new state of the bare plate, a vision with the adapted background, and a finding for
+    the user or None.
 
     Raises
     ------
@@ -79,17 +81,17 @@ def know_plate(
         If too little of the plate is visible, because it is too dark or the camera was moved.
     """
     if plate.requested:
-        # `np.stack` requires equal shapes: all images are grey, or all have colours.
+        # `np.stack` requires equal shapes, so grey images and colour images cannot be mixed.
         alike = [one for one in plate.images if one.shape == image.shape]
         images = (*alike, image)
         if len(images) < plate.requested:
             return replace(plate, images=images), vision, None
         vision = replace(vision, background=learn_plate(np.stack(images)))
-        text, things = f"bare plate learned from {len(images)} images", lying(image, vision.region)
-        found = Finding(Level.OK, text)
+        text = f"bare plate learned from {len(images)} images"
+        things, found = things_text(image, vision.region), Finding(Level.OK, text)
         if things:
             found = Finding(
-                Level.WARN, f"{text}; {things}: if these are parts, remove them and learn it again"
+                Level.WARN, f"{text}; {things}; if these are parts, remove them and learn it again"
             )
         return BarePlate(True, vision.background), vision, found
     if vision.background is None:
@@ -102,8 +104,8 @@ def know_plate(
     return replace(plate, first=first, light=light), vision, None
 
 
-def lying(image: np.ndarray, region: Region) -> str:
-    """Return a description of the objects on a plate that should be bare. It is empty if no objects
-    are detected."""
+def things_text(image: np.ndarray, region: Region) -> str:
+    """Return a text with the number of objects on a plate that should be bare. It is empty if no
+    objects are detected."""
     count = len(find_patches(image, model_plate(image, region), region))
-    return f"{count} object{'s are' if count > 1 else ' is'} on it" if count else ""
+    return f"{count} object{'s are' if count > 1 else ' is'} on the plate" if count else ""

@@ -67,8 +67,8 @@ contour is fitted. "outline": no options describe the parts. "group": like "outl
 outline seems to be that of several parts."""
 
 LABELS, MEASURED = np.array([*CLASSES, BRIGHT]), np.array([METHODS[1], METHODS[0]])
-"""Labels of parts, indexed by the labels that `judge` returns; and names of the methods, indexed by
-whether a part was measured by moments."""
+"""`LABELS`: names of the labels, indexed by the label numbers that `judge` returns. `MEASURED`:
+names of the methods, indexed by 1 if a part was measured by moments and by 0 otherwise."""
 
 DETECTION = np.dtype(
     [
@@ -97,8 +97,8 @@ parts the distance is 2. If two parts are nearer than this minimum, the part wit
 is rejected."""
 
 BETTER = 2.0
-"""Minimum ratio of the misfits of two overlapping discs. From this ratio on, the disc with the
-smaller misfit is certainly the part."""
+"""Minimum ratio of the misfits of two overlapping discs with which the disc with the smaller misfit
+is certainly the part. `GOOD_MISFIT` is added to the resulting limit."""
 
 CLEARLY_DARK = 0.8
 """Maximum brightness of a part's pixels in the first, fast search, relative to the plate's
@@ -109,8 +109,8 @@ SIGMAS = 2.2
 is the mean of four pixels, whose noise is half as large."""
 
 ROUGH = 0.25
-"""Maximum number of objects that are not shaped like a part, or only roughly, relative to the
-number of detected parts. If there are more such objects, the search for shadows starts."""
+"""Maximum number of objects with a large misfit, relative to the number of detected parts. If there
+are more such objects, the search for the parts' shadow starts."""
 
 FAINT = 2.0
 """Minimum contrast of a rejected object, relative to the minimum contrast of a part. An object with
@@ -120,7 +120,7 @@ MIN_ALIKE = 3
 """Minimum number of similar parts from which their median radius is used as the known radius."""
 
 ALIKE = 0.12
-"""Maximum relative deviation from the median radius of similar parts."""
+"""Maximum relative deviation of similar parts' radii from their median radius [-]."""
 
 
 @dataclass(frozen=True)
@@ -145,9 +145,9 @@ class DetectorOptions:
         counts as off.
     margin_px : float
         Maximum distance of a part's centre outside the region [px], 0 to 10. It allows for errors
-        of the calibration. Only pixels inside the region are evaluated. If a part is 2 px farther
-        outside, too little of it is visible. If the plate is displaced by more, another region is
-        required.
+        of the calibration. Only pixels inside the region are evaluated, so too little of a part is
+        visible if its centre is about 2 px farther outside. If the plate is displaced by more, make
+        a new region.
     """
 
     RANGES: ClassVar[Mapping[str, tuple[float, float]]] = {
@@ -180,7 +180,7 @@ class PartView:
     least_px : float
         Smallest radius of a part in the image [px].
     calibration : Calibration, optional
-        If None, shadows are not searched.
+        Calibration of the camera. If it is None, shadows are not searched.
     """
 
     silhouettes: Silhouettes
@@ -209,12 +209,14 @@ def detect(
     Parameters
     ----------
     image : (H, W) or (H, W, 3) uint8
-        Grey levels; or blue, green, red. With options only green is used to find dark parts.
+        Grey levels; or blue, green, red. With options, only the green channel is used to find dark
+        parts.
     options : DetectorOptions, optional
         Description of the parts; None if it is unknown.
     region : Region, or (4, 2) or (4, n, 2), optional
-        Region of the plate: either the result or the argument of `make_region`. `make_region` takes
-        longer than the detection. None: the whole image.
+        Region of the plate: the result of `make_region`, or its argument `outline_px`. For several
+        images, pass the result, because `make_region` takes longer than the detection. None: the
+        whole image.
     view : PartView, optional
         Appearance of a part at each place; None: a disc of the options' radius everywhere.
 
@@ -253,7 +255,7 @@ class Discs(NamedTuple):
     shadow : Shadow, optional
         The shadow that every part casts; None if unknown.
     doubtful : bool
-        Whether many objects are not shaped like a part, or only roughly.
+        Whether many objects have a large misfit, so that a shadow must be searched.
     """
 
     found: np.ndarray
@@ -291,9 +293,9 @@ def find_discs(
     The first step uses grey levels and finds parts that are clearly darker than the plate. If there
     are other objects on the plate, the second step searches for parts among them by
     `plate.contrast`. It finds fainter parts, brighter parts, parts of another colour, and parts
-    with highlights or holes. If many objects are not shaped like a part, the third step searches
-    for a shadow that every part casts. `shadow` is the shadow in the previous image. `search`
-    permits the search for another shadow, which takes long.
+    with highlights or holes. If many objects have a large misfit, the third step searches for a
+    shadow that every part casts. `shadow` is the shadow in the previous image, which is tried
+    first. If `search` is false, the third step is omitted, because it takes long.
     """
     plate = fit_light(grey_levels(image), region, options.min_plate_grey)
     if plate is None:
@@ -345,8 +347,7 @@ class Scene:
 
 
 def _doubtful(discs: Discs) -> bool:
-    """Whether many objects are not shaped like a part, or only roughly. Parts with unknown shadows
-    are such objects."""
+    """Whether many objects have a large misfit. Parts with an unknown shadow are such objects."""
     good = GOOD_MISFIT if discs.shadow is None else GOOD_FIT
     doubtful = np.count_nonzero(discs.found["misfit"] > good)
     if len(discs.overlooked):
@@ -356,7 +357,8 @@ def _doubtful(discs: Discs) -> bool:
 
 
 def _with_others(scene: Scene, discs: Discs, remains: Remains) -> Discs:
-    """Add the discs found by contrast among the remains, and the overlooked objects."""
+    """Search the remains for further parts by contrast. Return all parts, and the other objects in
+    the remains as overlooked objects."""
     contrast, radius_px = scene.contrast, scene.options.radius_px
     if contrast is None:
         return discs
@@ -451,8 +453,8 @@ def _other_discs(
 
 
 def _overlapping(discs: np.ndarray, parts: np.ndarray) -> np.ndarray:
-    """Return which discs (n,) DISC overlap a disc that fits better. This happens if, for example,
-    two seeds are in one part with its shadow."""
+    """Return which discs (n,) DISC overlap a disc that fits better. For example, one seed may be on
+    a part and another one on the shadow of the same part."""
     place, reach = _places(discs), APART * parts["radius_px"]
     if not np.any(crowded(place, float(np.max(reach, initial=0)))):
         return np.zeros(len(discs), np.bool_)

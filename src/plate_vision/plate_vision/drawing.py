@@ -51,7 +51,7 @@ def draw_detections(
     radius_px : (M,)
         Radii [px].
     ahead_px : (M, 2)
-        Places after `ARROW_S` [px].
+        Predicted centres after `ARROW_S` [px].
     outline_px : (n, 2)
         Outline of the plate [px].
     part_px : sequence of (k, 2)

@@ -43,8 +43,8 @@ def check_size(
     error: type[PlateError] = ImageError,
     why: str = "",
 ) -> None:
-    """Raise an error if an image has another width or height [px] than allowed. `what` begins the
-    message, and `why` ends it."""
+    """Raise an error if the width and height of an image [px] differ from the allowed ones. The
+    message begins with `what` and ends with `why`."""
     if size_px != allowed_px:
         seen, allowed = (" x ".join(map(str, size)) for size in (size_px, allowed_px))
         raise error(f"{what} {seen} px, allowed: {allowed} px{why}")

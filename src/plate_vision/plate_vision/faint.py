@@ -1,7 +1,7 @@
 """Faint patches of a part's size that the detector misses. They are counted for the diagnostics.
 
-The mean over the area of a part is compared with the mean over a ring around it. These means show
-contrasts far below the noise of a single pixel.
+The mean over the area of a part is compared with the mean over a ring around it. Both means average
+many pixels, so they show contrasts far below the noise of a single pixel.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ from .overlooked import REMEDIES, WARN_COUNT, WARN_FRACTION
 from .plate.region import Region
 
 INNER = 1.6
-"""Side of the averaged square, which fits into the part [part radii]."""
+"""Side of the averaged square [part radii]. The part contains this square except its corners."""
 
 RING = (2.6, 4.6)
 """Sides of the squares that bound the ring outside the part [part radii]."""
@@ -99,14 +99,14 @@ def faint_finding(count: int, contrast: float, taken: int) -> Finding | None:
     `taken` is the number of detected parts."""
     if not count:
         return None
-    is_ = "1 faint patch as large as a part is"
+    are = "1 faint patch with the size of a part is"
     if count > 1:
-        is_ = f"{count} faint patches as large as parts are"
+        are = f"{count} faint patches with the size of a part are"
     many = not taken or (count >= WARN_COUNT and count > WARN_FRACTION * (count + taken))
     return Finding(
         Level.WARN if many else Level.OK,
-        f"{is_} not detected (contrast to the plate {contrast:.2g} grey levels: "
-        f"{REMEDIES['too faint']})",
+        f"{are} not detected as parts; contrast to the plate is {contrast:.2g} grey levels; "
+        f"{REMEDIES['too faint']}",
     )
 
 

@@ -124,7 +124,7 @@ class DetectorParameters(NodeOptions):
     threshold: float = _option(
         DetectorOptions,
         "threshold",
-        "Maximum brightness of a dark part, relative to the plate; 1 - contrast of other parts [-]",
+        "Maximum brightness of a dark part relative to the plate; 1 - contrast of other parts [-]",
     )
     class_threshold: float = _option(
         DetectorOptions,
@@ -279,7 +279,7 @@ class DetectorNode(SafeLifecycleNode[DetectorParameters]):
         self._aiming = AimingView(self, self._situation, self._take_corners, self._take_lens)
 
     def begin(self) -> None:
-        """Reset all state from images."""
+        """Reset all state that was computed from images."""
         values = self.options
         self._location = self._unknown_location()
         self._tracker = Tracker(values.tracker())
@@ -439,7 +439,7 @@ class DetectorNode(SafeLifecycleNode[DetectorParameters]):
         if stamp == last and not np.array_equal(image, self._last_image):
             raise ImageError(
                 f"stamp is {stamp:.3f} s, equal to that of the last image, allowed: a different "
-                "stamp for each image (does the camera's node set it?)"
+                "stamp for each image; check that the camera's node sets it"
             )
 
     def _know_plate(self, image: np.ndarray) -> None:
@@ -455,7 +455,7 @@ class DetectorNode(SafeLifecycleNode[DetectorParameters]):
     def _on_learn_plate(self, _: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
         """Learn the bare plate from the next images."""
         if self._vision.catalogue is None:
-            response.message = "types: the rig has none, allowed: a rig file with part types"
+            response.message = "the rig file has no part types, allowed: a rig file with types"
             return response
         if self._moving:
             response.message = "a task moves the plate, allowed: the bare plate at rest at home"
@@ -476,7 +476,7 @@ class DetectorNode(SafeLifecycleNode[DetectorParameters]):
                 teaching, self._vision, Path(self.options.teach_file)
             )
             self._teaching = teaching
-            if untyped:  # the parts tracked so far have the names of discs
+            if untyped:  # the tracks so far have the classes of discs and not the names of types
                 self._tracker = Tracker(self._tracker.options)
             self._rig = replace(self._rig, types={**self._rig.types, part.name: part})
             response.success = True
@@ -496,7 +496,7 @@ class DetectorNode(SafeLifecycleNode[DetectorParameters]):
             found = Finding(Level.OK, f"{count} detected, no other objects")
         findings = [
             ("lens", self._lens_finding()),
-            ("parts", found or Finding(Level.STALE, "none detected: put some on the plate")),
+            ("parts", found or Finding(Level.STALE, "none detected; put some on the plate")),
         ]
         if self._vision.catalogue is not None:
             learned = Finding(Level.OK, "the bare plate has been learned")
@@ -550,7 +550,7 @@ class DetectorNode(SafeLifecycleNode[DetectorParameters]):
         if self._lens_problem:
             return Finding(Level.ERROR, self._lens_problem)
         if lens is None:
-            return Finding(Level.WARN, "unknown: take pictures of a board for the lens")
+            return Finding(Level.WARN, "lens is unknown; take pictures of a board to fit it")
         return Finding(Level.OK, f"{lens.model}, focal length {lens.matrix[0, 0]:.0f} px")
 
     def _take_corners(self, corners_px: np.ndarray) -> None:

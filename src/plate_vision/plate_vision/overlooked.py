@@ -78,10 +78,10 @@ a plate that is 10 mm away from home is smaller."""
 REMEDIES = {
     "too faint": "use more light, or parts with more contrast to the plate",
     "at the edge": "move them inwards, or move the plate to home (this may be its edge)",
-    "beyond the plate": "check camera: corners_px, or clear the surroundings",
+    "beyond the plate": "check corners_px in section camera, or clear the surroundings",
     "group": "move them apart",
-    "blurred": "types cannot be distinguished: focus the camera, or reduce the exposure time",
-    "unsettled": "light or shadow has changed: wait for a few images",
+    "blurred": "focus the camera, or reduce the exposure time, to distinguish types",
+    "unsettled": "wait for a few images, because light or shadow has changed",
 }
 """Remedy for each reason. Reasons whose remedies depend on the rig are not included."""
 
@@ -128,15 +128,15 @@ def beside_parts(
 def unnamed_things(
     seen: np.ndarray, on_plate: np.ndarray, radius: np.ndarray, smallest: float, largest: float
 ) -> np.ndarray:
-    """Return those sightings that have no type as objects (k,) OVERLOOKED.
+    """Return those detections that have no type as objects (k,) OVERLOOKED.
 
     Parameters
     ----------
     seen : (n,) `shapes.classes.SIGHTING`
-        Only sightings with a class of `NAMELESS` count.
+        The detections. Only those with a class of `NAMELESS` are used.
     on_plate : (n,)
-        Whether a sighting is on the plate for every motor position, bool. Other sightings do not
-        count, because they may be the edge of a plate that is not at home.
+        Whether a detection is on the plate for every motor position, bool. Other detections are not
+        used, because they may be the edge of a plate that is not at home.
     radius : (n,)
         Radii of the discs of the same area [m].
     smallest, largest : float
@@ -185,7 +185,7 @@ class Expected:
         """The sizes as text, with their key in the rig file."""
         low, high = (f"{1e3 * radius:.3g}" for radius in (self.smallest, self.largest))
         span = low if low == high else f"{low} to {high}"
-        return f"types have {span} mm" if self.typed else f"parts: radius_m is {span} mm"
+        return f"types have {span} mm" if self.typed else f"radius_m in section parts is {span} mm"
 
 
 @dataclass
@@ -279,8 +279,8 @@ class OverlookedTally:
 def remedy(reason: str, radius_mm: float, expected: Expected) -> str:
     """Return the remedy for objects with one of `REASONS` and with this median radius [mm]."""
     if reason in ("too small", "too large"):
-        return f"radius {radius_mm:.3g} mm, {expected.size}"
+        return f"radius is {radius_mm:.3g} mm, but {expected.size}"
     if reason == "misfit":
         teach = "teach its type" if expected.typed else "parts that are not round require types"
-        return f"check focus, light, lens and parts: height_m; {teach}"
+        return f"check focus, light, lens, and height_m in section parts; {teach}"
     return REMEDIES[reason]

@@ -4,7 +4,7 @@ types, and measure them.
 The image is divided into patches that differ from the bare plate (`segment`). Each patch is
 compared with the catalogue of types (`recognise_under`), and groups of touching parts are separated
 (`explain_groups`). The length of the shadows is estimated from the types. If the segmentation used
-another length, it is repeated. Output: `SIGHTING` records.
+another length, it is repeated. Output: records of the type `SIGHTING`, one for each object.
 """
 
 from __future__ import annotations
@@ -45,9 +45,10 @@ SIZE_ALONE = 3.0
 difference is smaller, there is a warning."""
 
 SAME_LENGTH, SAME_LENGTH_PX = 0.45, 2.5
-"""Maximum difference between the shadow length measured with known types and the shadow length
-measured by colours: the larger one of `SAME_LENGTH`, relative to the second length [-], and
-`SAME_LENGTH_PX` [px]. If the difference is larger, the areas are not shadows."""
+"""Two limits for the difference between two lengths of the shadows: the length measured with the
+sizes of known types, and the length measured by colours. `SAME_LENGTH` is relative to the length by
+colours [-], `SAME_LENGTH_PX` is in pixels. If the difference exceeds both limits, the areas are not
+shadows."""
 
 SCALE = 1000.0
 """Default scale of a photograph [px/m]. One pixel is then one millimetre."""
@@ -105,7 +106,7 @@ def find_types(
     calibration: Calibration,
     region: Region | None = None,
 ) -> np.ndarray:
-    """Find parts of taught types on the plate. Return their sightings (n,) `SIGHTING`."""
+    """Find parts of taught types on the plate. Return their records (n,) `SIGHTING`."""
     return find_types_under(image, catalogue, background, calibration, region)[0]
 
 
@@ -119,9 +120,9 @@ def find_types_under(
 ) -> tuple[np.ndarray, Lamp | None]:
     """Find parts like `find_types`, but also return the lamp that casts the shadows of all parts.
 
-    A lamp is assumed not to move. If the direction of its light is not visible in an image, for
-    example because parts touch, the lamp `before` of the previous image is used, unless more parts
-    are recognised without it.
+    A lamp is assumed not to move. `before` is the lamp of the previous image. It is used if the
+    direction of the light is not visible in this image, for example because parts touch. It is not
+    used if more parts are recognised without it.
     """
     rise = _rise_of(catalogue, calibration)
 
@@ -143,8 +144,9 @@ def find_types_under(
     patches, found = seen.segments.patches, seen.found
     whole = seen.segments.doubtful(is_named(found))
     if whole is not None:
-        # The light side of this patch may be part of the object and not a shadow, because the edges
-        # of a moving part are blurred too.
+        # The areas in `whole` were removed as shadows, but they may belong to parts, because the
+        # edges of a moving part are soft like those of a shadow. Therefore, recognise the patches
+        # again without removing shadows.
         more = segment(image, background, region, whole=whole).patches
         again = recognise(image, more, catalogue, calibration, seen.conditions)
         patches, found = _joined(patches, found, more, again)
@@ -158,10 +160,11 @@ def find_types_under(
 def _joined(
     patches: list[Patch], found: np.ndarray, more: list[Patch], again: np.ndarray
 ) -> tuple[list[Patch], np.ndarray]:
-    """Return patches and their sightings (n,) SIGHTING, after the second recognition `again`.
+    """Merge the results of two recognitions. `found` (m,) SIGHTING are the records of `patches`,
+    and `again` (k,) SIGHTING are the records of the patches `more`.
 
-    If a sighting of the second recognition has a type, it replaces those first sightings that it
-    overlaps. If it does not overlap any sighting, it is added.
+    If a patch of the second recognition has a type, it replaces those first patches that it
+    overlaps. If it does not overlap any patch, it is added.
     """
     kept = np.ones(len(patches), bool)
     added = []
@@ -176,8 +179,8 @@ def _joined(
 
 @dataclass(frozen=True)
 class _Seen:
-    """The segments of an image, the sightings (n,) SIGHTING of its patches, and the conditions that
-    were estimated from the sightings."""
+    """The segments of an image, the records (n,) SIGHTING of its patches, and the imaging
+    conditions that were estimated from these records."""
 
     segments: Segments
     found: np.ndarray
@@ -190,7 +193,7 @@ class _Seen:
 
     @property
     def known(self) -> int:
-        """Number of sightings that have a type."""
+        """Number of patches that have a type."""
         return int(np.count_nonzero(is_named(self.found)))
 
     @property
@@ -208,8 +211,9 @@ class _Seen:
 def _rise_of(
     catalogue: Catalogue, calibration: Calibration
 ) -> Callable[[np.ndarray], np.ndarray] | None:
-    """Return a function from image points (n, 2) to the shifts (n, 2) of the highest parts' tops at
-    these points [px]. Return None if all parts are flat, or if the camera's position is unknown."""
+    """Return a function that computes how far the height of the highest parts shifts their tops in
+    the image. It maps image points (n, 2) [px] to shifts (n, 2) [px]. Return None if all parts are
+    flat, or if the camera's position is unknown."""
     height, place = float(np.max(catalogue.height, initial=0)), calibration.place
     if place is None or height == 0:
         return None
@@ -248,9 +252,9 @@ def calibrate_by_scale(scale: float) -> Calibration:
 
 
 def camera_limits(types: Mapping[str, PartType], calibration: Calibration) -> list[str]:
-    """Return one message for each limit of the camera: for two types that look alike, for two types
-    that differ only in size, and for a type whose corners are so small that its angle cannot be
-    measured."""
+    """Return messages about types that the camera cannot distinguish or measure. There is one
+    message for two types that look alike, for two types that differ only in size, and for a type
+    whose corners are so small that its angle cannot be measured."""
     scale = float(calibration.scale(np.zeros((1, 2)))[0])
     found = []
     for (name, part), template in zip(types.items(), make_catalogue(types).templates, strict=True):
@@ -260,8 +264,8 @@ def camera_limits(types: Mapping[str, PartType], calibration: Calibration) -> li
             corner_px *= np.exp(-0.5 * wave**2)
             if corner_px < MIN_CORNER_PX:
                 found.append(
-                    f"type {name}: {part.symmetry} corners protrude by {corner_px:.2f} px in the "
-                    f"image, allowed: at least {MIN_CORNER_PX} px for measuring its angle"
+                    f"type {name}: protrusion of its {part.symmetry} corners in the image is "
+                    f"{corner_px:.2f} px, allowed: at least {MIN_CORNER_PX} px to measure the angle"
                 )
     for one, other in combinations(types.values(), 2):
         gap = gap_between(one, other, scale)
@@ -270,6 +274,6 @@ def camera_limits(types: Mapping[str, PartType], calibration: Calibration) -> li
         elif gap.far < SIZE_ALONE and abs(gap.size) > 0.9 * gap.far:
             found.append(
                 f"types {one.name} and {other.name} differ only in size, by "
-                f"{abs(gap.size_px):.1f} px: light or blur may make one look like the other"
+                f"{abs(gap.size_px):.1f} px; with other light or blur they may be confused"
             )
     return found

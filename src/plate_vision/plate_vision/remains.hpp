@@ -13,8 +13,8 @@ namespace plate {
 // Width [px] of the border around a part that belongs to the part. It is the part's blurred edge.
 constexpr double CLEAR_PX = 2.5;
 
-// Set the pixels of a grid (h, w) to 0 where there are parts, which have silhouettes (n,) at places
-// (n, 2) [px].
+// Set the pixels of a grid (h, w) to 0 where there are parts. `parts` (n,) are the silhouettes of
+// the parts at `places` (n, 2) [px].
 inline void clear_parts(View<uint8_t, 2> odd, const std::array<int, 3>& grid,
                         View<const double, 2> places, const Silhouette* parts) {
     for (int k = 0; k < places.size(0); k++) {
@@ -45,8 +45,8 @@ inline void clear_parts(View<uint8_t, 2> odd, const std::array<int, 3>& grid,
 }
 
 // Whether four neighbouring pixels of a grid outside the parts deviate from the plate by more than
-// a limit. Only pixels that are set in `counts` (h, w) are evaluated. The parts have silhouettes
-// (n,) at places (n, 2) [px].
+// a limit. Only pixels that are set in `counts` (h, w) are evaluated. `parts` (n,) are the
+// silhouettes of the parts at `places` (n, 2) [px].
 inline bool any_odd(View<const uint8_t, 3> image, View<const float, 2> lights, double limit,
                     View<const bool, 2> counts, const std::array<int, 3>& grid,
                     View<const double, 2> places, const Silhouette* parts) {

@@ -1,8 +1,9 @@
 """Remains: pixels of a coarse grid that differ from the bare plate and do not belong to a detected
 part.
 
-The detector searches the remains for parts that are not simply darker than the plate. The objects
-that are left then are the overlooked objects, which have a reason (`overlooked_things`).
+The detector searches the remains for parts that are not simply darker than the plate. Objects in
+the remains that are not accepted as parts become overlooked objects (`overlooked_things`). Each of
+them has a reason why it is not a part.
 """
 
 from __future__ import annotations
@@ -21,15 +22,15 @@ from .plate import LitPlate, Region
 from .plate.contrast import Channels, find_odd
 
 COARSE_STEP = 2
-"""Step of the first check through the rows and columns of the grid. The check detects objects of
-four neighbouring pixels, which are smaller than the smallest object that counts."""
+"""Step between the rows and columns of the grid that the first, fast check evaluates. The check
+detects four neighbouring pixels, which are smaller than the smallest object that counts."""
 
 MIN_AREA = 0.1
 """Minimum area of an object, relative to a part's area. Smaller objects are dust."""
 
 HOLE = 0.5
-"""Maximum area of a highlight or a hole, relative to a part's area. An area up to this size that an
-object encloses belongs to the object."""
+"""Maximum area of a highlight or a hole, relative to a part's area. If an object encloses an area
+up to this size, the area belongs to the object."""
 
 SMALL, LARGE = 0.6, 1.6
 """Range of an object's area, relative to a part's area. If the area is outside this range, the
@@ -90,8 +91,8 @@ def without(remains: Remains, centre: np.ndarray, parts: np.ndarray) -> Remains:
 
 
 def solid(remains: Remains, radius_px: float) -> Remains:
-    """Remove specks from the remains, and fill enclosed areas, which are highlights and holes of
-    parts with this radius [px]."""
+    """Remove specks from the remains, and fill small enclosed areas, which are highlights and holes
+    of parts. `radius_px` is the radius of a part [px]."""
     stride = remains.grid[2]
     odd = remains.odd.copy()
     most = HOLE * np.pi * (radius_px / stride) ** 2
@@ -101,7 +102,7 @@ def solid(remains: Remains, radius_px: float) -> Remains:
     right, bottom = left + stats[:, cv2.CC_STAT_WIDTH], top + stats[:, cv2.CC_STAT_HEIGHT]
     hole = (stats[:, cv2.CC_STAT_AREA] <= most) & (left > 0) & (top > 0)
     hole &= (right < width) & (bottom < height)
-    hole[0] = False  # label 0 is that of the objects themselves
+    hole[0] = False  # label 0 belongs to the objects themselves
     if count > 1 and np.any(hole):
         odd[hole[labels]] = 1
     # Specks are removed after the holes are filled, because otherwise a hole next to the edge would

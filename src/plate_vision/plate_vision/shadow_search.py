@@ -1,9 +1,10 @@
 """Estimation of the shadow that all parts of an image cast (`find_shadow`).
 
 A part and its shadow form one dark object: the part's disc swept along the shadow's displacement.
-If several objects are longer than a part in a common direction, their moments give the shadow's
-length and direction, but not the sign of the direction. The sign, the darkness and the width of the
-edge are chosen so that the misfit of the parts' contours is minimal (Nelder-Mead method).
+If several objects are longer than a part in a common direction, their moments determine the
+shadow's length and direction, but not the sign of the direction. The sign, the darkness and the
+width of the edge are chosen so that the misfit of the parts' contours is minimal (Nelder-Mead
+method).
 """
 
 from __future__ import annotations
@@ -22,16 +23,16 @@ from .plate import LitPlate
 from .remains import Remains
 
 FEWEST = 2
-"""Minimum number of objects, elongated in one direction, that indicate shadows. A single object is
-not sufficient, because it may be a part of another shape."""
+"""Minimum number of objects that are elongated in one direction and therefore indicate shadows. A
+single object is not sufficient, because it may be a part of another shape."""
 
 MAX_OBJECTS = 10
 """Maximum number of objects used for the fit. With more objects, the fit is slower and hardly
 better."""
 
 PIXELS = 3000.0
-"""Maximum total area of the objects in the fit, divided by pi [px^2]. This limit reduces the number
-of large objects."""
+"""Maximum total area of the objects in the fit, divided by pi [px^2]. It limits the computation
+time if the objects are large."""
 
 SIZE = 1.05, 4.0
 """Range of the area of a part with its shadow, relative to the part's area."""
@@ -53,9 +54,9 @@ EDGES_PX = (1.0, 2.5, 4.5)
 SIMPLEX = 0.5 * np.vstack([-np.ones(4), np.eye(4) * 3 - 1])
 TRIES = 40
 DARKEST, EDGE_RANGE_PX = (0.05, 0.9), (0.5, 8.0)
-"""Parameters of the Nelder-Mead search: the initial simplex, with changes of the displacement [mm],
-of the darkness [0.1] and of the half width of the edge [px]; the maximum number of evaluations; and
-the bounds of the darkness and of the half width of the edge [px]."""
+"""Parameters of the Nelder-Mead search. `SIMPLEX`: initial changes of the displacement (x, y) [mm],
+of the darkness [0.1] and of the half width of the edge [px]. `TRIES`: maximum number of
+evaluations. `DARKEST`, `EDGE_RANGE_PX`: ranges of the darkness and of the half width [px]."""
 
 GOOD_FIT = 0.1
 """Maximum mean misfit of the objects with a shadow. If it is exceeded, the shadow is rejected."""
@@ -76,17 +77,17 @@ UNLIKE_FRACTION = 0.3
 """Minimum fraction of the parts whose darkness differs from their shadow by more than `UNLIKE`."""
 
 EQUAL = 1.05
-"""Maximum misfit of a shadow whose length is measured, relative to the misfit of the shadow whose
-length is fitted. If the misfit is smaller than this or than `GOOD_FIT`, the measured length is
-used."""
+"""Maximum misfit of the shadow with the measured length, relative to the misfit of the shadow with
+the fitted length. The measured length is used if its misfit is below this limit or below
+`GOOD_FIT`."""
 
 WORST = 0.4
 """Value to which the misfit of an object is limited before the mean is computed, so that objects
 that are not parts do not dominate the mean."""
 
 ROUNDS = 2
-"""Number of grid searches over the darkness and the edge. After each search, the length is
-measured."""
+"""Number of grid searches over the darkness and the edge. After each search, the length of the
+shadow is measured with the result."""
 
 RATIOS = np.linspace(0, 4, 81)
 """Lengths of capsules (discs swept along a line) for which the flatness is tabulated [radii]."""
@@ -126,9 +127,9 @@ def find_shadow(
         return float(np.mean(np.minimum(fitted(shadow)["misfit"], WORST)))
 
     def whole_misfit(shadow: Shadow) -> float:
-        """Return the mean misfit of the contours and of the darkness along the shadows. The
-        darkness is only evaluated if the shadows are so long that they could be mistaken for
-        parts."""
+        """Return the mean misfit of the contours, plus the deviation of the darkness along the
+        shadows. The darkness is only evaluated if the shadows are at least as long as a part's
+        radius, because they could then be mistaken for parts."""
         discs = fitted(shadow)
         steps, levels = _along(contrast, shadow, discs, parts)
         length = _length(shadow, discs, parts)
@@ -149,8 +150,7 @@ def find_shadow(
         return _measured(contrast, best, fitted(best), parts)
 
     def refined(shadow: Shadow) -> tuple[float, Shadow]:
-        """Return the misfit of the best shadow that is similar to this one, and that best
-        shadow."""
+        """Return the best shadow that is similar to this shadow, after its misfit."""
 
         def at(change: np.ndarray) -> Shadow:
             return Shadow(
@@ -204,9 +204,10 @@ def find_shadow(
 def _capsules(
     remains: Remains, silhouettes: Silhouettes
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray] | None:
-    """Return objects that are elongated in one common direction: their centres (n, 2) [px], the
-    silhouettes (n,) of parts at these places, the excess (n,) of their lengths over a part's length
-    [px], and unit vectors (n, 2) of their directions in the image. Return None if there are too few
+    """Return four arrays about the objects that are elongated in one common direction. The first
+    contains their centres (n, 2) [px], the second the silhouettes (n,) of parts at these places.
+    The third contains the lengths (n,) by which they are longer than a part [px], the fourth the
+    unit vectors (n, 2) of their directions in the image. Return None if there are too few
     objects."""
     x0, y0, stride = remains.grid
     beside = cv2.dilate(remains.outside.astype(np.uint8), np.ones((3, 3), np.uint8))

@@ -32,18 +32,18 @@ HOME = np.zeros(3)
 """Pose of the plate at rest [m, m, rad]."""
 
 EDGE_POINTS = 8
-"""Number of points for each curved edge of the plate. It is twice the number that the edge's
-polynomial needs."""
+"""Number of points for each curved edge of the plate. The polynomial of degree 4 that is fitted to
+the edge needs at least 5 points."""
 
 
 CENTRE_PX = 0.01
 """Standard deviation of a part's centre along each axis [px]. In synthetic images it is 0.002 to
-0.018 px. They have parts of 5 to 16 px radius that are alone or touch, and a noise of 1 to 4 grey
-levels. Motion blur and errors of the lens and of corners_px are not included."""
+0.018 px. These images show single and touching parts of 5 to 16 px radius with a noise of 1 to 4
+grey levels. Motion blur and errors of the lens and of corners_px are not included."""
 
 MARK_PX = 0.08
-"""Product of the part's radius and the standard deviation of a mark's direction [px]. It was
-measured with a radius of 8 px in the same synthetic images."""
+"""Standard deviation of a mark's direction [rad], multiplied by the part's radius [px]. It was
+measured in synthetic images with parts of 8 px radius."""
 
 SHAPE_PX = 0.04
 """Standard deviation of the centre of a part of a taught type along each axis [px]. It was measured
@@ -61,7 +61,7 @@ SPECK = 0.3
 """Minimum area of an object without a type, relative to the smallest type's area [-]. Smaller
 objects are ignored."""
 
-RIG_SIZE = ", that of the rig's camera, for which corners_px hold, or of the first picture"
+RIG_SIZE = ", the image size of the rig's camera and corners_px, or the size of the first picture"
 """Source of the required image size, as text for messages."""
 
 ANY_ANGLE = math.pi / math.sqrt(3)
@@ -194,8 +194,8 @@ def observe(
     check_size("image: size is", image.shape[1::-1], vision.region.size_px, why=RIG_SIZE)
     if vision.catalogue is not None:
         return _observe_types(vision, vision.catalogue, tracker, image, stamp, expected)
-    # If the search for a shadow fails, it is repeated only in the 2nd, 4th, 8th... consecutive
-    # doubtful image, because it takes long.
+    # Search for a shadow only in the 1st, 2nd, 4th, 8th... of consecutive images that need it,
+    # because the search takes long.
     search = tracker.doubtful & (tracker.doubtful + 1) == 0
     discs = find_discs(image, vision.region, vision.options, vision.view, tracker.shadow, search)
     found = discs.found
@@ -268,8 +268,8 @@ def _observe_types(
 
 
 def _with_unsettled(vision: Vision, tracker: Tracker) -> Tracker:
-    """Add tracks to the overlooked objects that have no class yet, although their newest detection
-    has one. They were not detected as parts in earlier images."""
+    """Add unsettled objects to the overlooked objects. Their newest detection has a class, but
+    their track has no class yet, because earlier images did not show them as parts."""
     tracks = [track for track in tracker.found if track.label in NAMELESS]
     tracks = [track for track in tracks if track.votes[-1] not in NAMELESS]
     if not tracks:
@@ -300,7 +300,7 @@ def follow_plate(
     check_size("image: size is", image.shape[1::-1], vision.region.size_px, why=RIG_SIZE)
     now, image = locate_plate(location, image)
     if now.region_pose is not location.region_pose:
-        # The catalogue is not made again, because the present one is used below.
+        # `make_vision` would make the catalogue of the types again, which is not needed here.
         rig = replace(now.rig, types={})
         placed = make_vision(rig, vision.options, calibration=now.home, pose=now.region_pose)
         vision = replace(placed, catalogue=vision.catalogue, background=vision.background)
@@ -308,8 +308,8 @@ def follow_plate(
 
 
 def _angles(vision: Vision, found: np.ndarray, centre_px: np.ndarray) -> np.ndarray:
-    """Return the angles (n,) [rad, plate_home] of detected parts. The angle of a part without a
-    mark is 0."""
+    """Return the angles (n,) [rad, plate_home] of parts `found` (n,) DETECTION. The angle of a part
+    without a mark is 0."""
     turn = found["angle_rad"]
     if not np.any(turn):
         return turn

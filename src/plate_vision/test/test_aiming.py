@@ -78,7 +78,7 @@ def test_a_covered_lens_has_no_sharpness(field):
     assert "covered" in found.message
     light = light_finding(covered, light_on_plate(covered, field), field)
     assert light.level == Level.ERROR
-    assert "is the light on, is the lens open?" in light.message
+    assert "check that the light is on and the lens is open" in light.message
     seen_px, outline = outline_of(covered, field)
     assert len(seen_px) == 0
     assert "not seen" in outline.message
@@ -123,11 +123,11 @@ def test_a_focus_is_found_once_its_maximum_was_passed():
 def test_a_focus_is_found_where_the_plates_edges_are_sharp():
     found = turned(Focus(), [0.12], 1.2)
     assert found.finding.level == Level.OK
-    assert "the plate's edges are blurred by 1.2 px" in found.finding.message
+    assert "blur of the plate's edges is 1.2 px" in found.finding.message
     assert turned(found, [0.12]).finding.level == Level.OK  # a plate that moves
     blurred = turned(found, [0.12], 1.9)
     assert blurred.finding.level == Level.WARN
-    assert "blurred by 1.9 px, allowed: 1.5 px; turn the focus" in blurred.finding.message
+    assert "edges is 1.9 px, allowed: up to 1.5 px; turn the focus" in blurred.finding.message
     assert turned(blurred, [0.12]).finding.level == Level.STALE
     beveled = turned(blurred, [0.16, 0.20, 0.16, 0.20], 1.7)
     assert beveled.finding.level == Level.OK

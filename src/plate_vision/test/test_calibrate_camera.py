@@ -127,7 +127,7 @@ def test_board_for_the_printer(tmp_path, capsys):
     main(["board", *BOARD, "--out", str(out)])
     picture = cv2.imread(str(out), cv2.IMREAD_GRAYSCALE)
     assert picture.shape[1] == pytest.approx(10 * 0.03 / 0.0254 * 300, rel=0.01)
-    assert "squares are then 30 mm" in capsys.readouterr().out
+    assert "squares of 30 mm" in capsys.readouterr().out
 
 
 def test_markers_and_home(make_plate, rng, tmp_path, capsys):
@@ -169,7 +169,7 @@ def test_the_size_of_a_board_is_asked_for(capsys):
     [
         ("no such file or folder", ["lens", "/nowhere", *BOARD]),
         ("contains no pictures", ["lens", ".", *BOARD]),
-        ("fiducials are missing", ["markers"]),
+        ("fiducials is missing", ["markers"]),
         (
             "a_fifo.png: is a FIFO, allowed: a regular file up to 64 MB",
             ["lens", "odd/a_fifo.png", *BOARD],
@@ -182,11 +182,11 @@ def test_the_size_of_a_board_is_asked_for(capsys):
         ("empty.png: cannot be read, allowed: a complete pict", ["lens", "odd/empty.png", *BOARD]),
         ("2 x 7 squares, allowed", ["board", "--board", "2x7", "--square", "0.03"]),
         ("3 x 7 squares, allowed: 4 x 4 to", ["board", "--board", "3x7", "--square", "0.03"]),
-        ("squares of 30 m, allowed: 0.001 to 1", ["board", "--board", "9x7", "--square", "30"]),
-        ("squares of inf m, allowed", ["board", "--board", "9x7", "--square", "inf"]),
+        ("square is 30 m, allowed: 0.001 to 1", ["board", "--board", "9x7", "--square", "30"]),
+        ("square is inf m, allowed", ["board", "--board", "9x7", "--square", "inf"]),
         ("pixels, allowed: 200,000,000", ["board", "--board", "40x40", "--square", "0.1"]),
         (
-            "marker of 6 px, allowed: at least 7 px",
+            "marker is 6 px, allowed in 5X5_100: at least 7 px",
             ["board", "--board", "9x7", "--square", "0.001", "--marker", "0.0005"],
         ),
         ("no/board.png: cannot be written", ["board", *BOARD, "--out", "no/board.png"]),

@@ -270,7 +270,7 @@ def test_gain_may_change_while_it_runs_within_what_the_device_can(start, camera)
 
 def test_a_device_that_cannot_be_used_ends_the_start(start, camera):
     camera.busy = True
-    with pytest.raises(PlateError, match="in use by another program"):
+    with pytest.raises(PlateError, match="used by another program"):
         start(camera, device=camera.path, **SIZE)
 
 

@@ -98,7 +98,7 @@ def test_what_the_camera_cannot_tell_is_said():
     calibration = calibrate_by_scale(SCALE)
     assert camera_limits(TYPES, calibration) == []
     (text,) = camera_limits({"star": star(16, 0.006, 0.1)}, calibration)
-    assert text.startswith("type star: 16 corners protrude by 0.0")
+    assert text.startswith("type star: protrusion of its 16 corners in the image is 0.0")
     coins = {name: replace(TYPES["coin_small"], name=name) for name in ("one", "two", "three")}
     coins["two"] = replace(coins["two"], radius_m=0.0083)
     coins["three"] = replace(coins["three"], radius_m=0.0098)

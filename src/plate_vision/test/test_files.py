@@ -212,7 +212,7 @@ def test_other_files_that_opencv_writes(tmp_path, kind):
     if kind == "json":
         assert load_lens(path).distortion.tolist() == [0.1, 0.2, 0, 0, 0]
     else:
-        with pytest.raises(CalibrationError, match=r"camera\.xml: an XML file of OpenCV, allowed"):
+        with pytest.raises(CalibrationError, match=r"camera\.xml: format is XML, allowed"):
             load_lens(path)
 
 

@@ -55,7 +55,7 @@ def test_the_view_to_aim_by(graph, draw, rng):
     aimed = Aimed(graph)
     graph.until(lambda: aimed.aims)
     assert aimed.aims[0].width == 0
-    assert aimed.aims[0].checks[0].text == "no image arrives: does the camera run?"
+    assert aimed.aims[0].checks[0].text == "no image has arrived; check that the camera runs"
     for k in range(3):  # an id takes two images
         msg, checks = aimed.show(image(draw(CENTRE_PX, LABEL, rng, radius=7.9), 1.0 + k))
     assert (msg.width, msg.height) == (640, 480)
@@ -82,7 +82,7 @@ def test_home_is_found_by_markers_or_outline(make_plate, marked_rig, draw, corne
         assert msg.home.startswith("not found: fiducials: markers 0, 1, 2, 3 are not")
         assert called(graph, "find_home").success
         msg, _ = aimed.show(image(plate.take([0, 0, 0], rng), 2.0))
-        assert msg.home.startswith("found, error of the markers' corners 0.")
+        assert msg.home.startswith("found, error of the markers' corners is 0.")
         found = graph.detector._aiming._corners
         assert msg.home.endswith(f"; corners_px: {[list(corner) for corner in found]}")
         written = called(graph, "save_home")
@@ -232,7 +232,7 @@ def test_what_the_lens_services_refuse(graph):
         return future.result()
 
     good = {"on": True, "columns": 9, "rows": 7, "square_m": 0.03, "marker_m": 0.022}
-    assert "board: 2 x 7 squares, allowed" in take(**{**good, "columns": 2}).message
+    assert "board: size is 2 x 7 squares, allowed" in take(**{**good, "columns": 2}).message
     assert "model is 'fish', allowed: plumb_bob" in take(**good, model="fish").message
     assert take(**good).success
     assert graph.detector._aiming.needed  # also without a subscriber

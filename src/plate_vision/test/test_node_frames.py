@@ -26,7 +26,7 @@ def test_plate_with_markers(make_plate, marked_rig, draw, rng):
         graph.probe.create_subscription(PoseStamped, "plate_pose", poses.append, DATA)
         graph.until(lambda: graph.detector.count_subscribers("plate_pose"))
         assert graph.answer(image(draw(CENTRE_PX, LABEL, rng, radius=7.9), 1.0)) is None
-        assert "not detected; markers 0, 1, 2, 3 must all be" in graph.warnings[-1]
+        assert "not detected; all markers (0, 1, 2, 3) must be" in graph.warnings[-1]
         graph.warnings.clear()
         for k, x in enumerate([0.0, 0.001]):
             answer = graph.answer(image(plate.take([x, 0, 0], rng), 2.0 + 0.2 * k))

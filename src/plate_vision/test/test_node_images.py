@@ -98,7 +98,7 @@ def test_images_of_fewer_bits_than_are_said_name_the_parameter(draw, rng, kind, 
             msg = compressed(frame, 1.0, ".png", "mono16; png compressed")
         graph.answer(msg)
         text = graph.warnings[0]
-        assert "is the light on" in text
+        assert "the light is on" in text
         assert text.endswith(f"uses only {bits} of the 16 bits, set the parameter bits to {bits}")
         graph.detector.set_parameters([Parameter("bits", value=bits)])
         for second in (2, 3, 4):  # a new part must be seen more than once

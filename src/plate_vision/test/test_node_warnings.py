@@ -19,7 +19,7 @@ from plate_vision.tracking import update
 pytestmark = pytest.mark.usefixtures("detector_time")
 
 
-@pytest.mark.parametrize(("grey", "words"), [(0, "is the light on"), (255, "overexposed")])
+@pytest.mark.parametrize(("grey", "words"), [(0, "the light is on"), (255, "overexposed")])
 def test_without_light_or_with_too_much_nothing_is_found(graph, grey, words):
     graph.images.publish(image(np.full((480, 640), grey, np.uint8), 1.0))
     graph.until(lambda: graph.parts)
@@ -58,7 +58,7 @@ def test_diagnostics_report_silence_refusals_and_bad_light(draw, rng):
         values = reported(DiagnosticStatus.ERROR, "images refused: ", "'32FC1'", play=wrong)
         assert int(values["refused"]) > 0
         dark = image(np.zeros((480, 640), np.uint8), 2.0)
-        reported(DiagnosticStatus.WARN, "is the light on", play=dark)
+        reported(DiagnosticStatus.WARN, "the light is on", play=dark)
         reported(DiagnosticStatus.STALE, "no image for ", "does the camera run?")
     finally:
         graph.close()

@@ -165,7 +165,7 @@ def test_a_flipped_image_is_named(view, name, rng):
     shapes = [*BARE, *parts_over_edges(rng)]
     image = np.ascontiguousarray(draw(view, shapes, 60.0)[::down, ::across])
     found = evaluate(rig_of(view), [image] * IMAGES).finding
-    assert found.message.startswith(f"the image is {name}: only then the plate's outline")
+    assert found.message.startswith(f"the image is {name}, because the plate's outline")
     assert found.level == Level.ERROR
 
 

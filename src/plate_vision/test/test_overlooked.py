@@ -82,7 +82,7 @@ def test_each_reason_has_a_remedy(reason, typed):
     found = tally(0, [reason]).finding(Expected(4e-3, 9e-3, typed))
     assert f"1 {reason} (" in found.message
     if reason == "too small":
-        sizes = "types have 4 to 9 mm" if typed else "parts: radius_m is 4 to 9 mm"
+        sizes = "types have 4 to 9 mm" if typed else "radius_m in section parts is 4 to 9 mm"
         assert f"radius 9.8 mm, {sizes}" in found.message
 
 

@@ -127,7 +127,7 @@ def test_what_makes_a_type_hard_to_know_is_said(draw_types):
     sharp = picture(draw_types, "nut", 12)
     assert learn_type("nut", [Example(sharp)], HOME).doubts == ()
     (doubt,) = learn_type("nut", [Example(cv2.GaussianBlur(sharp, (0, 0), 4))], HOME).doubts
-    assert "picture: out of focus, or moved" in doubt
+    assert "picture: blur of the contours is" in doubt
     red = {"nut": replace(TYPES["nut"], colour_lab=(50.0, 60.0, 40.0))}
     examples = [Example(sharp), Example(picture(draw_types, "nut", 13, types=red))]
     (doubt,) = learn_type("nut", examples, HOME).doubts
@@ -236,7 +236,7 @@ def test_a_type_is_not_merged_into_itself(folder, capsys):
     save_part_types(folder / "parts.yaml", TYPES)
     with pytest.raises(SystemExit):
         main(["merge", "nut", "nut"])
-    assert "type 'nut' into itself, allowed: another type" in capsys.readouterr().err
+    assert "both types are 'nut', allowed: different types" in capsys.readouterr().err
     assert [*load_part_types("parts.yaml")] == [*TYPES]
 
 
@@ -304,7 +304,7 @@ def test_parts_are_marked_in_pictures_of_any_size_and_one_scale(tmp_path, monkey
     ("words", "message"),
     [
         (["nut", "screw.png", "small.png"], "small.png: 40 x 30 px, allowed: "),
-        (["nut", "screw.png", "small.png", "--box", "1,1,9,9"], "--box: 2 pictures, allowed: one"),
+        (["nut", "screw.png", "small.png", "--box", "1,1,9,9"], "--box: number of pictures is 2, allowed: 1"),
         (["nut", "small.png", "--box", "1,1,99,9"], "box is 1,1,99,9, allowed: within 40 x 30 px"),
         *(
             (["nut", "small.png", f"--box={box}"], f"box is '{box}', allowed: x, y, width and")

@@ -34,16 +34,16 @@ MIN_CORNERS = 6
 """Minimum number of corners in a picture. A homography needs four."""
 
 MIN_MARKERS = 4
-"""Minimum number of markers for a check of the printed board."""
+"""Minimum number of detected markers with which they are compared with the markers of the board."""
 
 WORST_MISFIT = 0.4
-"""Maximum distance between the detected markers and those of the correct board [marker sides]. It
-is 0.7 or more for a wrong board, and up to 0.2 for the correct board with a strongly distorting
-lens."""
+"""Maximum root mean square distance between the detected markers and the markers of the board
+[marker sides]. It is 0.7 or more for a wrong board. For the correct board it is up to 0.2, even if
+the lens distorts strongly."""
 
 NEAR = 4
-"""Number of nearest markers from which a corner is predicted. A prediction from few markers
-tolerates a distorting lens."""
+"""Number of nearest markers from which a corner is predicted. Only near markers are used, because
+the distortion of the lens changes little between them and the corner."""
 
 
 MIN_SQUARE_M, MAX_SQUARE_M = 1e-3, 1.0
@@ -53,7 +53,7 @@ MAX_PIXELS = 200_000_000
 """Maximum number of pixels of a board for the printer. A sheet of A0 at 300 dpi has 140 million."""
 
 MIN_PICTURES = 5
-"""Minimum number of pictures. Three determine K in principle, but noise requires more."""
+"""Minimum number of pictures. Three pictures determine K in principle, but noise requires more."""
 
 MAX_PICTURES = 40
 """Maximum number of pictures in a fit. More pictures increase the computation time, but hardly
@@ -64,8 +64,9 @@ START_ANGLES_RAD = (np.pi, 0.75 * np.pi, 0.5 * np.pi, 0.35 * np.pi)
 fits of an equidistant lens."""
 
 WEAKEST = 1e-9
-"""Minimum singular value of a fit's derivative, relative to the largest one. It keeps the
-deviations finite if the pictures do not determine all values, such as k1 to k6 together."""
+"""Minimum singular value of a fit's Jacobian, relative to the largest one [-]. Smaller singular
+values are replaced by it. The standard deviations therefore remain finite if the pictures do not
+determine all coefficients, such as k1 to k6 together."""
 
 FIXED = (
     0,
@@ -74,10 +75,10 @@ FIXED = (
     cv2.CALIB_FIX_K3 | cv2.CALIB_FIX_K5 | cv2.CALIB_FIX_K6,
 )
 """Flags of OpenCV that set coefficients of a rational polynomial to 0. Each entry sets more
-coefficients to 0."""
+coefficients to 0 than the entry before it."""
 
 FOLD_GRID = 33
-"""Number of points along each side of the image at which folding by the lens is checked."""
+"""Number of points along each side of the image for the check whether the lens folds the image."""
 
 FIT_STEPS = 200
 """Maximum number of iterations of the equidistant fit. It typically needs 10 to 20."""
@@ -90,7 +91,8 @@ MIN_COVER = 0.5
 span. Outside the corners, the lens model is extrapolated."""
 
 Corners = tuple[np.ndarray, np.ndarray]
-"""Corners in one picture: indices (n,) of the board's corners, and their places (n, 2) [px]."""
+"""Detected corners in one picture. The first array contains their indices (n,) in `Board.corners`,
+the second array their image points (n, 2) [px]."""
 
 
 @dataclass(frozen=True)
@@ -109,8 +111,8 @@ class Board:
     dictionary : str
         Dictionary of the markers.
     white_first : bool
-        Whether the square at the top left is white. It is white on boards of other programs, and on
-        boards of OpenCV before 4.6 with an even number of rows. If False, it is black.
+        Whether the square at the top left is white. Some other programs print such boards, and so
+        does OpenCV before 4.6 if the number of rows is even. If False, the square is black.
     """
 
     columns: int
@@ -124,17 +126,18 @@ class Board:
         least = 4 if self.marker_m == 0 else 3  # OpenCV finds no smaller chessboard
         if not (least <= self.columns <= 40 and least <= self.rows <= 40):
             raise CalibrationError(
-                f"board: {self.columns} x {self.rows} squares, allowed: {least} x {least} to "
-                "40 x 40"
+                f"board: size is {self.columns} x {self.rows} squares, allowed: {least} x {least} "
+                "to 40 x 40"
             )
         if not MIN_SQUARE_M <= self.square_m <= MAX_SQUARE_M:
             raise CalibrationError(
-                f"board: squares of {self.square_m:g} m, allowed: {MIN_SQUARE_M:g} to "
+                f"board: side of a square is {self.square_m:g} m, allowed: {MIN_SQUARE_M:g} to "
                 f"{MAX_SQUARE_M:g}"
             )
         if not 0 <= self.marker_m <= 0.9 * self.square_m:
             raise CalibrationError(
-                f"board: markers of {self.marker_m:g} m, allowed: 0 to 0.9 squares"
+                f"board: side of a marker is {self.marker_m:g} m, allowed: 0 to "
+                f"{0.9 * self.square_m:g} (0.9 times the side of a square)"
             )
 
     @property
@@ -170,8 +173,8 @@ def draw_board(board: Board, square_px: int) -> np.ndarray:
     pixels = (board.columns + 1) * (board.rows + 1) * square_px**2
     if pixels > MAX_PIXELS:
         raise CalibrationError(
-            f"board: {board.columns} x {board.rows} squares of {square_px} px are {pixels:,} "
-            f"pixels, allowed: {MAX_PIXELS:,} (is the square's side in metres?)"
+            f"board: picture of {board.columns} x {board.rows} squares of {square_px} px has "
+            f"{pixels:,} pixels, allowed: at most {MAX_PIXELS:,} (give the square's side in metres)"
         )
     squares = np.where(board.white, 255, 0).astype(np.uint8)
     picture = squares.repeat(square_px, axis=0).repeat(square_px, axis=1)
@@ -186,12 +189,14 @@ def draw_board(board: Board, square_px: int) -> np.ndarray:
 
 
 def find_board(grey: np.ndarray, board: Board, fast: bool = False) -> tuple[Board, Corners | None]:
-    """Find a board's inner corners in an image (H, W) uint8. They are None if fewer than
-    `MIN_CORNERS` are found. Also return the board as it is printed. It differs from the given board
-    if the markers show that its first square has the other colour.
+    """Find a board's inner corners in an image (H, W) uint8.
 
-    All corners of a chessboard must be visible. On a ChArUco board, the corners next to visible
-    markers are found.
+    Return the board as it is printed, and the detected corners. The returned board differs from the
+    given board if the markers show that its first square has the other colour. The corners are None
+    if fewer than `MIN_CORNERS` are found.
+
+    All corners of a chessboard must be visible. On a ChArUco board, only the corners next to
+    visible markers are found.
 
     If `fast` is true, a picture without a chessboard takes 0.1 s instead of 2 s, but a few
     chessboards are not found.
@@ -232,9 +237,9 @@ def _as_printed(found: Mapping[int, np.ndarray], board: Board) -> Board:
         swapped = min(_misfit(found, replace(turned, white_first=first)) for first in (False, True))
         hint = f" (they fit {board.rows}x{board.columns})" if swapped < WORST_MISFIT else ""
         raise CalibrationError(
-            f"{len(found)} markers were detected, but not at the places of a board of "
-            f"{board.columns}x{board.rows}{hint}, allowed: the board's squares along x and y, with "
-            "markers numbered along the rows"
+            f"{len(found)} detected markers do not fit a board of {board.columns}x{board.rows} "
+            f"squares{hint}, allowed: the board's squares along x and y, with markers numbered "
+            "along the rows"
         )
     return best
 
@@ -244,7 +249,7 @@ def _misfit(found: Mapping[int, np.ndarray], board: Board) -> float:
     mapped by the best homography, relative to a marker's side."""
     known = board.markers
     numbers = [number for number in found if number < len(known)]
-    if 2 * len(numbers) < len(found):  # tolerate a few markers of other objects
+    if 2 * len(numbers) < len(found):  # up to half of the markers may be on other objects
         return np.inf
     place, seen = known[numbers].reshape(-1, 2), np.concatenate([found[k] for k in numbers])
     matrix, _ = cv2.findHomography(place, seen)
@@ -333,7 +338,7 @@ class LensFit:
     errors : tuple of (n, 2)
         Detected minus computed corners of each picture [px].
     corners : tuple
-        Indices and places [px] of the corners in each picture.
+        `Corners` of each picture.
     deviation : (n,)
         Standard deviations of fx, fy, cx, cy [px] and of the distortion, estimated from the errors.
     cover : (float, float)
@@ -353,14 +358,15 @@ class LensFit:
         """Advice on better pictures. It is None if no advice is needed."""
         if min(self.cover) < MIN_COVER:
             return (
-                f"the board covered {self.cover[0]:.0%} of the width and {self.cover[1]:.0%} "
-                f"of the height, advised: {MIN_COVER:.0%} or more (hold it in the corners)"
+                f"the board covered {self.cover[0]:.0%} of the image's width and "
+                f"{self.cover[1]:.0%} of its height, advised: {MIN_COVER:.0%} or more of both "
+                "(hold the board in the corners of the image)"
             )
-        model = self.lens.model  # a wide fisheye has no undistorted image
+        model = self.lens.model  # not checked for a fisheye, which has no undistorted image
         if model != "equidistant" and not _shows(self.lens, self.size_px):
             return (
-                "the fitted lens folds the image near its edges: keep the plate away from them, or "
-                "take pictures with the board in the corners"
+                "the fitted lens folds the image near its edges; keep the plate away from them, or "
+                "take pictures with the board in the image's corners"
             )
         return None
 
@@ -381,7 +387,7 @@ def fit_lens(
     if len(seen) < MIN_PICTURES:
         raise CalibrationError(
             f"the board was detected in {len(seen)} pictures, allowed: at least {MIN_PICTURES}, "
-            "from different sides (is the number of squares correct?)"
+            "from different sides (check the numbers of squares)"
         )
     corners = np.column_stack([board.corners, np.zeros(len(board.corners))])
     points = [corners[which] for which, _ in seen]
@@ -392,13 +398,13 @@ def fit_lens(
     error_px = float(np.sqrt(np.mean(np.sum(everything**2, axis=1))))
     if not np.all(np.isfinite(matrix)) or not error_px <= WORST_ERROR_PX:
         raise CalibrationError(
-            f"corners are {error_px:.3g} px from their predicted places, allowed: "
-            f"{WORST_ERROR_PX:g} px (is the board flat, are its numbers correct?)"
+            f"corners are {error_px:.3g} px (rms) from their predicted places, allowed: up to "
+            f"{WORST_ERROR_PX:g} px (check that the board is flat, and its numbers of squares)"
         )
     if not deviation[0] <= 0.05 * matrix[0, 0]:
         raise CalibrationError(
-            f"focal length is {matrix[0, 0]:.0f} +- {deviation[0]:.0f} px, allowed: 5 % (tilt the "
-            "board by 20 to 40 degrees to all sides)"
+            f"focal length is {matrix[0, 0]:.0f} +- {deviation[0]:.0f} px, allowed: a standard "
+            "deviation of up to 5 % (tilt the board by 20 to 40 degrees to all sides)"
         )
     width, height = np.ptp(np.concatenate(places), axis=0) / size_px
     return LensFit(
@@ -408,8 +414,9 @@ def fit_lens(
 
 
 Fit = tuple[np.ndarray, np.ndarray, list[np.ndarray], np.ndarray]
-"""K (3, 3) [px], D, detected minus computed corners (n, 2) [px] of each picture, and the standard
-deviations of fx, fy, cx, cy [px] and D."""
+"""Result of a fit: K (3, 3) [px]; the distortion coefficients D (m,); the detected minus the
+computed corners (n, 2) [px] of each picture; the standard deviations (4 + m,) of fx, fy, cx, cy
+[px] and D."""
 
 
 def _fit_brown(
@@ -540,8 +547,10 @@ def _pose(point: np.ndarray, lens: Lens, place: np.ndarray) -> np.ndarray:
 def _equidistant_errors(
     values: np.ndarray, points: Sequence[np.ndarray], places: Sequence[np.ndarray]
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Return computed minus detected corners (2 n,) [px], and their derivative (2 n, m) with
-    respect to fx, fy, cx, cy, k1 to k4 and six numbers for the pose of each picture."""
+    """Return the residuals, which are the computed minus the detected corners (2 n,) [px], and
+    their Jacobian (2 n, m).
+
+    `values` (m,) are fx, fy, cx, cy, k1 to k4, and six numbers for the pose of each picture."""
     fx, fy, cx, cy = values[:4]
     matrix = np.array([[fx, 0, cx], [0, fy, cy], [0, 0, 1.0]])
     residuals = []

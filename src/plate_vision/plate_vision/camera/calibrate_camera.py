@@ -42,8 +42,8 @@ INCH_M = 0.0254
 
 FRAMES_SEARCHED, PICTURES_SEARCHED = 60, 240
 """Number of frames of a film, and number of pictures of a folder, that are searched without gaps.
-After them, the same number is searched among every second picture, then among every fourth, and so
-on. In total, 250 of 1000 frames or 450 of 10,000 frames are searched."""
+For the same number of further searches, every second picture is searched, then every fourth, and so
+on. In total, about 250 of 1000 frames or 440 of 10,000 frames are searched."""
 
 FRAMES_PER_LINE = 50
 """Number of searched frames between two progress lines, if the output is not a terminal."""
@@ -135,7 +135,7 @@ def _lens(args: argparse.Namespace) -> None:
     print(_summary(fit))
     save_lens(args.out, args.name, size_px, fit.lens)
     write_picture(args.errors, draw_errors(fit))
-    print(f"{args.out}: camera_info file; {args.errors}: errors of the corners")
+    print(f"written: {args.out} (camera_info file), {args.errors} (errors of the corners)")
 
 
 def _search(pictures: Pictures, board: Board) -> tuple[Board, list[Corners], tuple[int, int]]:
@@ -150,7 +150,8 @@ def _search(pictures: Pictures, board: Board) -> tuple[Board, list[Corners], tup
     for name, picture in pictures:
         here = (picture.shape[1], picture.shape[0])
         if size_px not in ((0, 0), here):
-            raise CalibrationError(f"{name}: {here} px, allowed: {size_px} px as in the last one")
+            why = " as in the previous picture"
+            check_size(f"{name}: size is", here, size_px, CalibrationError, why)
         size_px = here
         corners = None
         try:
@@ -222,13 +223,14 @@ def _board(args: argparse.Namespace) -> None:
     board = _make_board(args)
     square_px = round(board.square_m / INCH_M * PRINT_DPI)
     write_picture(args.out, draw_board(board, square_px))
-    print(f"{args.out}: print at {PRINT_DPI} dpi; squares are then {1e3 * board.square_m:g} mm")
+    side_mm = f"{1e3 * board.square_m:g} mm"
+    print(f"written: {args.out}; print it at {PRINT_DPI} dpi to get squares of {side_mm}")
 
 
 def _markers(args: argparse.Namespace) -> None:
     fiducials = load_rig(args.rig_file).fiducials
     if fiducials is None:
-        raise CalibrationError("rig file: fiducials are missing, allowed: a file with that section")
+        raise CalibrationError("rig file: section fiducials is missing, allowed: a file with it")
     args.out.mkdir(parents=True, exist_ok=True)
     side_px = round(fiducials.side_m / INCH_M * PRINT_DPI)
     for number in fiducials.numbers:
@@ -237,13 +239,14 @@ def _markers(args: argparse.Namespace) -> None:
         )
         path = args.out / f"marker_{number}.png"
         write_picture(path, picture)
-        print(f"{path}: print at {PRINT_DPI} dpi; its side is then {1e3 * fiducials.side_m:g} mm")
+        side_mm = f"{1e3 * fiducials.side_m:g} mm"
+        print(f"written: {path}; print it at {PRINT_DPI} dpi to get a side of {side_mm}")
 
 
 def _home(args: argparse.Namespace) -> None:
     rig = load_rig(args.rig_file)
     if rig.fiducials is None:
-        raise CalibrationError("rig file: fiducials are missing, allowed: a file with that section")
+        raise CalibrationError("rig file: section fiducials is missing, allowed: a file with it")
     size_px = (rig.camera.width_px, rig.camera.height_px)
     lens = rig_lens(rig) if args.camera is None else load_lens(args.camera, size_px)
     corners = []

@@ -48,7 +48,7 @@ ENCODINGS = {
     "8UC3": ("bgr", 1),
     "16UC1": ("mono", 2),
 }
-"""Encodings of sensor_msgs/Image: kind of pixels, and bytes per number."""
+"""Kind of pixels and bytes per value for each encoding of sensor_msgs/Image."""
 
 MAX_PIXELS = 50_000_000
 """Maximum size of an unpacked image [pixels], which is 0.15 GB in colour. The limit is needed
@@ -112,7 +112,7 @@ def decode(
     if step < row:
         raise ImageError(f"image: step is {step} bytes, allowed: at least {row}")
     if len(data) != step * height:
-        raise ImageError(f"image: {len(data)} bytes of data, allowed: {step * height}")
+        raise ImageError(f"image: data has {len(data)} bytes, allowed: {step * height}")
     if (kind in BAYER or kind.startswith("yuv")) and (width % 2 or height % 2):
         raise ImageError(
             f"image: size is {width} x {height} px, allowed: even numbers with encoding {encoding}"
@@ -158,18 +158,22 @@ def decode_file(
     content = bytes(data)
     header = read_header(content)
     if header is None or header.kind not in ("JPEG", "PNG"):
-        raise ImageError(f"image: {len(content)} bytes are not a file, allowed: JPEG, PNG")
+        raise ImageError(
+            f"image: data ({len(content)} bytes) is not a picture file, allowed: JPEG, PNG"
+        )
     check_pixels(header.width, header.height)
     if size_px is not None:
         check_size("image: size is", (header.width, header.height), size_px)
     tail = content[-TAIL:]
     if not (b"\xff\xd9" in tail or b"IEND\xae\x42\x60\x82" in tail):
         raise ImageError(
-            f"image: {len(content)} bytes are an incomplete file, allowed: complete files"
+            f"image: file of {len(content)} bytes is incomplete, allowed: a complete file"
         )
     pixels = unpack(content, cv2.IMREAD_ANYCOLOR | cv2.IMREAD_ANYDEPTH, header)
     if pixels is None:
-        raise ImageError(f"image: {len(content)} bytes are damaged, allowed: intact JPEG, PNG")
+        raise ImageError(
+            f"image: file of {len(content)} bytes is damaged, allowed: an intact JPEG or PNG file"
+        )
     if pixels.dtype != np.uint8:
         pixels = to_8_bits(pixels, bits)
     kind = ENCODINGS.get(form.split(";")[0].strip(), ("", 1))[0]
@@ -193,15 +197,16 @@ def bits_hint(image: np.ndarray, bits: int) -> str:
     brightest = int(image.max(initial=0))
     used = bits - 8 + brightest.bit_length()
     if brightest > BRIGHT:
-        return f"; or is bits, {bits}, too small for this camera?" if bits < 16 else ""
+        return f"; if the camera uses more than {bits} bits, increase bits" if bits < 16 else ""
     if brightest == 0:
         return ""
     return f"; if the camera uses only {used} of the {bits} bits, set the parameter bits to {used}"
 
 
 def unpack(content: bytes, flags: int, header: Header | None = None) -> np.ndarray | None:
-    """Return the pixels of a picture's file, as OpenCV's flags define. They are never rotated. None
-    if the file is damaged or not a picture.
+    """Return the pixels of a picture file. Return None if the file is damaged or not a picture.
+
+    `flags` are OpenCV's flags for the number of channels and bits. The picture is never rotated.
 
     `header` is the header of the file, if it has been read already.
 
@@ -234,7 +239,7 @@ def grey_levels(image: np.ndarray) -> np.ndarray:
     image = np.asarray(image)
     check_image(image)
     grey = image if image.ndim == 2 else image[:, :, 1]
-    return np.ascontiguousarray(grey)  # make it contiguous here, so that no kernel copies it
+    return np.ascontiguousarray(grey)  # otherwise each kernel would make a contiguous copy
 
 
 def check_pixels(width: int, height: int, what: str = "image:") -> None:

@@ -35,8 +35,8 @@ PICTURES = (".bmp", ".jpeg", ".jpg", ".pgm", ".png", ".ppm", ".tif", ".tiff", ".
 KINDS = "BMP, JPEG, PNG, PGM, PPM, TIFF or WebP"
 
 PICTURE_BYTES, VIDEO_BYTES = 64_000_000, 4_000_000_000
-"""Maximum size of a file [bytes]. Pictures: 20 megapixels without compression. Videos: half an hour
-of full HD."""
+"""Maximum size of a picture file and of a video file [bytes]. The first limit allows 20 megapixels
+without compression, the second limit half an hour of full HD."""
 
 
 NO_FILM = "cannot be read, allowed: a video that OpenCV can decode"
@@ -106,7 +106,7 @@ def _matrix(fields: Fields, shape: tuple[int, int] | None) -> np.ndarray:
     rows, columns = fields.integer("rows", 1, 16), fields.integer("cols", 1, 16)
     if shape is not None and (rows, columns) != shape:
         raise CalibrationError(
-            f"{fields.where}: {rows} x {columns}, allowed: {shape[0]} x {shape[1]}"
+            f"{fields.where}: size is {rows} x {columns}, allowed: {shape[0]} x {shape[1]}"
         )
     return fields.array("data", (rows * columns,), -FAR, FAR)
 
@@ -128,7 +128,7 @@ def read_pictures(path: Path, warn: Callable[[str], None] | None = None) -> Pict
     Raises
     ------
     ImageError
-        If the path cannot be read, or a picture has too many pixels. Also raised during iteration.
+        If the path cannot be read, or a picture has too many pixels. The iterator can raise it too.
     """
     if path.is_dir():
         files = sorted(file for file in path.iterdir() if file.suffix.lower() in PICTURES)
@@ -217,7 +217,7 @@ class Pictures:
     def _warn_once(self, text: str) -> None:
         if not self._warned:
             self._warned = True
-            more = " (as for all pictures)" if len(self._files) > 1 else ""
+            more = " (this applies to all pictures)" if len(self._files) > 1 else ""
             self._warn(text + more)
 
 
@@ -257,12 +257,12 @@ def rig_of_picture(rig: Rig, size_px: tuple[int, int]) -> tuple[Rig, str]:
     corners = ((-0.5, height - 0.5), (width - 0.5, height - 0.5), (width - 0.5, -0.5), (-0.5, -0.5))
     plate = replace(rig.plate, width_m=rig.plate.length_m * height / width)
     text = (
-        f"{width} x {height} px, but the rig's camera has {camera.width_px} x "
-        f"{camera.height_px} px. The picture is used as a view from above that a plate of "
-        f"{plate.length_m:g} x {plate.width_m:.3g} m fills; the rig's plate has "
+        f"size is {width} x {height} px, but the rig's camera has {camera.width_px} x "
+        f"{camera.height_px} px. The picture is used as a view from straight above, filled by a "
+        f"plate of {plate.length_m:g} x {plate.width_m:.3g} m; the rig's plate has "
         f"{rig.plate.length_m:g} x {rig.plate.width_m:g} m. If this is wrong, crop the picture at "
-        "the plate's edges and write its length_m to the rig file, or write width_px, height_px "
-        "and corners_px of the picture's camera to it"
+        "the plate's edges, and set the plate's length_m in the rig file; or set width_px, "
+        "height_px and corners_px of the picture's camera in the rig file"
     )
     camera = replace(camera, width_px=width, height_px=height, corners_px=corners, lens=None)
     return replace(rig, plate=plate, camera=camera), text

@@ -34,8 +34,8 @@ BLOCKS = {"camera matrix": (3, 3), "distortion": (1, None)}
 
 
 def is_ini(content: bytes) -> bool:
-    """Whether a file is an `.ini` of ROS 1's camera_calibration_parsers: it begins with
-    `[image]`."""
+    """Whether a file is an `.ini` file of ROS 1's camera_calibration_parsers. Such a file begins
+    with `[image]`."""
     lines = (line.strip() for line in content.splitlines())
     first = next((line for line in lines if line and line[:1] not in (b"#", b";")), b"")
     return first == b"[image]"
@@ -59,7 +59,7 @@ def read_opencv(content: bytes, path: Path) -> Fields:
     """
     if content.lstrip()[:1] == b"<":
         raise CalibrationError(
-            f"{path.name}: an XML file of OpenCV, allowed: YAML (cv::FileStorage writes YAML if "
+            f"{path.name}: format is XML, allowed: YAML (OpenCV's cv::FileStorage writes YAML if "
             "the file's name ends with .yml)"
         )
     content = MATRIX.sub(b"", content.removeprefix(OPENCV))
@@ -72,7 +72,7 @@ def read_opencv(content: bytes, path: Path) -> Fields:
             data[key] = _block(found[0])
     if "camera_matrix" not in data:
         raise CalibrationError(
-            f"{path.name}: a file of OpenCV without camera_matrix, allowed: camera_matrix, "
+            f"{path.name}: camera_matrix is missing, allowed for a file of OpenCV: camera_matrix, "
             "distortion_coefficients, image_width and image_height"
         )
     data["distortion_model"] = spelt.get("distortionmodel") or _model(spelt, data)
@@ -117,7 +117,7 @@ def read_ini(content: bytes, path: Path) -> Fields:
             name = text
             if text[0].isdigit() or text[0] in "+-.":
                 raise CalibrationError(
-                    f"{path.name}: {text!r} at line {number}, allowed: numbers, or the name of a "
+                    f"{path.name}: line {number} is {text!r}, allowed: numbers, or the name of a "
                     "block of numbers"
                 ) from None
             continue

@@ -26,7 +26,7 @@ TURNS = {
     6: "rotate it by 90 degrees clockwise", 7: "transpose and rotate it",
     8: "rotate it by 90 degrees anticlockwise",
 }  # fmt: skip
-"""Actions of viewers for each orientation."""
+"""Action of a viewer for each orientation."""
 
 AS_STORED = "here, as in ROS, pixels are used as stored"
 """End of the warning about a picture that viewers rotate."""
@@ -34,7 +34,7 @@ AS_STORED = "here, as in ROS, pixels are used as stored"
 PNG = b"\x89PNG\r\n\x1a\n"
 
 PNM = re.compile(rb"P[1-6](?:\s+(?:#[^\n]*\n\s*)*)(\d+)(?:\s+(?:#[^\n]*\n\s*)*)(\d+)\s")
-"""Kind, width and height of a PNM file, with comments between them."""
+"""Header of a PNM file, which may contain comments. The groups are the width and the height."""
 
 MAX_ENTRIES = 1000
 """Maximum number of tags that are read from a directory. Files usually have some dozens."""
@@ -93,8 +93,8 @@ def read_header(content: bytes) -> Header | None:
 
 
 def not_turned(content: bytes, header: Header) -> bytes:
-    """Return the file. The orientation of a TIFF file is set to 1, because OpenCV rotates these
-    files in spite of its flags."""
+    """Return the file. The orientation of a TIFF file is set to 1, because OpenCV rotates TIFF
+    files even with the flag IMREAD_IGNORE_ORIENTATION."""
     if header.kind != "TIFF" or not header.place:
         return content
     value = b"\1\0" if content[:2] == b"II" else b"\0\1"
@@ -132,7 +132,7 @@ def _jpeg(content: bytes) -> Header | None:
         if mark == 0xFF:  # skip a padding byte
             place += 1
             continue
-        # This segment is a frame's header.
+        # This segment is the frame header, which contains the size.
         if 0xC0 <= mark <= 0xCF and mark not in (0xC4, 0xC8, 0xCC):
             height, width = struct.unpack_from(">HH", content, place + 5)
             return Header("JPEG", width, height, orientation)

@@ -21,13 +21,14 @@ MAX_CONDITION = 1e10
 homographies of real cameras have condition numbers of 1e3 to 1e7, depending on the units."""
 
 MIN_AREA_PX2 = 100.0
-"""Minimum area of the plate in an image [px2]. On a smaller plate, no part is large enough."""
+"""Minimum area of the plate in an image [px2]. If it is smaller, the parts are too small to be
+detected."""
 
 SLENDER = 1e-4
-"""Minimum area of the quadrilateral of four plate points, relative to their squared extent."""
+"""Minimum area of the quadrilateral of four plate points, relative to their squared extent [-]."""
 
 SLOPE_STEP = 1e-4
-"""Step of the finite differences for the scale under a lens [m]."""
+"""Step of the finite differences with which the image scale is computed if there is a lens [m]."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -209,7 +210,7 @@ def calibrate(
     lens : Lens, optional
         Lens of the camera. None: no distortion.
     place : (3,), optional
-        The camera's centre of projection [m, plate_home], if it is known without the lens.
+        The camera's centre of projection [m, plate_home]. It is only used if `lens` is None.
 
     Raises
     ------
@@ -269,8 +270,8 @@ def calibrate_by_matrix(
     """Return the calibration for a known homography (3, 3) from plate_home [m] to the image [px].
     If there is a lens, the homography maps to the undistorted image.
 
-    The camera's place (3,) [m, plate_home] is computed from the lens. Without a lens, it may be
-    given as an argument.
+    `place` (3,) is the camera's centre of projection [m, plate_home]. It is only used if `lens` is
+    None. Otherwise, the centre of projection is computed from the homography and the lens.
 
     Raises
     ------

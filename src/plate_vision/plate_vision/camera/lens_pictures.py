@@ -52,8 +52,8 @@ TILTS = ("left", "right", "top", "bottom")
 
 GUESSED_FOCAL = 1.2
 """Focal length assumed in the estimate of the tilt, relative to the longer side of the image [-]. A
-lens with a field of view of 45 degrees has it. For fields of view of 30 to 70 degrees, the tilted
-side is correct, and the error of the tilt is up to a third."""
+lens with a field of view of 45 degrees has it. For fields of view of 30 to 70 degrees, the nearest
+side is determined correctly, and the relative error of the tilt is up to a third."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -84,7 +84,7 @@ class LensPictures:
     last: np.ndarray | None = None
 
     def shown(self, board: Board, corners: Corners | None) -> tuple[LensPictures, str]:
-        """Return a copy with one more picture, and the outcome for this picture as text.
+        """Return a copy with one more picture, and a message about this picture for the user.
 
         `board` is the board as printed. A picture is kept if the board is at rest and its place
         differs from its places in all kept pictures.
@@ -115,7 +115,8 @@ class LensPictures:
 
     @property
     def cover(self) -> np.ndarray:
-        """Whether corners were seen in each cell (ROWS * COLUMNS,) of the image: bool."""
+        """Whether the board's corners were seen in each cell of the image, (ROWS * COLUMNS,)
+        bool."""
         cover = np.zeros(ROWS * COLUMNS, bool)
         for _, place_px in self.kept:
             column, row = (np.asarray(place_px) / self.size_px * [COLUMNS, ROWS]).astype(int).T

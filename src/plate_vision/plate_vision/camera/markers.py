@@ -1,9 +1,9 @@
 """ArUco markers in an image, and the corners of dark squares to hundredths of a pixel.
 
 Each corner is the intersection of two lines fitted to the square's edges, because blur does not
-displace the edges. It rounds the corner itself: at a blur of 1 px, OpenCV's corner refinement finds
-the corner a quarter of a pixel too far inside. OpenCV 4.7 replaced the functions for markers by
-classes. Only this file handles both."""
+displace the edges. The corner itself is rounded by blur. With a blur of 1 px, OpenCV's corner
+refinement finds the corner a quarter of a pixel too far inside. OpenCV 4.7 replaced the functions
+for markers by classes. This file supports both."""
 
 from __future__ import annotations
 
@@ -48,8 +48,9 @@ MIN_CONTRAST = 25.0
 """Minimum difference between the grey levels on both sides of a marker's edge."""
 
 OUTLIER_PX = 0.5
-"""Maximum distance of a crossing from the fitted line [px]. Crossings that are farther away are
-excluded, because they are caused by, for example, dirt or a part."""
+"""Maximum distance of a crossing from the fitted line [px]. A crossing is the point where a
+grey-level profile crosses an edge. Crossings that are farther away are excluded, because dirt or a
+part may have caused them."""
 
 MIN_CROSSINGS = 6
 """Minimum number of profiles in which a marker's edge is found."""
@@ -71,9 +72,9 @@ def find_markers(grey: np.ndarray, dictionary: str) -> dict[int, np.ndarray]:
     Returns
     -------
     dict of int to (4, 2)
-        Corners [px] by number, to sub-pixels: top left, top right, bottom right, bottom left of the
-        printed marker. A number that is found twice is omitted, because one of the two markers is
-        misread.
+        Corners [px] of each marker by its number, with sub-pixel accuracy. Their order is top left,
+        top right, bottom right, bottom left of the printed marker. A number that is found twice is
+        omitted, because one of the two markers is misread.
 
     Raises
     ------
@@ -114,10 +115,13 @@ def draw_marker(dictionary: str, number: int, side_px: int) -> np.ndarray:
     known = _dictionary(dictionary)
     count = len(known.bytesList)
     if not 0 <= number < count:
-        raise CalibrationError(f"marker {number} of {dictionary}, allowed: 0 to {count - 1}")
+        raise CalibrationError(
+            f"number of a marker is {number}, allowed in {dictionary}: 0 to {count - 1}"
+        )
     if side_px < known.markerSize + 2:
         raise CalibrationError(
-            f"marker of {side_px} px, allowed: at least {known.markerSize + 2} px for {dictionary}"
+            f"side of a marker is {side_px} px, allowed in {dictionary}: at least "
+            f"{known.markerSize + 2} px"
         )
     if hasattr(cv2.aruco, "generateImageMarker"):
         return np.asarray(cv2.aruco.generateImageMarker(known, number, side_px))
@@ -187,8 +191,9 @@ def _values(grey: np.ndarray, place: np.ndarray) -> np.ndarray:
 
 
 def _crossings(value: np.ndarray, across: np.ndarray) -> np.ndarray:
-    """Return the places (n, 4, s) where profiles (n, 4, s, k) rise through the mean of an edge's
-    dark and bright level. The place is NaN if a profile does not rise."""
+    """Return the crossings (n, 4, s) [px] of profiles (n, 4, s, k). A crossing is the place where a
+    profile rises through the mean of the edge's dark and bright level. It is NaN if the profile
+    does not rise through this level."""
     with np.errstate(all="ignore"):
         dark = np.median(value.min(axis=3), axis=2, keepdims=True)[..., None]
         bright = np.median(value.max(axis=3), axis=2, keepdims=True)[..., None]

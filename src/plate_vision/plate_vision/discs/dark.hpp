@@ -39,9 +39,9 @@ inline std::vector<double> depths(View<const double, 2> edges, View<const double
     return depth;
 }
 
-// Measure discs (n,) at seeds (n, 2) [px], where they have the silhouettes `parts` (n,). `alone`
-// (n,) is set to true for discs that are measured by moments. `marks` (n, 2) is set to the places
-// of marks [px]. `noise` is the noise of the image, relative to the bare plate.
+// Measure discs (n,) at seeds (n, 2) [px]. `parts` (n,) are the silhouettes of parts at the seeds.
+// `alone` (n,) is set to true for discs that are measured by moments. `marks` (n, 2) is set to the
+// places of marks [px]. `noise` is the noise of the image, relative to the bare plate.
 inline void measure_dark(LitPlate plate, double noise, View<const double, 2> edges,
                          View<const double, 2> bows, View<const double, 2> seeds,
                          const Silhouette* parts, Disc* discs, View<double, 2> marks, bool* alone) {

@@ -1,4 +1,4 @@
-"""Parts that are clearly darker than the plate.
+"""Measurement of parts that are clearly darker than the plate.
 
 Each part is measured by the fastest method that is suitable. A part without neighbours is measured
 by the moments of its darkness, with an error of about a hundredth of a pixel. For the
@@ -8,9 +8,9 @@ pixels of an evenly dark disc, this equation is valid:
 
 where m is the darkness of a pixel, d its distance from the centre, and r the radius of the disc.
 
-The misfit is the larger one of two deviations: the relative deviation of these moments from r^2 /
-2, with the radius r by area, and the deviation from the silhouette's second moments. The other
-parts are measured by `fit`, which models their neighbours.
+The misfit is the larger one of two deviations. The first is the relative deviation of the left side
+from r^2 / 2, where r follows from the dark area. The second is the deviation of the second moments
+from those of the silhouette. The other parts are measured by `fit`, which models their neighbours.
 """
 
 from __future__ import annotations
@@ -34,12 +34,15 @@ def measure_dark(
     plate : LitPlate
     region : Region
         Region of the plate in the image.
-    seeds, parts : (n, 2), (n,) SILHOUETTE
-        First guesses of the places [px], n >= 1, and the silhouettes of parts there.
+    seeds : (n, 2)
+        First guesses of the places [px], n >= 1.
+    parts : (n,) SILHOUETTE
+        Silhouettes of parts at the seeds.
 
     Returns
     -------
     (n,) DISC
+        The measured discs.
     (n, 2)
         Centres of marks [px], NaN for a part without a mark.
     (n,) bool

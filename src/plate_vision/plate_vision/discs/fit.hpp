@@ -35,8 +35,8 @@ inline double rim_of(const Silhouette& part) {
 // valid only near the edge.
 constexpr double MAX_STEP_PX = 1.0;
 
-// Change [px] of place and radius below which the fit has converged. The next change would be a
-// tenth of this change, which is a tenth of the effect of the image's noise.
+// Change [px] of place and radius below which the fit has converged. The next change would be about
+// 0.001 px, which is a tenth of the error that the image's noise causes.
 constexpr double SETTLED_PX = 0.01;
 
 constexpr int MAX_ITERATIONS = 25;
@@ -45,9 +45,9 @@ constexpr int MAX_ITERATIONS = 25;
 // the diagonal. With it, the equations are solvable even if a disc is almost completely hidden.
 constexpr double FIT_DAMPING = 1e-3;
 
-// Minimum deviation of an odd pixel's darkness from the part's darkness, as a fraction of the
-// part's darkness and in standard deviations of the image's noise. A pixel that exceeds both has no
-// weight, because it shows a mark, a highlight or a hole.
+// A pixel inside a part has no weight if its darkness deviates by more than both limits from the
+// part's darkness, because it shows a mark, a highlight or a hole. ODD_FRACTION is a fraction of
+// the part's darkness, ODD_SIGMAS a number of standard deviations of the image's noise.
 constexpr double ODD_FRACTION = 0.25, ODD_SIGMAS = 4.0;
 
 // Distance [px] on both sides of the edge up to which pixels contribute to the misfit. It is added
@@ -150,7 +150,7 @@ inline void DiscWindow::to_darkness(const float* light) {
 // the visible fraction of the pixel.
 enum Number { ERROR = UNKNOWNS, SQUARE, NEAR, RIM, NUMBERS };
 
-// Holds all numbers of `Number` for each pixel of a window. Each row of numbers is padded with zeros
+// All numbers of `Number` for each pixel of a window. Each row of numbers is padded with zeros
 // to a multiple of eight.
 struct PixelNumbers {
     std::vector<float> numbers;
@@ -231,8 +231,8 @@ struct Contour {
           more(part.growth - 1), scale(1 / disc[EDGE]), growth(part.growth) {}
 
     // Depth of a pixel inside the contour, relative to the edge's half width. The function also
-    // sets the vector (wx, wy) to the pixel from the nearest point of the line from the base's
-    // centre to the top's centre, and its length `far` [px, disc's frame].
+    // sets a vector (wx, wy) and its length `far` [px, disc's frame]. The vector points to the
+    // pixel. It starts at the nearest point of the line between the centres of base and top.
     template <bool LEANS>
     [[gnu::always_inline]] float depth(float x, float y, float& wx, float& wy, float& far) const {
         const float dx = x - cx, dy = y - cy;
@@ -327,8 +327,8 @@ PLATE_WIDE inline void without_others(DiscWindow& window, const std::vector<Disc
 // of the place, and the visible fraction of the contour in `out`.
 //
 // The misfit is the root mean square error at the contour, relative to the darkness. The square of
-// the noise is subtracted from the mean square. `noise` is a standard deviation, as darkness. With
-// SHADOW the plate beside the disc is darker by `shade` within the contour `cast`.
+// the noise is subtracted from the mean square. `noise` is a standard deviation, as darkness. If
+// SHADOW is true, the plate beside the disc is darker by `shade` within the contour `cast`.
 template <bool SHADOW, bool HIGH>
 [[gnu::always_inline]] inline void sum_up(DiscWindow& window, const DiscFit& disc, const Silhouette& part,
                               const Contour& cast, float shade, double noise,
@@ -409,7 +409,7 @@ template <bool SHADOW, bool HIGH>
     out.scatter_px = std::sqrt(std::max(square, noise * noise) / std::max(slopes_xy, 1e-9));
 }
 
-// One function for each kind of disc: PLATE_WIDE cannot be applied to a template.
+// One function for each kind of disc, because PLATE_WIDE cannot be applied to a template.
 #define PLATE_SUM_UP(name, SHADOW, HIGH)                                                         \
     PLATE_WIDE inline void name(DiscWindow& window, const DiscFit& disc,                         \
                                 const Silhouette& part, const Contour& cast, float shade,        \

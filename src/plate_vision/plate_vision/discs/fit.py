@@ -1,10 +1,11 @@
 """Places, radii and darkness of round parts, fitted to their contours.
 
 Damped Gauss-Newton iterations fit the place, radius, edge width and darkness of one part after the
-other. The darkness of its neighbours is subtracted before. A part with a height has two values of
-darkness: one for its top and one for its side faces. Pixels outside the plate have no weight. The
-larger the fraction of a pixel that a neighbour covers, the smaller its weight. Pixels inside a part
-that differ much from it have no weight, because they show a mark, a highlight or a hole.
+other. For each part, the darkness of its neighbours is subtracted first. A part with a height has
+two values of darkness: one for its top and one for its side faces. Pixels outside the plate have no
+weight. The weight of a pixel decreases with the fraction of it that a neighbour covers. Pixels
+inside a part that differ much from it have no weight, because they show a mark, a highlight or a
+hole.
 """
 
 from __future__ import annotations

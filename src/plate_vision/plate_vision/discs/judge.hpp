@@ -18,8 +18,8 @@ namespace plate {
 // maximum. It allows for the noise that remains after the mean noise of 50 pixels is subtracted.
 constexpr double MAX_MISFIT = 0.2, NOISE_MISFIT = 0.5;
 
-// Maximum noise in the calculation of the maximum misfit, relative to the plate's brightness.
-// Stronger noise is a texture of the plate.
+// Maximum noise in the calculation of the maximum misfit, relative to the plate's brightness. If
+// the measured noise is larger, a texture of the plate is assumed to be its cause.
 constexpr double WORST_NOISE = 0.12;
 
 // Maximum misfit that light, noise and the edges of pixels cause. The excess of the misfit over

@@ -13,8 +13,8 @@
 
 namespace plate {
 
-// Width [px] of the evaluated window beyond a part's radius. It consists of 0.7 px because the
-// window is rounded, 1 px for the seed's error, and the blurred edge.
+// Width [px] of the evaluated window beyond a part's radius. It is the sum of 0.7 px for the
+// rounding of the window, 1 px for the seed's error, and 1.3 px for the blurred edge.
 constexpr double RIM_PX = 3.0;
 
 // Distance [px] beyond a part's radius from which on its window must show bare plate.
@@ -85,9 +85,9 @@ PLATE_WIDE inline void darkness_at(const LitPlate& plate, const RoundWindow& win
 // Step to which the radii [px] of windows are rounded, so that several discs use the same window.
 constexpr double WINDOW_STEP_PX = 0.5;
 
-// Measure the discs (n,) that are `alone` in round windows at seeds (n, 2), where they have the
-// silhouettes `parts` (n,). `dirt` (n,) is set to the dark area [px2] in the outer ring of each
-// window. Discs at the image's border are not measured.
+// Measure the discs (n,) that are `alone` in round windows at seeds (n, 2) [px]. `parts` (n,) are
+// the silhouettes of parts at the seeds. `dirt` (n,) is set to the dark area [px2] in the outer
+// ring of each window. Discs at the image's border are not measured.
 inline void measure_alone(const LitPlate& plate, View<const double, 2> seeds,
                           const Silhouette* parts, const bool* alone, Disc* discs, double* dirt) {
     std::map<int, RoundWindow> windows;

@@ -29,7 +29,7 @@ def numbers(discs: np.ndarray) -> np.ndarray:
 
 
 def crowded(centre: np.ndarray, distance_px: float) -> np.ndarray:
-    """Return whether each of the centres (n, 2) [px] is nearer than a distance to another one: (n,)
+    """Return which of the centres (n, 2) [px] are nearer than `distance_px` to another centre: (n,)
     bool."""
     near = np.empty(len(centre), np.bool_)
     _kernels.crowded(centre, distance_px, near)

@@ -1,4 +1,4 @@
-"""The shadows from one lamp. They have the same direction, length and darkness for all parts."""
+"""The shadows from one lamp. All parts have shadows of the same direction, length and darkness."""
 
 from __future__ import annotations
 
@@ -11,8 +11,8 @@ from ..camera.lens import Calibration
 
 @dataclass(frozen=True, eq=False)
 class Shadow:
-    """The shadow of a part: the area of the plate that the part's base covers when swept along
-    `offset_m`.
+    """The shadow of a part. It is the area of the plate over which the part's base passes if it is
+    moved by `offset_m`.
 
     Attributes
     ----------
@@ -44,8 +44,8 @@ class Shadow:
         shadows."""
         drawn = parts.copy()
         cast = self.cast(places_px, parts)
-        # Use the shadow or the lean, depending on which is longer. The longer one covers almost all
-        # of the other one.
+        # A silhouette has only one direction. If the shadow is longer than the lean, it replaces
+        # the lean, because the shadow then covers almost all of the side faces.
         longer = np.hypot(*cast.T) > np.hypot(*parts["lean_px"].T)
         drawn["lean_px"][longer] = cast[longer]
         drawn["growth"][longer] = 1

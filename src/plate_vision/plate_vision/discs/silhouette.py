@@ -2,8 +2,8 @@
 is the displacement of its top.
 
 Near one place the mapping from the image to the plate is linear, so a part of radius r appears as
-an ellipse. A part of height h also shows its side faces. Its top appears at p + l, larger by the
-factor H / (H - h), with the lean
+an ellipse. A part of height h at the place p also shows its side faces. Its top appears at p + l,
+larger by the factor H / (H - h), with the lean
 
     l = (p - c) h / (H - h),
 
@@ -70,7 +70,7 @@ class SeenDiscs:
         area = np.abs(a * d - b * c)  # sqrt(det J'J) [m2/px2]
         found = np.zeros(len(slopes), SILHOUETTE)
         xx, xy, yy = a * a + c * c + area, a * b + c * d, b * b + d * d + area
-        # S = (J'J + sqrt(det(J'J)) 1) / sqrt(its trace)
+        # S = N / sqrt(trace N), with N = J'J + sqrt(det(J'J)) 1
         across = np.array([xx, xy, xy, yy]) / np.sqrt((xx + yy) * area)
         found["across"] = across.T.reshape(-1, 2, 2)
         found["radius_px"] = self.radius / np.sqrt(area)

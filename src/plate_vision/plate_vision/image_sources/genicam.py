@@ -29,7 +29,7 @@ ENCODINGS = {
     "BayerRG8": ("bayer_rggb8", 0), "BayerBG8": ("bayer_bggr8", 0),
     "BayerGB8": ("bayer_gbrg8", 0), "BayerGR8": ("bayer_grbg8", 0),
 }  # fmt: skip
-"""Encoding of sensor_msgs/Image for each pixel format, and the number of unused upper bits of its
+"""For each pixel format: its encoding in sensor_msgs/Image, and the number of unused upper bits of
 16-bit values."""
 
 FETCH_S = 0.5
@@ -66,7 +66,8 @@ def open_producer(file: str) -> Any:
 
 
 class GenicamSource(Camera):
-    """A GenICam camera. `producer` opens its GenTL file; other parameters as `Camera`."""
+    """A GenICam camera. `producer` opens its GenTL file. The other parameters are those of
+    `Camera`."""
 
     def __init__(
         self,
@@ -177,7 +178,7 @@ class GenicamSource(Camera):
                 return None
             if buffer is not None:
                 break
-            self._harvester_has_it()
+            self._check_plugged_in()
         with buffer:
             component = buffer.payload.components[0]
             kind = str(component.data_format)
@@ -202,7 +203,7 @@ class GenicamSource(Camera):
         instant = end - self._before_end_s()
         return Frame(pixels << unused if unused else pixels, encoding, instant, arrival)
 
-    def _harvester_has_it(self) -> None:
+    def _check_plugged_in(self) -> None:
         """Raise an error if the camera is unplugged, so that `read` does not wait for it."""
         self._harvester.update()
         infos = self._harvester.device_info_list

@@ -50,8 +50,8 @@ AUTO = "auto"
 """Value of the parameter `format` with which the node chooses the format."""
 
 CLOCK_READS, CLOCKS_APART_NS = 5, 100_000
-"""Maximum number of attempts to read the steady clock and the node's clock at the same time; and
-maximum duration of an accepted attempt [ns]."""
+"""`CLOCK_READS`: maximum number of attempts to read the steady clock and the node's clock at the
+same time. `CLOCKS_APART_NS`: maximum duration of an attempt without a further attempt [ns]."""
 
 
 @dataclass(frozen=True)
@@ -81,7 +81,7 @@ class CameraParameters(NodeOptions):
     )
     readout_us: float = parameter(
         0.0,
-        "Delay of the stamp after the end of the exposure, unless it is the start [us]",
+        "Time from the end of the exposure to the stamp [us]; unused for stamps of its start",
         0.0, 1e6, live=True,
     )  # fmt: skip
     gain: int = parameter(
@@ -139,7 +139,8 @@ class CameraNode(SafeLifecycleNode[CameraParameters]):
         return make_source(settings, warn)
 
     def configure(self) -> None:
-        """Open the device already now, so that its faults are reported at once."""
+        """Open the device when the node is configured, so that faults of the device are reported
+        before the activation."""
         values = self.options
         camera = load_rig(values.rig_file).camera
         self._size_px = (camera.width_px, camera.height_px)
@@ -218,7 +219,7 @@ class CameraNode(SafeLifecycleNode[CameraParameters]):
                 continue
             except Exception as error:
                 # Also catch errors of libraries, so that the reader does not stop silently.
-                if not self.context.ok():  # if ROS has shut down, the error is a consequence
+                if not self.context.ok():  # the shutdown of ROS has caused the error
                     break
                 self._fail(error)
                 # If files were opened again, they would start from the first picture.
@@ -271,7 +272,8 @@ class CameraNode(SafeLifecycleNode[CameraParameters]):
     def _info(self, image: Image, size_px: tuple[int, int]) -> CameraInfo:
         camera = replace(self._rig_camera, width_px=size_px[0], height_px=size_px[1])
         info = camera_to_info(camera, image.header)
-        # If this picture has another size than the last one, adapt the lens.
+        # If this picture has another size than the last one, read the lens file again, because
+        # `load_lens` refuses a lens for another size.
         if self._lens is not None and size_px != self._lens_px:
             self._lens, self._lens_px = load_lens(self.options.camera_file, size_px), size_px
         lens = self._lens
@@ -327,7 +329,7 @@ class CameraNode(SafeLifecycleNode[CameraParameters]):
                 findings.append(
                     Finding(
                         Level.ERROR,
-                        f"{self.options.device}: no image for {now - self._last_at:.1f} s: "
+                        f"{self.options.device}: no image for {now - self._last_at:.1f} s; "
                         f"{self._source.silence}",
                     )
                 )

@@ -134,8 +134,8 @@ class PipeSource:
                 continue
             if not count:
                 raise CameraError(
-                    f"{self._settings.device}: the program that writes has ended; images continue "
-                    "when a program writes again"
+                    f"{self._settings.device}: no program writes to the pipe any more; images "
+                    "continue when a program writes to it again"
                 )
             have += count
         arrival = self._clock()

@@ -57,12 +57,16 @@ class Settings:
         Images per second; 0: `LIVE_RATE`, or the film's own rate.
     format : str
         Key of `FORMATS`; empty: the first format that has this size and rate.
-    exposure_us, readout_us : float
-        Exposure time [us], which 0 leaves unchanged; and time from the end of the exposure to the
-        stamp [us].
-    gain, white_balance_k, focus : int
-        Gain and focus in the device's units, which -1 leaves unchanged; white balance [K], which 0
-        leaves unchanged.
+    exposure_us : float
+        Exposure time [us]; 0 leaves it unchanged.
+    readout_us : float
+        Time from the end of the exposure to the stamp [us].
+    gain : int
+        Gain in the device's units; -1 leaves it unchanged.
+    white_balance_k : int
+        White balance [K]; 0 leaves it unchanged.
+    focus : int
+        Focus in the device's units; -1 leaves it unchanged.
     auto_exposure, auto_gain, auto_white_balance, auto_focus : bool
         Whether the device chooses the value.
     trigger : bool
@@ -257,8 +261,8 @@ def unpack_frame(data: np.ndarray, form: str, size_px: tuple[int, int]) -> tuple
     expected = width * height * FORMATS[form]
     if plain.size != expected:
         raise ImageError(
-            f"image: {plain.size} bytes, allowed: {expected} ({width} x {height} px of {form}). "
-            "Did another program change the camera's format?"
+            f"image: data has {plain.size} bytes, allowed: {expected} ({width} x {height} px of "
+            f"{form}); another program may have changed the camera's format"
         )
     if form in UNUSED_BITS:
         wide = plain.view("<u2").reshape(height, width)

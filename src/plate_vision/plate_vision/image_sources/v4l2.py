@@ -1,6 +1,6 @@
-"""A V4L2 camera. OpenCV reads the images. Exposure and gain are set by ioctl. With the first image,
-the program determines whether stamps are taken at the start or at the end of the exposure, or are
-unusable."""
+"""A V4L2 camera. OpenCV reads the images. Exposure and gain are set by ioctl. When the first image
+arrives, the source determines whether stamps are usable, and whether they are taken at the start or
+at the end of the exposure."""
 
 from __future__ import annotations
 
@@ -44,12 +44,12 @@ EXPOSURE_US = 100
 """Unit of the exposure control [us]."""
 
 OLDEST_S = 2.0
-"""Maximum age of a stamp from the monotonic clock [s]. The images in OpenCV's four buffers are not
-as old as this."""
+"""Maximum age of a stamp from the monotonic clock [s]. Images that wait in OpenCV's four buffers
+are younger."""
 
 RATE_ERROR = 0.02
-"""Maximum deviation of the device's rate from the requested rate, relative to the latter [-]. If
-the deviation is larger, there is a warning."""
+"""Maximum deviation of the device's rate from the requested rate, relative to the requested rate
+[-]. If the deviation is larger, there is a warning."""
 
 
 def open_capture(path: str) -> Any:
@@ -101,8 +101,8 @@ class V4l2Source(Camera):
         """Open the camera, and apply the settings."""
         if self.settings.trigger:
             raise CameraError(
-                f"{self.path}: trigger is true, allowed for GenICam cameras; for this one set it "
-                f"with v4l2-ctl -d {self.path} (--list-ctrls), and set trigger to false"
+                f"{self.path}: trigger is true, allowed: false, because this is not a GenICam "
+                f"camera; set its trigger with v4l2-ctl -d {self.path} (--list-ctrls)"
             )
         try:
             device = self._device = self._make_device(self.path)
@@ -158,7 +158,7 @@ class V4l2Source(Camera):
         return form
 
     def _started(self) -> Any:
-        """Return OpenCV's reader. Its format, size and rate are set."""
+        """Open OpenCV's reader, set its format, size and rate, and return it."""
         width, height = self.settings.size_px
         capture = self._make_capture(self.path)
         if not capture.isOpened():
@@ -185,7 +185,9 @@ class V4l2Source(Camera):
             )
         rate = capture.get(cv2.CAP_PROP_FPS)
         if rate > 0 and abs(rate - self._rate) > RATE_ERROR * self._rate:
-            self._warn(f"{self.path}: {rate:.4g} images per second, requested: {self._rate:g}")
+            self._warn(
+                f"{self.path}: rate is {rate:.4g} images per second, requested: {self._rate:g}"
+            )
             self._rate = rate
         return capture
 
@@ -289,8 +291,8 @@ class V4l2Source(Camera):
             return
         self._at_start = None
         self._warn(
-            f"{self.path}: its stamps are not from the kernel's monotonic clock (OpenCV "
-            f"{cv2.__version__}), so images are stamped on arrival"
+            f"{self.path}: stamps are not from the kernel's monotonic clock (OpenCV "
+            f"{cv2.__version__}), so the arrival time of images is used"
         )
 
     def _exposure_us(self) -> float | None:

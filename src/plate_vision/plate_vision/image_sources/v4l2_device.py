@@ -24,19 +24,20 @@ G_FMT, S_FMT, QUERYBUF = 0xC0D05604, 0xC0D05605, 0xC0585609
 """Codes of the ioctl requests `VIDIOC_...`."""
 
 CAPTURE, MMAP, DISCRETE = 1, 1, 1
-"""V4L2_BUF_TYPE_VIDEO_CAPTURE, V4L2_MEMORY_MMAP, V4L2_FRMSIZE_TYPE_DISCRETE."""
+"""Values of V4L2_BUF_TYPE_VIDEO_CAPTURE, V4L2_MEMORY_MMAP and V4L2_FRMSIZE_TYPE_DISCRETE."""
 
 CAN_CAPTURE, HAS_DEVICE_CAPS = 0x1, 0x80000000
-"""V4L2_CAP_VIDEO_CAPTURE, V4L2_CAP_DEVICE_CAPS."""
+"""Values of V4L2_CAP_VIDEO_CAPTURE and V4L2_CAP_DEVICE_CAPS."""
 
 NEXT, CONTROL_CLASS, DISABLED = 0x80000000, 6, 0x1
-"""V4L2_CTRL_FLAG_NEXT_CTRL, V4L2_CTRL_TYPE_CTRL_CLASS, V4L2_CTRL_FLAG_DISABLED."""
+"""Values of V4L2_CTRL_FLAG_NEXT_CTRL, V4L2_CTRL_TYPE_CTRL_CLASS and V4L2_CTRL_FLAG_DISABLED."""
 
 MENU = 3
-"""V4L2_CTRL_TYPE_MENU."""
+"""Value of V4L2_CTRL_TYPE_MENU."""
 
 CLOCK_MASK, MONOTONIC, SOURCE_MASK, START_OF_EXPOSURE = 0xE000, 0x2000, 0x70000, 0x10000
-"""V4L2_BUF_FLAG_TIMESTAMP_MASK, ..._MONOTONIC, V4L2_BUF_FLAG_TSTAMP_SRC_MASK, ..._SOE."""
+"""Values of V4L2_BUF_FLAG_TIMESTAMP_MASK, V4L2_BUF_FLAG_TIMESTAMP_MONOTONIC,
+V4L2_BUF_FLAG_TSTAMP_SRC_MASK and V4L2_BUF_FLAG_TSTAMP_SRC_SOE."""
 
 AUTO_EXPOSURE, EXPOSURE, AUTO_PRIORITY = 0x9A0901, 0x9A0902, 0x9A0903
 GAIN, AUTO_GAIN = 0x980913, 0x980912
@@ -289,7 +290,7 @@ def explained(path: str, error: OSError) -> str:
                 "then log in again"
             )
         case errno.EBUSY:
-            return f"{path}: in use by another program (fuser -v {path} names it); end that program"
+            return f"{path}: used by another program; end it (fuser -v {path} shows its name)"
         case errno.ENOTTY | errno.EINVAL:
-            return f"{path}: is no video device, allowed: a device such as /dev/video0"
+            return f"{path}: is not a video device, allowed: a device such as /dev/video0"
     return f"{path}: cannot be opened ({error.strerror})"

@@ -44,7 +44,7 @@ second at 30 images per second."""
 
 GRID = 7
 """Step of the grid of pixels that are evaluated, in rows and columns. It is odd, so that both even
-and odd columns are evaluated: they differ in Bayer and YUV images."""
+and odd columns are evaluated, which differ in Bayer and YUV images."""
 
 
 class Watch:
@@ -94,7 +94,7 @@ class Watch:
             found.append(
                 Finding(
                     Level.ERROR,
-                    "the image is black: remove the lens cap, switch the light on, or increase "
+                    "the image is black; remove the lens cap, switch the light on, or increase "
                     "exposure_us or gain",
                 )
             )
@@ -102,8 +102,8 @@ class Watch:
             found.append(
                 Finding(
                     Level.ERROR,
-                    f"the image is frozen: the last {self._equal + 1} images are equal in every "
-                    "pixel. Plug the camera in again",
+                    f"the image is frozen: the last {self._equal + 1} images are equal; plug the "
+                    "camera in again",
                 )
             )
         every = self.images + self.lost
@@ -111,7 +111,7 @@ class Watch:
             found.append(
                 Finding(
                     Level.WARN,
-                    f"{self.lost} of {every} images are lost: choose a lower rate or a smaller "
+                    f"{self.lost} of {every} images are lost; choose a lower rate or a smaller "
                     "format, or connect the camera to a separate USB controller",
                 )
             )

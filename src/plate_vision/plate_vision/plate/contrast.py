@@ -77,8 +77,9 @@ def contrast_image(channels: Channels, region: Region) -> LitPlate | None:
 def find_odd(
     channels: Channels, limit: float, grid: tuple[int, int, int], shape: tuple[int, int]
 ) -> np.ndarray:
-    """Return, for each pixel of a grid (first x, first y, step [px]), 1 if it deviates from the
-    plate by more than a limit, and 0 otherwise: (h, w) uint8."""
+    """Return (h, w) uint8, which is 1 where a pixel of a grid deviates from the plate by more than
+    a limit, and 0 elsewhere. `grid` is the first x, the first y and the step [px]. `shape` is
+    (h, w)."""
     odd = np.empty(shape, np.uint8)
     _kernels.find_odd(channels.image, channels.lights, limit, grid, odd)
     return odd

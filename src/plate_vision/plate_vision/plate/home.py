@@ -30,8 +30,8 @@ It is ten times the deviation of a good print in a sharp picture."""
 
 FOLLOWED_FIT_M = 3e-4
 """Maximum root mean square deviation of the markers' corners from their places in the rig file if
-the markers are found by their edges only [m]. It is smaller than `WORST_FIT_M`, so that other
-objects are not mistaken for markers."""
+only the markers' edges are searched, and their patterns are not read [m]. It is smaller than
+`WORST_FIT_M`, so that other objects are not mistaken for markers."""
 
 QUIET = 0.2
 """Width of the border around a marker that is painted over together with the marker, relative to
@@ -74,13 +74,13 @@ class PlateLocation:
     def problem(self) -> str | None:
         """Warning for the user, or None."""
         if self.pose is None:
-            return "the plate's markers are not detected, its last position is used"
+            return "the plate's markers are not detected; the plate's last position is used"
         away = float(np.hypot(*self.pose[:2]))
         if away > AWAY_M:
             return (
-                f"the plate is {1e3 * away:.1f} mm from home when the image is taken, allowed: "
-                f"{1e3 * AWAY_M:g} mm (is the camera triggered at the cycle's start? If the camera "
-                "was moved, call the service reset)"
+                f"distance of the plate from home is {1e3 * away:.1f} mm when the image is taken, "
+                f"allowed: up to {1e3 * AWAY_M:g} mm; check that the camera is triggered at the "
+                "cycle's start. If the camera was moved, call the service reset"
             )
         return None
 
@@ -98,7 +98,7 @@ def locate_plate(location: PlateLocation, image: np.ndarray) -> tuple[PlateLocat
     """
     rig, fiducials = location.rig, location.rig.fiducials
     if fiducials is None:
-        raise CalibrationError("rig: has no fiducials, allowed: a rig file with that section")
+        raise CalibrationError("rig file: section fiducials is missing, allowed: a file with it")
     home = location.home
     if home is None:
         home, _ = find_home(image, fiducials, location.lens or rig_lens(rig))
@@ -132,8 +132,8 @@ def find_home(
         several = len(missing) > 1
         markers = f"markers {', '.join(missing)} are" if several else f"marker {missing[0]} is"
         raise CalibrationError(
-            f"fiducials: {markers} not detected; markers "
-            f"{', '.join(map(str, fiducials.numbers))} must all be uncovered and in the image"
+            f"fiducials: {markers} not detected; all markers "
+            f"({', '.join(map(str, fiducials.numbers))}) must be uncovered and in the image"
         )
     corners_px = np.concatenate([found[number] for number in fiducials.numbers])
     straight = corners_px if lens is None else lens.straighten(corners_px)
@@ -151,7 +151,7 @@ def find_home(
     if error > WORST_FIT_M:
         raise CalibrationError(
             f"fiducials: corners are {1e3 * error:.2g} mm from their places in the rig file, "
-            f"allowed: {1e3 * WORST_FIT_M:g} mm (are centre_m, side_m and the order correct?)"
+            f"allowed: {1e3 * WORST_FIT_M:g} mm; check centre_m, side_m and the markers' order"
         )
     return calibration, error
 
@@ -209,7 +209,7 @@ def hide_markers(
         border = middle + (1 + 2 * QUIET) * (corners - middle)
         border_px = home.to_image(to_home(pose, border))
         place = np.clip(np.rint(border_px), 0, [width - 1, height - 1]).astype(np.int32)
-        # The median ignores a part on one of the border's corners.
+        # The median is used because a part may be on one of the border's corners.
         shade = np.median(image[place[:, 1], place[:, 0]], axis=0)
         cv2.fillConvexPoly(copy, place, np.atleast_1d(shade).tolist())
     return copy

@@ -15,9 +15,10 @@ namespace plate {
 // is correct if parts cover less than 3/4 of the plate.
 constexpr double BRIGHT_PERCENTILE = 75;
 
-// Ranges of brightness that count as plate. The first range is relative to the first guess. It
-// includes a shading of +-15 %, but excludes a part with 2/3 of the plate's brightness. The second
-// range is relative to the surface of the first fit and excludes the parts' edges.
+// Ranges of brightness that count as plate in the two fits. The first range is relative to the
+// first guess. It includes a shading of +-15 %, but excludes a part with 2/3 of the plate's
+// brightness. The second range is relative to the surface of the first fit. It also excludes the
+// parts' edges.
 constexpr std::pair<double, double> BRIGHT_RANGES[] = {{0.72, 1.3}, {0.92, 1.08}};
 
 // Value added to the diagonal of the normal equations. It makes the fit solvable for images that
@@ -27,7 +28,7 @@ constexpr double RIDGE = 1e-9;
 // Minimum fraction of the sampled pixels that must show the bare plate.
 constexpr double MIN_FRACTION = 0.1;
 
-// Ratio between the standard deviation of a normal distribution and the lower quartile of the
+// Ratio between the standard deviation of a normal distribution and the lower quartile of its
 // absolute values.
 constexpr double SIGMA_OF_QUARTILE = 3.1383;
 

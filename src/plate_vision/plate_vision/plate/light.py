@@ -15,13 +15,13 @@ from .. import _kernels
 from .region import Region
 
 DARK_PERCENTILE = 95
-"""Percentile of an image's brightness that is compared with the plate's minimum brightness. If it
-is lower, there is too little light. The brightest twentieth of the image is ignored, because it may
-be lamps and reflections."""
+"""Percentile of an image's brightness. If it is below the plate's minimum brightness, there is too
+little light. The brightest twentieth of the image is ignored, because it may show lamps and
+reflections."""
 
 BURNT_PERCENTILE = 50
-"""Percentile of an image's brightness that is compared with `BURNT_GREY`. If it is higher, there is
-too much light, because more than half of the image is overexposed."""
+"""Percentile of an image's brightness. If it is at least `BURNT_GREY`, there is too much light,
+because half of the image is overexposed."""
 
 BURNT_GREY = 254
 """Grey level from which a pixel counts as overexposed."""
@@ -38,9 +38,9 @@ class LitPlate(NamedTuple):
     grey : (H, W) uint8
         Grey levels.
     light : (9,) float32
-        Brightness of the bare plate: the coefficients a to f [grey levels] of
-        a + b u + c v + d u2 + e u v + f v2; the image point [px] where u = v = 0; and the
-        reciprocal of the length [px] of one unit of u and v.
+        Brightness of the bare plate. The first six numbers are the coefficients a to f [grey
+        levels] of a + b u + c v + d u2 + e u v + f v2. Then follow the image point [px] where
+        u = v = 0, and the reciprocal of the length [px] of one unit of u and v.
     usable : (H, W) bool
         Whether a pixel shows the plate, away from its edge.
     noise : float
@@ -85,11 +85,11 @@ def light_problem(image: np.ndarray, min_grey: float) -> str | None:
     if bright < min_grey:
         return (
             f"{DARK_PERCENTILE} % of the image is darker than {bright:.0f} grey levels, allowed: "
-            f"a plate of at least {min_grey:g} (is the light on, is the lens open?)"
+            f"a plate of at least {min_grey:g}; check that the light is on and the lens is open"
         )
     if middle >= BURNT_GREY:
         return (
             f"half of the image is overexposed ({middle:.0f} grey levels), allowed: below "
-            f"{BURNT_GREY} (reduce the exposure time)"
+            f"{BURNT_GREY}; reduce the exposure time"
         )
     return None

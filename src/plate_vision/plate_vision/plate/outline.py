@@ -3,9 +3,9 @@ the lens.
 
 The brightness is sampled along profiles that cross each predicted edge at right angles. The
 measured edge is a curve of second degree through steps of brightness in these profiles. It is found
-by random sampling, followed by least squares. The deviations of all edges show the cause: a missing
-lens model bends the edges, and a moved camera shifts, rotates or scales the outline. Edges that are
-not visible are ignored.
+by random sampling, followed by least squares. The deviations of all edges together show the cause.
+A missing lens model bends the edges. A moved camera shifts, rotates or scales the outline. Edges
+that are not visible are ignored.
 """
 
 from __future__ import annotations
@@ -23,12 +23,12 @@ from ..camera.encodings import grey_levels
 from ..camera.lens import Calibration
 
 IMAGES = 5
-"""Number of images in an evaluation. If the plate moves, they show it at several places of its
+"""Number of images in an evaluation. If the plate moves, the images show it at several times of its
 cycle."""
 
 REST_M = 5e-4
-"""Maximum range of an edge's places in these images for which the plate counts as at rest [m]. For
-a plate at rest, the range is 0.1 mm with a noise of 15 grey levels."""
+"""Maximum range of an edge's places in the images of an evaluation with which the plate counts as
+at rest [m]. For a plate at rest, the range is 0.1 mm with a noise of 15 grey levels."""
 
 RECHECK_S = 1.0
 """Minimum time from a finding to the next evaluation [s]. The evaluation of an image takes 20 to 60
@@ -76,7 +76,7 @@ of a moving plate is smaller."""
 
 STRETCH = 0.01
 """Tolerated difference between the size of the plate's outline and the predicted size, relative to
-the latter [-]. It is measured with an accuracy of a tenth of this value."""
+the predicted size [-]. It is measured with an accuracy of a tenth of this value."""
 
 SUPPORT = 0.6
 """Minimum fraction of an edge's profiles that must agree. It is below 1 because parts may hide the
@@ -101,9 +101,9 @@ CANDIDATES = 3
 are, for example, the plate's edge, a shadow, and a part."""
 
 DRAWS = 400
-"""Number of curves through random triples of candidates for an edge. If each profile has one
-correct and two false candidates, one triple in 27 is correct, and so are about fifteen of the
-curves."""
+"""Number of trial curves for an edge. Each curve passes through a random triple of candidates. If
+each profile has one correct and two false candidates, one triple in 27 is correct, so about fifteen
+of the curves are correct."""
 
 INLIER_PX = 2.0
 """Maximum distance of a step from the curve to which it belongs [px]. An edge that is bent by a
@@ -114,8 +114,8 @@ MOVED_RADII = 2.0
 as the cause if a flipped image is possible too [part radii]."""
 
 SIDE_PX = 5.0, 10.0
-"""Range of distances from a step in which the brightness beside it is measured [px]. They are
-larger than the width of a line of pen or tape, which is 2 to 4 px."""
+"""Range of distances from a step in which the brightness beside the step is measured [px]. The
+distances are larger than the width of a line of pen or tape, which is 2 to 4 px."""
 
 SHIFT_TEXT_M = 5e-4
 """Minimum shift that is stated in a message [m]. It is the error of the measurement with noise and
@@ -179,8 +179,8 @@ class OutlineGrid:
         offset = np.linspace(-reach, reach, 2 * count + 1)
         point = foot[:, :, None] + offset[:, None] * OUTWARD[:, None, None]
         place = calibration.to_image(point.reshape(-1, 2)).reshape(*point.shape)
-        # Outside the valid range of a lens with strong distortion, distant points are mapped back
-        # into the image.
+        # A lens with strong distortion maps points outside its valid range back into the image.
+        # These points are excluded: their steps point against the step at the predicted edge.
         step = np.diff(place, axis=2)
         middle = step[:, :, count : count + 1]
         folded = np.sum(step * middle, axis=3) <= 0
@@ -196,7 +196,7 @@ class OutlineGrid:
 
     @cached_property
     def visible(self) -> np.ndarray:
-        """Whether a profile (4, S) is inside the image near the predicted edge: bool."""
+        """Whether a profile is inside the image near the predicted edge, (4, S) bool."""
         around = np.abs(self.offset) <= self.near
         return np.asarray(np.all(np.isfinite(self.place_px[:, :, around, 0]), axis=2))
 
@@ -221,21 +221,22 @@ class Outline:
     Attributes
     ----------
     edges : (4, 3)
-        For each edge: outward distance from the predicted edge, mean of both ends [m]; slope, half
-        the difference of the ends [m]; and bow, the additional outward distance of the middle [m].
-        NaN if the edge is not visible.
+        Three numbers for each edge, NaN if the edge is not visible. The first is the mean outward
+        distance of both ends from the predicted edge [m]. The second is the slope, which is half
+        the difference of these distances [m]. The third is the bow, which is the additional outward
+        distance of the middle [m].
     """
 
     edges: np.ndarray
 
     @property
     def seen(self) -> np.ndarray:
-        """Whether an edge (4,) is visible: bool."""
+        """Whether an edge is visible, (4,) bool."""
         return np.isfinite(self.edges[:, 0])
 
     def within(self, near: float) -> np.ndarray:
-        """Whether the distance of an edge (4,) from the predicted edge is at most this value
-        everywhere [m]: bool."""
+        """Whether the distance of an edge from the predicted edge is at most `near` [m] at both
+        ends, (4,) bool."""
         middle, slope, _ = np.abs(self.edges).T
         return np.asarray(np.nan_to_num(middle + slope, nan=np.inf) <= near)
 
@@ -265,9 +266,9 @@ def measure_outline(image: np.ndarray, grid: OutlineGrid, limit: float | None = 
 
 
 def contrasted(image: np.ndarray, grid: OutlineGrid) -> np.ndarray:
-    """Return an image (H, W) float32 with the contrast between the plate and its surround. For an
-    image (H, W) these are the grey levels. For an image (H, W, 3) they are the projection of the
-    colours on the line from the surround's colour to the plate's colour."""
+    """Return an image (H, W) float32 with one channel in which the plate and its surround differ.
+    For an image (H, W) it contains the grey levels. For an image (H, W, 3) it contains the
+    projections of the colours on the line from the surround's colour to the plate's colour."""
     if image.ndim == 2:
         return image.astype(np.float32)
     colours = []
@@ -292,11 +293,11 @@ def _fit_edge(
     limit: float | None,
     rng: np.random.Generator,
 ) -> np.ndarray | None:
-    """Return middle, slope and bow (3,) [m] of the edge in profiles (S, D). Return None without an
-    edge.
+    """Return the edge (3,) in profiles (S, D), as in `Outline.edges` [m]. Return None if there is
+    no edge.
 
     An edge near the predicted edge is preferred to a clearer edge that is farther away, because the
-    latter may belong to a frame, a shadow or a table.
+    farther edge may belong to a frame, a shadow or a table.
     """
     candidate = _steps(profile, grid.offset)
     best, most = None, SUPPORT
@@ -354,11 +355,11 @@ def _fit_curve(
     drawn: np.ndarray, every: np.ndarray, along: np.ndarray, tolerance: float,
     rng: np.random.Generator,
 ) -> tuple[np.ndarray, float]:  # fmt: skip
-    """Return the curve (3,) that passes the largest number of candidates, and the fraction of
-    profiles near it.
+    """Return the curve (3,) [m] that is near the candidates of the largest number of profiles, and
+    the fraction of profiles with a candidate near it (RANSAC).
 
-    RANSAC: each trial curve passes through three candidates of `drawn` (S, C) [m], offsets of up to
-    C candidates in each of S profiles. The best curve is refined by least squares with the
+    `drawn` (S, C) contains the offsets [m] of up to C candidates in each of S profiles. Each trial
+    curve passes through three of them. The best curve is refined by least squares with the
     candidates of `every` (S, C) [m].
     """
     rows = np.flatnonzero(np.any(np.isfinite(drawn), axis=1))
@@ -390,7 +391,7 @@ def _fit_curve(
 
 @dataclass(frozen=True)
 class Deviation:
-    """Deviation of the measured outline from the predicted one.
+    """Deviation of the measured outline from the predicted outline.
 
     Attributes
     ----------
@@ -401,7 +402,7 @@ class Deviation:
     stretch : (float, float)
         Relative change of length and width [-].
     bow, bow_px : float
-        Mean outward distance of the edges' middles relative to their ends [m, px].
+        Mean outward distance of the edges' middles relative to their ends, in metres and in pixels.
     bowed : bool
         Whether the edges are bent, and all to the same side.
     rest : float
@@ -504,8 +505,8 @@ class OutlineCheck:
         return cls(grid, rig.parts.radius_m, calibration.lens is not None)
 
     def add(self, image: np.ndarray, stamp: float, moving: bool = False) -> OutlineCheck:
-        """Record an image (H, W) or (H, W, 3) uint8 with its stamp [s]. If `moving`, the plate may
-        be away from home in the image.
+        """Return the check with one more image (H, W) or (H, W, 3) uint8 and its stamp [s]. If
+        `moving`, the plate may be away from home in the image.
 
         After `IMAGES` images the outline is evaluated. The evaluation is repeated at intervals
         until the outline of a plate at rest agrees. It is not repeated while the plate moves.
@@ -575,7 +576,7 @@ def judge_outline(
     reshaped = found.rest > grid.near
     if not (shifted or turned or stretched or reshaped or found.bowed):
         if moving:
-            return None, "its shape is as predicted, while the plate moves"
+            return None, "its shape is as predicted, but the plate moves"
         return None, f"as predicted, within {1e3 * found.worst:.2g} mm"
     if flips and (found.bowed or reshaped or found.worst > MOVED_RADII * radius):
         return _flipped(flips)
@@ -593,8 +594,8 @@ def judge_outline(
 def _flipped(flips: tuple[str, ...]) -> tuple[Finding, str]:
     cause = f"the image is {' or '.join(flips)}"
     message = (
-        f"{cause}: only then the plate's outline agrees with corners_px (change it in the "
-        "camera's driver, or measure corners_px in the unchanged image)"
+        f"{cause}, because the plate's outline agrees with corners_px only in this way; change it "
+        "in the camera's driver, or measure corners_px in the unchanged image"
     )
     return Finding(Level.ERROR, message), cause
 
@@ -605,10 +606,10 @@ def _lens_text(found: Deviation, bends: bool) -> str:
     bent = f"its edges bend {side} by {abs(found.bow_px):.1f} px in the middle"
     if bends:
         return (
-            f"{bent}: the lens data do not fit this camera (are the images rectified already? was "
-            "focus or zoom changed? calibrate lens, then set camera_file)"
+            f"{bent}, because the lens data do not fit this camera: the images may be rectified "
+            "already, or focus or zoom was changed (calibrate lens, then set camera_file)"
         )
-    return f"{bent}: the {kind} distortion is unknown (calibrate lens, then set camera_file)"
+    return f"{bent}, because the {kind} distortion is unknown (calibrate lens, then camera_file)"
 
 
 def _moved_text(found: Deviation) -> str:
@@ -629,10 +630,13 @@ def _moved_text(found: Deviation) -> str:
     moved = " and ".join([" ".join(is_[:2]), *is_[2:]])
     if differ:
         return (
-            f"{moved}: corners_px, or length_m and width_m of the plate, are wrong, or the camera "
-            "was tilted (measure them again)"
+            f"{moved}, because corners_px, or length_m and width_m of the plate, are wrong, or the "
+            "camera was tilted (measure them again)"
         )
-    return f"{moved}: the camera was moved or zoomed, or corners_px are wrong (measure them again)"
+    return (
+        f"{moved}, because the camera was moved or zoomed, or corners_px are wrong (measure them "
+        "again)"
+    )
 
 
 def _percent(change: float) -> str:

@@ -89,7 +89,7 @@ class Region:
 
     @cached_property
     def usable(self) -> np.ndarray:
-        """Whether a pixel (H, W) shows the plate and is not at its edge: bool."""
+        """Whether a pixel shows the plate and is not at the plate's edge, (H, W) bool."""
         width, height = self.size_px
         x0, y0, x1, y1 = self.box
         usable = np.zeros((height, width), np.bool_)

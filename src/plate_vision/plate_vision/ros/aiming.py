@@ -53,10 +53,11 @@ SILENT_S = 1.0
 """Time without an image after which the view reports an error [s]."""
 
 OTHER_NODES = (
-    "restart the server of the page, and the planner if camera: readout_s is above 0, so that "
-    "they use it; other nodes need no restart"
+    "restart the server of the page; if readout_s in section camera is above 0, restart the "
+    "planner too; other nodes need no restart"
 )
-"""Text about the nodes other than the detector that transform positions between image and plate."""
+"""Advice after a change of the rig file. It concerns the nodes other than the detector that
+transform positions between image and plate."""
 
 LEVELS = {
     Level.OK: AimCheck.OK,
@@ -154,7 +155,7 @@ class AimingView:
 
     @property
     def needed(self) -> bool:
-        """Whether pictures are measured."""
+        """Whether any result of a measurement is needed."""
         taking = self._lens is not None and self._lens.state == LensPictures.TAKING
         return taking or self._wants_home or self._publisher.get_subscription_count() > 0
 
@@ -176,7 +177,7 @@ class AimingView:
             self._step(image, situation)
             msg = self._message(image, stamp, refused, situation)
         except Exception as error:
-            # Log a fault of the view, because otherwise it would only be stored in the future.
+            # Log the error here, because the executor would only store it in the future.
             text = f"aim: {type(error).__name__}: {error}"
             self._run_on_executor(
                 lambda: self._node.get_logger().error(text, throttle_duration_sec=5.0)
@@ -220,11 +221,11 @@ class AimingView:
             check_size("image: size is", size_px, allowed_px, CalibrationError)
             if rig.fiducials is None:
                 corners_px, error = find_plate_corners(image, rig, lens)
-                by = f"edges straight within {1e3 * error:.2f} mm"
+                by = f"bow of the edges is {1e3 * error:.2f} mm"
             else:
                 calibration, error = find_home(image, rig.fiducials, lens or rig_lens(rig))
                 corners_px = calibration.to_image(rig.plate.corners)
-                by = f"error of the markers' corners {1e3 * error:.2f} mm"
+                by = f"error of the markers' corners is {1e3 * error:.2f} mm"
         except PlateError as error:
             self._home, self._corners = f"not found: {error}", ()
             return
@@ -272,7 +273,7 @@ class AimingView:
         waits = [("lens", Finding(Level.STALE, "taking pictures of a board"))]
         checks += waits if board else situation.findings
         if self._home_is_old and not board:
-            again = Finding(Level.WARN, "found before the lens was changed: find home again")
+            again = Finding(Level.WARN, "found before the lens was changed; find home again")
             checks.insert([name for name, _ in checks].index("lens") + 1, ("home", again))
         msg.checks = [
             AimCheck(name=name, level=LEVELS[found.level], text=found.message)
@@ -343,9 +344,9 @@ class AimingView:
             return
         msg = Aim(sharpness=math.nan, sharpness_best=math.nan, sharpness_change=math.nan)
         msg.header.stamp = self._node.get_clock().now().to_msg()
-        text = "no image arrives: does the camera run?"
+        text = "no image has arrived; check that the camera runs"
         if math.isfinite(silence):
-            text = f"no image for {silence:.0f} s: does the camera run?"
+            text = f"no image for {silence:.0f} s; check that the camera runs"
         msg.checks = [AimCheck(name="picture", level=AimCheck.ERROR, text=text)]
         msg.home, msg.home_found = self._home, bool(self._corners)
         msg.lens = self._progress()
@@ -361,7 +362,7 @@ class AimingView:
         """Write the corners found by the last search to the rig file."""
         corners = self._corners
         if not corners:
-            response.message = "home has not been found: call ~/find_home first"
+            response.message = "home has not been found; call ~/find_home first"
             return response
         try:
             before = load_rig(self._path)
@@ -415,11 +416,12 @@ class AimingView:
         return response
 
     def _on_save(self, _: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
-        """Write the fitted lens to the rig file, and use it. If home was found by the outline, it
-        must be found again, because the plate's edges appeared bent without this lens."""
+        """Write the fitted lens to the rig file, and use it. If the plate has no markers, home must
+        be found again, because its corners were found by edges that appeared bent without this
+        lens."""
         lens = self._lens
         if lens is None or lens.fit is None:
-            response.message = "no lens has been fitted: call ~/fit_lens first"
+            response.message = "no lens has been fitted; call ~/fit_lens first"
             return response
         try:
             before, keys = load_rig(self._path), lens_keys(lens.fit.lens)

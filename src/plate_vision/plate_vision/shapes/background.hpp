@@ -47,9 +47,9 @@ struct ImageBox {
     int x0, y0, x1, y1;
 };
 
-// Write one row of the bare plate's colours in another light to `out`. `along` contains the
-// coefficients of 1, u, u2 for the factor and for the shifts of a and b, with u = `first` + x *
-// `step`.
+// Write one row of the bare plate's colours in another light to `out`. The light multiplies all
+// colours by a factor, and shifts a and b. Each of these three values is a quadratic function of
+// u = `first` + x * `step` with the coefficients of 1, u, u2 in one row of `along`.
 template <int CHANNELS>
 [[gnu::always_inline]] inline void relight_row(const uint8_t* __restrict bare,
                                                uint8_t* __restrict out, int count, float first,

@@ -22,9 +22,8 @@ from .lighting import Light, Lit, fit_light, relit
 
 CHROMA = (0.5, 2.0)
 """Range of the weight of a and b relative to L in a deviation. The weight is chosen so that the
-noise of a and b equals the noise of L. In the colour difference of the CIE (International
-Commission on Illumination) the weight would be 2.55, because its L has a maximum of 100 instead of
-255."""
+noise of a and b equals the noise of L. The colour difference of the CIE (International Commission
+on Illumination) has the weight 2.55, because its L is 0 to 100 and not 0 to 255."""
 
 SIGMAS = 3.5
 """Maximum deviation of a pixel from the background for which it counts as background, in standard
@@ -38,8 +37,7 @@ NEAR_PX = 16
 """Half the side of the window in which the noise of the bare plate is averaged [px]."""
 
 SHIFT_PX = 0.2
-"""Error with which the plate returns home [px]. The texture of the plate is displaced by this
-error."""
+"""Error with which the plate returns home [px]. It displaces the plate's texture in the image."""
 
 MAX_PIXELS = 30_000
 """Maximum number of pixels of a photograph that are evaluated for its background."""
@@ -70,8 +68,8 @@ LOCAL_PASSES = 3
 with the previous average."""
 
 MIN_FRACTION = 0.05
-"""Minimum fraction of background around a pixel. If the fraction is smaller, the change of the
-background is reduced."""
+"""Minimum fraction of background pixels around a pixel. If the fraction is smaller, the background
+is adapted less at this pixel."""
 
 TEXTURE_PERCENT = 98
 """Percentile of the deviations of a photograph's background pixels from the mean background.
@@ -82,8 +80,8 @@ TEXTURE = 1.25
 deviations (`TEXTURE_PERCENT`). Pixels of parts have larger deviations."""
 
 SOFTER_PX = (1.0, 1.5, 2.0, 2.5, 3.0)
-"""Candidates of the additional blur of an image, compared with the images of the bare plate
-[px]."""
+"""Blurs that are tried as the additional blur of an image, compared with the images of the bare
+plate [px]."""
 
 EDGE_PX = 4
 """Width of the border along the plate's edge in which the additional blur of an image is measured
@@ -98,10 +96,11 @@ EXPLAINED = 0.1
 additional blur was applied to it. If the fraction is larger, the plate has probably moved."""
 
 SPECK = 100.0
-"""Minimum deviation of a speck from its neighbours [L]. A speck is a single pixel."""
+"""Minimum deviation of a speck from its neighbours [L]. A speck is a single pixel, for example
+dust."""
 
 SPECKS = 0.004
-"""Maximum fraction of specks in an image that is not cleaned."""
+"""Maximum fraction of the pixels that may be specks. If there are more, specks are filtered out."""
 
 MIN_SCORE = 0.4
 """Minimum score of a background. The score is the fraction of the image that agrees with the
@@ -120,8 +119,8 @@ class Background:
     lab : (H, W, C) uint8
         Colours: C = 3, L, a, b; or C = 1, grey levels.
     limit : (H, W) uint8
-        Maximum deviation of a pixel from these colours for which it counts as background [L]. See
-        `deviation`.
+        Maximum deviation of a pixel from these colours for which it counts as background [L]. The
+        function `deviation` computes such deviations.
     chroma : float
         Weight of a and b relative to L in a deviation.
     cleaned : bool
@@ -147,9 +146,9 @@ class Background:
     def light_of(
         self, image: np.ndarray, region: Region | None = None, before: Light | None = None
     ) -> Light:
-        """Return the light of an image (H, W) or (H, W, 3) uint8 with parts within a region,
-        relative to the background's own light. Without a region, the whole image is used. `before`
-        is the light of the previous image.
+        """Return the light of an image (H, W) or (H, W, 3) uint8, relative to the background's own
+        light. The image may show parts. Only pixels within the region are used; None: the whole
+        image. `before` is the light of the previous image.
 
         Raises
         ------
@@ -168,15 +167,15 @@ class Background:
         return fit_light(Lit(image, convert, self.lab, self.limit, self.chroma, region), before)
 
     def under(self, light: Light, region: Region | None = None) -> Background:
-        """Return the background in another light within a region. Without a region, the whole image
-        is used."""
+        """Return a copy of the background whose colours within a region are those in another light.
+        Without a region, the whole image is changed."""
         region = region or make_region(self.lab.shape[1::-1])
         return replace(self, lab=relit(self.lab, light, region))
 
     def softened(self, image: np.ndarray, region: Region) -> Background:
-        """Return the background with the additional blur of an image (H, W) or (H, W, 3) uint8 in
-        the same light. Such a blur occurs if the camera went out of focus after the bare plate was
-        learned. The plate's edge is then wider in the image."""
+        """Return the background with the blur of an image (H, W) or (H, W, 3) uint8 in the same
+        light. The image has additional blur if the camera went out of focus after the bare plate
+        was learned. The plate's edge is then wider in the image."""
         usable = region.usable.astype(np.uint8)
         inner = cv2.erode(usable, np.ones((2 * EDGE_PX + 1,) * 2, np.uint8), borderValue=0)
         rows, columns = np.nonzero(usable > inner)

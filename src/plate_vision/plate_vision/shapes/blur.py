@@ -14,9 +14,9 @@ from .patch import Patch
 
 MAX_PX, MAX_RADIUS = 0.5, 0.144
 """Maximum blur (standard deviation) of an image in which types are determined: `MAX_PX` [px] plus
-`MAX_RADIUS` times the parts' median radius. In synthetic images with parts of 10 px radius, nuts
-were mistaken for washers with a blur of 2.0 px and more, but not with 1.8 px. With parts of 19 px
-radius, this happened with 3.4 px and more, but not with 3.1 px."""
+`MAX_RADIUS` times the parts' median radius. In synthetic images, nuts of 10 px radius were mistaken
+for washers with a blur of 2.0 px and more, but not with 1.8 px. Nuts of 19 px radius were mistaken
+with a blur of 3.4 px and more, but not with 3.1 px."""
 
 POINTS = 24
 """Number of points on the contour of a patch."""
@@ -30,8 +30,8 @@ FIRST = 8
 measured."""
 
 SHARP = 0.6
-"""Maximum blur of the first patches for which the other patches are not measured, because the image
-is certainly sharp, relative to the maximum blur [-]. In images with too much blur, the blur of the
+"""Maximum blur of the first patches in an image that is certainly sharp, relative to the maximum
+blur [-]. The other patches are then not measured. In images with too much blur, the blur of the
 first patches is at least 0.8 times the maximum."""
 
 BESIDE_PX = 9.0
@@ -45,8 +45,8 @@ STEPS = 13
 """Number of samples of a profile."""
 
 SECANT = 3
-"""Distance to the two neighbours on the contour from which its direction is computed [points of the
-contour]."""
+"""Number of points between a point of a contour and each of the two other points from which the
+direction of the contour is computed."""
 
 
 def is_blurred(image: np.ndarray, patches: Sequence[Patch]) -> bool:
@@ -65,8 +65,10 @@ def is_blurred(image: np.ndarray, patches: Sequence[Patch]) -> bool:
 
 def edge_blur_px(grey: np.ndarray, patches: Sequence[Patch], radius_px: np.ndarray) -> float:
     """Return the blur of the contours of patches with radii (n,) [px] in an image (H, W) uint8. It
-    is a standard deviation [px]: contrast / (sqrt(2 pi) slope), of which the median over the
-    patches is used."""
+    is a standard deviation [px].
+
+    At each point of a contour, the blur is contrast / (sqrt(2 pi) slope). The result is the median
+    over the patches of a low percentile (`PERCENT`) over the points of each contour."""
     points, secants = [], []
     for patch in patches:
         contours, _ = cv2.findContours(

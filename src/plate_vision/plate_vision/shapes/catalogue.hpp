@@ -28,7 +28,7 @@ constexpr int FIT_STEPS = 5;
 // Distance between the outlines below which no other angle is tried [px].
 constexpr double EXACT = 0.15;
 
-// Correlation of two spectra (HARMONICS,), of which one is rotated by each of the angles in turn.
+// Correlation of two spectra (HARMONICS,). One spectrum is rotated by each of the angles in turn.
 PLATE_WIDE inline void correlate(const Complex* seen, const Complex* known,
                                  std::array<double, TURNS>& alike) {
     double turn_x[TURNS], turn_y[TURNS], wave_x[TURNS], wave_y[TURNS];

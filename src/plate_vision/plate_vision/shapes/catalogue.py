@@ -22,8 +22,9 @@ GRID = 13
 """Number of points along each side of the bounding box at which a type is sampled."""
 
 CHIRAL = 0.02
-"""RMS (root mean square) difference between a part's outline and its mirror image, relative to the
-part's reach, above which the two faces of the part count as different."""
+"""Minimum RMS (root mean square) difference between the outlines of a part's two faces, relative to
+the part's reach, with which the faces count as different. The outline of the other face is the
+mirror image."""
 
 HOLE_INSIDE = 0.55
 """Size of the inner area of a hole, relative to the size of the hole. The inner area does not
@@ -64,7 +65,8 @@ class Template:
 
     @cached_property
     def lever2(self) -> float:
-        """Mean square of the normal displacement of the contour per rotation [m2/rad2]."""
+        """Mean square of the contour's displacement along its normal, per squared rotation
+        [m2/rad2]."""
         x, y, right, up = self.samples.T
         return float(np.mean((x * up - y * right) ** 2))
 
@@ -153,10 +155,16 @@ class Catalogue:
     Attributes
     ----------
     templates : tuple of Template
-    area, filled_area, perimeter, reach, scatter : (T,)
-        Area without the holes [m2]; area including the holes [m2]; length of the outer contour [m];
-        maximum distance from the centre [m]; RMS difference between the outlines of parts of this
-        type [m].
+    area : (T,)
+        Area without the holes [m2].
+    filled_area : (T,)
+        Area including the holes [m2].
+    perimeter : (T,)
+        Length of the outer contour [m].
+    reach : (T,)
+        Maximum distance of the contour from the centre [m].
+    scatter : (T,)
+        RMS difference between the outlines of parts of this type [m].
     colour : (T, 3)
         CIE L, a, b; NaN if unknown.
     form : (T, HARMONICS - 1)
@@ -196,9 +204,9 @@ def make_catalogue(types: Mapping[str, PartType]) -> Catalogue:
 def lay_on(
     template: Template, outline: Outline, scale: float, hopeless: float = np.inf
 ) -> np.ndarray:
-    """Fit a type to an outline, starting from each likely angle. Return (5,) like `fit_pose`. The
-    distances are averaged over both directions: from the outline to the type, and from the type to
-    the outline."""
+    """Fit a type to an outline, starting from each likely angle. Return the best fit (5,) in the
+    form of `fit_pose`. Its residual is the root mean square of two distances: from the outline to
+    the type, and from the type to the outline."""
     fit: np.ndarray = _kernels.lay_on(
         template.edges,
         template.samples,

@@ -2,12 +2,13 @@
 
 The outline of a patch is compared with the outline of every type. Candidate angles are determined
 by the correlation of the two spectra. Then the type's polygon is fitted to the outline by least
-squares. The score of a type is a sum of squares: the residual distance of the outlines, and the
-differences in size, colour and holes, each in standard deviations. If the mirror image of a type
-fits better, the part lies on its other face and does not count as this type.
+squares. The score of a type is a sum of four squares: the residual distance of the outlines, and
+the differences in size, colour and holes, each in standard deviations. If the mirror image of a
+type fits better, the part is turned over and does not count as this type.
 
-A nearest-neighbour search on Hu moments, size and colour would recognise known parts equally well
-and faster. But it does not determine the angle, and it assigns types to unknown objects too.
+A nearest-neighbour search on Hu moments, size and colour would be faster and would recognise known
+parts equally well. But it does not determine the angle, and it assigns types to unknown objects
+too.
 """
 
 from __future__ import annotations
@@ -32,9 +33,8 @@ from .patch import Patch
 from .shadows import MIN_PX, Lamp
 
 ASTRAY = 2.0
-"""Maximum distance between the outlines of a patch and a type after two steps of their fit,
-relative to the maximum distance at the end of the fit. If the distance is larger, the fit is
-stopped."""
+"""Maximum distance between the outlines of a patch and a type after two steps of the fit, relative
+to the maximum distance at its end [-]. If the distance is larger, the fit is stopped."""
 
 FIT_PX = 0.35
 """RMS (root mean square) distance between outlines of one type that pixels and noise cause [px]."""
@@ -44,11 +44,12 @@ FIT_REACH = 0.025
 to the part's reach."""
 
 SIZE_PX = 0.6
-"""Standard deviation of the apparent size of an outline that blur, shadows and the threshold cause
-[px]."""
+"""Standard deviation of the apparent size of an outline [px]. It is caused by blur, by shadows and
+by the threshold."""
 
 SIZE_REACH = 0.025
-"""Standard deviation of the apparent size of an outline, relative to the part's reach."""
+"""Further standard deviation of the apparent size of an outline, relative to the part's reach
+[-]."""
 
 COLOUR_LAB = 12.0
 """Standard deviation of the colours of one type [Lab]."""
@@ -58,20 +59,19 @@ LIGHTNESS = 0.5
 highlights."""
 
 HOLES = 0.06
-"""Standard deviation of the fraction of a part that is a hole in its outline. It is large because
-highlights may look like holes, and dark holes may look like the part."""
+"""Standard deviation of the fraction of a part's area that its outline shows as holes [-]. It is
+large because highlights may look like holes, and dark holes may look like the part."""
 
 LIMIT = 3.0
 """Maximum difference between a patch and its type, in standard deviations of parts of one type. If
 the difference to every type is larger, the patch is unknown."""
 
 OTHER_SIZE = 0.45
-"""Maximum size ratio (natural logarithm) of a patch and its type. It is independent of the type's
-scatter."""
+"""Maximum natural logarithm of the ratio between the sizes of a patch and its type. Unlike `LIMIT`,
+it does not depend on how much parts of the type differ."""
 
 OTHER_SIZE_PX = 1.0
-"""Minimum difference between the outlines [px] for which `OTHER_SIZE` applies. It is independent of
-the type's scatter."""
+"""Minimum difference between the outlines in size with which `OTHER_SIZE` is applied [px]."""
 
 UNLIKE = 0.4
 """Maximum distance between the forms (see `Outline.form`) of a patch and a type that is tried. For
@@ -82,28 +82,31 @@ SLACK_PX = 0.5
 """Error of the growth of an outline that is estimated from the difference of two areas [px]."""
 
 OTHER_FACE = 1.0
-"""Minimum reduction of the squared distance by the mirror image, in variances of an outline, from
-which a part lies on its other face. It is above 0 because for a round part with an irregular edge,
-either face may fit slightly better."""
+"""Minimum reduction of the squared distance of the outlines if the type is replaced by its mirror
+image, in variances of an outline. With this reduction, the part counts as turned over. The minimum
+is above 0 because for a round part with an irregular edge, either face may fit slightly better."""
 
 HOPELESS = 12.0
-"""Maximum excess of a type's score, computed from size and colour alone, over the best score. If
-the excess is larger, the type is not tried, because its likelihood is less than 0.2 % of the
-likelihood of the best type."""
+"""Maximum difference between a type's minimum score, which is computed only from size and colour,
+and the best score so far. If the difference is larger, the type is not tried, because its
+likelihood is less than 0.3 % of the likelihood of the best type."""
 
 FILLED_COLOUR = 0.5
-"""Weight of the colour of a part whose hole is visible in the image, but missing in its outline."""
+"""Weight of the colour of a part whose hole is visible in the image, but missing in its outline
+[-]."""
 
 CLEAN = 1.5
-"""Score below which a type with holes is not tried without its holes."""
+"""Maximum score of a type with holes for which the type is not also tried without its holes."""
 
 OUTLINE_ERROR, USUAL_FIT_PX = 0.3, 0.15
-"""Ratio between the position error and the distance from the outline to the type's outline; and
-this distance in a sharp image, without motion blur, with flat parts and in even light [px]."""
+"""Position error because the outline differs from the type's outline. It is `OUTLINE_ERROR` times
+the part of this distance that exceeds `USUAL_FIT_PX` [px]. This is the distance of flat parts in a
+sharp image with even light."""
 
 SWELL_ERROR, USUAL_SWELL_PX = 0.5, 0.2
-"""Ratio between the position error and the growth of an outline; and the typical growth [px]. A
-cause that acts on one side, such as an unknown height, displaces a part by more than the growth."""
+"""Position error because an outline has grown. It is `SWELL_ERROR` times the part of the growth
+that exceeds the typical growth `USUAL_SWELL_PX` [px]. A cause that acts on one side only, such as
+an unknown height, shifts the outline."""
 
 HEIGHT_ERROR_PX = 0.1
 """Standard deviation of a position on the plate along each axis after the correction for height
@@ -134,7 +137,7 @@ SIGHTING = np.dtype(
         ("blurred", "?"),
     ]
 )
-"""One part that was seen in an image.
+"""One detected object in an image, with its type.
 
 x_px, y_px: centre [px]. radius_px: radius of the disc of the same area [px]. label: type, `UNKNOWN`
 or `GROUP`. confidence: 0 to 1. x, y: centre [m, plate_home]. angle: angle [rad, plate_home].
@@ -146,7 +149,7 @@ the image is blurred."""
 
 
 def is_named(seen: np.ndarray) -> np.ndarray:
-    """Whether a sighting (n,) `SIGHTING` has a type, (n,) bool."""
+    """Return which detections (n,) `SIGHTING` have a type, (n,) bool."""
     return np.asarray((seen["label"] != UNKNOWN) & (seen["label"] != GROUP))
 
 
@@ -159,7 +162,8 @@ class Conditions:
     lamp : Lamp, optional
         The lamp that casts all shadows. If it is given, patches include the shadows: see `segment`.
     background : Background, optional
-        The bare plate. It is compared with the image in holes that are missing in an outline.
+        The bare plate. If a type has a hole that is missing in an outline, the image in this hole
+        is compared with the bare plate.
     swell_px : float
         Distance by which outlines are larger than the parts [px], because of blur, soft shadows or
         light.
@@ -210,8 +214,9 @@ def recognise_under(
 ) -> tuple[np.ndarray, Conditions]:
     """Recognise parts as `recognise` does. Also return the conditions measured with these parts.
 
-    All patches are compared a second time in two cases: if most outlines of parts with a type are
-    larger than their types, or if the length of the shadows was measured with the types.
+    All patches are compared a second time if the measured conditions differ from the given ones.
+    This is so if the outlines differ from their types in size, or if the length of the shadows was
+    measured with the types.
     """
     outlines, colours = measure_patches(image, patches, calibration)
     found = _compared(image, patches, outlines, colours, catalogue, calibration, conditions)
@@ -232,7 +237,7 @@ def _compared(
     calibration: Calibration,
     conditions: Conditions,
 ) -> np.ndarray:
-    """Return the sightings (n,) SIGHTING of patches with these outlines and colours (n, 3)."""
+    """Return the detections (n,) SIGHTING for patches with these outlines and colours (n, 3)."""
     lamp, background, swell = conditions.lamp, conditions.background, conditions.swell_px
     found = np.zeros(len(outlines), SIGHTING)
     if not len(outlines):
@@ -309,8 +314,9 @@ def height_levels(
 def footprints(
     outlines: Sequence[Outline], calibration: Calibration, height: float, lamp: Lamp | None = None
 ) -> list[Outline]:
-    """Return the footprints of parts with a height [m]. The given outlines contain the visible
-    tops, side faces, and shadows from a lamp. Outlines of lower objects are returned unchanged."""
+    """Return the footprints of parts with a height [m]. The given outlines enclose the tops, the
+    visible side faces, and the shadows from a lamp. If an object is lower than this height, its
+    outline is returned unchanged."""
     if height == 0 and lamp is None:
         return list(outlines)
     centre = np.array([outline.centre for outline in outlines]).reshape(-1, 2)
@@ -403,9 +409,12 @@ def _judge_one(
     hole_check: HoleCheck | None,
     swell: float,
 ) -> None:
-    """Fill in a sighting () SIGHTING. Input for each type (T,): the outline for its height, its
-    minimum score, the variances of its outline and size [px2], and the distance of its colour.
-    `swell` is the growth of all outlines [px]."""
+    """Find the type of one patch, and write it to its record `row` () SIGHTING.
+
+    The other arguments contain values for each type (T,). `outlines` are the patch's outlines for
+    the types' heights. `least` are the minimum scores. `fit_square` and `size_square` are the
+    variances of the outline and of the size [px2]. `tint` are the distances of the colours. `swell`
+    is the growth of all outlines [px]."""
     best, second, chosen, kept = np.inf, np.inf, -1, np.empty(0)
     laid, points = catalogue.templates[0], outlines[0].points
     for j in np.argsort(least).tolist():
@@ -466,7 +475,8 @@ def _ways_to_lay(
     plain = template, outline, 0.0
     filled = template.filled, outline.filled, None
     if own and seen and hole_check is not None:
-        # If half of a hole is in shadow, the outline contains only a part of it.
+        # If half of a hole is in shadow, the outline shows only a part of the hole. So fit the type
+        # both with and without its holes.
         return [plain, filled]
     return [plain] if own == seen else [filled]
 
@@ -478,7 +488,7 @@ def _settled(
     catalogue: Catalogue,
     calibration: Calibration,
 ) -> Conditions:
-    """Return the conditions, measured with those sightings (n,) SIGHTING that have a type."""
+    """Return the conditions, measured with those detections (n,) SIGHTING that have a type."""
     named = np.flatnonzero(is_named(found) & found["whole"])
     if len(named) < FEWEST_NAMED:
         return replace(conditions, settled=True)
@@ -501,11 +511,11 @@ def _measured(
     catalogue: Catalogue,
     calibration: Calibration,
 ) -> Lamp:
-    """Return the lamp with the measured length of the shadows. It is computed from the sizes of the
-    parts `named` (m,) among the sightings (n,) SIGHTING, and from the outlines of these parts with
-    their shadows.
+    """Return the lamp with the measured length of the shadows. For each part, the length is the
+    extent of its outline, which includes the shadow, beyond the part of known size.
 
-    Blur enlarges outlines on all sides. This growth is measured across the shadows and subtracted.
+    `named` (m,) are the indices of the detections `found` (n,) SIGHTING that have a type. Blur
+    enlarges outlines on all sides. This growth is measured across the shadows and subtracted.
     """
     numbers = {one.part.name: j for j, one in enumerate(catalogue.templates)}
     centre = np.column_stack([found["x"], found["y"]])[named]
@@ -537,8 +547,8 @@ def _measured(
 
 
 def note_type(row: np.void, part: PartType, fit: np.ndarray, scatter: float, scale: float) -> None:
-    """Write a type to a sighting () SIGHTING. `fit` (3,) is the part's x, y [m] and angle [rad],
-    and `scatter` is the standard deviation of the angle [rad]."""
+    """Write a type to the record `row` () SIGHTING. `fit` (3,) is the part's x, y [m] and angle
+    [rad], and `scatter` is the standard deviation of the angle [rad]."""
     row["label"] = part.name
     row["x"], row["y"] = fit[:2]
     row["angle"], row["angle_sd"] = wrapped(fit[2], part.symmetry), scatter
@@ -551,9 +561,10 @@ def angle_sd(
     """Return the standard deviation [rad] of the angle of a type that is fitted to points (n, 2).
     It is at most the standard deviation of an unknown angle.
 
-    The deviation is computed from the increase of the squared distances when the type is rotated by
-    about a pixel. If this increase is smaller than for the type's own contour, the corners are
-    blurred or hidden, and noise may look like corners. Therefore, the deviation is then increased.
+    The standard deviation is computed from the increase of the squared distances when the type is
+    rotated by about a pixel. If this increase is smaller than for the type's own contour, the
+    corners are blurred or hidden, and noise may look like corners. The standard deviation is then
+    increased.
     """
     period = 2 * np.pi / max(template.part.symmetry, 1)
     most = period / np.sqrt(12)

@@ -1,9 +1,9 @@
 """Decision which pieces of patches are parts. A piece is a part if it is similar to other pieces in
 the image, or if a narrow neck separates it from the rest of the patch.
 
-Most images show several parts of the same kind. For some patches, it is not clear from the patch
-alone whether it is one part or several parts, for example brackets that touch along a whole side.
-In this case, similar pieces elsewhere in the image are used for the decision.
+Some patches alone do not show whether they are one part or several parts. An example is two
+brackets that touch along a whole side. But most images show several parts of the same kind.
+Therefore, the decision uses similar pieces elsewhere in the image.
 """
 
 from __future__ import annotations
@@ -29,19 +29,19 @@ CONVEX = 0.93
 """Solidity above which patches are not split at necks."""
 
 CLEAR = 0.45
-"""Width of a neck, relative to the width of the narrower side. Below this width, the two sides are
-always two parts."""
+"""Maximum width of a neck whose two sides are always two parts, relative to the width of the
+narrower side [-]. A wider neck is unclear."""
 
 ALIKE = (0.12, 0.12, 0.06)
 """Maximum differences between similar pieces: the relative differences of area and spread, and the
 difference of solidity."""
 
 UNEQUAL = 0.5
-"""Minimum area of the smaller side of an unclear neck, relative to the larger side. A smaller side
-belongs to the larger side."""
+"""Minimum area of the smaller side of an unclear neck, relative to the larger side. If its area is
+smaller, both sides are one part."""
 
 COMPACT = 0.85
-"""Minimum solidity of both sides of an unclear neck if they are two parts."""
+"""Minimum solidity of both sides of an unclear neck with which they count as two parts."""
 
 MIN_GOOD = 0.35
 """Minimum fraction of a patch's area that must be compact or similar to other pieces after the
@@ -61,7 +61,8 @@ MAX_DENTS = 6
 """Maximum number of concave corners of a piece that are used. The deepest ones are used."""
 
 LARGER = 1.5
-"""Minimum area of a piece that may be several parts, relative to the smallest kind in the image."""
+"""Minimum area of a piece that may be several parts, relative to the area of a kind in the image.
+A kind is a set of similar pieces."""
 
 DENTED = 0.9
 """Solidity below which a large piece that is not similar to others counts as a group."""
@@ -102,7 +103,8 @@ to others may be a group."""
 
 WORK = 12.0
 """Maximum number of pixels that all cuts within pieces are allowed to visit, relative to the number
-of the plate's pixels. The maximum takes half a second and is needed for heaps of 80 parts."""
+of the plate's pixels. Cuts of this number of pixels take half a second. Heaps of 80 parts need
+them."""
 
 PLATE_SIZED = 0.5
 """Maximum area of a piece that is split, relative to the area of the plate. If a piece is larger,

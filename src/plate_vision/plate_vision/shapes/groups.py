@@ -3,8 +3,8 @@
 Each type is placed at all positions and angles in a group. The whole part must be inside the group,
 and a large fraction of its contour must coincide with the group's contour or with edges of colour.
 The best part is removed, and the search is repeated until nothing is left. If the removed parts do
-not cover the group, the next best parts are tried. If no parts cover the group, it remains a group,
-but the parts that are certain are removed from it.
+not cover the group, the next best parts are tried. If no set of parts covers the group, only the
+parts that are certain are removed, and the rest remains a group.
 """
 
 from __future__ import annotations
@@ -52,8 +52,7 @@ NEAR_PX: float = _kernels.NEAR_PX
 [px]."""
 
 OUTSIDE_PX: float = _kernels.OUTSIDE_PX
-"""Maximum distance of a part's point outside the group for which the point is still accepted
-[px]."""
+"""Maximum distance outside the group up to which a point of a part counts as inside [px]."""
 
 MAX_OUTSIDE: float = _kernels.MAX_OUTSIDE
 """Maximum fraction of a part that is outside the group."""
@@ -62,8 +61,8 @@ RIM_POINTS = 200
 """Number of points on the contour of a group."""
 
 ENOUGH_PX = 10.0
-"""Approximate maximum reach of the smallest type in the image in which parts are searched [px].
-Images with more pixels are reduced."""
+"""Approximate reach of the smallest type in the image in which parts are searched [px]. If its
+reach is larger, the image is reduced first."""
 
 TOUCH_PX = 2
 """Maximum distance between patches that may belong to one part, or to one group [px]."""
@@ -82,8 +81,8 @@ CHOICES = 8
 enough from each other."""
 
 FIRST, TRIES = 3, 30
-"""Maximum number of candidates for each part of a group; and maximum number of combinations that
-are tried."""
+"""`FIRST`: maximum number of candidates for each part of a group. `TRIES`: maximum number of
+combinations of parts that are tried for a group."""
 
 MAX_PARTS = 12
 """Maximum number of parts in a group."""
@@ -93,19 +92,23 @@ MAX_TRIES = 200
 because a heap may consist of dozens of groups."""
 
 COVERED = 0.88
-"""Minimum ratio between the intersection of parts and group and their union."""
+"""Minimum area that is covered by both the parts and the group, relative to the area that is
+covered by either of them. With this ratio, the parts cover the group."""
 
 SURE = 0.8
-"""Minimum fraction of the contour of a certain part that coincides with the group's contour."""
+"""Minimum fraction of a part's contour that coincides with the group's contour. With this fraction,
+the part is certain."""
 
 TWO = 1.6
-"""Minimum area of a group, relative to the smallest type. It is the area of two blurred parts."""
+"""Minimum area of a group, relative to the area of the smallest type. Two blurred parts that touch
+have at least this area."""
 
 LARGER = 1.1
 """Maximum area of a single part of a type, relative to the largest type."""
 
 LEFT = 0.4
-"""Minimum area of a rest that may be a part, relative to the smallest type."""
+"""Minimum area of the rest of a group that may be a part, relative to the area of the smallest
+type."""
 
 EDGE_STEP = 5.0
 """Minimum gradient of an edge of colour inside a group [grey levels/px]."""
@@ -119,8 +122,19 @@ STEPS = 8
 
 @dataclass(frozen=True, eq=False)
 class Found:
-    """A part in a group: its template; its pose x, y [m], angle [rad]; the visible fraction of its
-    contour (0 to 1); and the distance of its colour from the type's colour."""
+    """A part that was found in a group.
+
+    Attributes
+    ----------
+    template : Template
+        Type of the part.
+    pose : (3,)
+        x, y [m], angle [rad].
+    seen : float
+        Fraction of the part's contour that coincides with the group's contour, 0 to 1.
+    tint : float
+        Distance of the part's colour from the type's colour [Lab].
+    """
 
     template: Template
     pose: np.ndarray
@@ -187,19 +201,19 @@ def explain_groups(
     calibration: Calibration,
     conditions: Conditions | None = None,
 ) -> np.ndarray:
-    """Replace groups and patches without a type by parts of taught types, if such parts cover them.
-    Return the sightings (n,) SIGHTING.
+    """Replace groups, and patches without a type, by the parts of taught types that were found in
+    them. Return the new detections (n,) SIGHTING.
 
     Parameters
     ----------
     image : (H, W) or (H, W, 3) uint8
     patches : sequence of Patch
     seen : (m,) SIGHTING
-        The sighting of each patch.
+        The detection of each patch.
     catalogue, calibration, conditions
         As in `recognise`.
     """
-    # Patches at the border are not used, because they are incomplete or may be the plate's edge.
+    # Patches at the border are not changed, because they are incomplete or may be the plate's edge.
     settled = is_named(seen) | ~seen["whole"]
     if settled.all() or not catalogue.templates:
         return seen
@@ -233,8 +247,9 @@ def _places(seen: np.ndarray) -> np.ndarray:
 def _clusters(
     patches: Sequence[Patch], settled: np.ndarray, shape: tuple[int, int]
 ) -> list[np.ndarray]:
-    """Return the indices of the patches in each cluster. A cluster consists of unsettled patches
-    that touch each other, and of the settled patches next to them."""
+    """Return the indices of the patches in each cluster. A cluster consists of patches that touch
+    each other and need an explanation, and of the patches next to them. `settled` (n,) is whether a
+    patch needs no explanation."""
     owner = np.full(shape, -1, np.int32)
     for i, patch in enumerate(patches):
         owner[patch.place][patch.mask] = i
@@ -277,8 +292,8 @@ def _parts(
     tries: Work,
     conditions: Conditions | None,
 ) -> np.ndarray:
-    """Return the sightings (n,) SIGHTING of the parts of a group. The result is empty if no parts
-    cover the group. `one` (1,) is the sighting of the whole group."""
+    """Return the detections (n,) SIGHTING of the parts of a group and of its rest. The result is
+    empty if no parts are found. `one` (1,) is the detection of the whole group."""
     outlines, _ = measure_patches(image, [union], calibration, RIM_POINTS)
     here, mask = union.windowed(image.shape)
     corner = here[1].start, here[0].start
@@ -366,18 +381,18 @@ def _coarser(view: View, catalogue: Catalogue) -> View:
 def take_apart(
     view: View, catalogue: Catalogue, doubtful: bool = False, tries: Work | None = None
 ) -> list[Found]:
-    """Return the parts of a group, with poses in plate_home. The result is empty if they are not
-    found. If `doubtful`, the group may be a single part, and parts are returned only if they cover
-    it completely. `tries` is the number of combinations that can still be tried for this and other
-    groups."""
+    """Return the parts of a group, with poses in plate_home. The result is empty if no parts are
+    found. If `doubtful`, the group may be a single part. Parts are then returned only if they cover
+    it completely. `tries` is the number of combinations that may still be tried for this group and
+    other groups."""
     tries = tries or Work(TRIES)
     border = _edge_distances(view)
     least, most = np.array([np.min(catalogue.area), np.max(catalogue.area)]) * view.scale**2
     if np.count_nonzero(view.mask) > MAX_PARTS * most:
         return []
     choices = _candidates(view, catalogue, border, border)
-    # Best-first search: first the best candidate of each choice is tried, then the second best
-    # candidate of one choice, and so on.
+    # Best-first search: The combination with the smallest sum of ranks is tried next. The rank of
+    # the best candidate is 0, the rank of the second best candidate is 1, and so on.
     open_: list[tuple[int, int, int, tuple[Found, ...], np.ndarray, list[Found]]] = []
     number = itertools.count()
     heapq.heappush(open_, (0, 0, 0, (), view.mask, choices))
@@ -445,7 +460,7 @@ def _without(view: View, left: np.ndarray, part: Found) -> np.ndarray:
     own = view.drawn(part)
     rest = np.where(cv2.dilate(own, np.ones((3, 3), np.uint8)) > 0, 0, left).astype(np.uint8)
     small = np.ones((3, 3), np.uint8)
-    # Restore pixels of the rest that were removed along the part's contour.
+    # The dilation also removed pixels of neighbouring parts along the contour. Restore them.
     grown = cv2.dilate(cv2.morphologyEx(rest, cv2.MORPH_OPEN, small), small)
     return np.asarray(grown & left & (1 - own))
 
@@ -527,9 +542,9 @@ def _placed(
 def _support(
     view: View, template: Template, pose: np.ndarray, free: np.ndarray, border: np.ndarray
 ) -> tuple[float, float]:
-    """Return the fraction of a part's contour that is on the group's contour, minus the fraction
-    that is outside the group; and the fraction of the part's inner points that are outside the free
-    area."""
+    """Return two numbers. The first is the fraction of a part's contour that is on the group's
+    contour, minus the fraction that is outside the group. The second is the fraction of the part's
+    inner points that are outside the free area."""
     found: tuple[float, float] = _kernels.support(
         free, border, view.to_px, template.samples, template.inner, pose
     )

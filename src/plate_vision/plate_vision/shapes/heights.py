@@ -8,10 +8,10 @@ following place of the plate:
 A part with the footprint F therefore covers t F (F scaled by t about c) for all t from 1 to
 k = H / (H - height). This area is the image of the top and of those side faces that are visible to
 the camera. A point p belongs to the footprint if t p is covered for all these t. For a convex part
-this is exact. The footprints of narrow notches and holes are too small by the shift of the top.
+this is exact. In the footprint, narrow notches and holes are narrower by the shift of the top.
 
 The same method is used for a part and its shadow from one lamp. Together, they cover the footprint
-and all its displacements along the shadow, up to the shadow's length.
+and all copies of it that are displaced along the shadow, up to the shadow's length.
 """
 
 from __future__ import annotations
@@ -38,8 +38,8 @@ MIN_SHIFT_PX = 0.02
 """Shift of the top below which no correction is made [px]."""
 
 MARGIN_PX = 3.31
-"""Width of the margin around a footprint in its drawing [px]. It is not a whole number of
-sub-pixels, because otherwise the centres of sub-pixels could be exactly on an edge."""
+"""Width of the margin around a drawn footprint [px]. It is not a whole number of sub-pixels,
+because otherwise an edge could pass exactly through the centres of sub-pixels."""
 
 
 BLUR_PX = 0.7
@@ -83,8 +83,8 @@ def footprint(
     Returns
     -------
     Outline or None
-        None if no area remains, because the part is lower than `height` or its shadow is shorter
-        than `shadow`.
+        None if no area remains. This happens if the part is lower than `height`, or if its shadow
+        is shorter than `shadow`.
     """
     rings = outline.rings
     seen = [rings]
@@ -110,7 +110,7 @@ def footprint(
     for one in seen:
         fine[:] = 0
         for number, ring in enumerate(one):
-            # The centres of the first sub-pixel and the first pixel are 0.
+            # The coordinate of a pixel's centre is a whole number. So is that of a sub-pixel.
             point = (ring - low) * scale
             point = np.rint(16 * (FINE * (point + 0.5) - 0.5)).astype(np.int32)
             cv2.fillPoly(fine, [point], 0 if number else 255, shift=4)

@@ -1,7 +1,8 @@
 """Holes of parts that are missing in a measured outline, because they are dark or in a shadow.
 
-If a type with holes is fitted to a patch, the image inside each hole must look like the plate with
-less light. It must not be brighter than the plate, and must have the plate's chroma.
+If a type with holes is fitted to a patch without holes, the image inside the type's holes must look
+like the plate with less light. It must not be brighter than the plate, and it must have the plate's
+chroma.
 """
 
 from __future__ import annotations
@@ -20,7 +21,7 @@ from .catalogue import Template
 from .heights import magnified
 
 DARKEST = 0.4
-"""Minimum lightness of a hole, relative to the plate [L + 41]."""
+"""Minimum of L + 41 in a hole, relative to the same value of the plate [-]. L is 0 to 255."""
 
 CHROMA_LIMIT = 1.5
 """Maximum deviation of a hole's chroma from the plate's chroma, relative to the maximum deviation

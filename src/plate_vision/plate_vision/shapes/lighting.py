@@ -7,8 +7,8 @@ smooth surfaces. They are fitted to those pixels of the plate's region that agre
 parts have no effect.
 
 Parts may cover more than half of the plate. Therefore, the factor is a mode (frequent value) of the
-ratios between image and plate. If there are several modes, the mode is preferred that agrees with
-pixels that showed the plate in the previous image, and that needs the smallest change.
+ratios between image and plate. There may be several modes. Pixels that showed the plate in the
+previous image have more weight in the choice, and a mode near the previous factor is preferred.
 """
 
 from __future__ import annotations
@@ -54,19 +54,19 @@ APART = 3
 """Minimum distance between two modes of the histogram of the ratios [bins]."""
 
 PASSES = ((1, 25.0), (3, 25.0), (6, 15.0), (6, 0.0), (6, 0.0))
-"""For each pass of the fit of a light: the number of terms of the surfaces, and the tolerance of
-its pixels [L]. A pixel is used if its deviation from the plate in the fitted light is at most the
-larger one of this tolerance and the limit of the plate's noise. The first passes have larger
-tolerances, so that a light from one side can be fitted."""
+"""Number of terms of the surfaces and tolerance [L] in each pass of the fit of a light. A pixel is
+used if its deviation from the plate in the fitted light is at most the larger one of two limits:
+this tolerance and the limit of the plate's noise. The first passes have larger tolerances, so that
+a light from one side can be fitted."""
 
 STEADY = 0.6
-"""Fraction of the plate that agrees with the last light. From this fraction on, no other light is
-searched, because no other light can agree with more of the plate."""
+"""Minimum fraction of the plate that must agree with the last light so that no other light is
+searched. No other light can then agree with more of the plate."""
 
 STEADY_LIMIT = 0.6
-"""Maximum deviation of a pixel from the plate in the last light for which the pixel agrees with
-this light, relative to the limit of the plate's noise. It is below 1 because after a slight change
-of the light, the full limit would exclude half of the noise."""
+"""Maximum deviation of a pixel with which it agrees with the last light, relative to the limit of
+the plate's noise. It is below 1, so that a slight change of the light is noticed before it is as
+large as the noise."""
 
 EVEN = np.zeros((6, 3), np.float32)
 """Surfaces of a light that equals the light on the background."""
@@ -74,14 +74,14 @@ EVEN[0, 0] = 1
 EVEN.setflags(write=False)
 
 RIDGE = 0.002
-"""Weight of the assumption that the surface is constant, relative to the weight of all pixels. It
-is necessary if the plate is visible in only one corner."""
+"""Weight of the assumption that the surface is constant, relative to the weight of all pixels. The
+assumption is necessary if the plate is visible in only one corner."""
 
 
 AMBIGUOUS = 0.3
-"""Minimum value of a second light, relative to the best light, from which the pixels that agree
-with the two lights are compared. Pixels of the plate are connected, but pixels of parts are many
-separate areas."""
+"""Minimum value of another light, relative to the value of the best light. Above it, the areas that
+agree with each light are compared too: pixels of the plate are connected, but pixels of parts are
+many separate areas."""
 
 EVERY = 2
 """Step between the rows and columns that are used to compare two lights."""
@@ -119,7 +119,7 @@ class Light:
 
 @dataclass(frozen=True, eq=False)
 class Lit:
-    """An image and the bare plate in a region, whose colours are compared.
+    """An image and the bare plate. Their colours in a region are compared.
 
     Attributes
     ----------
@@ -145,8 +145,8 @@ class Lit:
     region: Region
 
     def connected(self, surface: np.ndarray) -> float:
-        """Return the fraction of the pixels agreeing with a light (6, C) that the largest connected
-        area contains."""
+        """Return the area of the largest connected set of pixels that agree with a light (6, C),
+        relative to the area of all such pixels."""
         every = np.s_[::EVERY, ::EVERY]
         lab, bare = self.convert(self.image[every]), np.ascontiguousarray(self.bare[every])
         x, y, unit = self.region.samples.place
@@ -212,8 +212,8 @@ def fit_light(lit: Lit, before: Light | None = None) -> Light:
         raise ImageError(
             f"light: {100 * share:.0f} % of the plate looks like the bare plate, allowed: "
             f"{100 * MIN_SHOWN:.0f} % or more, at {100 * low:.0f} to {100 * high:.0f} % of the "
-            "light during learning of the bare plate (is the light on? Was the camera moved? "
-            "If neither is the cause, call ~/learn_plate with an empty plate)"
+            "light during learning of the bare plate; check that the light is on and the camera "
+            "was not moved; otherwise, call ~/learn_plate with an empty plate"
         )
     return Light(likely[0][1], likely[0][2])
 
@@ -261,9 +261,11 @@ def _fitted(
     start: np.ndarray,
     passes: tuple[tuple[int, float], ...],
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Return the surfaces (6, C) that transform known colours (K, C) to seen colours (K, C), and
-    which pixels (K,) agree with them. The `origin` (C,) is subtracted from all colours. The
-    iteration starts from `start` (6, C). `passes` has the same form as `PASSES`."""
+    """Return the surfaces (6, C) that transform the known colours to the seen colours (K, C). Also
+    return which pixels (K,) agree with these surfaces.
+
+    `origin` (C,) was subtracted from all colours. The iteration starts from `start` (6, C).
+    `passes` has the same form as `PASSES`."""
     channels = seen.shape[1]
     surface = start.copy()
     mean = max(float(np.mean(known[:, 0])), 1.0)

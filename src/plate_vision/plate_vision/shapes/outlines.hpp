@@ -21,8 +21,8 @@ namespace plate {
 // 12th and 16th.
 constexpr int HARMONICS = 17;
 
-// Distance on both sides of a patch's contour up to which its edge is searched [px], and number of
-// samples in this range.
+// REACH_PX: distance on both sides of a patch's contour up to which its edge is searched [px].
+// STEPS: number of samples in this range.
 constexpr double REACH_PX = 2.5;
 constexpr int STEPS = 11;
 
@@ -31,9 +31,8 @@ constexpr int STEPS = 11;
 // contour is used instead.
 constexpr double MIN_STEP = 0.25;
 
-// Maximum contribution of a point to a squared distance, relative to the sum of two squares: the
-// square of the unit and the square of a tenth of the part's reach. It limits the effect of
-// outliers.
+// Maximum squared error of a point in a sum of squares. It is relative to the squared unit of the
+// fit plus the square of a tenth of the part's reach. It limits the effect of outliers.
 constexpr double CLIP = 16.0;
 
 // Change below which a fit has converged [units of the fit, usually pixels].
@@ -57,8 +56,9 @@ struct Complex {
     void operator+=(const Complex& more) { real += more.real, imag += more.imag; }
 };
 
-// Compute the similarity of each pixel (h, w, c) to the patch, and write it to `field` (h, w). The
-// patch has 1 and its surround has 0. Write the patch's median colour to `colour` (c,).
+// Compute the similarity of each pixel (h, w, c) to the patch, and write it to `field` (h, w). It
+// is 1 for the patch's median colour and 0 for the surround's. Write the patch's median colour to
+// `colour` (c,).
 //
 // `mask`, `inner` and `around` (h + 2, w + 2) have a frame of one pixel. `mask` is 1 in the patch,
 // `inner` in the area that certainly belongs to it, and `around` in the area that may belong to it.
@@ -115,9 +115,10 @@ inline double sample(View<const float, 2> field, double x, double y) {
            v * ((1 - u) * field(j + 1, i) + u * field(j + 1, i + 1));
 }
 
-// Write evenly spaced points near a ring (k, 2) to `thinned` (count, 2). At each point, the field
-// has the mean of its values inside and outside the ring. The ring consists of the outermost pixels
-// of a patch, or of the pixels around a hole. Its coordinates include a frame of one pixel.
+// Write evenly spaced points of an edge near a ring (k, 2) to `thinned` (count, 2). On the edge,
+// the field has the mean of its values inside and outside the ring. The ring consists of the
+// outermost pixels of a patch, or of the pixels around a hole. Its coordinates include a frame of
+// one pixel.
 inline void find_edge(View<const float, 2> field, View<const int32_t, 2> ring, bool hole,
                       View<double, 2> thinned) {
     struct Point {
@@ -338,7 +339,7 @@ PLATE_WIDE inline void edge_distances(View<const double, 2> edges, Places& place
     }
 }
 
-// Compute the distances of points from edges (e, 5) of positive length.
+// Compute the unsigned distances of points from edges (e, 5) of positive length.
 PLATE_WIDE inline void rim_distances(View<const double, 2> edges, Places& places) {
     for (int first = 0; first < places.padded(); first += POINTS) {
         const double *__restrict x = &places.x[first], *__restrict y = &places.y[first];

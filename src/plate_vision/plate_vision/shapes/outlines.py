@@ -1,8 +1,8 @@
 """Outlines of patches with an accuracy of a fraction of a pixel, their spectra, and fits of
 polygons to them.
 
-The part is always on the left of an outline's rings. In plate_home, where y points to the left of
-x, the outer ring is counter-clockwise, and the rings around holes are clockwise.
+An outline consists of closed rings of points. The part is always on the left of a ring. In
+plate_home, the outer ring is counter-clockwise, and the rings around holes are clockwise.
 """
 
 from __future__ import annotations
@@ -144,8 +144,8 @@ def patch_rings(
 
 
 def distances(edges: np.ndarray, points: np.ndarray) -> np.ndarray:
-    """Return the signed distances of points (n, 2) from a polygon's edges (e, 5), and the gradients
-    of the distances (unit vectors): (n, 3)."""
+    """Return (n, 3): the signed distance of each point (n, 2) from a polygon's edges (e, 5), and
+    the gradient of this distance, which is a unit vector."""
     found: np.ndarray = _kernels.distances(edges, points)
     return found
 
@@ -183,8 +183,8 @@ def fit_pose(
     Returns
     -------
     (5,)
-        x, y [m], angle [rad]; growth of the outline, which is the mean signed distance of the
-        points from the polygon, positive outside [m]; root mean square residual [m].
+        x, y [m], angle [rad], growth of the outline [m], root mean square residual [m]. The growth
+        is the mean signed distance of the points from the polygon, positive outside.
     """
     fit: np.ndarray = _kernels.fit_pose(edges, points, pose, unit, turns, steps, np.inf, gate)
     return fit

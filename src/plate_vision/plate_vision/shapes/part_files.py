@@ -1,5 +1,5 @@
 """Files of part types. `save_part_types` writes a file. `add_type` learns a type from pictures and
-adds it to a file. The other functions load a bare plate and describe a learned type."""
+adds it to a file. `load_bare` learns a bare plate, and `lesson_text` describes a learned type."""
 
 from __future__ import annotations
 
@@ -75,9 +75,10 @@ def add_type(
     region: Region | None,
     height: float | None = None,
 ) -> Lesson:
-    """Learn a type, and write it to a file of types and its picture to another file. A type with
-    the same name is replaced, but its mass and friction are kept. Its height is kept too, unless
-    another height [m] is given.
+    """Learn a type, and write it to a file of types. Write its picture to another file.
+
+    A type with the same name is replaced, but its mass and friction are kept. Its height is kept
+    too, unless another height [m] is given.
 
     Raises
     ------
@@ -108,8 +109,8 @@ def load_bare(
     Raises
     ------
     TeachError
-        If the pictures do not have the given size (width, height), or if they do not show all
-        markers.
+        If a picture does not have the given size (width, height), or if it does not show all
+        markers of the plate.
     """
     pictures = []
     for name, picture in read_pictures(path):
@@ -132,8 +133,8 @@ def lesson_text(lesson: Lesson) -> str:
     turns = {0: "", 1: ", no symmetry"}.get(part.symmetry, f", symmetry of order {part.symmetry}")
     mean, scatter = 1e3 * lesson.size_m
     return (
-        f"{part.name}: {corners}{holes}{turns}; {mean:.2f} +- {scatter:.2f} mm across, outline +- "
-        f"{1e3 * part.scatter_m:.2f} mm, colour {colour_text(part)}; from {lesson.count} "
+        f"{part.name}: {corners}{holes}{turns}; diameter {mean:.2f} +- {scatter:.2f} mm, outline "
+        f"+- {1e3 * part.scatter_m:.2f} mm, colour {colour_text(part)}; from {lesson.count} "
         f"example{'s' if lesson.count > 1 else ''}"
     )
 

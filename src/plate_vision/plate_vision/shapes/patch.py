@@ -149,9 +149,9 @@ class Patch:
 def _to_the_edge(
     contour: np.ndarray, cover: np.ndarray, slope: tuple[np.ndarray, np.ndarray]
 ) -> np.ndarray:
-    """Return, for each point of a contour (k, 1, 2), the nearest point (k, 2) where the cover (h,
-    w) is 0.5. It is computed by one Newton step. `slope` is the gradient of the cover along x and y
-    [1/px]."""
+    """Move each point of a contour (k, 1, 2) to the nearest place where the cover (h, w) is 0.5, by
+    one Newton step. Return the new points (k, 2). `slope` is the gradient of the cover along x and
+    y [1/px]."""
     x, y = contour[:, 0].T
     steep = np.stack([slope[0][y, x], slope[1][y, x]], axis=1)
     square = np.sum(steep**2, axis=1, keepdims=True)

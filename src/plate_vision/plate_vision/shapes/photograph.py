@@ -19,15 +19,15 @@ ROUND = 0.95
 """Minimum of 4 pi area / length^2 for the hull of a disc. For a regular octagon it is 0.948."""
 
 SURE = 60.0
-"""Contrast from which on the confidence is not reduced [grey levels]."""
+"""Minimum contrast with which the confidence is not reduced [grey levels]."""
 
 SOFT = 0.3
-"""Maximum of the lower quartile of the gradient at the contour of a soft patch, relative to the
-background's limit [1/px]. A patch that is both soft and frayed (`FRAYED`) is rejected, because it
-is not a part."""
+"""Maximum gradient at the contour of a soft patch, relative to the background's limit [1/px]. The
+lower quartile over the contour is used. A patch that is both soft and frayed (`FRAYED`) is
+rejected, because it is not a part."""
 
 FRAYED = 0.85
-"""Maximum fraction of the hull that a frayed patch fills."""
+"""Maximum fraction of its convex hull that a frayed patch fills."""
 
 OUTLINE = np.dtype(
     [

@@ -17,13 +17,13 @@ namespace plate {
 // [px].
 constexpr double NEAR_PX = 1.3;
 
-// Maximum distance of a part's point outside the group for which the point is still accepted [px].
+// Maximum distance outside the group up to which a point of a part counts as inside [px].
 constexpr double OUTSIDE_PX = 1.6;
 
 // Maximum fraction of a part that is outside the group.
 constexpr double MAX_OUTSIDE = 0.06;
 
-// Count of contour points at places that are excluded. It is lower than any other count.
+// Count of contour points that marks an excluded place. It is lower than any other count.
 constexpr int16_t BARRED = -30'000;
 
 // Number of places along a row that are processed together.
@@ -53,15 +53,14 @@ inline double level(View<const float, 2> field, View<const double, 2> to_px, con
     return inside ? field(j, i) : -99;
 }
 
-// Fraction of a part's contour that is on the group's contour, and fraction of the part's inner
-// points that are outside the free area.
+// Result of `support`.
 struct Support {
     double seen, outside;
 };
 
-// Return the fraction of a part's contour points (n, 2) that are on the group's contour, minus the
-// fraction that are outside the group; and the fraction of the part's inner points (m, 2) that are
-// outside the free area.
+// Compute the support of a part. `seen` is the fraction of its contour points (n, 2) that are on
+// the group's contour, minus the fraction that are outside the group. `outside` is the fraction of
+// its inner points (m, 2) that are outside the free area.
 inline Support support(View<const float, 2> free, View<const float, 2> border,
                        View<const double, 2> to_px, View<const double, 2> rim,
                        View<const double, 2> inner, const double* pose) {
@@ -82,8 +81,8 @@ inline double farthest(View<const double, 2> points, const double* place) {
     return most;
 }
 
-// Write the offsets of the points (n, 2) of a rotated part from the part's pole, as indices in a
-// field with a frame.
+// Rotate the points (n, 2) of a part about the part's pole. Write their offsets from the pole to
+// `offsets`, as differences of indices in a field with a frame.
 inline void find_offsets(View<const double, 2> points, View<const double, 2> to_px,
                          const double* pole, double angle, int margin, int width,
                          std::vector<int>& offsets) {
@@ -99,8 +98,8 @@ inline void find_offsets(View<const double, 2> points, View<const double, 2> to_
     }
 }
 
-// For each of `count` places along the row of the field that begins at `row`, add the values of the
-// field at all points of a part at this place to `total` (count,). Elements after the end of
+// A part is placed at each of `count` places along the row of the field that begins at `row`. Add
+// the values of the field at all points of the part to `total` (count,). Elements after the end of
 // `total` are changed too, up to a multiple of PLACES.
 PLATE_WIDE inline void add_rows(const int16_t* row, const std::vector<int>& offsets,
                                 int16_t* __restrict total, int count) {
@@ -115,8 +114,8 @@ PLATE_WIDE inline void add_rows(const int16_t* row, const std::vector<int>& offs
     }
 }
 
-// A place of a part: x, y [m], the angle [rad] with which the largest fraction of the part's
-// contour is on the group's contour, and this fraction.
+// A place of a part: x, y [m], the best angle [rad], and `Support.seen` for this angle. The best
+// angle is the one with the largest `Support.seen`.
 struct PlaceFound {
     double x, y, angle, seen;
 };

@@ -1,7 +1,7 @@
 """Simplification of a measured outline to a polygon with few corners.
 
-The Douglas-Peucker algorithm finds a first polygon. Its corners are fitted by least squares. Then
-corners are removed as long as the fit remains good.
+The Douglas-Peucker algorithm finds a first polygon. Its corners are fitted to the outline by least
+squares. Then one corner after the other is removed while the fit remains good.
 """
 
 from __future__ import annotations
@@ -29,15 +29,15 @@ FINE = 0.012
 `FINE_PX` is used."""
 
 PLAIN_PX = 0.14
-"""RMS deviation up to which a polygon with fewer corners is preferred [px]."""
+"""Maximum RMS deviation from the outline with which a polygon with fewer corners is preferred
+[px]."""
 
 PLAIN = 0.006
-"""RMS deviation up to which a polygon with fewer corners is preferred, relative to the part's
-reach."""
+"""Like `PLAIN_PX`, but relative to the part's reach [-]. The largest one of this limit, `PLAIN_PX`
+and `WORSE` is used."""
 
 WORSE = 1.1
-"""Maximum deviation of a polygon with fewer corners, relative to the deviation of the first polygon
-[-]."""
+"""Like `PLAIN_PX`, but relative to the deviation of the first polygon [-]."""
 
 BULGE_PX = 0.35
 """Maximum distance of the outline from the polygon's edges [px]."""
@@ -59,8 +59,8 @@ def simplified(name: str, what: str, ring: np.ndarray, reach: float, scale: floa
     Raises
     ------
     TeachError
-        If this number of corners does not suffice. The message contains `name`, the name of the
-        type, and `what`, the kind of ring.
+        If this number of corners does not suffice. In the message, `name` is the name of the type,
+        and `what` is the kind of ring.
     """
     fine = max(FINE_PX / scale, FINE * reach)
     contour = (ring / fine).astype(np.float32)[:, None]

@@ -18,19 +18,19 @@ constexpr double STRONG = 1.2;
 // Minimum contrast of a part's second colour, relative to the contrast of its main colour.
 constexpr double WEAKER = 0.35;
 
-// Minimum contrast of a second colour, relative to the contrast of the main colour, if one of them
-// is brighter and the other one is darker than the plate. The halo of a sharpened edge has less
-// contrast.
+// Minimum contrast of a second colour, relative to the contrast of the main colour. This minimum
+// applies if one of them is brighter and the other one is darker than the plate. The halo of a
+// sharpened edge has less contrast.
 constexpr double BRIGHTER = 0.25;
 
 // Maximum slope of an even area, relative to the maximum slope of the patch.
 constexpr double EVEN = 0.3;
 
-// Minimum cover of a pixel between two colours of a part that are one pixel apart.
+// Minimum cover of a single pixel between two colours of a part with which it belongs to the part.
 constexpr double BRIDGE = 0.3;
 
-// Minimum step in L between two colours of a part, of which one is brighter and the other one is
-// darker than the plate, relative to the larger of their contrasts.
+// Minimum step in L between two colours of a part, relative to the larger of their contrasts. It
+// applies if one colour is brighter and the other one is darker than the plate.
 constexpr double LEAP = 1.2;
 
 // Call `visit(i)` for each pixel that is not 0. Blocks without such pixels are skipped.
@@ -69,9 +69,9 @@ struct Histograms {
     int* operator[](int patch) { return &counts[256 * static_cast<size_t>(patch)]; }
 };
 
-// Compute for each patch (count,): its contrast, which is the median of the larger deviations, or 0
-// if the patch is too small; its maximum slope; and whether more of its pixels are brighter than
-// the background than darker. Images are (h, w).
+// Compute three values for each patch (count,). `contrast` is the median of the larger deviations,
+// or 0 if the patch is too small. `steepest` is the maximum slope. `bright` is true if more pixels
+// are brighter than the background than darker. Images are (h, w).
 inline void find_contrasts(View<const int32_t, 2> labels, View<const uint8_t, 2> away,
                            View<const uint8_t, 2> brighter, View<const uint8_t, 2> slope,
                            View<float, 1> contrast, float* steepest, bool* bright) {

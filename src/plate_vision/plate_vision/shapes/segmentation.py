@@ -1,9 +1,9 @@
 """Segmentation of an image into patches that differ from its background. They may have any outline
 and colour.
 
-Steps: the deviation from the background is computed in Lab; shadows are removed, or the lamp that
-casts all of them is detected; the contour of each patch is determined at half of its own contrast;
-holes are distinguished from highlights; and patches are split where parts touch.
+There are five steps. The deviation from the background is computed in Lab. Shadows are removed, or
+the lamp that casts all of them is detected. The contour of each patch is determined at half of the
+patch's contrast. Holes are distinguished from highlights. Patches are split where parts touch.
 """
 
 from __future__ import annotations
@@ -37,8 +37,8 @@ MIN_HOLE_PX2 = 6
 """Minimum area of a hole [px2]. A smaller area is a speck on the part."""
 
 NEAR_PX = 12
-"""Distance from a pixel within which the maximum deviation is searched [px]. It is used as the
-deviation of the part around this pixel."""
+"""Distance from a pixel up to which the maximum deviation is searched [px]. This maximum is used as
+the deviation of the part around the pixel."""
 
 HOLE = 0.35
 """Maximum deviation of a hole from the plate, relative to the part's contrast. A highlight has a
@@ -48,12 +48,12 @@ NOISE_STEP = 16
 """Step between the rows and columns that are evaluated for the typical noise."""
 
 REMNANT = 0.35
-"""Maximum area of a patch that is the rest of a shadow, relative to a typical part's area. The
-condition of `LEFT` must be fulfilled too."""
+"""Maximum area of a patch that is the rest of a shadow, relative to a typical part's area. Such a
+patch must also satisfy `LEFT`."""
 
 LEFT = 0.25
-"""Minimum area of the removed shadow around a patch that is the rest of a shadow, relative to the
-patch's area."""
+"""Minimum area of the shadow that was removed around a patch, relative to the patch's area. With
+this area, a small patch (`REMNANT`) is the rest of a shadow."""
 
 FILLED = 0.3
 """Minimum fraction of the area enclosed by a ring that objects inside must fill, so that they and
@@ -129,9 +129,9 @@ class Segments(NamedTuple):
     cut: np.ndarray
 
     def doubtful(self, named: np.ndarray) -> np.ndarray | None:
-        """Return the pixels (H, W) bool of those regions that have no type after their shadows were
-        removed. Return None if there are no such regions. `named` (n,) is whether each patch has a
-        type."""
+        """Return the pixels (H, W) bool of those regions from which shadows were removed and whose
+        patches have no type. Return None if there are no such regions. `named` (n,) is whether each
+        patch has a type."""
         cut = self.cut.copy()
         for patch, known in zip(self.patches, named, strict=True):
             if known:
@@ -150,11 +150,13 @@ def segment(
 ) -> Segments:
     """Find patches as `find_patches` does, and the lamp that casts all shadows.
 
-    If there is such a lamp, patches are parts together with their shadows. Otherwise, or if `lamps`
-    is False, shadows are removed if they can be distinguished from parts. If `lamp` is given, it is
-    used and no lamp is searched. If parts have a height, `rise` returns the shifts (n, 2) of their
-    tops at image points (n, 2) [px]. If `whole` (H, W) bool is given, only the pixels where it is
-    true are evaluated, and no shadows are removed.
+    If there is such a lamp, patches are parts together with their shadows. Otherwise, shadows are
+    removed if they can be distinguished from parts.
+
+    If `lamps` is False, no lamp is searched. If `lamp` is given, this lamp is used. If parts have a
+    height, `rise` returns the shifts (n, 2) of their tops at image points (n, 2) [px]. If `whole`
+    (H, W) bool is given, only the pixels where it is true are evaluated, and no shadows are
+    removed.
     """
     lab = colours_like(image, background)
     if min(lab.shape[:2]) < MIN_SIDE_PX:
@@ -297,8 +299,8 @@ def _without_inner(windows: list[Window]) -> list[Window]:
 
 
 def _usual_area(patches: list[Patch]) -> float:
-    """Return the typical area of a part: the area for which larger parts contain half of all parts'
-    pixels."""
+    """Return the typical area of a part [px2]. It is the weighted median of the parts' areas, so
+    larger parts contain half of the pixels of all parts."""
     area = np.sort([patch.area_px2 for patch in patches if patch.whole and not patch.group])
     if not len(area):
         return 0.0
@@ -403,13 +405,13 @@ def _patch(piece: Piece, window: Window, region: Region | None) -> Patch | None:
     here = np.s_[y0 : top + height + 1, x0 : left + width + 1]
     inside = piece.inside[here].astype(np.uint8)
     mask = (inside > 0) & ~window.holes[here]
-    # If a piece that was cut off contains a hole and is thin around it, it is not a part.
+    # A piece that was cut off and is thin around a hole is not a part, so exclude its holes here.
     body = inside if piece.alone else mask.astype(np.uint8)
     framed = cv2.copyMakeBorder(body, 1, 1, 1, 1, cv2.BORDER_CONSTANT, value=0)
     if np.max(cv2.distanceTransform(framed, cv2.DIST_L2, 3)) < MIN_DEPTH_PX:
         return None
-    # The part covers less than half of some pixels at its edge. They are outside the mask, but are
-    # included here, except those of other pieces.
+    # Pixels at the part's edge that it covers by less than half are outside the mask. The cover
+    # includes them, unless they belong to other pieces.
     near = cv2.dilate(inside, np.ones((3, 3), np.uint8)) > 0
     others = window.solid[here] & (inside == 0)
     cover = np.where(near & ~others, window.cover[here], np.float32(0))

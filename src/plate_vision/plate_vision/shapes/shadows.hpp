@@ -22,8 +22,7 @@ constexpr int MIN_UNIFORM = 12;
 // casts the shadow.
 constexpr double LIGHTER = 0.8;
 
-// Fraction of the even pixels of a patch whose deviation is at least the deviation of its dark
-// side.
+// The deviation of a patch's dark side is exceeded by this fraction of the patch's even pixels.
 constexpr double DARKER = 0.3;
 
 // Range of the deviation in which a shadow's edge is evaluated, relative to the shadow's deviation.
@@ -32,11 +31,12 @@ constexpr double HALFWAY[] = {0.3, 0.7};
 // Minimum number of pixels of a shadow's edge from which its slope is measured.
 constexpr int MIN_SEEN = 4;
 
-// Shadow candidates in an image. For each pixel (h, w): whether it looks like a darker plate;
-// whether it is also light enough for a shadow; and the slope of the lightness [L/px]. For each
-// patch (count,): the maximum slope and the maximum deviation of its darker pixels, its area, and
-// the number of its pixels that are brighter than the plate minus the number of its pixels that
-// look like a darker plate.
+// Shadow candidates in an image. The first three arrays (h, w) contain values for each pixel:
+// `like` is whether it looks like a darker plate, `lit` whether it is also light enough for a
+// shadow, and `slope` is the slope of the lightness [L/px]. The other arrays (count,) contain
+// values for each patch: `steepest` and `largest` are the maximum slope and the maximum deviation
+// of its darker pixels, and `total` is its area. `balance` is the number of its pixels that are
+// brighter than the plate, minus the number of its pixels that look like a darker plate.
 struct ShadowEdges {
     int count;
     View<bool, 2> like, lit;
@@ -69,7 +69,7 @@ inline void find_shadow_edges(View<const uint8_t, 3> lab, View<const uint8_t, 3>
                 0.5f * std::sqrt(static_cast<float>(across * across + along * along));
             found.slope(y, x) = slope;
             if (std::max({left, right, up, down}) <= plate + limit(y, x)) {
-                // If a neighbour is brighter than the plate, this is the edge of a highlight.
+                // Otherwise a neighbour is brighter than the plate: this is a highlight's edge.
                 found.steepest[k] = std::max(found.steepest[k], slope);
                 found.largest[k] = std::max<float>(found.largest[k], plate - here);
             }
@@ -89,8 +89,8 @@ inline void find_shadow_edges(View<const uint8_t, 3> lab, View<const uint8_t, 3>
     }
 }
 
-// Compute for each patch (count,): the deviation that separates its light side from its dark side,
-// 0 if it has only one side; the deviation of the light side; and the deviation of the dark side.
+// Compute three deviations for each patch (count,). `light` and `dark` are the deviations of its
+// light and its dark side. `bound` separates the two sides; it is 0 if there is only one side.
 //
 // The even pixels are separated by the method of Otsu (1979).
 inline void part_sides(View<const uint8_t, 2> away, View<const bool, 2> like,
@@ -137,9 +137,9 @@ inline void part_sides(View<const uint8_t, 2> away, View<const bool, 2> like,
     }
 }
 
-// Compute for each patch (count,) the slope at the outer edge of its light side [L/px], or 0 if
-// this edge is not visible; and the direction (count, 2) from the dark to the light side. The
-// directions must be 0 before the call.
+// Compute two values for each patch. `fade` (count,) is the slope at the outer edge of its light
+// side [L/px], or 0 if this edge is not visible. `way` (count, 2) is the unit vector from its dark
+// side to its light side; it must be 0 before the call.
 inline void find_fade(View<const uint8_t, 2> away, View<const uint8_t, 2> around,
                       View<const bool, 2> like, View<const float, 2> slope,
                       View<const int32_t, 2> labels, View<const float, 1> bound,

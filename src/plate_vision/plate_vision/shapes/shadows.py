@@ -2,8 +2,8 @@
 
 The edge of a part is as sharp as the image. The part's shadow is lighter than the part, and the
 edge of the shadow is softer. Therefore, each patch is separated into a light and a dark side (by
-Otsu's method), and the light side is checked. `find_lamp` determines one lamp for all shadows, and
-`take_out_shadows` removes single shadows.
+Otsu's method), and it is checked whether the light side is a shadow. `find_lamp` determines one
+lamp for all shadows, and `take_out_shadows` removes single shadows.
 """
 
 from __future__ import annotations
@@ -19,36 +19,39 @@ from .. import _kernels
 
 SOFT = (1.25, 0.8, 1.7)
 """Minimum width of a shadow's edge, relative to the width of sharp edges. The first value applies
-if several patches have a shadow, the second value if these shadows are also on the same side, and
-the third value if only few patches have a shadow."""
+if at least `FEWEST` patches have a shadow. The second value applies if these shadows are also on
+the same side. The third value applies if fewer patches have a shadow."""
 
 FEWEST = 3
-"""Minimum number of patches that count as several patches."""
+"""Minimum number of patches with a shadow from which all patches are assumed to have a shadow. The
+fraction `AGREE` must be reached too."""
 
 ALIGNED = 0.8
-"""Minimum length of the mean of the unit vectors to the shadows for which the shadows count as
-being on the same side."""
+"""Minimum length of the mean of the unit vectors to the shadows. With this length, the shadows
+count as being on the same side."""
 
 DEPTHS = 0.4
-"""Maximum difference between the deviation of a shadow from the background and the median of the
-image's shadows, relative to this median."""
+"""Maximum difference between the deviation of a shadow from the background and the median deviation
+of all shadows in the image, relative to this median."""
 
 SHARP_PERCENT = 25
-"""Percentile of the patches' edge widths that is the width of sharp edges."""
+"""Percentile of the edge widths of all patches. It is used as the width of sharp edges."""
 
 CLEAR_EDGE = 0.5
 """Minimum deviation of a patch from the background, relative to the upper quartile of all patches.
 The edges of fainter patches are not evaluated, because they are not clear."""
 
 WIDE_PERCENT = 80
-"""Percentile of the parts' edge widths that is the width of the parts' edges in an image."""
+"""Percentile of the edge widths of all parts in an image. It is used as the width of their
+edges."""
 
 LIGHTER: float = _kernels.LIGHTER
 """Maximum deviation of a shadow from the background, relative to the deviation of the part that
 casts the shadow."""
 
 AGREE = 0.25
-"""Minimum fraction of patches with a shadow from which all patches are assumed to have a shadow."""
+"""Minimum fraction of the patches that must have a shadow, so that all patches are assumed to have
+a shadow."""
 
 MOSTLY = 0.7
 """Minimum fraction of a separate shadow that looks like a darker plate."""
@@ -60,9 +63,9 @@ WIDE_PX = 25.0
 """Edge width above which a patch is always a shadow [px]."""
 
 DARK_WIDTH = 0.6
-"""Minimum width of a patch's dark side in the image, relative to the width of its light side, as a
-median over all patches with a light side. If the dark sides are narrower, they are the side faces
-of high parts, and the light sides are not shadows but the tops of these parts."""
+"""Minimum width of a patch's dark side, relative to the width of its light side. The median over
+all patches with a light side is used. If the dark sides are narrower, they are the side faces of
+high parts, and the light sides are not shadows but the tops of these parts."""
 
 MIN_AREA_PX2 = 30
 """Minimum area of a patch whose edges are evaluated."""
@@ -76,37 +79,38 @@ MIN_CAST = (0.06, 0.75)
 shadow's length is not measured."""
 
 MIN_PART = 0.2
-"""Minimum fraction of a patch that certainly is not shadow, because of its colour."""
+"""Minimum fraction of a patch that cannot be shadow because of its colour. If the fraction is
+smaller, the darker side of the patch is used as the part."""
 
 ONE_LAMP = 0.85
 """Minimum cosine of the angle between two shadows from one lamp. It is also the minimum length of
-the mean of the unit vectors to the shadows, if one lamp casts all of them."""
+the mean of the unit vectors to the shadows of one lamp."""
 
 OF_ONE_LAMP = 0.6
 """Minimum fraction of the clear shadows that one lamp must cast. Without this minimum, the light
 and dark sides of touching parts, which have random directions, could be mistaken for shadows."""
 
 SPREAD = 0.35
-"""Maximum of the median deviation of the shadows' lengths from their median, relative to this
-median. If it is exceeded, no lamp is determined."""
+"""Maximum spread of the shadows' lengths, relative to their median. The spread is the median of the
+absolute deviations from the median. If it is exceeded, no lamp is determined."""
 
 MIN_SHADE = 30.0
-"""Minimum difference in lightness between the background and the shadows of a lamp [L, 0 to 255].
-If the median of an image's shadows is lower, no lamp is determined. Fainter or softer shadows
-surround a part on all sides and are recognised by their soft edges."""
+"""Minimum deviation of the shadows of a lamp from the background [L, 0 to 255]. If the median over
+an image's shadows is lower, no lamp is determined. Fainter or softer shadows surround a part on all
+sides and are recognised by their soft edges."""
 
 MIN_PX = 1.0
-"""Minimum length of the shadows of a lamp [px]. If the median of an image's shadows is lower, no
+"""Minimum length of the shadows of a lamp [px]. If the median over an image's shadows is lower, no
 lamp is determined."""
 
 FACE = 0.9
-"""Minimum fraction of a dark side's pixels near the light side of the patch, for which the dark
-side counts as side faces. Near means at most the distance by which the height of a part shifts its
-top in the image. The other pixels are noise."""
+"""Minimum fraction of the pixels of a dark side that must be near the light side, so that the dark
+side counts as side faces. A pixel is near if its distance is at most the shift of the part's top in
+the image that the part's height causes. The other pixels are noise."""
 
 FACE_SLACK_PX = 1.5
-"""Maximum distance of a side face's pixel from the top, in addition to the shift of the top that
-the part's height causes [px]. Blur causes this distance."""
+"""Distance that is added to the shift of a part's top when the pixels of side faces are determined
+[px]. It allows for blur."""
 
 
 class Sides(NamedTuple):
@@ -114,17 +118,21 @@ class Sides(NamedTuple):
 
     Attributes
     ----------
-    like, lit : (H, W) bool
-        Whether a pixel is darker than the background but has its chroma; and whether it is also
-        light enough for a shadow.
+    like : (H, W) bool
+        Whether a pixel is darker than the background but has the background's chroma.
+    lit : (H, W) bool
+        Whether a pixel of `like` is light enough for a shadow.
     slope : (H, W) float32
         Gradient of the lightness [L/px].
-    steepest, largest : (count,) float32
-        For each patch: the maximum slope [L/px], and the maximum deviation of its darker pixels
-        [L].
-    total, balance : (count,) int64
-        For each patch: the number of pixels; and the number of brighter pixels minus the number of
-        pixels that look like a darker background.
+    steepest : (count,) float32
+        Maximum slope of the darker pixels of each patch [L/px].
+    largest : (count,) float32
+        Maximum deviation of the darker pixels of each patch [L].
+    total : (count,) int64
+        Number of pixels of each patch.
+    balance : (count,) int64
+        Number of brighter pixels of each patch, minus the number of its pixels that look like a
+        darker background.
     """
 
     like: np.ndarray
@@ -197,10 +205,10 @@ def find_faces(
     """Return which patches (count,) bool have no shadow, because their dark side consists of side
     faces and their light side is the top of a high part.
 
-    In the image, the top is farther outwards than the part's base. Therefore, there is a pixel of
-    the top within this shift outwards from each pixel of a side face, including the side face of a
-    hole. This is not so for shadows, because the shadows from a lamp have the same direction
-    everywhere, and parts are wider than side faces.
+    In the image, the height of a part shifts its top outwards from the base. Therefore, each pixel
+    of a side face, even in a hole, has a pixel of the top within this shift in the outward
+    direction. This is not so for a part with a shadow, because the shadows from a lamp have the
+    same direction everywhere, and parts are wider than side faces.
 
     Parameters
     ----------
@@ -235,8 +243,9 @@ def find_faces(
 def _two_sides(
     sides: Sides, away: np.ndarray, labels: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Return for each patch (count,) the deviation that separates its light side from its dark
-    side, or 0 if it has only one side; and the deviations of both sides."""
+    """Return three arrays (count,) with values of each patch. The first contains the deviation that
+    separates its light side from its dark side, or 0 if it has only one side. The other two contain
+    the deviations of the light side and of the dark side."""
     bound, light, dark = np.empty((3, len(sides.total)), np.float32)
     _kernels.part_sides(away, sides.lit, sides.slope, sides.steepest, labels, bound, light, dark)
     return bound, light, dark
@@ -248,8 +257,8 @@ def find_lamp(
     """Find the one lamp of an image that casts shadows on the same side of most parts. Return None
     if there is no such lamp.
 
-    The length of a shadow is the distance along its direction by which the shadow extends beyond
-    the part. It is measured for parts that have another colour than their shadow, or are darker.
+    The length of a shadow is the distance by which it extends beyond the part. It is measured for
+    parts that are darker than their shadow or have another colour.
 
     Parameters
     ----------
@@ -343,9 +352,8 @@ def take_out_shadows(
     labels : (H, W) int32
         Number of the patch of each pixel, 0 outside.
     plate_known : bool
-        Whether the background was learned. If it was, a patch is a part if it neither looks like a
-        darker plate nor is faint. The width of sharp edges in this image is then measured at such
-        parts.
+        Whether the background was learned. Then a patch is certainly a part if it is neither faint
+        nor like a darker plate. The width of sharp edges is then measured at such patches.
     faces : (count,) bool, optional
         Whether a patch certainly has no shadow: see `find_faces`.
     """
@@ -436,7 +444,8 @@ def _of_shadows(
     way: np.ndarray,
     patches: int,
 ) -> np.ndarray:
-    """Return the deviations (count,) below which pixels that look like a darker plate are shadow.
+    """Return the deviations (count,) below which pixels that look like a darker plate belong to a
+    shadow.
 
     The light is the same for all parts. If the light sides of many patches have soft edges, or are
     in the same direction, all parts are assumed to have shadows with the same deviation.

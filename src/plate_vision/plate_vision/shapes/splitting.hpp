@@ -11,9 +11,9 @@
 
 namespace plate {
 
-// THIN_PX: minimum half width [px] of an area that is separated from a wider area. THINNER: the
-// same minimum, relative to the wider area. An area that is below both, for example a wire or an
-// irregular edge, is not separated.
+// Minimum half width of an area that is separated from a wider area. THIN_PX is in pixels, THINNER
+// is relative to the half width of the wider area. An area that is below both minima, for example a
+// wire or an irregular edge, is not separated.
 constexpr double THIN_PX = 2.2, THINNER = 0.3;
 
 // Maximum number of necks that are kept for a patch.
@@ -57,8 +57,9 @@ inline std::vector<int> from_the_deepest(View<const float, 2> depth, int levels)
     return order;
 }
 
-// Watershed of a distance (h, w): flood it from its peaks downwards. Set the labels (h, w), which
-// must be 0 before, and return the number of basins and the necks between them.
+// Watershed of a distance (h, w). Floods start at the peaks and spread downwards. The function sets
+// the labels (h, w), which must be 0 before. It returns the number of basins and the necks between
+// them.
 //
 // If two floods meet, they are merged, unless both of their peaks are far enough above the saddle.
 inline Basins find_basins(View<const float, 2> depth, double neck, double least_drop, int levels,

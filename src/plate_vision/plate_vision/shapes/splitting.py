@@ -43,12 +43,13 @@ def split(cover: np.ndarray, mask: np.ndarray) -> tuple[np.ndarray, int, np.ndar
 
     Returns
     -------
-    (h, w) int32, int
-        Number of the part to which each pixel belongs, from 1, and 0 outside; and the number of
-        parts.
+    (h, w) int32
+        Number of the part to which each pixel belongs, from 1; 0 outside.
+    int
+        Number of parts.
     (n, 3) float64
-        Necks: the numbers of the two parts, and the width of the neck, relative to the width of the
-        narrower part.
+        Necks. Each row contains the numbers of two parts, and the width of the neck between them,
+        relative to the width of the narrower part.
     """
     framed = _framed(np.where(mask, cover, np.float32(0)))
     size = (ZOOM * framed.shape[1], ZOOM * framed.shape[0])

@@ -34,12 +34,13 @@ BOX = (
 )
 
 HEIGHT = (
-    "height of the part [m], so that side faces are not learned (default: the type's height in the "
-    "file, or 0); requires a known position of the camera"
+    "height of the part [m], with which side faces are not learned; requires a known position of "
+    "the camera (default: the type's height in the file, or 0)"
 )
 
 SCALE = (
-    "scale of pictures of any size, taken from above by one camera at one height (the rig's camera)"
+    "scale of pictures that were taken from straight above, all from the same height; they may "
+    "have any size (default: pictures of the rig's camera)"
 )
 
 AROUND = 1.0
@@ -132,7 +133,7 @@ def _height(text: str) -> float:
 def _teach(args: argparse.Namespace) -> None:
     pictures = [named for path in args.pictures for named in read_pictures(path)]
     if args.box and len(pictures) > 1:
-        raise TeachError(f"--box: {len(pictures)} pictures, allowed: one, which has the boxes")
+        raise TeachError(f"--box: number of pictures is {len(pictures)}, allowed: 1")
     name, picture = pictures[0]
     size = picture.shape[1], picture.shape[0]
     for x, y, width, height in args.box:
@@ -141,7 +142,7 @@ def _teach(args: argparse.Namespace) -> None:
             raise TeachError(f"{where}, allowed: within {size[0]} x {size[1]} px of {name}")
     if args.scale is None or args.bare is not None:
         for other, pixels in pictures:
-            why = ", the size of the other pictures; any size with --scale and without --bare"
+            why = ", the size of the first picture; or use --scale without --bare"
             check_size(f"{other}:", pixels.shape[1::-1], size, TeachError, why)
     region = None
     if args.scale is not None:
@@ -178,7 +179,8 @@ def _teach(args: argparse.Namespace) -> None:
     for doubt in lesson.doubts:
         print(f"warning: {doubt}", file=sys.stderr)
     print(lesson_text(lesson))
-    print(f"{args.out}: types; {args.out.with_name(lesson.part.picture)}: the taught part")
+    picture_file = args.out.with_name(lesson.part.picture)
+    print(f"written: {args.out} (types), {picture_file} (picture of the taught part)")
 
 
 def _boxed(picture: np.ndarray, box: tuple[int, int, int, int], name: str, cuts: bool) -> Example:
@@ -195,7 +197,7 @@ def _boxed(picture: np.ndarray, box: tuple[int, int, int, int], name: str, cuts:
 def _known(types: dict[str, PartType], name: str, path: Path) -> PartType:
     if name not in types:
         raise TeachError(
-            f"{path}: type {name!r}, allowed: {', '.join(types) or 'none, it is empty'}"
+            f"{path}: type is {name!r}, allowed: {', '.join(types) or 'none, the file is empty'}"
         )
     return types[name]
 
@@ -206,14 +208,14 @@ def _list(args: argparse.Namespace) -> None:
         corners = "disc" if part.radius_m else f"{len(part.outline)} corners"
         print(
             f"{part.name}: {corners}, {len(part.holes)} holes, symmetry {part.symmetry}, "
-            f"{size:.2f} mm across, colour {colour_text(part)}"
+            f"diameter {size:.2f} mm, colour {colour_text(part)}"
         )
 
 
 def _merge(args: argparse.Namespace) -> None:
     types = dict(load_part_types(args.out))
     if args.name == args.other:
-        raise TeachError(f"{args.out}: type {args.other!r} into itself, allowed: another type")
+        raise TeachError(f"{args.out}: both types are {args.other!r}, allowed: different types")
     part, other = _known(types, args.name, args.out), _known(types, args.other, args.out)
     outlines, _, colours = apart(part, other, 1e3)
     types[args.name] = merged(part, other)

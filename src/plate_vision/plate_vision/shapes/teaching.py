@@ -45,41 +45,41 @@ RIM_POINTS = 256
 """Number of points on the outline of an example."""
 
 DIFFER, DIFFER_SIZE = 0.1, 0.35
-"""Maximum differences between examples of one type: of their outlines and of their sizes, relative
-to their reach [-]. Sizes may differ more, because seeds or coins of the same kind differ in
-size."""
+"""Maximum difference between the outlines (`DIFFER`) and between the sizes (`DIFFER_SIZE`) of
+examples of one type, relative to their reach [-]. Sizes may differ more, because seeds or coins of
+the same kind differ in size."""
 
 DIFFER_PX = 1.5
-"""Minimum value of the maximum differences between examples in outline and size [px]. It applies to
-small parts."""
+"""Difference between the outlines or sizes of examples that is always allowed [px]. For small parts
+it is larger than `DIFFER` times the reach."""
 
 MIN_ALIKE_FRACTION = 0.66
-"""Minimum fraction of the parts that must agree. The other parts are then not used."""
+"""Minimum fraction of the parts that must agree with each other. The other parts are not used."""
 
 ROUND = 0.018
-"""RMS (root mean square) deviation from a circle, relative to the radius, below which a part is a
-disc. For a regular octagon, it is 0.024."""
+"""Maximum RMS (root mean square) deviation of a disc's outline from a circle, relative to its
+radius. For a regular octagon, the deviation is 0.024."""
 
 ROUND_PX = 0.12
-"""Minimum value of the RMS deviation from a circle below which a part is a disc [px]. It applies to
-small parts, because of their noise."""
+"""RMS deviation of a disc's outline from a circle that is always allowed [px]. It allows for the
+noise of small parts."""
 
 UNEVEN = 2.0
-"""Minimum ratio between the deviation of the mean outline from a circle and the deviation of the
-examples from the mean. If the ratio is smaller, the part has no angle. For random outlines that are
-fitted to each other, the ratio is 1.5."""
+"""Minimum deviation of the mean outline from a circle, relative to the deviation of the examples
+from the mean outline. If it is smaller, the part is a disc without an angle. For random outlines
+that are fitted to each other, it is 1.5."""
 
 ALIKE = 2.0
 """Minimum distance between two types that can be distinguished, in standard deviations of parts of
 one type."""
 
 TURNED = 0.015
-"""RMS deviation between a ring and its rotated copy, relative to the reach, below which they count
-as equal."""
+"""Maximum RMS deviation between a ring and its rotated copy if they are equal, relative to the
+reach."""
 
 TURNED_PX = 0.25
-"""Minimum value of the RMS deviation between a ring and its rotated copy below which they count as
-equal [px]. It applies to small parts."""
+"""RMS deviation between a ring and its rotated copy that is always allowed if they are equal [px].
+For small parts it is larger than `TURNED` times the reach."""
 
 MAX_SYMMETRY = 12
 """Maximum symmetry of a part that is not round."""
@@ -98,12 +98,14 @@ HIGHEST = 0.5
 """Maximum height that is tried for a part, relative to the height of the camera [-]."""
 
 BETTER, BETTER_PX = 2.0, 0.05
-"""Conditions for the warning that a part may not be flat. BETTER: minimum factor by which a height
-must reduce the difference between the examples, after their sizes are made equal. BETTER_PX:
-minimum of this difference for height 0 [px]. In synthetic images from a height of 0.43 m, none of
-48 sets of flat parts caused a warning. Of 12 sets of four examples with parts of 4, 6 and 8 mm
-height, 6, 9 and 11 sets caused a warning. From a height of 0.91 m, half of the sets with parts of 8
-mm height did."""
+"""Conditions for the warning that a part may not be flat. `BETTER`: minimum factor by which a
+height must reduce the difference between the examples, after their sizes are made equal.
+`BETTER_PX`: minimum of this difference for height 0 [px].
+
+The warning was tried in synthetic images. With the camera at a height of 0.43 m, none of 48 sets of
+flat parts caused a warning. It was caused by 6 of 12 sets with parts of 4 mm height, by 9 of 12
+sets with 6 mm, and by 11 of 12 sets with 8 mm. With the camera at 0.91 m, half of the sets with
+parts of 8 mm height caused it. Each set had four examples."""
 
 BESIDE_PX, BESIDE_RADIUS = 9.0, 0.6
 """Distance on both sides of a contour over which blur is measured: the smaller one of `BESIDE_PX`
@@ -221,7 +223,7 @@ def learn_type(
     """
     if not 1 <= len(examples) <= MAX_PICTURES:
         count = len(examples) or "no"
-        raise TeachError(f"type {name}: {count} examples, allowed: 1 to {MAX_PICTURES}")
+        raise TeachError(f"type {name}: there are {count} examples, allowed: 1 to {MAX_PICTURES}")
     shown: list[_Shown] = []
     unused: list[str] = []
     for example in examples:
@@ -275,12 +277,23 @@ def check_alike(part: PartType, types: Mapping[str, PartType], calibration: Cali
     for other in types.values():
         gap = gap_between(part, other, scale)
         if other.name != part.name and gap.far < ALIKE:
-            raise TeachError(f"{gap.text}: merge them, or use a camera that resolves them better")
+            raise TeachError(f"{gap.text}; merge them, or use a camera with a higher resolution")
 
 
 class Gap(NamedTuple):
-    """Distance between two types: the total distance and the distance in size [standard
-    deviations]; the difference in size [px]; and the distance as text."""
+    """Distance between two types.
+
+    Attributes
+    ----------
+    far : float
+        Total distance [standard deviations].
+    size : float
+        Distance in size [standard deviations].
+    size_px : float
+        Difference in size [px].
+    text : str
+        Message that the types look alike, with the distance.
+    """
 
     far: float
     size: float
@@ -370,8 +383,8 @@ def _measured(
 
 
 def _blur_px(image: np.ndarray, patch: Patch) -> float:
-    """Return the blur of a patch's contour, which is a standard deviation [px]: contrast / (sqrt(2
-    pi) slope), of which the median over the contour is used."""
+    """Return the blur of a patch's contour, which is a standard deviation [px]. It is the median of
+    contrast / (sqrt(2 pi) slope) over the points of the contour."""
     grey = image if image.ndim == 2 else cv2.cvtColor(image, cv2.COLOR_BGR2GRAY)
     outline = patch.outline
     along = np.roll(outline, -3, axis=0) - np.roll(outline, 3, axis=0)
@@ -395,8 +408,8 @@ def _doubts(
     for one in shown:
         blurs[one.example.name] = max(one.blur, blurs.get(one.example.name, 0.0))
     doubts = [
-        f"type {name}: {picture}: out of focus, or moved. The contours' blur is {blur:.1f} times "
-        "the maximum, so sizes and angles become less accurate"
+        f"type {name}: {picture}: blur of the contours is {blur:.1f} times the maximum, so sizes "
+        "and angles are less accurate; focus the camera, and keep it and the parts at rest"
         for picture, blur in blurs.items()
         if blur > 1
     ]
@@ -404,8 +417,9 @@ def _doubts(
     furthest = float(colour_distance(colours, colour, coloured).max())
     if furthest > COLOUR_LAB:
         doubts.append(
-            f"type {name}: colours are up to {furthest:.0f} Lab from their mean, allowed: "
-            f"{COLOUR_LAB:g} Lab. Many parts will be unknown; teach each colour as a separate type"
+            f"type {name}: distance of colours from their mean is up to {furthest:.0f} Lab, "
+            f"allowed: {COLOUR_LAB:g} Lab. Many parts will be unknown; teach each colour as a "
+            "separate type"
         )
     return tuple(doubts)
 
@@ -415,8 +429,9 @@ def _height_doubt(
 ) -> tuple[str, ...]:
     """Return a warning if the outlines of a type agree much better with a height than without it.
 
-    `unlike` is the RMS difference between the outlines as flat parts of the same size [m]. If parts
-    have a height, side faces are visible, and they are longer at places farther from the camera."""
+    `unlike` is the RMS difference between the outlines if the parts are assumed to be flat and
+    their sizes are made equal [m]. If parts have a height, their side faces are visible. At places
+    farther from the camera, the side faces are longer, so the outlines differ."""
     if calibration.place is None or unlike * scale < BETTER_PX:
         return ()
     reach = float(np.median([outline.reach for outline in outlines]))
@@ -431,10 +446,10 @@ def _height_doubt(
     if unlike < BETTER * rest:
         return ()
     return (
-        f"type {name}: its examples agree best with a height of about {1e3 * height:.0f} mm. "
-        f"Their outlines then differ by {scale * rest:.2f} px, and with height 0 by "
-        f"{scale * unlike:.2f} px. If the part is not flat, its positions are wrong; teach it "
-        "again with --height, or with height_m in the file of types",
+        f"type {name}: the outlines of its examples agree best with a height of about "
+        f"{1e3 * height:.0f} mm: they differ by {scale * rest:.2f} px, but by "
+        f"{scale * unlike:.2f} px with height 0. If the part is not flat, teach it again with "
+        "--height, or with height_m in the file of types; otherwise its positions are wrong",
     )
 
 
@@ -466,8 +481,8 @@ def _agreeing(name: str, shown: Sequence[_Shown], scale: float, unused: list[str
         start = f"type {name}: examples differ: in {one.example.name}"
         if len(one.outline.rings) != len(middle.rings):
             problems.append(
-                f"{start} {len(one.outline.rings) - 1} holes, but {len(middle.rings) - 1} in "
-                "another, allowed: the same number in all"
+                f"{start} there are {len(one.outline.rings) - 1} holes, but "
+                f"{len(middle.rings) - 1} in another example, allowed: the same number in all"
             )
             continue
         fit = lay_on(template, one.outline, scale)
@@ -490,9 +505,12 @@ def _agreeing(name: str, shown: Sequence[_Shown], scale: float, unused: list[str
 def _mean_outline(
     outlines: Sequence[Outline], scale: float
 ) -> tuple[Outline, np.ndarray, float, float]:
-    """Return the mean of outlines, rotated like the first outline; the pose (3,) of this mean in
-    the first example; the RMS distance of the outlines from the mean [m]; and this distance after
-    the sizes of the outlines are made equal [m]."""
+    """Return the mean of outlines, and three properties of it.
+
+    The mean outline is rotated like the first outline. The first property is the pose (3,) [m, m,
+    rad] of the mean outline in the first example. The second is the RMS distance of the outlines
+    from the mean outline [m]. The third is this distance after the sizes of the outlines were made
+    equal [m]."""
     # Start with the outline of median size, and fit the others to it.
     first = int(np.argsort([outline.area for outline in outlines])[len(outlines) // 2])
     mean = _shifted(outlines[first], outlines[first].centre)
@@ -529,8 +547,8 @@ def _turned(outline: Outline, pose: np.ndarray) -> Outline:
 
 
 def _average(mean: Outline, outlines: Sequence[Outline]) -> Outline:
-    """Return a mean outline (about its centre) after its points were moved to the average of
-    outlines that are fitted to it."""
+    """Move the points of a mean outline to the average of outlines that are fitted to it. Return
+    the new mean outline, relative to its centre."""
     shift = np.zeros_like(mean.points)
     for outline in outlines:
         distance = distances(outline.edges, mean.points)
@@ -565,7 +583,9 @@ def _simplified(name: str, mean: Outline, scale: float, unlike: float = 0.0) -> 
     """
     rings = mean.rings
     if len(rings) > MAX_HOLES + 1:
-        raise TeachError(f"type {name}: {len(rings) - 1} holes, allowed: at most {MAX_HOLES}")
+        raise TeachError(
+            f"type {name}: number of holes is {len(rings) - 1}, allowed: at most {MAX_HOLES}"
+        )
     outer = make_outline(rings[:1])
     radius = math.sqrt(outer.area / math.pi)
     around = np.hypot(*(outer.points - outer.centre).T)

@@ -1,10 +1,11 @@
 """Assignment of the detections in an image to tracks by maximum likelihood.
 
-The gain of a pair (track and detection) is the logarithm of the ratio of two likelihoods: that the
-detection shows this part, and that the part is missed and the detection is new or false. The gain
-depends on position, class and angle. The sum of the gains is maximised (linear_sum_assignment of
-scipy). The expected position is the prediction of the planner's filter, which uses the plate's
-motion. Without such a prediction, it is extrapolated from the drift.
+A pair consists of a track and a detection. Its gain is the logarithm of the ratio of two
+likelihoods. The first one assumes that the detection shows the track's part. The second one assumes
+that the part is missed and the detection is new or false. The gain depends on position, class and
+angle. The sum of the gains is maximised (linear_sum_assignment of scipy). The expected position of
+a part is the prediction of the planner's filter, which uses the plate's motion. Without such a
+prediction, the position is extrapolated from the drift.
 """
 
 from __future__ import annotations
@@ -18,8 +19,9 @@ from scipy.optimize import linear_sum_assignment
 from .track import Prediction, Sighting, Track
 
 MISSED_RATE, FALSE_RATE = 0.05, 0.02
-"""Fraction of parts that are not detected in an image; and number of false detections per part. A
-factor of three has little effect, because only the logarithms of both values are used."""
+"""`MISSED_RATE`: fraction of parts that are not detected in an image. `FALSE_RATE`: number of false
+detections per part. A factor of three has little effect, because only the logarithms of both values
+are used."""
 
 CROWD = 200.0
 """Number of parts per square metre of a full plate. Its product with FALSE_RATE is the density of
@@ -29,41 +31,41 @@ NEW_RATE = 0.02
 """Fraction of the detections without a track that show a part and are not false."""
 
 PREDICTED_M, POOR_M = 0.4e-3, 3e-3
-"""Standard deviation along each axis of the difference between parts and their predictions for the
-next cycle [m]: for usual and for poor predictions. In tasks with 30 parts it is 0.1 to 0.2 mm. As
-long as the age of images is not known, it is several millimetres for all parts."""
+"""Standard deviation of the error of a predicted position along each axis [m], for usual and for
+poor predictions. In tasks with 30 parts it is 0.1 to 0.2 mm. While the age of images is not known,
+it is several millimetres for all parts."""
 
 PUSHED_M, PUSHED_RATE = 5e-3, 1e-4
-"""Standard deviation of the position of a part that another part has pushed [m]; and the fraction
-of such parts [-]."""
+"""`PUSHED_M`: standard deviation of the position of a part that another part has pushed [m].
+`PUSHED_RATE`: fraction of such parts [-]."""
 
 SWING_M = 2e-3
 """Additional standard deviation of a predicted position half-way between the last detection and the
 time of the prediction [m]. It is needed because parts oscillate during a cycle."""
 
 MAX_FRACTION = 2.0
-"""Maximum fraction of a predicted displacement that is applied [-]. If the fraction is above 1, the
-displacement is extrapolated beyond the time of the prediction."""
+"""Maximum fraction of a predicted displacement that is applied [-]. If an image is later than the
+time of the prediction, the displacement is extrapolated and the fraction is above 1."""
 
 GATES, DRIFT, TURNED_RATE = 3.0, 0.3, 0.2
-"""GATES: ratio between the gate and the standard deviation of parts without a prediction. DRIFT:
-factor by which this deviation is multiplied for parts whose drift continues. TURNED_RATE: fraction
-of parts whose drift does not continue."""
+"""`GATES`: gate, relative to the standard deviation of the positions of parts without a prediction.
+`DRIFT`: factor by which this standard deviation is multiplied for parts whose drift continues.
+`TURNED_RATE`: fraction of parts whose drift does not continue."""
 
 PREDICTIONS_FAIL = 1e-3
 """Fraction of images in which predictions are poor or wrong, for example because the plate executed
 another cycle than the predicted one."""
 
 TURN_RAD = 0.15
-"""Standard deviation of the difference between a part's rotation from image to image and the
-rotation expected from its last spin [rad]."""
+"""Standard deviation of a part's angle from the angle that is extrapolated with its last spin, per
+image [rad]."""
 
 ANY_TURN = 0.05
-"""Fraction of rotations that can have any size, for example because a mark was misread or a part
-was hit."""
+"""Fraction of detections whose angle can have any value, for example because a mark was misread or
+a part was hit."""
 
 VAGUE_RAD = 1.0
-"""Standard deviation of an angle above which the angle is ignored [rad]."""
+"""Maximum standard deviation of an angle that is used [rad]."""
 
 
 def assign(
@@ -87,7 +89,8 @@ def assign(
     seen : sequence of Sighting
         The M detections.
     gate : float
-        Maximum distance between a part and its expected position, per image [m].
+        Maximum distance between a part and its expected position [m], per image since the part was
+        last detected.
     expected : Prediction, optional
         Prediction for a time after the last image.
     """
@@ -177,9 +180,9 @@ def _known_gains(
     expected: Prediction,
     drift: np.ndarray,
 ) -> list[np.ndarray]:
-    """Return log densities (T, M) like `_drift_gain`, but with the predicted positions of the parts
-    that have a prediction. The first result is for usual predictions, and the second is for poor
-    predictions."""
+    """Return two arrays of log densities (T, M) like `_drift_gain`, in which parts with a
+    prediction have their predicted positions. The first array assumes usual predictions, the second
+    array assumes poor predictions."""
     row = {name: i for i, name in enumerate(expected.ids)}
     rows = [i for i, track in enumerate(tracks) if track.id in row]
     if not rows:
@@ -215,8 +218,8 @@ def _log_density(
     square: np.ndarray, usual: np.ndarray, wide: np.ndarray, rate: np.ndarray | float
 ) -> np.ndarray:
     """Return the log density [1/m2] of a mixture of two planar normal distributions at squared
-    distances (T, M) [m2] from their mean. The fraction `rate` has the standard deviation `wide`,
-    and the rest has the standard deviation `usual`."""
+    distances (T, M) [m2] from their mean. One distribution has the weight `rate` and the standard
+    deviation `wide`, the other one has the weight 1 - `rate` and the standard deviation `usual`."""
     parts = [
         np.log(weight) - 0.5 * square / deviation**2 - np.log(math.tau * deviation**2)
         for weight, deviation in ((1 - rate, usual), (rate, wide))

@@ -1,5 +1,6 @@
 """The track of one part. It consists of the part's last detections, and of the class, position,
-drift and angle computed from them. A `Track` is never modified: `extended` returns a new one."""
+drift and angle that are computed from them. A `Track` is never modified; `extended` returns a new
+`Track`."""
 
 from __future__ import annotations
 
@@ -16,9 +17,9 @@ MISREAD_RATE = 0.03
 """Fraction of detections whose class is wrong."""
 
 VOTES, MAJORITY = 11, 2
-"""VOTES: number of the last detections from which the class of a part is determined, one vote each.
-MAJORITY: minimum number of votes by which another class must exceed the present one. Usually, the
-class changes after seven of eleven detections."""
+"""`VOTES`: number of the last detections that determine the class of a part. Each detection is one
+vote. `MAJORITY`: minimum number of votes by which another class must exceed the present class. If
+only two classes get votes, the class changes with seven of eleven votes."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -62,8 +63,8 @@ class Track:
     number : int
         Number of the part within its class, from 1; 0 until the part is confirmed.
     history : tuple of (stamp [s], x [m], y [m])
-        Detections in plate_home, oldest first, at most `velocity_frames` + 1. They are tuples of
-        numbers, because for so few numbers, tuples are ten times faster than arrays.
+        Detections in plate_home, oldest first, at most `velocity_frames` + 1. They are stored as
+        tuples, because tuples are ten times faster than arrays for a few numbers.
     missed : int
         Number of images since the last detection.
     hits : int
@@ -121,9 +122,9 @@ class Track:
         """Return the extrapolated position x, y [m] at `stamp` [s]. It is at most `reach` [m] from
         the last position.
 
-        The stamps of a camera without trigger are noisy, and two stamps may be close together.
-        Therefore, the extrapolation is limited to the displacement of the history times the number
-        of missed images plus two.
+        The stamps of a camera without trigger are noisy, and two stamps may be close together. The
+        velocity is then wrong. Therefore, the extrapolation is also limited to a multiple of the
+        displacement over the history. The factor is the number of missed images plus two.
         """
         (_, x0, y0), (_, x, y) = self.history[0], self.history[-1]
         factor = self._extrapolation(stamp, self.history[0][0], self.history[-1][0])
@@ -138,12 +139,13 @@ class Track:
         return angle + (angle - angle0) * self._extrapolation(stamp, first, last)
 
     def _extrapolation(self, stamp: float, first: float, last: float) -> float:
-        """Return the time from `last` to `stamp`, relative to the time from `first` to `last` [s].
+        """Return the time from `last` to `stamp`, relative to the time from `first` to `last` [-].
         It is limited to the number of missed images plus two."""
         return 0.0 if last == first else min((stamp - last) / (last - first), self.missed + 2)
 
     def extended(self, stamp: float, seen: Sighting, keep: int) -> Track:
-        """Return the track with one more detection. The last `keep` places and angles are kept.
+        """Return the track with one more detection. Only the last `keep` places and angles are
+        kept.
 
         If a part changes its class, its number becomes 0.
         """
@@ -161,7 +163,7 @@ class Track:
         )
 
     def likely(self, label: str) -> float:
-        """Return the probability of a detection with this class [-]."""
+        """Return the probability that the next detection of this part has a class [-]."""
         fraction = self.votes.count(label) / len(self.votes)
         return (1 - MISREAD_RATE) * fraction + MISREAD_RATE * (1 - fraction)
 

@@ -23,9 +23,9 @@ from .assignment import assign
 from .track import UNKNOWN, Prediction, Sighting, Track
 
 UNKNOWN_MISSED = 30
-"""Minimum number of consecutive images without a detection before an object of the class `unknown`
-is given up. It is larger than for parts, because such an object is at the limit of detection and
-would otherwise have to be confirmed again after each gap."""
+"""Number of consecutive images without a detection for which an object of the class `unknown` keeps
+its track. It is larger than for parts, because such an object is often detected in some images
+only. Without it, the object would have to be confirmed again after each gap."""
 
 
 @dataclass(frozen=True)
@@ -35,21 +35,21 @@ class TrackerOptions:
     Attributes
     ----------
     gate_m : float
-        Maximum distance [m] between a part and its expected position, per image, 0.001 to 1. If a
-        part with a velocity of 100 mm/s reverses its direction, it is 40 mm from its expected
-        position after a cycle of 0.2 s.
+        Maximum distance between a part and its expected position [m], per image since the part was
+        last detected, 0.001 to 1. If a part with a velocity of 100 mm/s reverses its direction, it
+        is 40 mm from its expected position after a cycle of 0.2 s.
     max_missed : int
-        Maximum number of consecutive images in which a part is not detected and its id is kept, 0
-        to 1000.
+        Maximum number of consecutive images without a detection for which a part keeps its id, 0 to
+        1000.
     confirm : int
         Number of consecutive images in which a new part must be detected before it gets an id, 1 to
         100. Parts in the first image get their ids at once. If `confirm` is 2 or more, a single
         false detection gets no id.
     velocity_frames : int
-        Number of images over which the drift is measured, 1 to 100. With 1, the drift is the
-        displacement in the last cycle, without delay. The planner controls this drift. Its noise is
-        the noise of two positions, 0.014 mm per cycle. With more images, the drift is smoother but
-        delayed.
+        Number of images over which the drift is measured, 1 to 100. With 1, the drift is measured
+        from the last two images without delay. The planner needs the drift without delay. Its noise
+        is the noise of two positions, 0.014 mm per cycle. With more images, the drift is smoother
+        but delayed.
     """
 
     RANGES: ClassVar[Mapping[str, tuple[float, float]]] = {
@@ -91,8 +91,8 @@ class Tracker:
     lamp : Lamp, optional
         Lamp that casts the shadows of parts with types.
     doubtful : int
-        Number of consecutive images in which many objects did not look like parts and no shadow was
-        found as the cause.
+        Number of consecutive images in which many objects have a large misfit and no shadow was
+        found.
     """
 
     options: TrackerOptions = field(default_factory=TrackerOptions)
@@ -238,8 +238,8 @@ def update(
 
 
 def _max_missed(track: Track, options: TrackerOptions) -> int:
-    """Return the maximum number of consecutive images in which a part or an object is not detected
-    and its track is kept."""
+    """Return the maximum number of consecutive images without a detection for which a track is
+    kept."""
     unknown = track.label == NAMELESS[0]
     return max(options.max_missed, UNKNOWN_MISSED) if unknown else options.max_missed
 
@@ -281,7 +281,9 @@ def _column(name: str, values: Sequence[Any] | np.ndarray, shape: tuple[int, ...
     if array.size == 0:
         array = array.reshape(-1, *shape[1:])
     if array.shape != shape:
-        raise TrackError(f"{name} has shape {array.shape}, allowed: {shape}, as many as positions")
+        raise TrackError(
+            f"shape of {name} is {array.shape}, allowed: {shape}, with one row for each position"
+        )
     return array
 
 
@@ -291,7 +293,9 @@ def _checked(
     position = np.asarray(position, dtype=float).reshape(-1, 2)
     labels = [str(name) for name in label]
     if len(labels) != len(position):
-        raise TrackError(f"{len(labels)} labels for {len(position)} positions, allowed: as many")
+        raise TrackError(
+            f"number of labels is {len(labels)}, allowed: {len(position)}, one for each position"
+        )
     if not np.isfinite(stamp):
         raise TrackError(f"stamp is {stamp}, allowed: a finite number of seconds")
     bad = np.flatnonzero(~np.all(np.isfinite(position), axis=1))
