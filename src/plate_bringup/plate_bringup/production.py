@@ -291,7 +291,7 @@ class FeederCell:
 
     def order(self, report: FeedReport, now: float) -> FeedOrder:
         """Pass the planner's report to the feeder, and return the feeder's order."""
-        self.feeder.hear(status_of(report), now)
+        self.feeder.receive_status(status_of(report), now)
         output = self.feeder.step(now)
         if output.open_s is not None and self.simulation is not None:
             with suppress(PlateError):  # raised if the plate is full, as in the node

@@ -1,23 +1,25 @@
 """The rules of the feeder, without ROS. The rules determine which part a robot gets, when the plate
 rests, and when the hopper opens.
 
-A `Feeder` receives the statuses of the planner (`hear`) and the commands of the robots. After each
-of them, and about every 0.1 s, `step` returns the actions that the caller must take. All times are
-arguments. They are from one steady clock, except the stamps of statuses (`FeedStatus.stamp`), which
-are from the clock of the camera. A loop without ROS uses it like this::
+A `Feeder` receives the statuses of the planner (`receive_status`) and the commands of the robots.
+After each of them, and about every 0.1 s, `step` returns the actions that the caller must take. All
+times are arguments. They are from one steady clock, except the stamps of statuses
+(`FeedStatus.stamp`), which are from the clock of the camera. A loop without ROS uses the feeder
+like this::
 
     feeder = Feeder(task, rig)
     reply = feeder.get_part("robot", now=t)  # None: the reply comes with a later `step`
     output = feeder.step(t)
     # execute output.order and output.open_s, read output.replies; then, for each image:
-    feeder.hear(status, t)
+    feeder.receive_status(status, t)
     output = feeder.step(t)
 
 The rules:
 
-- The planner gets parts ready (mode `FEED`) until no more parts are needed. Then it rests by
-  itself. The feeder then orders it to keep resting (mode `REST`), so that a robot need not wait. If
-  a command waits, the feeder orders the plate to rest as soon as one part is ready.
+- The planner gets parts ready (mode `FEED`) until no more parts are needed. Then the planner stops
+  the plate without an order. The feeder then orders the planner to keep the plate at rest (mode
+  `REST`), so that a robot need not wait. If a command waits, the feeder orders the planner to stop
+  the plate when one part is ready.
 - A part is offered only from a status that was made under an order to rest and that reports the
   plate at rest. The mode of an order is not changed until a status has confirmed it. Therefore a
   status of an earlier rest is never mistaken for a status of the present rest. If the mode stays
@@ -31,20 +33,20 @@ The rules:
 - After a `stop`, no command starts before a person calls `resume`.
 - A part that was reserved is not offered again until a later image shows that it is ready. The
   stamp of this image must exceed the newest stamp at the end of the reservation by at least
-  `SEEN_ANEW_S`. After `MAX_FAILURES` failed picks at one place, a part is not offered until it is
-  at another place. In both cases one more part of the same class is requested, because the planner
-  counts this part as ready.
+  `SEEN_AGAIN_S`. After `MAX_FAILURES` failed picks at one place, a part is not offered until it is
+  at another place. While a part is not offered for one of these two reasons, one more part of its
+  class is requested, because the planner counts this part as ready.
 - If several parts are ready, the part with the fewest failed picks is offered. Among parts with the
   same number, the one nearest to the centre of its pick window is offered.
 - The hopper is opened if there are fewer parts than `least`. It is also opened if a command waits,
-  no part of its class is on the plate, and there are fewer parts than `fill`. A hopper that counts
-  as empty is not opened. The hopper is opened for the number of
-  parts that are missing to `fill`. The hopper is not opened while a part is reserved, while the
-  plate is purged, or while messages of the planner are missing.
-- After an opening, it is not opened again until `FALLEN_S` after it closed, and until an image
-  without a reservation arrives. The planner counts no new parts while a robot hides some parts.
-  Until then, parts within `SPREADS` spreads of the place where parts fall are not offered, and the
-  plate does not count as purged.
+  no part of its class is on the plate, and there are fewer parts than `fill`. It stays open for the
+  time in which the missing parts fall, so that there are about `fill` parts. The hopper is not
+  opened if it counts as empty, while a part is reserved, while the plate is purged, or while
+  messages of the planner are missing.
+- The result of an opening is evaluated `FALLEN_S` after the hopper has closed, with an image that
+  was taken without a reservation. During a reservation, a robot may hide some parts. Until the
+  evaluation, the hopper is not opened again, the plate does not count as purged, and parts within
+  `SPREADS` spreads of the place where parts fall are not offered.
 - The hopper is closed when a purge begins and when the task ends. After `MAX_OPENINGS` openings
   without new parts, it counts as empty. Each new command then permits one more opening.
 """
@@ -72,25 +74,25 @@ from .interface import FeedStatus, Output, Quantity, ReadyPart, Reply, Reserved,
 
 LATE_S = 0.3
 """Minimum difference between the stamp of an image and the newest stamp at the end of a reservation
-[s]. If it is reached, the image was certainly taken after the reservation ended. Images arrive
-late, so a smaller difference is not certain."""
+[s]. With this difference, the image was certainly taken after the reservation ended. Images arrive
+late, so a smaller difference is not sufficient."""
 
-SEEN_ANEW_S = 1.0
+SEEN_AGAIN_S = 1.0
 """Minimum difference between the stamp of an image and the newest stamp at the end of a reservation
-[s]. If it is reached, a part that the robot has taken is no longer reported. The tracker keeps a
-missing part for some images."""
+[s]. With this difference, the image no longer shows a part that the robot has taken. It must be
+large enough because the tracker keeps a missing part for some images."""
 
 SILENT_S = 1.0
-"""Maximum time between two statuses of a running task [s]. This time is about ten cycles of usual
-length."""
+"""Maximum time between two statuses of a running task [s]. It is about ten cycles of the plate."""
 
 START_S = 10.0
 """Maximum time from a command to the first status of its task [s]."""
 
 SETTLED = 2
-"""Number of statuses at rest before the plate counts as settled. A part may have moved between the
-last moving image and the first image at rest. Therefore no part is ready in the first status at
-rest. Until the plate has settled, a waiting command keeps the order to rest."""
+"""Number of statuses at rest after which the plate counts as settled. A part may have moved between
+the last image of the moving plate and the first image of the plate at rest. Therefore, the first
+status at rest contains no ready parts. Until the plate has settled, a waiting command keeps the
+order to rest."""
 
 FALLEN_S = 1.0
 """Time after the hopper closes until all dropped parts are visible [s]."""
@@ -104,8 +106,8 @@ MAX_FAILURES = 3
 offered."""
 
 MOVED_M = 0.002
-"""Minimum distance from the place of a failed pick [m]. At this distance, the part counts as moved.
-This distance is larger than the error of the camera."""
+"""Distance from the place of a failed pick above which a part counts as moved [m]. It is larger
+than the error of the camera."""
 
 SPREADS = 2.0
 """Maximum distance of a falling part from the hopper's place [spread of the hopper]."""
@@ -176,18 +178,17 @@ class Feeder:
         self._task, self._since = _Task.IDLE, -math.inf  # time of the last command or status
         self._sent, self._in_force = FeedOrder(FeedMode.FEED, task.picks), False
         self._rested = 0  # number of statuses since the plate rests by order
-        self._planner_rested = (
-            False  # whether the planner came to rest by itself since the last part
-        )
+        # Whether the planner has stopped the plate without an order since the last part.
+        self._planner_rested = False
         self._waiting: _Waiting | None = None
         self._prepared: _Request | None = None
         self._reserved: Reserved | None = None
-        self._late: Reserved | None = None  # reservation has ended, result not reported yet
+        self._late: Reserved | None = None  # ended reservation whose pick is not reported yet
         # Stamp of the newest status when the reservation of a part ended, by id of the part.
         self._held: dict[str, float] = {}
         self._failures: dict[str, _Failures] = {}
         self._replies: list[tuple[Hashable, Reply]] = []
-        # Discharged and lost parts of earlier tasks.
+        # Number of taken parts; numbers of discharged and lost parts in earlier tasks.
         self._taken = self._discharged = self._lost = 0
         self._unreported = 0  # number of reservations that ended without a report on the pick
         # Total number of parts before the hopper was opened.
@@ -196,14 +197,14 @@ class Feeder:
 
     # Inputs
 
-    def hear(self, status: FeedStatus, now: float) -> None:
+    def receive_status(self, status: FeedStatus, now: float) -> None:
         """Process a status of the planner."""
         self._status = status
         self._held = {
             part: since
             for part, since in self._held.items()
-            # If the clock was set back, the part is offered again.
-            if -SEEN_ANEW_S < status.stamp - since < SEEN_ANEW_S
+            # If the clock was set back far, the part is offered again at once.
+            if -SEEN_AGAIN_S < status.stamp - since < SEEN_AGAIN_S
         }
         if self._task is _Task.IDLE:
             return
@@ -214,19 +215,20 @@ class Feeder:
 
     def task_ended(self, text: str) -> None:
         """Process that the planner's task has ended or was refused, or that it must end. A waiting
-        command gets this reply."""
+        command gets a reply with this text."""
         self._answer_waiting(Code.STOPPED, text)
         self._end()
         self._ended = True
 
     def stop(self, why: str) -> None:
-        """Process that a person stopped the plate, or that a person is needed for another reason.
-        End the task. Refuse each command that would move the plate until `resume` is called."""
+        """End the task, and refuse each command that would move the plate until `resume` is called.
+        Call this method if a person has stopped the plate, or if a person must check it. `why` is
+        the reason as text."""
         self._stop = WAITS + why
         self.task_ended(self._stop)
 
     def resume(self) -> None:
-        """Process that a person permits the next command to start the task again."""
+        """Permit the next command to start the task again. Only a person may permit this."""
         if self._stop:
             self._stop, self._ended = "", False
 
@@ -295,9 +297,9 @@ class Feeder:
         ----------
         client : hashable
         part : str
-            Id of the part. If it is empty, the part that is reserved for this client is meant. A
-            part whose client has disconnected must be reported with its id. After the validity of a
-            part has ended, it may still be reported until the next part is reserved.
+            Id of the part. Empty: the part that is reserved for this client. If the client of the
+            reservation has disconnected, the id must be given. A part whose validity has ended may
+            still be reported until the next part is reserved.
         taken : bool
             Whether the robot has the part. If False, the part is still on the plate.
         """
@@ -313,7 +315,7 @@ class Feeder:
         self._hold(known.part)
         late = ""
         if self._reserved is None:
-            late = ", but its reservation had expired: the plate may have moved"
+            late = ", but its reservation had expired, so the plate may have moved"
             self._unreported -= 1
         self._reserved = self._late = None
         name = known.part.id
@@ -327,10 +329,12 @@ class Feeder:
         self._failures[name] = _Failures(count, x, y)
         while len(self._failures) > MAX_PARTS:
             del self._failures[next(iter(self._failures))]
-        return Reply(Code.DONE, f"{name} is still there, failed picks at this place: {count}{late}")
+        text = f"{name} is still on the plate; number of failed picks at this place: {count}{late}"
+        return Reply(Code.DONE, text)
 
     def purge(self, client: Hashable, timeout_s: float = 0.0, *, now: float) -> Reply | None:
-        """Move all parts to the chute, then end the task. None if the command waits."""
+        """Request that all parts are moved to the chute. Then the task ends. Return None if the
+        command waits. `timeout_s` and `now` are the same as in `get_part`."""
         problem = _time_problem(timeout_s)
         if problem:
             return Reply(Code.BAD_ARGUMENT, problem)
@@ -355,9 +359,9 @@ class Feeder:
             if waiting.purge:
                 self._end()
 
-    def gone(self, client: Hashable) -> None:
-        """Remove a client, and withdraw its command. If a part is reserved for this client, it
-        remains reserved, but without an owner."""
+    def remove_client(self, client: Hashable) -> None:
+        """Remove a client that has disconnected, and withdraw its command. If a part is reserved
+        for this client, the part remains reserved, but without a client."""
         self.cancel(client)
         self._reserved, self._late = (
             replace(each, client=None) if each is not None and each.client == client else each
@@ -380,8 +384,7 @@ class Feeder:
         return Output(self._task is not _Task.IDLE, self._sent, open_s, replies)
 
     def quantity(self) -> Quantity:
-        """Return the numbers of parts: on the plate, ready, and taken, discharged or lost until
-        now."""
+        """Return the numbers of parts. See `Quantity`."""
         status = self._status or FeedStatus(0.0, FeedMode.FEED, False)
         running = self._task is _Task.RUNNING
         return Quantity(
@@ -432,8 +435,8 @@ class Feeder:
         if self._task is _Task.REQUESTED and silent > START_S:
             return f"the planner has not started feed_parts within {START_S:g} s"
         if self._task is _Task.RUNNING and silent > SILENT_S:
-            question = "does the planner run, or is the computer too slow?"
-            return f"no feed_status for {silent:.1f} s: {question}"
+            hint = "check that the planner runs and the computer is not too slow"
+            return f"no feed_status for {silent:.1f} s; {hint}"
         return ""
 
     # Commands
@@ -526,11 +529,11 @@ class Feeder:
             quantity, label = self.quantity(), waiting.request.label
             self._answer_waiting(
                 Code.NO_PART,
-                f"no {label or 'part'} was ready within {waiting.timeout_s:g} s: "
-                f"{sum(quantity.seen.values())} on the plate, {self._on_plate(label)} of them "
-                f"{label or 'wanted'}, {quantity.ready} of any class ready"
-                + (", the hopper is empty" if self.hopper_empty else "")
-                + (", the recipe has no hopper" if self.task.hopper is None else ""),
+                f"no {label or 'part'} was ready within {waiting.timeout_s:g} s; parts on the "
+                f"plate: {sum(quantity.seen.values())}, of them {label or 'in the recipe'}: "
+                f"{self._on_plate(label)}; ready parts of any class: {quantity.ready}"
+                + ("; the hopper is empty" if self.hopper_empty else "")
+                + ("; the recipe has no hopper" if self.task.hopper is None else ""),
             )
 
     def _answer_purge(self, waiting: _Waiting, now: float) -> None:
@@ -541,7 +544,7 @@ class Feeder:
             self._answer_waiting(Code.DONE, "the plate is empty")
             self._end()
         elif now >= waiting.until:
-            text = f"{left} parts are left after {waiting.timeout_s:g} s"
+            text = f"{left} parts are still on the plate after {waiting.timeout_s:g} s"
             self._answer_waiting(Code.NOT_PURGED, text)
             self._end()
 
@@ -561,8 +564,8 @@ class Feeder:
     # Parts
 
     def _picks(self) -> tuple[Pick, ...]:
-        """Return the picks to get ready. If ready parts of a class are not offered, more parts of
-        this class are requested."""
+        """Return the picks that the planner must get ready. If ready parts of a class are not
+        offered, one more part of this class is requested for each of them."""
         wanted = self._waiting.request if self._waiting is not None else self._prepared
         other = None if wanted is None else wanted.pick
         picks = [
@@ -577,7 +580,7 @@ class Feeder:
         )
 
     def _sees_all(self) -> bool:
-        """Whether the newest image shows all parts. During a reservation, a robot hides some
+        """Whether the newest image shows all parts. During a reservation, a robot may hide some
         parts."""
         newest = -math.inf if self._status is None else self._status.stamp
         return self._reserved is None and all(

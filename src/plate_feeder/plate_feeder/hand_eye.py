@@ -29,7 +29,7 @@ FILE = Section(
     "Frame of the robot, defined by points whose coordinates are known in both frames.",
     (
         Key("frame", Text("a name"), "Name of the robot's frame, whose z axis points up."),
-        Key("points", List(), "Two or more points. With three, a wrong one can be detected."),
+        Key("points", List(), "Two or more points. Three points can show that one is wrong."),
     ),
 )
 
@@ -135,13 +135,13 @@ def fit_hand_eye(frame: str, plate: np.ndarray, robot: np.ndarray) -> HandEye:
     """
     count = len(plate)
     if count < 2:
-        raise HandEyeError(f"points are {count}, allowed: 2 or more")
+        raise HandEyeError(f"number of points is {count}, allowed: 2 or more")
     p, q = plate @ (1, 1j), robot @ (1, 1j)
     base = float(np.max(np.abs(p[:, None] - p)))
     if base < MIN_BASE_M:
         raise HandEyeError(
-            f"the two points farthest apart on the plate have a distance of {1e3 * base:.1f} mm, "
-            f"allowed: {1e3 * MIN_BASE_M:g} mm or more"
+            f"largest distance between two points on the plate is {1e3 * base:.1f} mm, allowed: "
+            f"{1e3 * MIN_BASE_M:g} mm or more"
         )
     residuals, turn, shift = _fit(p, q)
     worst = int(np.argmax(residuals))
@@ -149,7 +149,7 @@ def fit_hand_eye(frame: str, plate: np.ndarray, robot: np.ndarray) -> HandEye:
         mirrored, *_ = _fit(p.conj(), q)
         hint = "; mirrored points would fit, so z of the robot's frame may point down"
         raise HandEyeError(
-            f"points[{worst}] has a residual of {1e3 * residuals[worst]:.2f} mm, "
+            f"residual of points[{worst}] is {1e3 * residuals[worst]:.2f} mm, "
             f"allowed: {1e3 * MAX_RESIDUAL_M:g} mm"
             + (hint if np.max(mirrored) <= MAX_RESIDUAL_M else "")
         )

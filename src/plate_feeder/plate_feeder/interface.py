@@ -65,9 +65,10 @@ class FeedStatus:
     ready : tuple of ReadyPart
     seen : mapping of str to int
         Number of parts on the plate, by class.
-    discharged, lost : int
-        Number of parts that have left over the chute, and number that have left over other edges,
-        since this task began.
+    discharged : int
+        Number of parts that have left the plate over the chute since this task began.
+    lost : int
+        Number of parts that have left the plate over other edges since this task began.
     """
 
     stamp: float
@@ -133,8 +134,21 @@ class Output:
 
 @dataclass(frozen=True)
 class Quantity:
-    """Numbers of parts: on the plate by class; ready; and, since the feeder started, taken by the
-    robot, discharged over the chute, and lost over other edges."""
+    """Numbers of parts.
+
+    Attributes
+    ----------
+    seen : mapping of str to int
+        Number of parts on the plate, by class.
+    ready : int
+        Number of parts that a robot may get now.
+    taken : int
+        Number of parts that robots have taken since the feeder started.
+    discharged : int
+        Number of parts that have left the plate over the chute since the feeder started.
+    lost : int
+        Number of parts that have left the plate over other edges since the feeder started.
+    """
 
     seen: Mapping[str, int]
     ready: int

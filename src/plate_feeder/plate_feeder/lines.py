@@ -55,8 +55,10 @@ class Command:
     ----------
     name : str
         Name of the command, one of `COMMANDS`.
-    label, part : str
-        Class and id. Empty if not given.
+    label : str
+        Class. Empty if not given.
+    part : str
+        Id of a part. Empty if not given.
     timeout_s : float
         Timeout [s]. 0 if not given.
     taken : bool
@@ -79,7 +81,7 @@ def read_line(line: bytes) -> Command:
         If the line is invalid. The message contains the error and what is allowed.
     """
     if len(line) > MAX_LINE:
-        raise LineError(Code.BAD_LINE, f"the line is too long, allowed: {MAX_LINE} bytes")
+        raise LineError(Code.BAD_LINE, f"line has {len(line)} bytes, allowed: up to {MAX_LINE}")
     text = line.decode("ascii", "replace")
     if not text.isascii() or not text.replace("\t", " ").isprintable():
         raise LineError(Code.BAD_LINE, "the line is not plain text, allowed: printable ASCII")

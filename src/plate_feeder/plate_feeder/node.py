@@ -51,10 +51,11 @@ STEP_S = 0.05
 """Interval at which the rules are polled [s]."""
 
 ORDER_S = 0.5
-"""Time after which an order is published again, in case the planner has missed it [s]."""
+"""Interval at which an unchanged order is published again, in case the planner has missed it
+[s]."""
 
 HOPPER_S = 1.0
-"""Maximum delay of the hopper's reply after the time at which the hopper closes [s]."""
+"""Maximum delay of the hopper's reply after the hopper has closed [s]."""
 
 FEEDBACK_S = 0.5
 """Time between two feedback messages [s]."""
@@ -172,7 +173,7 @@ class FeederNode(SafeLifecycleNode[Options]):
         # State and reason in the last task_status.
         self._last_task = TaskStatus.IDLE, TaskStatus.NONE
         self._parts: dict[str, Part] = {}  # ready parts in the newest status, by id
-        self._waiting: dict[int, Replied] = {}  # recipient of the reply, by client
+        self._waiting: dict[int, Replied] = {}  # function that sends the reply, by client
         self._goal: Any = None  # waiting goal of a ROS client
         self._order, self._ordered = FeedOrder(), -math.inf
         self._hopper_problem = ""
@@ -208,7 +209,7 @@ class FeederNode(SafeLifecycleNode[Options]):
         if self._opening is not None and now >= self._opening[1]:
             self._hopper.remove_pending_request(self._opening[0])
             self._opening = None
-            self._warn_of_hopper("the service hopper/open does not reply; does the hopper run?")
+            self._warn_of_hopper("the service hopper/open does not reply; check the hopper's node")
         if output.open_s is not None:
             self._open(output.open_s, now)
         for client, reply in output.replies:
@@ -226,7 +227,7 @@ class FeederNode(SafeLifecycleNode[Options]):
 
     def _open(self, open_s: float, now: float) -> None:
         if not self._hopper.service_is_ready():
-            self._warn_of_hopper("there is no service hopper/open; does the hopper run?")
+            self._warn_of_hopper("there is no service hopper/open; start the hopper's node")
             return
 
         def answered(future: Any) -> None:
@@ -270,7 +271,7 @@ class FeederNode(SafeLifecycleNode[Options]):
             discharged=msg.discharged,
             lost=msg.lost,
         )
-        self._feeder.hear(status, time.monotonic())
+        self._feeder.receive_status(status, time.monotonic())
         self._step()
 
     def _on_task(self, msg: TaskStatus) -> None:
@@ -436,7 +437,7 @@ class FeederNode(SafeLifecycleNode[Options]):
             self._inbox.popleft()()
 
     def _forget(self, client: int) -> None:
-        self._feeder.gone(client)
+        self._feeder.remove_client(client)
         self._waiting.pop(client, None)
         self._step()
 

@@ -3,8 +3,9 @@ graph.
 
 The commands of a client are executed one after the other. The replies are sent in the same order.
 The number of clients, the number of waiting commands and the length of lines are limited. If a
-limit is exceeded, the server refuses with a code. A client is disconnected if it leaves a line
-incomplete or does not read its replies. An idle client may stay connected for an hour.
+limit is exceeded, the server sends a reply with an error code. A client is disconnected if it
+leaves a line incomplete or does not read its replies. An idle client may stay connected for an
+hour.
 """
 
 from __future__ import annotations
@@ -28,8 +29,8 @@ MAX_WAITING = 4
 refused."""
 
 MAX_ANSWERS = 100
-"""Maximum number of lines of one client that wait for replies, including refused ones. If there are
-more, the client is disconnected."""
+"""Maximum number of lines of one client that wait for replies. Lines that are refused wait for
+replies too. If there are more, the client is disconnected."""
 
 IDLE_S = 3600.0
 """Idle time after which a client is disconnected [s]."""
@@ -42,8 +43,8 @@ SENT_S = 5.0
 disconnected."""
 
 LAST_S = 0.5
-"""Time for the last commands of a client after the client has closed its side of the connection
-[s]."""
+"""Maximum time in which the last commands of a client may end after the client has closed its side
+of the connection [s]."""
 
 ANSWER_S = 5.0
 """Maximum time for the reply to a command that does not wait [s]."""
@@ -60,8 +61,8 @@ CHUNK = 4096
 """Maximum number of bytes that are read at once."""
 
 WEB = b" http/"
-"""Text that occurs in the first line of a browser. Web pages must not send commands. Therefore
-browsers are disconnected."""
+"""Text in the first line that a browser sends. Browsers are disconnected, because web pages must
+not send commands."""
 
 Answer = Callable[[Code, str], None]
 Ask = Callable[[int, Command, Answer], None]
@@ -81,7 +82,7 @@ class RobotServer:
         Function that is called on the server's thread for each command. Its arguments are the
         number of the client, the command, and a function that takes the reply. The last function
         must be called once, on any thread.
-    gone : callable
+    on_disconnect : callable
         Function that is called on the server's thread with the number of a disconnected client.
 
     Attributes
@@ -96,7 +97,9 @@ class RobotServer:
         If the port is in use, or if the address does not belong to this machine.
     """
 
-    def __init__(self, host: str, port: int, ask: Ask, gone: Callable[[int], None]) -> None:
+    def __init__(
+        self, host: str, port: int, ask: Ask, on_disconnect: Callable[[int], None]
+    ) -> None:
         family = socket.AF_INET6 if ":" in host else socket.AF_INET
         try:
             self._socket = socket.create_server((host, port), family=family, backlog=MAX_CLIENTS)
@@ -106,7 +109,7 @@ class RobotServer:
                 f"machine ({error.strerror or error})"
             ) from None
         self.port: int = self._socket.getsockname()[1]
-        self._ask, self._gone = ask, gone
+        self._ask, self._on_disconnect = ask, on_disconnect
         self._count, self._tasks = 0, set[asyncio.Task[None]]()
         self._loop = asyncio.new_event_loop()
         self._stop = asyncio.Event()
@@ -156,7 +159,7 @@ class RobotServer:
         finally:
             self._tasks.discard(task)
             writer.transport.abort()
-            self._gone(client.number)
+            self._on_disconnect(client.number)
 
 
 class _Client:
@@ -189,7 +192,7 @@ class _Client:
         self._writer.transport.abort()
 
     async def serve(self) -> None:
-        """Read and execute commands until the client disconnects or the server stops."""
+        """Read and execute commands until the client disconnects or the server ends."""
         reading, doing, stop = (
             asyncio.ensure_future(each) for each in (self._read(), self._do(), self._stop.wait())
         )
@@ -210,7 +213,8 @@ class _Client:
             await asyncio.wait_for(self._writer.wait_closed(), LAST_S)
 
     async def _read(self) -> None:
-        """Queue incoming lines until the client closes its side or must be disconnected."""
+        """Queue incoming lines until the client closes its side of the connection or must be
+        disconnected."""
         loop, buffer, began = asyncio.get_running_loop(), b"", 0.0
         while True:
             limit = IDLE_S if not buffer else began + LINE_S - loop.time()
@@ -254,7 +258,7 @@ class _Client:
         return self._queue.qsize() <= MAX_ANSWERS
 
     async def _do(self) -> None:
-        """Execute the queued commands one after the other, as long as the client accepts the
+        """Execute the queued commands one after the other until the client no longer accepts the
         replies."""
         with contextlib.suppress(OSError, TimeoutError):
             while True:
@@ -289,7 +293,7 @@ class _Client:
         try:
             return await asyncio.wait_for(answered, limit)
         except TimeoutError:
-            return Code.FAULT, f"no answer within {limit:g} s"
+            return Code.FAULT, f"no reply within {limit:g} s"
 
     async def _send(self, code: Code, text: str) -> None:
         self._writer.write(answer_line(code, text))

@@ -13,7 +13,7 @@ from plate_feeder.feeder import (
     FALLEN_S,
     MAX_FAILURES,
     MAX_OPENINGS,
-    SEEN_ANEW_S,
+    SEEN_AGAIN_S,
     SILENT_S,
     START_S,
 )
@@ -68,7 +68,7 @@ class Cell:
                 rests = self.mode is FeedMode.REST or (len(self.ready) >= 2 and not self.busy)
                 self.moving = 0 if rests else 2
                 self.shown = set(self.ready)
-                self.feeder.hear(
+                self.feeder.receive_status(
                     FeedStatus(
                         stamp=1000.0 + self.t - 0.05, mode=self.mode,
                         at_rest=rests and self.at_rest, ready=tuple(self.ready.values()),
@@ -180,11 +180,11 @@ def test_a_part_that_was_taken_is_not_told_while_old_images_show_it():
     since = cell.t
     assert cell.do("part_taken", taken=True).code is Code.DONE
     cell.get()
-    cell.run(int(0.9 * SEEN_ANEW_S / PERIOD_S))
+    cell.run(int(0.9 * SEEN_AGAIN_S / PERIOD_S))
     assert not cell.replies
     reply = cell.answer()  # it lies there in images that were taken later
     assert reply.part.id == "black_1"
-    assert cell.t - since >= SEEN_ANEW_S
+    assert cell.t - since >= SEEN_AGAIN_S
 
 
 def test_a_part_whose_pick_has_failed_comes_again_but_not_for_ever():
@@ -256,9 +256,9 @@ def test_the_part_of_a_client_that_has_gone_is_reported_with_its_id(late):
     if late:  # its time is over
         cell.run(round(TASK.valid_s / PERIOD_S) + 1)
     assert feeder.part_taken("back", name).code is Code.NOT_RESERVED, "its client is there"
-    feeder.gone("other")
+    feeder.remove_client("other")
     assert feeder.part_taken("back", name).code is Code.NOT_RESERVED
-    feeder.gone("robot")
+    feeder.remove_client("robot")
     cell.run(3)
     if not late:
         assert cell.output.order.mode is FeedMode.REST
@@ -275,7 +275,7 @@ def test_the_part_of_a_client_that_has_gone_stays_reserved_until_its_time_is_ove
     cell = Cell()
     cell.get()
     until = cell.answer().valid_until
-    cell.feeder.gone("robot")
+    cell.feeder.remove_client("robot")
     while cell.feeder.reserved is not None:
         assert cell.output.order.mode is FeedMode.REST
         cell.run()
@@ -351,7 +351,7 @@ def test_no_part_in_time():
     reply = cell.answer()
     assert reply.code is Code.NO_PART
     assert "2 s" in reply.text
-    assert reply.text.endswith("ready, the recipe has no hopper")
+    assert reply.text.endswith("; the recipe has no hopper")
     assert cell.t - before == pytest.approx(2.0, abs=0.15)
 
 
@@ -385,7 +385,7 @@ def test_a_task_that_does_not_begin_is_not_wanted_for_ever_by_a_client_that_does
     cell = Cell()
     cell.silent = True
     cell.do(command, now=cell.t)
-    cell.feeder.gone("robot")
+    cell.feeder.remove_client("robot")
     cell.run(round((START_S - 1) / PERIOD_S))
     assert cell.output.run
     cell.run(round(2 / PERIOD_S))
@@ -565,7 +565,7 @@ def test_a_hopper_opens_for_a_class_that_is_waited_for_and_not_there():
     cell.get("grey", timeout_s=2.0)
     reply = cell.answer()
     assert [duration for _, duration in cell.opened] == [pytest.approx(1 / HOPPER.rate)] * 2
-    assert reply.text.endswith("9 on the plate, 0 of them grey, 0 of any class ready")
+    assert reply.text.endswith("parts on the plate: 9, of them grey: 0; ready parts of any class: 0")
 
 
 def test_a_hopper_that_brings_nothing_is_empty_and_tried_again_by_a_command():
@@ -695,7 +695,7 @@ def test_a_clock_that_was_set_back_holds_nothing_back_for_ever():
     cell.answer()
     cell.do("part_taken", taken=False)
     stamp = 5.0
-    cell.feeder.hear(FeedStatus(stamp, FeedMode.FEED, False, (part("black_1"),)), cell.t)
+    cell.feeder.receive_status(FeedStatus(stamp, FeedMode.FEED, False, (part("black_1"),)), cell.t)
     assert cell.feeder.quantity().ready == 1
 
 
@@ -736,7 +736,7 @@ def test_any_sequence_of_commands_and_statuses(seed):
         elif deed == 9 and feeder.stopped:
             feeder.resume()
         elif deed == 9 and rng.random() < 0.3:
-            feeder.gone(who)
+            feeder.remove_client(who)
             waiting.pop(who, None)
         opened, reserved = len(cell.opened), feeder.reserved
         cell.run()
@@ -753,7 +753,7 @@ def test_any_sequence_of_commands_and_statuses(seed):
             name = reply.part.id
             assert cell.mode is FeedMode.REST
             assert name in cell.shown
-            assert cell.t - told.get(name, -math.inf) >= SEEN_ANEW_S - PERIOD_S
+            assert cell.t - told.get(name, -math.inf) >= SEEN_AGAIN_S - PERIOD_S
             told[name] = cell.t
         assert all(cell.t <= until + 2 * PERIOD_S for until in waiting.values())
     assert answered > 50

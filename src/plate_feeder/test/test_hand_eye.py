@@ -56,8 +56,8 @@ def test_the_covariance_turns_with_the_plate():
     ("plate", "robot", "named"),
     [
         (CORNERS[:1], CORNERS[:1], "2 or more"),
-        (0.1 * CORNERS[1:3], CORNERS[1:3], "have a distance of 20.0 mm, allowed: "),
-        (CORNERS[[0, 0]], CORNERS[[0, 1]], "have a distance of 0.0 mm, allowed: "),
+        (0.1 * CORNERS[1:3], CORNERS[1:3], "is 20.0 mm, allowed: "),
+        (CORNERS[[0, 0]], CORNERS[[0, 1]], "is 0.0 mm, allowed: "),
         (CORNERS, CORNERS + 0.01 * np.eye(4)[:, :2], r"points\[\d\]"),
         (CORNERS, 1.02 * CORNERS, "points"),
         (CORNERS, moved(CORNERS * (1, -1), 1.0, 0.3, 0.1), "z of the robot's frame"),

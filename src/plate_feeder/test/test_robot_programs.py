@@ -46,14 +46,14 @@ class Cell:
     def __init__(self):
         self.feeder, self.t, self.ready = Feeder(TASK, load_rig("")), 100.0, (PART,)
         self.waiting = {}
-        self.server = RobotServer("127.0.0.1", 0, self.ask, self.feeder.gone)
+        self.server = RobotServer("127.0.0.1", 0, self.ask, self.feeder.remove_client)
 
     def cycle(self):
         self.t += 0.1
         output = self.feeder.step(self.t)
         if output.run:
             status = FeedStatus(self.t, output.order.mode, True, self.ready)
-            self.feeder.hear(status, self.t)
+            self.feeder.receive_status(status, self.t)
         for client, reply in (*output.replies, *self.feeder.step(self.t).replies):
             self.answer(reply, self.waiting.pop(client))
 

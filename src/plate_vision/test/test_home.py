@@ -232,7 +232,7 @@ def test_until_home_is_found_there_is_no_answer(leaning, rng):
     home = where.home
     away, vision, _ = follow_plate(where, vision, leaning.take([0.008, 0, 0], rng))
     region = vision.region
-    assert "8.0 mm from home" in away.problem
+    assert "from home is 8.0 mm" in away.problem
     lost, vision, _ = follow_plate(away, vision, dark)
     assert "markers are not detected" in lost.problem
     assert lost.pose is None

@@ -156,7 +156,9 @@ def test_the_format_is_the_first_with_size_and_rate(tmp_path, size_px, rate, for
 def test_each_fault_of_a_device_has_its_sentence(make, tmp_path):
     used = make()
     used.camera.busy = True
-    with pytest.raises(CameraError, match=r"used by another program; end it \(fuser -v .* shows its name\)"):
+    with pytest.raises(
+        CameraError, match=r"used by another program; end it \(fuser -v .* shows its name\)"
+    ):
         used.opened()
     assert used.camera.opened == 0  # OpenCV would wait 10 s
     other = make()

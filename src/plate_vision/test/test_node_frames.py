@@ -39,7 +39,7 @@ def test_plate_with_markers(make_plate, marked_rig, draw, rng):
         assert graph.warnings == []
         graph.images.publish(image(plate.take([0.008, 0, 0], rng), 3.0))
         graph.until(lambda: len(poses) > 2)
-        assert "8.0 mm from home" in graph.warnings[-1]
+        assert "from home is 8.0 mm" in graph.warnings[-1]
         done = graph.resets.call_async(Trigger.Request())
         graph.until(done.done)
         graph.images.publish(image(plate.take([0.008, 0, 0], rng), 3.2))

@@ -54,12 +54,16 @@ def test_parts_of_taught_types(rig_with_types, draw_types, rng):
             off = (parts.angle[i] - angle + period / 2) % period - period / 2
             assert name == "coin_large" or abs(off) < np.radians(1.5)
         (warning,) = graph.warnings
-        assert "the bare plate is estimated from an image with parts; remove them, call ~/learn_plate" in warning
+        assert (
+            "the bare plate is estimated from an image with parts; remove them, call ~/learn_plate"
+            in warning
+        )
         graph.until(lambda: drawings)
         answer = called(graph, "learn_plate")
         assert answer.success
         assert (
-            "next 5 images are used for the bare plate; now 3 objects are on the plate" in answer.message
+            "next 5 images are used for the bare plate; now 3 objects are on the plate"
+            in answer.message
         )
         for k in range(5):
             graph.answer(shown([], 1.2 + 0.2 * k))

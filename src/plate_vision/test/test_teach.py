@@ -108,9 +108,9 @@ def test_what_cannot_be_learned_says_why(draw_types):
     nuts, coins = (
         Example(picture(draw_types, name, 7), name=name) for name in ("nut", "coin_large")
     )
-    with pytest.raises(TeachError, match=r"type nut: no examples, allowed: 1 to 5"):
+    with pytest.raises(TeachError, match=r"type nut: there are no examples, allowed: 1 to 5"):
         learn_type("nut", [], HOME)
-    with pytest.raises(TeachError, match=r"type nut: 6 examples, allowed: 1 to 5"):
+    with pytest.raises(TeachError, match=r"type nut: there are 6 examples, allowed: 1 to 5"):
         learn_type("nut", [nuts] * 6, HOME)
     with pytest.raises(TeachError, match=r"type nut: bare\.png: no part is visible, allowed"):
         learn_type("nut", [Example(bare, name="bare.png")], HOME)
@@ -304,7 +304,10 @@ def test_parts_are_marked_in_pictures_of_any_size_and_one_scale(tmp_path, monkey
     ("words", "message"),
     [
         (["nut", "screw.png", "small.png"], "small.png: 40 x 30 px, allowed: "),
-        (["nut", "screw.png", "small.png", "--box", "1,1,9,9"], "--box: number of pictures is 2, allowed: 1"),
+        (
+            ["nut", "screw.png", "small.png", "--box", "1,1,9,9"],
+            "--box: number of pictures is 2, allowed: 1",
+        ),
         (["nut", "small.png", "--box", "1,1,99,9"], "box is 1,1,99,9, allowed: within 40 x 30 px"),
         *(
             (["nut", "small.png", f"--box={box}"], f"box is '{box}', allowed: x, y, width and")
@@ -357,5 +360,5 @@ def test_a_height_that_is_not_given_is_asked_for(height, given, warns, rng):
     assert lesson.count == 3
     assert len(lesson.doubts) == warns
     for doubt in lesson.doubts:
-        stated = re.search(r"agree best with a height of about (\d+) mm\. .* --height", doubt)
+        stated = re.search(r"agree best with a height of about (\d+) mm: .* --height", doubt)
         assert int(stated[1]) == pytest.approx(height, abs=2)

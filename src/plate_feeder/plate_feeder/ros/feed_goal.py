@@ -23,7 +23,7 @@ stalled, or the reply was lost. The goal has the same id, so the planner execute
 
 
 class FeedGoal:
-    """The goal of `feed_parts`. The goal is started and canceled as requested.
+    """The goal of `feed_parts`. `request` starts it and cancels it.
 
     Parameters
     ----------
@@ -45,7 +45,7 @@ class FeedGoal:
         self._goal, self._ended = goal, ended
         self._client = ActionClient(node, FeedParts, "feed_parts")
         self._handle: Any = None
-        self._number = 0  # number of the requested goal; replies to other goals are ignored
+        self._number = 0  # number of the newest goal; replies to earlier goals are ignored
         self._id, self._tries = new_goal_id(), 0
         self._sent = self.runs = self._seen = False
         self._answer_by = 0.0
