@@ -259,7 +259,9 @@ def test_it_is_ready(graph, page, shows):
     """By the lens that was written, and home found anew with it."""
     view = View(focal=FOCAL, distance=0.9, lens=(BEND[0], BEND[1], 0.0))
     graph[0].show(picture(view, small=False))
-    shows("light", "at most 1% of its pixels are clipped")  # the board is gone, which is a quadrilateral too
+    shows(
+        "light", "at most 1% of its pixels are clipped"
+    )  # the board is gone, which is a quadrilateral too
     page.get_by_role("button", name="Find home").click()
     await_text(page, "#camera-state", "Ready")
     assert page.locator("#camera-checks [data-check=home]").count() == 0

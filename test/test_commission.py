@@ -122,7 +122,7 @@ class Bench:
             return str(self.truth[on[0].id][0])
         if "Which distance" in question:
             return f"{1e3 * self.reached[-1][1]:.2f}"
-        if "did it move about 1 mm" in question:
+        if "Did the motor move about 1 mm" in question:
             return "no" if abs(self.reached[-1][1]) < 1e-3 else "yes"
         return "yes" if "ype yes" in question else ""
 
@@ -131,8 +131,8 @@ class Bench:
 
     def only(self, number):
         """Of all motors only this one is moved."""
-        self.answers["gets current"] = lambda: (
-            "yes" if sum("gets current" in words for words in self.asked) == number else ""
+        self.answers["get current"] = lambda: (
+            "yes" if sum("get current" in words for words in self.asked) == number else ""
         )
 
     def moving(self, happens):
@@ -263,7 +263,7 @@ def test_drives_are_identified_measured_and_written(bench, rig_file, capsys):
     before = load_rig(rig_file)
     text = rig_file.read_text(encoding="utf-8")
     bench.truth = {1: (1, 1e6), 2: (2, 1e6), 3: (4, 2e6), 4: (3, 1e6)}
-    bench.answers = {"It hangs +0.020 mm": "absolute"}
+    bench.answers = {"The motor is +0.020 mm": "absolute"}
     assert bench.run(rig_file) == 0
     after = load_rig(rig_file)
     drives = [motor.drive for motor in before.motors]
@@ -295,7 +295,7 @@ def test_drives_are_identified_measured_and_written(bench, rig_file, capsys):
 
 def test_who_does_not_type_yes_moves_nothing(bench, rig_file, capsys):
     before = rig_file.read_bytes()
-    bench.answers = {"gets current": "y"}
+    bench.answers = {"get current": "y"}
     assert bench.run(rig_file) == 0
     assert [drive.history for drive in bench.drives] == [[]] * 4
     assert not [
@@ -348,7 +348,7 @@ def test_a_jammed_motor_is_let_go(bench, rig_file, capsys, monkeypatch):
     bench.only(2)
     bench.moving(lambda drive: setattr(drive, "jammed", True))
     assert bench.run(rig_file) == 1
-    assert "error: motor_2: does not follow, it is 0.2" in capsys.readouterr().out
+    assert "error: motor_2: does not follow; following error is 0.2" in capsys.readouterr().out
     assert all_off(bench)
     assert "quick stop" not in bench.drives[1].history  # it would not follow that either
 
@@ -358,7 +358,7 @@ def test_a_drive_that_counts_from_elsewhere_once_it_has_current_is_let_go(bench,
     drive.leap = 24_000  # a turn
     bench.only(2)
     assert bench.run(rig_file) == 1
-    assert "error: motor_2: does not follow, it is 24 mm from its setpoint, allowed: 3" in (
+    assert "error: motor_2: does not follow; following error is 24 mm, allowed: 3" in (
         capsys.readouterr().out
     )
     assert len(bench.reached) <= 20  # ms with current: two bus cycles
@@ -371,7 +371,9 @@ def test_a_motor_that_does_not_move_is_said(bench, rig_file, capsys):
     bench.only(1)
     assert bench.run(rig_file) == 1
     said = capsys.readouterr().out
-    assert "error: motor_1: commanded 0.5 mm, by its own counts it moved +0.000 mm, allo" in said
+    assert (
+        "error: motor_1: travel by its own counts is +0.000 mm, allowed: at least 0.25 mm" in said
+    )
     assert all_off(bench)
 
 
@@ -425,7 +427,7 @@ def test_who_is_gone_is_missed_by_the_drive(bench, rig_file, capsys):
     bench.moving(lambda drive: setattr(bench, "cut", True))
     assert bench.run(rig_file) == 1
     assert bench.drives[0].history[-1] == "quick stop"  # by itself
-    assert "motor_1 may have current" in capsys.readouterr().out
+    assert "motor_1 may still have current" in capsys.readouterr().out
 
 
 def test_a_drive_that_cannot_end_its_quick_stop_lets_go_at_once(bench, rig_file):

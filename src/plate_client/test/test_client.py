@@ -17,7 +17,7 @@ from plate_interfaces.msg import TaskProgress
 
 def test_targets_that_nobody_hears_are_said(monkeypatch):
     monkeypatch.setattr(client, "FOUND_S", 0.1)
-    why = "no node in this ROS domain subscribes to targets; does the planner run"
+    why = "no node in this ROS domain subscribes to targets; start the planner"
     with (
         PlateClient.connect(f"/nobody_{os.getpid()}") as plate,
         pytest.raises(PlateError, match=why),

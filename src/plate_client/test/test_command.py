@@ -117,7 +117,7 @@ def test_services_and_state(graph):
     assert asked(graph, "enable") == "so it is"
     with pytest.raises(PlateError, match="so it is"):  # refused, with the reason
         asked(graph, "disable")
-    with pytest.raises(PlateError, match="no service stop: nodes here: talker"):
+    with pytest.raises(PlateError, match="no service stop; running nodes: talker"):
         asked(graph, "stop")
     assert not list(graph.node.clients)
     assert asked(graph, "state").splitlines() == [
@@ -167,8 +167,8 @@ def starting(make, clock):
 
 def test_state_while_nodes_start(graph, starting):
     assert asked(graph, "state").splitlines()[2:] == [
-        "not all nodes are ready yet: other nodes may wait for their messages",
-        "  mute: no message: it is starting or hangs",
+        "not all nodes are ready yet; other nodes may wait for their messages",
+        "  mute: no message; the node is starting or hangs",
         "  solver: WARN, waiting",
     ]
 
@@ -227,7 +227,7 @@ def test_what_is_urgent_waits_for_a_node_that_is_not_seen_yet(view, monkeypatch,
         return seen[-1]
 
     monkeypatch.setattr(alone, "_until", until)
-    with pytest.raises(PlateError, match=r"no graph runs.*: cut the power by hand$"):
+    with pytest.raises(PlateError, match=r"no graph runs.*; cut the power by hand$"):
         asked(alone, command)
     assert seen == [True, False]  # not ended by nobody being seen, but by the longer wait
 
@@ -257,7 +257,7 @@ def test_any_service_that_takes_nothing_can_be_called(graph):
         return graph.run(argparse.Namespace(command="call", service=service))
 
     assert call("home") == call(f"{graph.node.get_namespace()}/home") == "so it is"
-    with pytest.raises(PlateError, match="no service talker/teach: nodes here: talker"):
+    with pytest.raises(PlateError, match="no service talker/teach; running nodes: talker"):
         call("talker/teach")
     with pytest.raises(PlateError, match="service is 'a b', allowed: words of letters"):
         call("a b")

@@ -208,7 +208,7 @@ def test_a_process_answers_over_ros_and_rests_at_an_interrupt(peer):
     assert stop == (f"{EMERGENCY}\n", "0")
     assert (state[1], EMERGENCY in state[0], "\n  driver: " in state[0]) == ("0", True, True)
     assert (enabled, unknown) == (("ready\n", "0"), ("", "1"))
-    [names] = re.findall(r"plate: no service stop: nodes here: (.*)", done.stderr)
+    [names] = re.findall(r"plate: no service stop; running nodes: (.*)", done.stderr)
     assert set(names.split(", ")) <= {"driver", "driver_safety", "peer"}
     peer.until(lambda: {"driver", "driver_safety"} <= set(peer.node.get_node_names()))
     peer.moved()

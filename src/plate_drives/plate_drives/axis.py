@@ -1,9 +1,9 @@
-"""One drive that the host commands during commissioning: it is set up, enabled, moved by small
-amounts, and disabled.
+"""One drive that the host commands during commissioning. The host sets the drive up, enables it,
+moves it by small amounts, and disables it.
 
-The set-up is the same as in the board's firmware. Setpoints advance with bus cycles and not with
-the clock, so a late host slows a motion but does not cause a jump. If the host's heartbeat is
-missing for `SILENT_MS`, the drive stops by itself.
+The set-up is the same as in the board's firmware. Each bus cycle has one setpoint, independently of
+the clock. If the host is late, the motion is therefore slower but does not jump. If the host's
+heartbeat is missing for `SILENT_MS`, the drive stops without a command.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ BEAT_MS = 50
 """Period of the heartbeats of a drive and of this program [ms]."""
 
 SILENT_MS = 300
-"""Time without a heartbeat of this program after which a drive stops by itself [ms]."""
+"""Time without a heartbeat of this program after which a drive stops without a command [ms]."""
 
 READY_S = 5.0
 """Maximum time until the drive is enabled [s]."""
@@ -39,12 +39,12 @@ STILL_CYCLES = 30
 """Number of bus cycles during which a motor must rest before it is enabled."""
 
 STILL_M = 5e-4
-"""Maximum motion of a motor that rests [m]."""
+"""Maximum displacement of a motor that counts as at rest, from the place where it stopped [m]."""
 MISSED = 3
 """Number of consecutive SYNCs without a reply, or with two replies, after which a fault is
 reported."""
 ASTRAY_M = 1e-3
-"""Maximum following error if the rig file does not limit it [m]."""
+"""Maximum following error if the rig file does not contain a limit [m]."""
 
 START, PRE_OPERATIONAL, RESET_NODE, RESET_COMMUNICATION = 0x01, 0x80, 0x81, 0x82
 OPERATIONAL, PDO_OFF, NO_RTR, LED, LEADABLE = 5, 1 << 31, 1 << 30, 0x227, 0x26F
@@ -70,8 +70,8 @@ used here. The node number is added to the values of 1400h:01 and 1800h:01."""
 
 @contextlib.contextmanager
 def uninterrupted() -> Iterator[None]:
-    """Ignore SIGINT, SIGTERM and SIGHUP in the context, so that they cannot prevent that drives are
-    disabled."""
+    """Ignore SIGINT, SIGTERM and SIGHUP in the context, so that they cannot interrupt the disabling
+    of drives."""
     signals = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
     before = [signal.signal(each, signal.SIG_IGN) for each in signals]
     try:
@@ -94,8 +94,8 @@ def switch_off(master: Master, motor: int, node: int) -> None:
         why = trouble_text(motor, Trouble.KEEPS, 0, status)
     except PlateError as error:
         why = (
-            f"{error}: motor_{motor} may have current. Its drive stops it by itself "
-            f"{1e-3 * SILENT_MS:g} s after the last message; check it, or cut the power by hand"
+            f"{error}; motor_{motor} may still have current. Its drive should stop it "
+            f"{1e-3 * SILENT_MS:g} s after the last message; check this, or cut the power by hand"
         )
     with contextlib.suppress(PlateError):
         master.send(NMT, bytes([RESET_NODE, node]))
@@ -115,13 +115,15 @@ class Axis:
         Numbers of the motor, 1 to 4, and of its drive.
     scale : float
         Estimated counts per metre along the motor's direction. It is negative if the drive counts
-        against it.
+        against this direction.
     limits : Limits
 
     Attributes
     ----------
-    position, start : int
-        Position of the motor now, and at the time when it was enabled [counts].
+    position : int
+        Present position of the motor [counts].
+    start : int
+        Position of the motor when it was enabled [counts].
     late_s : float
         Maximum delay of the host's setpoints [s].
     """
@@ -145,8 +147,9 @@ class Axis:
         return self
 
     def __exit__(self, _: object, error: BaseException | None, *__: object) -> None:
-        """Disable the drive. After an error, use the drive's quick stop. A drive that does not
-        follow its setpoints would not follow the ramp of a quick stop either."""
+        """Disable the drive. After an error, first use the drive's quick stop. The quick stop is
+        not used if the drive did not follow its setpoints, because it would not follow the ramp of
+        a quick stop either."""
         master, end = self._master, self._master.now + OFF_S
         with uninterrupted():
             with contextlib.suppress(PlateError):  # the SDOs below report a bus fault
@@ -218,8 +221,8 @@ class Axis:
             self.position = int.from_bytes(places[-1][2:], "little", signed=True)
 
     def _cycle(self, word: int, target: int) -> None:
-        """Run a bus cycle at the end of which the drive must be at a target [counts]. Check for
-        faults."""
+        """Run one bus cycle, and check for faults. The drive must reach `target` [counts] at the
+        end of the cycle."""
         reached, self._target = self._target, target
         self._exchange(word)
         received, astray = self._received, abs(self.position - reached) / abs(self.scale)
@@ -241,8 +244,8 @@ class Axis:
         self._astray = enabled(self._status) and astray > self._allowed
         if self._astray:
             raise PlateError(
-                f"motor_{self._motor}: does not follow, it is {1e3 * astray:.2g} mm from its "
-                f"setpoint, allowed: {1e3 * self._allowed:g} mm"
+                f"motor_{self._motor}: does not follow; following error is {1e3 * astray:.2g} mm, "
+                f"allowed: {1e3 * self._allowed:g} mm"
             )
 
     def enable(self, amplitude: float, ends: tuple[int, int]) -> None:
@@ -261,7 +264,7 @@ class Axis:
             moved = abs(self.position - rest) > STILL_M * abs(self.scale)
             stands, rest = (0, self.position) if moved else (stands + 1, rest)
             if self._master.now > end:
-                raise PlateError(f"motor_{self._motor}: does not stand still")
+                raise PlateError(f"motor_{self._motor}: is not at rest within {READY_S:g} s")
         counts = amplitude * abs(self.scale)
         if not ends[0] + counts <= self.position <= ends[1] - counts:
             raise PlateError(
@@ -282,9 +285,10 @@ class Axis:
         self._cycle(OPERATE, self._target)
 
     def follow(self, path: Callable[[float], float], seconds: float) -> np.ndarray:
-        """Follow a path, and hold its end. The path is a function from time [s] to displacement
-        since the enable [m]. Return an array (2, n) with the targets and the positions one bus
-        cycle later, as displacements [m]."""
+        """Follow a path for a time [s]. Return the targets, and the positions one bus cycle later,
+        as displacements since the drive was enabled: (2, n) [m].
+
+        `path` is a function from time [s] to displacement since the drive was enabled [m]."""
         rows = []
         for k in range(1, round(1e3 * seconds / CYCLE_MS) + 1):
             reached = self._target

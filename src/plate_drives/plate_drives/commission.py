@@ -30,8 +30,8 @@ SIZE_M = 5e-4
 FRACTION = 0.1
 """Maximum fraction of the rig's speed and acceleration that the motions use."""
 STAGES = (0.01, 0.1, 1.0)
-"""Fractions of the amplitude for successive moves. The program asks the user after each move,
-because counts_per_m may be far too large."""
+"""Fractions of the amplitude for successive moves. The program asks the user before each larger
+move, because counts_per_m may be far too large."""
 MOVE_S = 0.5
 """Minimum time of a move [s]."""
 
@@ -48,7 +48,8 @@ the scale of the rig file is kept."""
 
 
 Ask = Callable[[str, Callable[[], object]], str]
-"""Asks a question, and calls the second argument repeatedly until there is an answer."""
+"""Function that asks a question. It calls its second argument repeatedly until there is an
+answer."""
 
 
 def ask(question: str, meanwhile: Callable[[], object]) -> str:
@@ -93,9 +94,9 @@ class Dialogue:
             direction = "({:g}, {:g})".format(*self._rig.motors[number - 1].direction)
             print(f"\nmotor_{number}, {self._found[drive.node]}")
             question = (
-                f"It gets current, moves {1e3 * self._size:g} mm along {direction}, and oscillates "
-                "with this amplitude. Is nobody near it, and the emergency stop within reach? Type "
-                "yes, or Enter to skip it:"
+                f"The motor will get current, move {1e3 * self._size:g} mm along {direction}, and "
+                "oscillate with this amplitude. Check that nobody is near it, and that the "
+                "emergency stop is within reach. Type yes to move it, or Enter to skip it:"
             )
             if self.ask(question) != "yes":
                 print(f"motor_{number} is skipped")
@@ -123,7 +124,8 @@ class Dialogue:
             axis.enable(size, ends if ends[0] < ends[1] else (-(2**31), 2**31 - 1))
             before = 0.0
             for part in STAGES:
-                question = f"Commanded {1e3 * size * before:g} mm: did it move about 1 mm? no/yes:"
+                commanded = f"A move of {1e3 * size * before:g} mm was commanded."
+                question = f"{commanded} Did the motor move about 1 mm? Type no or yes:"
                 if before and self.ask(question, axis) != "no":
                     raise PlateError(
                         f"counts_per_m is {drive.counts_per_m:g} and probably too large, because "
@@ -133,9 +135,9 @@ class Dialogue:
                 before = part
             if axis.travel < size / 2:
                 raise PlateError(
-                    f"motor_{number}: commanded {1e3 * size:g} mm, by its own counts it moved "
-                    f"{1e3 * axis.travel:+.3f} mm, allowed: at least {500 * size:g} mm. It does "
-                    "not follow, or counts_per_m is too small"
+                    f"motor_{number}: travel by its own counts is {1e3 * axis.travel:+.3f} mm, "
+                    f"allowed: at least {500 * size:g} mm (commanded: {1e3 * size:g} mm). The "
+                    "motor does not follow, or counts_per_m is too small"
                 )
             answer = self.ask(f"Which motor moved, 1 to 4? Enter for {number}:", axis)
             if answer not in ("", "1", "2", "3", "4"):
@@ -144,8 +146,8 @@ class Dialogue:
             direction = "({:g}, {:g})".format(*motor.direction)
             travel_mm = 1e3 * axis.travel
             answer = self.ask(
-                f"By its own counts it moved {travel_mm:+.3f} mm. Which distance did you see, in "
-                f"mm, + along {direction}, - against it? Enter for the same:", axis,
+                f"By its own counts, the motor moved {travel_mm:+.3f} mm. Which distance did you "
+                f"see [mm], positive along {direction}? Enter for the same:", axis,
             )  # fmt: skip
             axis.follow(_move(size, 0.0, seconds), seconds)
             axis.scale = _scale(scale, travel_mm, answer)
@@ -153,8 +155,8 @@ class Dialogue:
         place = self._master.read(drive.node, 0x6064, signed=True) / axis.scale
         home = "absolute" if drive.absolute else "here"
         home = self.ask(
-            f"It hangs {1e3 * place:+.3f} mm from its drive's zero. Home is: here (where it hangs "
-            f"at the first enable), or absolute (that zero)? Enter for {home}:"
+            f"The motor is {1e3 * place:+.3f} mm from its drive's zero. Where is home: here (its "
+            f"position at the first enable) or absolute (the drive's zero)? Enter for {home}:"
         ) or home  # fmt: skip
         if home not in ("here", "absolute"):
             raise PlateError(f"home is {home!r}, allowed: here, absolute")
@@ -194,8 +196,9 @@ class Dialogue:
         lag = -(error @ speed) / (speed @ speed)  # lag behind the setpoints [ms]
         needed, allowed = lag * limits.speed, 1e3 * limits.following_error_m
         print(
-            f"It follows {1e3 * size:.3g} mm at {rate / 2 / np.pi:.3g} Hz within {rms:.4f} mm RMS, "
-            f"maximum {np.max(np.abs(error)):.4f} mm: a lag of {lag:.2f} ms, {needed:.2g} mm at "
+            f"The following error with an amplitude of {1e3 * size:.3g} mm at "
+            f"{rate / 2 / np.pi:.3g} Hz is {rms:.4f} mm RMS, maximum "
+            f"{np.max(np.abs(error)):.4f} mm. A lag of {lag:.2f} ms causes {needed:.2g} mm at "
             f"speed_mps{' (TOO MUCH)' if 0 < allowed < needed else ''}; following_error_m is "
             f"{allowed:g} mm. Setpoints were up to {1e3 * axis.late_s:.1f} ms late."
         )

@@ -29,7 +29,7 @@ ANSWER_S = 0.3
 
 
 class Refused(PlateError):
-    """A node has refused a request by an abort with this code."""
+    """A node has refused a request by an abort. `code` is the abort code."""
 
     def __init__(self, node: int, index: int, sub: int, code: int) -> None:
         self.code = code
@@ -43,9 +43,23 @@ def trouble_text(motor: int, kind: Trouble, index: int = 0, code: int = 0) -> st
 
 @dataclass
 class Received:
-    """Messages that were received from a node: `answers` to requests (service data objects, SDOs)
-    and `places`, the process data (TPDOs), each since it was cleared; time of the last heartbeat
-    [s], and its state; number of boot-ups; code and error register of the first emergency."""
+    """Messages that were received from a node.
+
+    Attributes
+    ----------
+    answers : list of bytes
+        Replies to requests (service data objects, SDOs) since this list was cleared.
+    places : list of bytes
+        Process data (TPDOs) since this list was cleared.
+    beat_at : float
+        Time of the last heartbeat [s].
+    state : int or None
+        State of the node in the last heartbeat.
+    boots : int
+        Number of boot-ups since it was set to 0.
+    emergency : (int, int) or None
+        Error code and error register of the first emergency.
+    """
 
     answers: list[bytes] = field(default_factory=list)
     places: list[bytes] = field(default_factory=list)

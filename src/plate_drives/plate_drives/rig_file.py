@@ -27,7 +27,7 @@ def differences(old: Drive, new: Drive) -> dict[str, str]:
 
 
 def write(path: Path, drives: Drives) -> None:
-    """Write new drives of motors into a rig file. If one of them fails, the file stays unchanged.
+    """Write new drives of motors into a rig file. If an error occurs, the file stays unchanged.
 
     Raises
     ------

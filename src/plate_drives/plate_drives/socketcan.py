@@ -56,7 +56,7 @@ def build(header: str, kind: str, folder: Path, *files: str) -> Path:
     folder : Path
         Folder of the program.
     files : str
-        Sources in firmware/ for its board.
+        Further sources in firmware/, for the board.
 
     Raises
     ------
@@ -130,7 +130,7 @@ class HostPort:
     ----------
     program : path
     channel : str
-        Name of the bus. Each bus has one process.
+        Name of the bus. Only one process may command a bus.
     opened : callable
         Opens the bus. Returns a socket with datagrams of `struct can_frame`.
     ticks : int, optional
@@ -242,7 +242,7 @@ class HostTransport(SerialTransport):
         return measured
 
     def enable(self) -> Order:
-        """Enable as with a board, unless this computer is too late for the rig."""
+        """Enable as with a board. Refuse if setpoints were too late for the rig."""
         if self._late_ms > self.allowed_ms:
             return Order().settle(self._lateness())
         self._too_late = ""

@@ -39,8 +39,19 @@ def in_fault(status: int) -> bool:
 
 @dataclass(frozen=True)
 class Found:
-    """A node on the bus: its number, its values by the names of `OBJECTS`, the texts of its
-    refusals of other objects, and whether two nodes have this number."""
+    """A node on the bus.
+
+    Attributes
+    ----------
+    node : int
+        Number of the node.
+    values : mapping of str to int
+        Values of the node's objects, by the names of `OBJECTS`.
+    refusals : mapping of str to str
+        Errors for objects that could not be read, by the names of `OBJECTS`.
+    twice : bool
+        Whether two nodes have this number.
+    """
 
     node: int
     values: Mapping[str, int]
@@ -94,8 +105,8 @@ def drives_of(rig: Rig) -> list[Drive]:
 
 
 def doubts(rig: Rig, found: Mapping[int, Found], other_master: bool) -> Iterator[Doubt]:
-    """Yield the differences between bus and rig. Differences that are `impossible` must be
-    corrected first."""
+    """Yield the differences between bus and rig. If a difference is `impossible`, it must be
+    corrected before motors are moved."""
     if other_master:
         yield Doubt("bus", trouble_text(0, Trouble.OTHER_MASTER), True)
     drives = drives_of(rig)
@@ -143,8 +154,8 @@ def _of_drive(number: int, drive: Drive, found: Mapping[int, Found]) -> Iterator
 
 
 def _of_limits(drive: Drive, one: Found, limits: Limits) -> Iterator[tuple[str, bool]]:
-    """Yield a text about each limit of the drive that affects the rig's limits, and whether it is
-    an error."""
+    """Yield a text about each limit of the drive that is missing or stricter than the rig's limits,
+    and whether it is an error."""
     low, high, speed, window = (
         one.values.get(name, 0) / drive.counts_per_m
         for name in ("lowest", "highest", "speed", "window")
@@ -152,18 +163,19 @@ def _of_limits(drive: Drive, one: Found, limits: Limits) -> Iterator[tuple[str, 
     stroke, following = limits.stroke_m, limits.following_error_m
     span = f"position range limits 607Dh are {1e3 * low:.4g} to {1e3 * high:.4g} mm"
     if low >= high:
-        yield "no position range limits 607Dh: only the rig's stroke_m limits it", False
+        yield "position range limits 607Dh are not set, so only the rig's stroke_m applies", False
     elif high - low < 2 * stroke:
         yield f"{span}, allowed: {2e3 * stroke:g} mm or more (stroke_m to both sides)", True
     elif drive.absolute and max(low, -high) > -stroke:
         needed = f"limits beyond stroke_m ({1e3 * stroke:g} mm)"
         yield f"{span}, but home absolute requires {needed}", True
     if 0 < speed < limits.speed:
-        yield f"max profile velocity 607Fh is {speed:.3g} m/s (if in counts/s): too low", False
+        need = f"allowed: the rig's speed_mps ({limits.speed:g} m/s) or more"
+        yield f"max profile velocity 607Fh is {speed:.3g} m/s (if in counts/s), {need}", False
     if one.values.get("window", 0) in (0, UNWATCHED):
-        yield "following error window 6065h is not set: the drive does not check it", False
+        yield "following error window 6065h is not set, so the drive does not check it", False
     elif window < following:
         yield (
-            f"following error window 6065h is {1e3 * window:.3g} mm: the drive stops before the "
-            f"rig's following_error_m is reached, {1e3 * following:g} mm", False,
+            f"following error window 6065h is {1e3 * window:.3g} mm, so the drive stops before "
+            f"the rig's following_error_m ({1e3 * following:g} mm) is reached", False,
         )  # fmt: skip

@@ -565,7 +565,9 @@ def test_a_hopper_opens_for_a_class_that_is_waited_for_and_not_there():
     cell.get("grey", timeout_s=2.0)
     reply = cell.answer()
     assert [duration for _, duration in cell.opened] == [pytest.approx(1 / HOPPER.rate)] * 2
-    assert reply.text.endswith("parts on the plate: 9, of them grey: 0; ready parts of any class: 0")
+    assert reply.text.endswith(
+        "parts on the plate: 9, of them grey: 0; ready parts of any class: 0"
+    )
 
 
 def test_a_hopper_that_brings_nothing_is_empty_and_tried_again_by_a_command():

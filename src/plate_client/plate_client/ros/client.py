@@ -138,8 +138,8 @@ class Task:
         if self.accepted:
             return
         self._handle = handle = future.result()
-        # rclpy also rejects the repeated id of a goal that was sent again. So only the rejection of
-        # a goal that was sent once is a refusal.
+        # If a goal is sent again, rclpy rejects its repeated id. So a rejection is a refusal only
+        # if the goal was sent once.
         if not handle.accepted and self._sent == 1:
             self.status = TaskStatus(state=TaskStatus.ABORTED, text="the planner refused the goal")
             return
@@ -149,7 +149,7 @@ class Task:
 
     def _on_result(self, future: Any) -> None:
         status = future.result().result.status
-        # Such a state means that the result has only default values.
+        # A result with such a state contains only default values.
         if status.state in (TaskStatus.IDLE, TaskStatus.RUNNING):
             status.state, status.text = TaskStatus.ABORTED, "the planner no longer knows the goal"
         self.status = status
@@ -222,9 +222,7 @@ class PlateClient:
         end = time.monotonic() + FOUND_S
         while not self._until(client.server_is_ready, AGAIN_S):
             if time.monotonic() > end:
-                raise PlateError(
-                    f"there is no action {name} in this ROS domain; does the planner run?"
-                )
+                raise PlateError(f"there is no action {name} in this ROS domain; start the planner")
             waiting(f"there is no action {name} yet; the planner offers it when it is configured")
         number = new_goal_id()
 
@@ -246,9 +244,7 @@ class PlateClient:
             If no planner is found.
         """
         if not self._until(lambda: self._targets.get_subscription_count() > 0, FOUND_S):
-            raise PlateError(
-                "no node in this ROS domain subscribes to targets; does the planner run?"
-            )
+            raise PlateError("no node in this ROS domain subscribes to targets; start the planner")
         self._targets.publish(targets_to_msg(targets, self.node.get_clock().now().to_msg()))
 
     def wait(
@@ -271,7 +267,7 @@ class PlateClient:
             feedbacks = task.feedbacks
             if silent_s > SILENT_S:
                 raise PlateError(
-                    f"no message from the planner for {SILENT_S:g} s: it hangs or has ended, and "
+                    f"no message from the planner for {SILENT_S:g} s; it hangs or has ended, so "
                     "the result of the task is unknown"
                 )
             if time.monotonic() > end:
@@ -308,7 +304,7 @@ class PlateClient:
             if not task.accepted:
                 task.cancel()  # cancel the goal in case it still arrives
                 raise PlateError(
-                    f"the planner does not answer the goal within {FOUND_S:g} s; does it hang?"
+                    f"the planner does not answer the goal within {FOUND_S:g} s; it may hang"
                 )
             if task.status is None or task.status.reason not in REFUSED:
                 return task

@@ -38,7 +38,7 @@ LATE_S = 2.0
 """Additional time if some nodes have not published yet [s]."""
 
 AT_FIRST_S = 0.5
-"""Minimum wait that is reported [s]."""
+"""Minimum time for which a task must wait before the reason is printed [s]."""
 
 
 class SilentError(PlateError):
@@ -206,7 +206,7 @@ class Graph(Services):
             reports = len(received) + measuring
             if silent_s > SILENT_S:
                 why = (
-                    f"the driver has not reported for {SILENT_S:g} s that it measures: it hangs, "
+                    f"the driver has not reported for {SILENT_S:g} s that it measures; it hangs, "
                     "has ended or was restarted"
                 )
                 print(f"  {why}; requesting the end of the measurement", flush=True)
@@ -232,9 +232,9 @@ class Graph(Services):
             raise PlateError(no_graph_text())
         lines = [f"{topic}: {self._texts.get(topic, 'no message')}" for topic in topics]
         nodes = {name: f"{each.level.name}, {each.message}" for name, each in reports.items()}
-        nodes |= dict.fromkeys(silent, "no message: it is starting or hangs")
+        nodes |= dict.fromkeys(silent, "no message; the node is starting or hangs")
         if silent:
-            lines.append("not all nodes are ready yet: other nodes may wait for their messages")
+            lines.append("not all nodes are ready yet; other nodes may wait for their messages")
         return "\n".join([*lines, *(f"  {name}: {text}" for name, text in sorted(nodes.items()))])
 
     def _silent(self, reports: dict[str, Report]) -> list[str]:

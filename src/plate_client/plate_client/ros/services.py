@@ -32,7 +32,7 @@ READY_S = 15.0
 """Maximum time until enabled motors are ready [s]."""
 
 URGENT = ("emergency_stop", "cut_power", "disable")
-"""Commands that are tried longer, even if no node is discovered."""
+"""Commands for which the program waits longer, even if no node is discovered."""
 
 ONCE = ("home", "calibrate", "call")
 """Commands that must not be repeated. The command `enable` must not be repeated either."""
@@ -178,7 +178,7 @@ class Services:
         def there() -> bool:  # a service may be discovered before its node's name
             return urgent or client.service_is_ready() or bool(self._seen())
 
-        cut = ": cut the power by hand" if urgent else ""
+        cut = "; cut the power by hand" if urgent else ""
         if not (self._until(there, DISCOVERY_S) and self._until(client.service_is_ready, FOUND_S)):
             raise PlateError(self._missing(service) + cut)
         again_s = ANSWER_S if once else AGAIN_S
@@ -192,9 +192,8 @@ class Services:
     def _missing(self, service: str) -> str:
         """Return the reason why the service is missing."""
         here = self._seen()
-        return (
-            f"no service {service}: {'nodes here: ' + ', '.join(here) if here else no_graph_text()}"
-        )
+        why = f"running nodes: {', '.join(here)}" if here else no_graph_text()
+        return f"no service {service}; {why}"
 
     def _find_nodes(self) -> None:
         """Wait until a node of this namespace is discovered.
@@ -231,9 +230,9 @@ def no_graph_text() -> str:
     text = f"no graph runs in ROS domain {ours}"
     if others:
         listed = ", ".join(map(str, others))
-        text += f"; ROS runs on this machine in {listed}: export ROS_DOMAIN_ID="
+        text += f"; ROS domains in use on this machine: {listed}; export ROS_DOMAIN_ID="
         # Some of these graphs may belong to other users.
-        text += listed if len(others) == 1 else "that of yours"
+        text += listed if len(others) == 1 else "(the domain of your graph)"
     return text
 
 
