@@ -255,7 +255,7 @@ static void wait_to_play(Controller *c)
     c->waiting = true;
 }
 
-/* Whether the filled table or stream is allowed to play. The check of a table is still to be completed. */
+/* Whether the filled table or stream is allowed to play. The check of a table may not be complete yet. */
 static uint8_t commit(Controller *c, uint16_t sequence, const uint8_t *fields)
 {
     Table *table = &c->tables[c->filling];
@@ -342,7 +342,7 @@ static void hello(Controller *c, uint16_t sequence, const uint8_t *fields)
     send_capabilities(c, session);
 }
 
-/* Allowed at any time, because it moves nothing. */
+/* Trigger is allowed at any time, because it moves nothing. */
 static void set_trigger(Controller *c, uint16_t sequence, const uint8_t *fields)
 {
     c->trigger.phase = get_u16(fields);
@@ -369,7 +369,7 @@ static void ordered(Controller *c, uint8_t type, uint16_t sequence, const uint8_
         acknowledge(c, sequence, ahead < 0x8000 ? c->answer : (uint8_t)STATUS_OLD);
 }
 
-/* Always executed. A repetition of the last Stop counts as a stop only if something still moves. */
+/* A Stop is always executed. A repetition of the last Stop counts as a stop only if something moves. */
 static void obey_stop(Controller *c, uint16_t sequence, bool now)
 {
     uint16_t ahead = (uint16_t)(sequence - c->answered);
@@ -469,9 +469,9 @@ void controller_start(Controller *c, Limits limits)
     hal_drive(false);
 }
 
-/* Whether a setpoint is allowed, `dt` [s] after the last one. A brake adds at most
-   1.5 (v / Tb)^2 / accel, a tenth, to the table's acceleration. Between two tables, both may deviate
-   from rest at home by the allowed tolerance. */
+/* Whether a setpoint is allowed, `dt` [s] after the last one. A brake of duration Tb from the speed v
+   increases the acceleration by at most a tenth. Where one table follows another, the state of both may
+   deviate from rest at home by REST_M and REST_SPEED. */
 static bool sane(const Controller *c, const Setpoint *at, float dt)
 {
     const Limits *limits = &c->limits;
@@ -536,10 +536,10 @@ void controller_tick(Controller *c)
     uint32_t heat_us = passed < MAX_HEAT_US ? (uint32_t)passed : MAX_HEAT_US;
     if (!heat_step(c, heat_us, moves ? &at : NULL) && c->state != STATE_OFF)
         motion_brake(c, FAULT_HEAT);
-    uint64_t silent_us = c->now_us - c->telemetry_us; /* a slow line sends telemetry less often */
+    uint64_t silent_us = c->now_us - c->telemetry_us; /* on a slow line, telemetry is sent less often */
     if (silent_us >= TELEMETRY_US && (hal_idle() || silent_us >= MAX_UNREPORTED_US)) {
         c->telemetry_us = c->now_us;
-        send_trouble(c); /* the report is sent before the fault that it explains */
+        send_trouble(c); /* before the telemetry with the fault, because it explains the fault */
         send_state(c);
     }
     hal_watchdog();

@@ -2,7 +2,7 @@
 
 #define WHOLE 0x2144DF1Cu /* CRC-32 of any bytes followed by their own CRC-32 */
 
-/* CRC-32 of half bytes: 64 bytes of memory, and four times as fast as single bits. */
+/* Table for the CRC-32 of half bytes. It takes 64 bytes, and is four times as fast as single bits. */
 static const uint32_t HALVES[16] = {
     0x00000000, 0x1DB71064, 0x3B6E20C8, 0x26D930AC, 0x76DC4190, 0x6B6B51F4, 0x4DB26158, 0x5005713C,
     0xEDB88320, 0xF00F9344, 0xD6D6A3E8, 0xCB61B38C, 0x9B64C2B0, 0x86D3D2D4, 0xA00AE278, 0xBDBDF21C};
@@ -50,7 +50,7 @@ static void decode(Reader *reader, uint8_t byte)
         reader->left--;
     } else {
         if (reader->count > 0)
-            hold(reader, 0); /* between two blocks */
+            hold(reader, 0); /* the data contain a 0 between two blocks */
         reader->left = (uint8_t)(byte - 1);
     }
     reader->count++;

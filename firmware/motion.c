@@ -82,7 +82,7 @@ uint32_t motion_into(const Controller *c)
     return c->time - table_knot(&c->tables[c->playing], 0)->ticks;
 }
 
-/* Whether a brake needs a stream's last knots. */
+/* Whether the remaining knots of the playing stream are just sufficient for a brake. */
 static bool runs_dry(const Controller *c, uint32_t dt)
 {
     const Table *table = &c->tables[c->playing];
@@ -97,8 +97,8 @@ bool motion_joins(const Controller *c, const Table *next)
            table_follows(next, table);
 }
 
-/* Advance the table's time. At its splice or end, start the next table, repeat it, or come to rest. Its
-   cycle and its tail are longer than any tick, so that this happens at most once. */
+/* Advance the table's time. At the table's splice or end, start the next table, repeat the table, or come
+   to rest. A cycle and a tail are longer than any tick, so this happens at most once per tick. */
 static void pass(Controller *c, uint32_t step)
 {
     const Table *table = &c->tables[c->playing];

@@ -4,8 +4,8 @@
 
 #include "controller.h"
 
-/* Maximum duration of a brake [TICK_S]: 0.2 s, which is short, but gentle compared with the plate's
-   10 g. The brake uses half as much time of the table. */
+/* Maximum duration of a brake [TICK_S], 0.2 s. During a brake, the table's time advances by half of the
+   brake's duration. */
 #define BRAKE_TICKS 20000000u
 
 /* Switch the current off. This counts as a stop if the current was on and `faults` is not 0. */

@@ -14,7 +14,7 @@
 #define HALVINGS 12
 #define MAX_HALVINGS 64 /* of all curves of a piece in total */
 
-/* Work of checking a piece, without its bisections, which count 1 each. */
+/* Work of checking a piece [units]. Each bisection adds one unit. */
 #define PIECE_WORK 8
 
 #define CURVES (4 * MOTORS) /* position, speed, acceleration and force of each motor */

@@ -9,12 +9,14 @@
 #endif
 #define KNOT_BYTES 52
 
-/* Allowed deviation of a table's start and end from rest at home, for f32 rounding and without a jolt. A
-   table that continues another one at its splice begins in motion. */
+/* Allowed deviation of a table's start and end from rest at home. It allows for the rounding of f32, and
+   is too small for a jolt. It does not apply to the start of a table that continues another one at its
+   splice, because such a table begins in motion. */
 #define REST_M 2e-6f
 #define REST_SPEED 2e-3f /* [m/s] */
 
-/* Progress of the check of a table. Pieces are checked in order, as soon as both knots have arrived. */
+/* Progress of the check of a table. The pieces are checked in order. A piece is checked when both of its
+   knots have arrived. */
 typedef struct {
     uint16_t knots;     /* number of checked knots, each with the piece before it */
     uint8_t status;     /* DONE so far, or the reason why the table must not play */

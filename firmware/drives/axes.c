@@ -37,23 +37,23 @@ static bool faulty(void)
     return any;
 }
 
-/* Keep the first fault of all drives. An emergency replaces the fault that it explains, because it has more
-   detail. */
-static void note(uint8_t motor, uint8_t kind, uint16_t object, uint32_t code, bool anew)
+/* Keep the first fault of all drives. `is_first` is false if an earlier fault lasts, which has probably
+   caused this one. An emergency replaces the fault that it explains, because it has more detail. */
+static void note(uint8_t motor, uint8_t kind, uint16_t object, uint32_t code, bool is_first)
 {
     bool explains = kind == TROUBLE_EMERGENCY && motor == trouble.motor &&
                     (trouble.kind == TROUBLE_FAULT || trouble.kind == TROUBLE_LEFT);
-    if (trouble.kind == TROUBLE_NONE || anew || explains)
+    if (trouble.kind == TROUBLE_NONE || is_first || explains)
         trouble = (Trouble){.motor = motor, .kind = kind, .object = object, .code = code};
 }
 
 void alarm(int m, uint8_t kind, uint16_t object, uint32_t code, uint8_t faults)
 {
-    bool anew = !faulty();
+    bool is_first = !faulty();
     axes[m].alarm = BOOT_TICKS;
     axes[m].faults |= faults;
     axes[m].lost = true;
-    note((uint8_t)(m + 1), kind, object, code, anew);
+    note((uint8_t)(m + 1), kind, object, code, is_first);
 }
 
 void explain(int m, uint8_t kind, uint32_t code)
@@ -64,9 +64,9 @@ void explain(int m, uint8_t kind, uint32_t code)
 
 void bus_trouble(uint8_t kind)
 {
-    bool anew = !faulty();
+    bool is_first = !faulty();
     bus_alarm = BOOT_TICKS;
-    note(0, kind, 0, 0, anew);
+    note(0, kind, 0, 0, is_first);
 }
 
 void send(uint16_t id, const uint8_t *data, uint8_t size)
@@ -171,7 +171,8 @@ static float off_m(int m)
     return (float)(follows ? axis->error : place) * drives[m].sign / drives[m].counts_per_m;
 }
 
-/* Whether the reported positions do not fit a rigid plate: one drive has lost counts, or two are swapped. */
+/* Whether the reported positions do not fit a rigid plate. Then one drive has lost counts, or two drives
+   are swapped. */
 static bool is_crooked(void)
 {
     float sum = 0;
@@ -250,7 +251,7 @@ void drives_end(void)
             count_answers(m);
     compare();
     cycle();
-    if (hurry) /* the next tick may also be one */
+    if (hurry) /* the next tick may also run a cycle, so send the other frames now */
         between();
     hurry = false;
 }

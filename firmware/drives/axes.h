@@ -13,7 +13,7 @@
 #define BOOT_TICKS 1000     /* maximum wait for an answer; also between two tries, and an alarm's duration */
 #define START_TICKS 100     /* maximum wait for a start; also the time until a started drive can be enabled */
 #define STARTS 10           /* maximum number of tries */
-#define KEEPS_TICKS 100     /* maximum time for a drive to switch its current off */
+#define KEEPS_TICKS 100     /* maximum time in which a drive must switch its current off */
 #define ASTRAY_CYCLES 2     /* consecutive cycles with a following error that are a fault */
 #define CROOKED_CYCLES 5    /* consecutive cycles with inconsistent positions that are a fault */
 #define STILL_CYCLES 150    /* cycles for which an axis must rest before it gets current */

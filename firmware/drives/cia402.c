@@ -194,7 +194,7 @@ static void emergency(int m, const CanFrame *frame)
 static void positioned(int m, const uint8_t data[6])
 {
     Axis *axis = &axes[m];
-    /* keep home if the position is the same */
+    /* Until the drive is reset, update its last position. Home is kept if the next one is equal. */
     if (axis->stage == SILENT && axis->step == 0 && axis->reported)
         axis->actual = (int32_t)get_u32(data + 2);
     if (axis->stage != STARTING && axis->stage != UP)

@@ -76,7 +76,7 @@ static void watchdog_start(void)
     IWDG_KR = IWDG_UNLOCK;
     IWDG_PR = 0;
     IWDG_RLR = WATCHDOG_COUNTS;
-    for (int polls = 0; polls < 100000 && IWDG_SR; polls++) { /* 5 of its oscillator's counts */
+    for (int polls = 0; polls < 100000 && IWDG_SR; polls++) { /* takes 5 counts of its oscillator */
     }
     IWDG_KR = IWDG_FEED;
 }

@@ -80,7 +80,7 @@ bool can_off(void)
     bool off = CAN1->ESR & ESR_BOFF, left = off && !was_off;
     was_off = off;
     if (left) { /* old setpoints must not be sent when the bus returns */
-        waiting.out = waiting.in; /* before the abort: each free mailbox would take the next frame */
+        waiting.out = waiting.in; /* before the abort, because a free mailbox takes the next frame */
         CAN1->TSR = TSR_ABRQ;
     }
     return left;

@@ -27,8 +27,8 @@ void usart(void)
     record.received++;
     if (status & SR_ORE)
         record.overruns++;
-    /* Stop receiving until the tick has read: bytes that do not fit are lost. One place is kept for a
-       byte that arrives before this write: its interrupt is then already pending. */
+    /* If the buffer is full, stop receiving until the tick has read. Bytes that arrive in between are
+       lost. One place is kept for a byte whose interrupt is already pending at this write. */
     if (in + 1 - received.out >= CAPACITY - 1)
         USART1->CR1 = NO_RECEIVE_INTERRUPTS;
 }

@@ -59,8 +59,8 @@ class Access:
             ) from None
         if not (self.is_local or self.operator_token):
             raise AccessError(
-                f"address is {self.address} without operator_token, allowed: 127.0.0.1, or a "
-                f"token of at least {MIN_TOKEN} characters"
+                f"address is {self.address}, allowed without operator_token: 127.0.0.1; or set "
+                f"operator_token with at least {MIN_TOKEN} characters"
             )
         for name in ("operator_token", "viewer_token"):
             token = getattr(self, name)
@@ -70,7 +70,7 @@ class Access:
                     "letters and digits"
                 )
         if self.operator_token and self.operator_token == self.viewer_token:
-            raise AccessError("operator_token and viewer_token are equal, allowed: two tokens")
+            raise AccessError("operator_token and viewer_token are equal, allowed: different ones")
 
     @property
     def is_local(self) -> bool:

@@ -73,7 +73,7 @@ def read_command(text: str | bytes, role: Role) -> Command:
     strange = sorted(data.keys() - readers.keys())
     if strange:
         allowed = ", ".join(readers) or "no further keys"
-        raise CommandError(f"{name} has {_short(strange[0])}, allowed: {allowed}")
+        raise CommandError(f"key of {name} is {_short(strange[0])}, allowed: {allowed}")
     values = {key: read(f"{name}: {key}", data.get(key)) for key, read in readers.items()}
     return Command(name, number, values)
 
@@ -204,5 +204,5 @@ FOR_ALL = ("watch", "parameters", "replay")
 """Commands that change nothing in the graph. Viewers may send them."""
 
 URGENT = ("emergency_stop", "cut_power", "stop")
-"""Commands that stop the plate. Such commands are executed before all other commands, and their
-number is not limited."""
+"""Commands that stop the plate. They are executed before all other commands, and a browser may send
+any number of them."""

@@ -1,5 +1,5 @@
-"""The effect of a plate cycle on resting parts at any place: their drift, and the mean force of the
-paper."""
+"""The effect of a plate cycle on parts that rest at any place when the cycle begins. The functions
+compute the drift of the parts, and the mean force as defined in the paper."""
 
 from __future__ import annotations
 

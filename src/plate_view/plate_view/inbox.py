@@ -9,8 +9,8 @@ from typing import Any
 from .commands import Command
 
 OLD_S = 2.0
-"""Maximum age of a waiting command [s]. An older command is refused. The person who sent it may no
-longer want it."""
+"""Maximum age of a waiting command [s]. An older command is refused, because the person who sent it
+may not expect its effect any more."""
 
 
 class Inbox:
@@ -27,7 +27,8 @@ class Inbox:
         self._waiting.append((browser, command, time.monotonic()))
 
     def take(self) -> tuple[Any, Command, bool]:
-        """Return the next browser, its command, and whether the command is too old.
+        """Remove the oldest command from the queue. Return the browser that sent it, the command, and
+        whether the command is too old.
 
         Raises
         ------

@@ -32,8 +32,8 @@ SLOW_S = 0.5
 
 
 SWITCH_S = 0.0005
-"""Interval at which Python switches between threads [s]. The interval is the maximum wait of the
-thread that stops the plate."""
+"""Interval at which Python switches between threads [s]. The thread that stops the plate waits at
+most for this interval until it runs."""
 
 ALWAYS_THERE = ("black", "grey")
 """Types of parts that every rig has."""
@@ -202,7 +202,7 @@ class PageNode(SafeLifecycleNode[Options]):
         if self._server is None:
             return
         if old:
-            self._server.answer(browser, command.number, False, "waited too long: send it again")
+            self._server.answer(browser, command.number, False, "waited too long; send it again")
         elif self._replay is not None or command.name == "replay":
             self._do_replay(browser, command)
         else:

@@ -1,9 +1,10 @@
 """The server of the page: HTTP and a websocket. The server runs on a separate thread, so that it
 cannot delay the graph.
 
-Each browser has an outgoing queue. If data are sent repeatedly, the queue contains only the newest
-message. Of all other messages, it contains the last `MAX_QUEUE`. A slow browser therefore misses
-frames. If a browser accepts no data, it is disconnected.
+Each browser has an outgoing queue. Of data that are sent repeatedly, such as the parts, the queue
+contains only the newest message of each kind. Of all other messages, it contains the last
+`MAX_QUEUE`. A slow browser therefore misses frames. If a browser accepts no data, it is
+disconnected.
 """
 
 from __future__ import annotations
@@ -35,7 +36,8 @@ MAX_MESSAGE = 64_000
 """Maximum size of a message from a browser [bytes]."""
 
 MAX_QUEUE = 200
-"""Maximum number of messages in the queue of a browser that must not be skipped."""
+"""Maximum number of messages in the queue of a browser. It applies to messages that must not be
+skipped. If there are more, the oldest ones are dropped."""
 
 HUNG_S = 10.0
 """Maximum time without progress in sending [s]. After that, the browser is disconnected."""
@@ -64,10 +66,11 @@ MAX_TOTAL = 200
 """Maximum number of commands of all browsers without a reply."""
 
 PRICE = {"move": 1.0, "watch": 1.0, "replay": 1.0}
-"""Costs of commands that are frequent while a person drags. All other commands cost `DEAR`."""
+"""Costs of commands that are frequent while a person drags. Each command reduces the allowance of
+its browser by its cost. All other commands cost `DEAR`."""
 
 DEAR = 10.0
-"""Cost of a command that another node must process."""
+"""Cost of a command that is not in `PRICE`. Usually, another node must process such a command."""
 
 STILL_S = 2.0
 """Minimum duration of a stall of the server [s]. After a longer stall, only stops are accepted for
@@ -180,9 +183,10 @@ class Socket(tornado.websocket.WebSocketHandler):
         if not within:
             return f"too many commands, allowed: {COMMANDS_PER_S:g} per second"
         if self.page.is_late():
-            return "the page was stalled: send it again"
+            return "the page was stalled; send it again"
         if self.open_commands >= MAX_OPEN or self.page.open_commands >= MAX_TOTAL:
-            return f"{MAX_OPEN} commands of this page, or {MAX_TOTAL} of all, wait for replies"
+            most = f"{MAX_OPEN} of this page, {MAX_TOTAL} of all pages"
+            return f"too many commands wait for replies, allowed: {most}"
         return ""
 
     def _spend(self, price: float = 1.0) -> bool:
@@ -407,5 +411,6 @@ def _bound(address: str, port: int) -> tuple[list[Any], int]:
         except OSError as error:
             problem = error
     raise PlateError(
-        f"no free port for the page, {address}:{port} to {port + NEW_PORTS - 1}: {problem.strerror}"
+        f"no port from {port} to {port + NEW_PORTS - 1} is available at {address} for the page "
+        f"({problem.strerror})"
     )

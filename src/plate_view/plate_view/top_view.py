@@ -59,7 +59,7 @@ class TopView:
         """
         if image.shape[:2] != self._shape:
             (height, width), (high, wide) = image.shape[:2], self._shape
-            raise PlateError(f"image has {width} x {height} pixels, allowed: {wide} x {high}")
+            raise PlateError(f"size of the image is {width} x {height}, allowed: {wide} x {high}")
         top = cv2.remap(image, self._x, self._y, cv2.INTER_LINEAR, borderValue=UNSEEN)
         done, data = cv2.imencode(".jpg", top, [cv2.IMWRITE_JPEG_QUALITY, QUALITY])
         assert done

@@ -58,8 +58,8 @@ MOVE_TOLERANCE_RAD = 0.05
 """Maximum angle error of a dragged part that counts as reached [rad]."""
 
 MAX_SQUARES = 255
-"""Maximum number of squares along a side of a board in TakeLensPictures. The detector allows only
-smaller numbers."""
+"""Maximum number of squares along a side of a board that the message TakeLensPictures can contain.
+The detector allows only smaller numbers."""
 
 FOLLOW_ERROR_M = 0.02
 """Maximum distance of a part from its drawn path [m]. If it is exceeded, the task ends."""
@@ -109,7 +109,7 @@ class Operator:
         self._requests: dict[str, list[PendingCommand]] = {}
 
     def begin(self, server: PageServer, listener: Listener) -> None:
-        """Start to work for these browsers."""
+        """Start to execute the commands of the browsers of `server`."""
         self._server, self._listener = server, listener
         self._goal = self._next = self._waiting = None
         self._shown = ""
@@ -360,7 +360,7 @@ class Operator:
                 if replied:
                     return
                 why = "does not reply" if sent else "is not available"
-                never_began(f"the action {name} {why}; is the planner running and configured?")
+                never_began(f"the action {name} {why}; check that the planner is configured")
 
         self._caller.poll(tick)
         tick()
@@ -391,7 +391,7 @@ class Operator:
             self._send_targets(targets)
             pending.accept("")
         elif running:
-            raise PlateError(f"a task runs ({task.task}): cancel it first")
+            raise PlateError(f"a task runs ({task.task}); cancel it first")
         elif self._waiting is not None:  # the task is about to start
             self._waiting |= targets
             pending.accept("")

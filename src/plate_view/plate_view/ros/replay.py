@@ -66,7 +66,7 @@ class Replay:
         try:
             library = importlib.import_module("rosbags.rosbag2")
         except ImportError:
-            raise PlateError("a replay needs the package rosbags: pip install rosbags") from None
+            raise PlateError("the package rosbags is missing: pip install rosbags") from None
         try:
             for file in Path(folder).iterdir():
                 if not file.is_dir():

@@ -62,8 +62,8 @@ class Stops:
                 self._executor.spin_once()
 
     def _call(self) -> None:
-        """Make one call for all waiting commands with the same name, so that many commands do not
-        delay each other."""
+        """Make one call of a service for all waiting commands with the same name, so that many
+        commands do not delay each other."""
         waiting: dict[str, list[PendingCommand]] = {}
         while self._waiting:
             pending = self._waiting.popleft()

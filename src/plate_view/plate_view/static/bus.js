@@ -1,4 +1,4 @@
-// The latest messages from the server, and the functions that listen to them.
+// The latest messages from the server, and the functions that receive them.
 
 /** The newest message of each kind. */
 export const known = {};

@@ -93,7 +93,7 @@ on("nodes", () => {
   alarm("nodes", names.length ? `No message from ${names.join(", ")}.` : null);
 });
 
-/** Tell the server which data this page shows. */
+/** Report to the server which data this page shows. */
 function watch() {
   if (!known.hello) return;
   const aims = byId("stage").dataset.view === "camera";

@@ -121,7 +121,7 @@ export class PlateView {
     return this.recent.reduce((best, each) => (away(each) <= away(best) ? each : best), newest).parts;
   }
 
-  /** A new image of the plate [its stamp, Blob]. While one is being decoded, the newest one waits. */
+  /** A new image of the plate [its stamp, Blob]. While an image is being decoded, the newest image waits. */
   async image(stamp, blob) {
     this.packed = { stamp, blob };
     if (this.unpacking) return;
@@ -148,7 +148,7 @@ export class PlateView {
     this.draw();
   }
 
-  /** Draw soon; with `now` before the next frame. */
+  /** Draw soon. If `now` is true, draw before the next frame. */
   draw(now = false) {
     this.hurry ||= now;
     if (this.planned || document.hidden) return;

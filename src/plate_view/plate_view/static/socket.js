@@ -39,7 +39,7 @@ export class Connection {
     });
   }
 
-  /** Send the server a message without a reply. */
+  /** Send a message to which the server does not reply. */
   notify(command) {
     if (this.socket.readyState === WebSocket.OPEN) this.socket.send(JSON.stringify({ ...command, number: (this.number += 1) }));
   }
