@@ -1,8 +1,8 @@
-"""The program `plate`: tasks, stops, states and parameters of a running graph. The program does not
-need the program `ros2`.
+"""The program `plate`: tasks, stops, states and parameters of a running graph. The program `ros2`
+need not be installed.
 
-Modules that take long to import are imported only where they are needed. They must not delay a
-stop.
+Modules that take long to import are imported only where they are needed, so that the import does
+not delay a stop.
 """
 
 from __future__ import annotations
@@ -61,7 +61,7 @@ def main() -> None:
             code = 2
     except KeyboardInterrupt as interrupt:
         code = 128 + int(interrupt.args[0])
-    except BrokenPipeError:  # the reader closed the pipe: `plate state | head`
+    except BrokenPipeError:  # the next program has ended, for example in `plate state | head`
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         code = 128 + signal.SIGPIPE
     finally:
@@ -86,7 +86,7 @@ def _arguments() -> argparse.Namespace:
     commands = parser.add_subparsers(dest="command", required=True, help=argparse.SUPPRESS)
     for name, what in (SERVICES | OTHERS).items():
         one = commands.add_parser(name, description=what)
-        if name in ("get", "set", "params"):  # the error for a missing argument lists nodes
+        if name in ("get", "set", "params"):  # optional here: the error text lists the nodes
             one.add_argument("node", nargs="?", metavar="NODE")
         if name in ("get", "set"):
             one.add_argument("name", nargs="?", metavar="NAME")

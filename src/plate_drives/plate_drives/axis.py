@@ -281,7 +281,7 @@ class Axis:
         self.start, self._led = self._target, True
 
     def hold(self) -> None:
-        """Run a bus cycle at the present target."""
+        """Send the present target again, and run one bus cycle."""
         self._cycle(OPERATE, self._target)
 
     def follow(self, path: Callable[[float], float], seconds: float) -> np.ndarray:

@@ -163,8 +163,8 @@ class Dialogue:
         if home == "absolute" and abs(place) > limits.stroke_m:
             raise PlateError(
                 f"home is absolute, and the motor is {1e3 * abs(place):.3g} mm from its drive's "
-                f"zero, allowed: at most stroke_m ({1e3 * limits.stroke_m:g} mm); choose here, or "
-                "set the drive's zero"
+                f"zero, allowed: at most stroke_m ({1e3 * limits.stroke_m:g} mm); answer `here`, "
+                "or set the drive's zero"
             )
         return motor.name, replace(
             drive, counts_per_m=abs(axis.scale), sign=1 if axis.scale > 0 else -1,
@@ -268,7 +268,8 @@ def commission(path: Path, master: Master, only_check: bool, ask: Ask = ask) -> 
 
 
 def _all_off(master: Master, drives: Sequence[Drive]) -> bool:
-    """Disable all drives. Continue if one of them fails. Return whether all are without current."""
+    """Disable all drives. If a drive fails, continue with the next drive. Return whether all drives
+    are without current."""
     off = True
     with uninterrupted():
         for number, drive in enumerate(drives, 1):

@@ -73,14 +73,14 @@ from .codes import Code
 from .interface import FeedStatus, Output, Quantity, ReadyPart, Reply, Reserved, State
 
 LATE_S = 0.3
-"""Minimum difference between the stamp of an image and the newest stamp at the end of a reservation
-[s]. With this difference, the image was certainly taken after the reservation ended. Images arrive
-late, so a smaller difference is not sufficient."""
+"""Maximum delay of images [s]. If the stamp of an image is later by more than this delay than the
+newest stamp at the end of a reservation, the image was certainly taken after the reservation
+ended."""
 
 SEEN_AGAIN_S = 1.0
-"""Minimum difference between the stamp of an image and the newest stamp at the end of a reservation
-[s]. With this difference, the image no longer shows a part that the robot has taken. It must be
-large enough because the tracker keeps a missing part for some images."""
+"""Maximum time for which the detector reports a part after a robot has taken it [s]. The detector's
+tracker keeps a missing part for some images. A part that is reported after this time was not
+taken."""
 
 SILENT_S = 1.0
 """Maximum time between two statuses of a running task [s]. It is about ten cycles of the plate."""
@@ -188,7 +188,8 @@ class Feeder:
         self._held: dict[str, float] = {}
         self._failures: dict[str, _Failures] = {}
         self._replies: list[tuple[Hashable, Reply]] = []
-        # Number of taken parts; numbers of discharged and lost parts in earlier tasks.
+        # Number of taken parts, and numbers of discharged and lost parts. The last two numbers
+        # count the parts of earlier tasks only.
         self._taken = self._discharged = self._lost = 0
         self._unreported = 0  # number of reservations that ended without a report on the pick
         # Total number of parts before the hopper was opened.
@@ -214,8 +215,8 @@ class Feeder:
         self._planner_rested |= status.mode is FeedMode.FEED and status.at_rest
 
     def task_ended(self, text: str) -> None:
-        """Process that the planner's task has ended or was refused, or that it must end. A waiting
-        command gets a reply with this text."""
+        """Handle the end or the refusal of the planner's task. The caller may also call this
+        function if the task must end. A waiting command gets a reply with `text`."""
         self._answer_waiting(Code.STOPPED, text)
         self._end()
         self._ended = True
@@ -414,8 +415,8 @@ class Feeder:
 
     @property
     def stopped(self) -> str:
-        """Reason why no command starts before `resume`, as text for a robot. Empty if the next
-        command may start the task."""
+        """Reason why commands are refused until `resume` is called, as text for a robot. Empty if
+        the next command may start the task."""
         return self._stop
 
     @property

@@ -81,7 +81,7 @@ BY_PERSON = (
     DriverStatus.SWITCHED_OFF, DriverStatus.EMERGENCY_STOP, DriverStatus.POWER_CUT,
     DriverStatus.STOP_UNANSWERED,
 )  # fmt: skip
-"""Reasons why the motors are off because of a person's request, with or without a running task."""
+"""Reasons of `DriverStatus` for which a person has switched the motors off."""
 
 Replied = Callable[[Reply], None]
 

@@ -16,7 +16,7 @@ MAX_TEXT = 200
 """Maximum number of characters of a name or a value."""
 
 LARGEST = 1e10
-"""Maximum magnitude of a number. Stamps of the wall clock [s] are within it."""
+"""Maximum magnitude of a number. Stamps of the wall clock, which are 1.8e9 s, are allowed."""
 
 MAX_POINTS = 2000
 """Maximum number of points of a drawn path."""

@@ -65,16 +65,16 @@ stops."""
 MAX_TOTAL = 200
 """Maximum number of commands of all browsers without a reply."""
 
-PRICE = {"move": 1.0, "watch": 1.0, "replay": 1.0}
+COST = {"move": 1.0, "watch": 1.0, "replay": 1.0}
 """Costs of commands that are frequent while a person drags. Each command reduces the allowance of
-its browser by its cost. All other commands cost `DEAR`."""
+its browser by its cost. All other commands cost `DEFAULT_COST`."""
 
-DEAR = 10.0
-"""Cost of a command that is not in `PRICE`. Usually, another node must process such a command."""
+DEFAULT_COST = 10.0
+"""Cost of a command that is not in `COST`. Usually, another node must process such a command."""
 
 STILL_S = 2.0
-"""Minimum duration of a stall of the server [s]. After a longer stall, only stops are accepted for
-a moment."""
+"""Minimum duration of a stall of the server [s]. After a stall, other commands than stops are
+refused for a moment."""
 
 KEPT = ("log", "call")
 """Kinds of messages that must not be skipped. Replies must not be skipped either. Replies are sent
@@ -166,7 +166,7 @@ class Socket(tornado.websocket.WebSocketHandler):
             if within:
                 self.answer(_number(text), False, str(error))
             return within
-        within = self._spend(PRICE.get(command.name, DEAR))
+        within = self._spend(COST.get(command.name, DEFAULT_COST))
         if why := "" if command.name in URGENT else self._refusal(within):
             self.answer(command.number, False, why)
         elif command.name == "watch":

@@ -79,7 +79,7 @@ def test_what_was_sent_while_it_stood_still_is_not_done_but_for_stops(server, ta
 def test_a_browser_that_sends_too_much_is_read_slowly_and_holds_up_no_stop(
     server, taken, monkeypatch
 ):
-    monkeypatch.setattr(module, "DEAR", 1e6)
+    monkeypatch.setattr(module, "DEFAULT_COST", 1e6)
     monkeypatch.setattr(module, "BURST", 2e6)
     paused, sleep = [], asyncio.sleep
 

@@ -66,9 +66,8 @@ SPECK_RADIUS = 0.3
 smallest part's radius [-]. An object with a tenth of a part's area is dust or a reflection."""
 
 EDGE_REASONS = ("at the edge", "beyond the plate")
-"""Objects with these reasons do not count for the warning either. If the plate is away from home,
-they may be the plate's own edge. This happens, for example, in images of a camera that is not
-triggered."""
+"""Objects with these reasons do not count for the warning. If the plate is away from home, its own
+edge can be detected as such an object, for example in images of a camera that is not triggered."""
 
 COVER_RADII = 8.0
 """Minimum radius of an object that counts as covering the plate, relative to the largest part's

@@ -93,7 +93,8 @@ RATIOS = np.linspace(0, 4, 81)
 """Lengths of capsules (discs swept along a line) for which the flatness is tabulated [radii]."""
 
 INNER_PX = 2.0
-"""Distance from the edge of the disc from which on its shadow has its full darkness [px]."""
+"""Width of the blurred border of a disc's shadow [px]. Further inside, the shadow has its full
+darkness."""
 
 PROFILE_PX = 0.5
 """Step of the profile in which the end of a shadow is searched [px]."""

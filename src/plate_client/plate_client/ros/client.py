@@ -106,7 +106,7 @@ class Task:
 
     @property
     def accepted(self) -> bool:
-        """Whether the planner has replied to the goal. Only then does `cancel` have an effect."""
+        """Whether the planner has accepted the goal. Before this, `cancel` has no effect."""
         return self._handle is not None
 
     def has_begun(self) -> bool:

@@ -223,8 +223,8 @@ class Services:
 
 
 def no_graph_text() -> str:
-    """Return an error text that no graph is running. The text lists the ROS domains that are in use
-    on this machine."""
+    """Return the error text for the case that no graph is running. The text lists the ROS domains
+    that are in use on this machine."""
     ours = ros_domain(os.environ)
     others = sorted(domains_in_use() - {ours})
     text = f"no graph runs in ROS domain {ours}"
@@ -245,6 +245,6 @@ def domains_in_use() -> set[int]:
         for line in path.read_text("ascii").splitlines()[1:] if path.exists() else ():
             port = int(line.split()[1].rsplit(":", 1)[1], 16)
             domain, offset = divmod(port - DDS_PORT, PORTS_PER_DOMAIN)
-            if domain in DOMAINS and offset >= 10:  # lower ports are for multicast
+            if domain in DOMAINS and offset >= 10:  # ports with a lower offset are for multicast
                 found.add(domain)
     return found

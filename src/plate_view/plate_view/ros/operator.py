@@ -461,7 +461,7 @@ class Operator:
         Raises
         ------
         ScenarioError
-            If the rig cannot execute the goal. In this case no task is canceled.
+            If the rig cannot execute the goal. A running task then continues.
         """
         check_scenario(goal_to_scenario(goal), self._rig)
         own = self._goal

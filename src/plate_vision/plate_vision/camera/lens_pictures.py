@@ -48,7 +48,7 @@ TILTED_RAD = np.radians(12.0)
 distance."""
 
 TILTS = ("left", "right", "top", "bottom")
-"""Sides of the board. In at least one picture per side, this side must be nearest to the camera."""
+"""Sides of the board. Each side must be the nearest one to the camera in at least one picture."""
 
 GUESSED_FOCAL = 1.2
 """Focal length assumed in the estimate of the tilt, relative to the longer side of the image [-]. A

@@ -17,8 +17,8 @@ namespace plate {
 // affects the pixels of a window.
 constexpr double BLUR_PX = 1.5;
 
-// Maximum reach of a silhouette that counts as round, relative to its radius. A part that the
-// camera sees at 34 degrees from the vertical has this reach.
+// Maximum reach of a silhouette that counts as round, relative to its radius. The silhouette of a
+// flat part has this reach if the camera's line of sight to the part is 34 degrees from vertical.
 constexpr double ROUND = 1.2;
 
 // Maximum dark area [px2] in the outer ring of a window with a single part. Twice this area would

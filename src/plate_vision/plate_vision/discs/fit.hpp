@@ -69,8 +69,9 @@ enum Unknown { X, Y, RADIUS, EDGE, TOP, SIDE, UNKNOWNS };
 constexpr int FLAT_UNKNOWNS = SIDE;
 using DiscFit = std::array<double, UNKNOWNS>;
 
-// The usable pixels around a disc, row by row: their places [px], their darkness, their darkness
-// minus the neighbours' darkness, and the fraction of each pixel that no neighbour covers.
+// The usable pixels around a disc, row by row. The arrays contain the pixels' places [px], the
+// darkness, the darkness without the neighbours' darkness, and the fraction of each pixel that no
+// neighbour covers.
 struct DiscWindow {
     int size = 0, most;
     double all = 0;  // number of all pixels in the window, usable or not

@@ -14,7 +14,7 @@ namespace plate {
 constexpr double MARK_RADIUS = 0.3;
 
 // Range of the distance between a mark's centre and the seed [part radii]. The nominal distance is
-// 0.5. The range includes the seed's error.
+// 0.5, and the range also allows for the position error of the seed.
 constexpr double MARK_PLACE[] = {0.25, 0.75};
 
 // Range of a mark's area, relative to the area of a disc with `MARK_RADIUS`. Smaller spots are

@@ -50,8 +50,8 @@ struct Silhouette {
         return (std::max(growth, 1.0) * radius_px + lean_length()) * stretch();
     }
 
-    // Image offset [px] from the part's place to the point of the contour whose outward normal in
-    // the image is along (nx, ny).
+    // Compute the offset (x, y) [px] of a contour point from the part's place. The outward normal
+    // of the contour at this point has the direction (nx, ny) in the image.
     void contour(double nx, double ny, double& x, double& y) const {
         // Normals transform by the inverse transpose, up to their length.
         double wx = across[1][1] * nx - across[1][0] * ny;

@@ -81,7 +81,7 @@ class CameraParameters(NodeOptions):
     )
     readout_us: float = parameter(
         0.0,
-        "Time from the end of the exposure to the stamp [us]; unused for stamps of its start",
+        "Time from the end of the exposure to the stamp [us]; unused if stamps mark its start",
         0.0, 1e6, live=True,
     )  # fmt: skip
     gain: int = parameter(

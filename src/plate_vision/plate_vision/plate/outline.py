@@ -168,7 +168,7 @@ class OutlineGrid:
 
     @classmethod
     def of(cls, rig: Rig, calibration: Calibration) -> OutlineGrid:
-        """Prepare the grid for the plate of a rig at home and its calibration."""
+        """Prepare the grid around the edges of the rig's plate, with the plate at home."""
         half = np.asarray(rig.plate.half, float)
         size_px = np.array([rig.camera.width_px, rig.camera.height_px])
         along = np.linspace(-STATION_END, STATION_END, STATIONS)

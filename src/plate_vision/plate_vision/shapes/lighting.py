@@ -69,7 +69,7 @@ the plate's noise. It is below 1, so that a slight change of the light is notice
 large as the noise."""
 
 EVEN = np.zeros((6, 3), np.float32)
-"""Surfaces of a light that equals the light on the background."""
+"""Coefficients of the surfaces if the light is the same as in the image of the background."""
 EVEN[0, 0] = 1
 EVEN.setflags(write=False)
 

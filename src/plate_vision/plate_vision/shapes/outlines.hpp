@@ -286,9 +286,9 @@ struct Nearest {
     }
 };
 
-// Compute the signed distances of points from edges (e, 5), positive outside, and the gradients of
-// the distances (unit vectors). An edge with negative length is a circle around its start. Its
-// radius is the absolute value of the length.
+// Compute the signed distances of points from edges (e, 5). A distance is positive outside. Also
+// compute the gradients of the distances, which are unit vectors. An edge with negative length is a
+// circle around its start. Its radius is the absolute value of the length.
 PLATE_WIDE inline void edge_distances(View<const double, 2> edges, Places& places) {
     for (int first = 0; first < places.padded(); first += POINTS) {
         const double *__restrict x = &places.x[first], *__restrict y = &places.y[first];

@@ -13,8 +13,8 @@
 
 namespace plate {
 
-// Maximum distance between the contours of a group and of a part for which they count as coincident
-// [px].
+// Maximum distance between the contours of a group and of a part [px]. Below this distance, the two
+// contours count as the same.
 constexpr double NEAR_PX = 1.3;
 
 // Maximum distance outside the group up to which a point of a part counts as inside [px].

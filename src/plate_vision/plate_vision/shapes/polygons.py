@@ -33,11 +33,12 @@ PLAIN_PX = 0.14
 [px]."""
 
 PLAIN = 0.006
-"""Like `PLAIN_PX`, but relative to the part's reach [-]. The largest one of this limit, `PLAIN_PX`
-and `WORSE` is used."""
+"""Limit of the deviation like `PLAIN_PX`, but relative to the part's reach [-]. The largest of the
+three limits `PLAIN_PX`, `PLAIN` and `WORSE` applies."""
 
 WORSE = 1.1
-"""Like `PLAIN_PX`, but relative to the deviation of the first polygon [-]."""
+"""Limit of the deviation like `PLAIN_PX`, but relative to the deviation of the first polygon
+[-]."""
 
 BULGE_PX = 0.35
 """Maximum distance of the outline from the polygon's edges [px]."""

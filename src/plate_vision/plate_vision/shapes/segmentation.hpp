@@ -26,7 +26,8 @@ constexpr double BRIGHTER = 0.25;
 // Maximum slope of an even area, relative to the maximum slope of the patch.
 constexpr double EVEN = 0.3;
 
-// Minimum cover of a single pixel between two colours of a part with which it belongs to the part.
+// Minimum cover of a single pixel between two colours of a part [-]. A pixel with a smaller cover
+// does not belong to the part.
 constexpr double BRIDGE = 0.3;
 
 // Minimum step in L between two colours of a part, relative to the larger of their contrasts. It
