@@ -13,7 +13,7 @@
 #define TICKS_PER_MS 100000u
 #define WINDOW 8            /* maximum knot messages in flight, which fit into the board's buffer */
 #define BRAKE_ROOM 0.1f     /* allowed relative excess of the acceleration while braking */
-#define ASTRAY_TICKS 3      /* consecutive ticks with a following error that count as a fault */
+#define DEVIATING_TICKS 3   /* consecutive ticks with a following error that count as a fault */
 #define MAX_HEAT_US 1000000u /* maximum time between two ticks, exact as a float [us] */
 
 static void send(Controller *c, uint8_t type, const uint8_t *fields, size_t size)
@@ -130,18 +130,18 @@ static void watch_board(Controller *c)
 /* Measure the motors, and compare them with the setpoint of the last tick. */
 static void measure(Controller *c)
 {
-    bool astray = false;
+    bool deviates = false;
     hal_measure(c->measured, c->accelerations);
     for (int m = 0; m < MOTORS && c->follows; m++) {
         float error = fabsf(c->measured[m] - c->commanded.position[m]);
         c->following_m = fmaxf(c->following_m, error);
-        astray = astray || !(error <= c->limits.following_m); /* also true for values that are not finite */
+        deviates = deviates || !(error <= c->limits.following_m); /* also true for values that are not finite */
     }
-    astray = astray && c->limits.following_m > 0;
-    c->astray = astray ? (uint8_t)(c->astray + 1) : 0;
-    if (c->astray == ASTRAY_TICKS) {
+    deviates = deviates && c->limits.following_m > 0;
+    c->deviating_ticks = deviates ? (uint8_t)(c->deviating_ticks + 1) : 0;
+    if (c->deviating_ticks == DEVIATING_TICKS) {
         motion_off(c, FAULT_FOLLOWING);
-        c->astray = 0;
+        c->deviating_ticks = 0;
     }
 }
 

@@ -46,7 +46,7 @@ typedef struct {
     Setpoint commanded;           /* last setpoint; at rest, the position at the enable */
     bool follows;                 /* whether `commanded` was sent to the motors in the last tick */
     float measured[MOTORS], accelerations[MOTORS];
-    uint8_t astray;               /* consecutive ticks with an excessive following error */
+    uint8_t deviating_ticks;      /* consecutive ticks with an excessive following error */
     float following_m;            /* maximum following error since the last telemetry [m] */
     float heat[MOTORS];           /* filtered mean square of each motor's force [N2] */
     float heat_rest[MOTORS];      /* rounding error of `heat` (compensated summation) */

@@ -207,7 +207,7 @@ bool stream_add(Table *stream, const uint8_t bytes[KNOT_BYTES], uint32_t time,
                 const Limits *limits, int *work, uint8_t *status)
 {
     Knot added;
-    int gone = 0;
+    int played = 0;
     knot_read(&added, bytes);
     *status = STATUS_DONE;
     if (stream->count > 0) {
@@ -216,10 +216,10 @@ bool stream_add(Table *stream, const uint8_t bytes[KNOT_BYTES], uint32_t time,
         float heat[MOTORS] = {0}; /* the heat of a stream is checked while it plays */
         bool keeps;
         if (stream->count == MAX_KNOTS)
-            gone = piece_number(stream, time - table_knot(stream, 0)->ticks);
+            played = piece_number(stream, time - table_knot(stream, 0)->ticks);
         if (step == 0 || step > MAX_PIECE)
             *status = STATUS_WRONG_TIMES;
-        else if (stream->count - gone == MAX_KNOTS)
+        else if (stream->count - played == MAX_KNOTS)
             *status = STATUS_TOO_LONG;
         if (*status != STATUS_DONE) {
             stream->check.piece.begun = false;
@@ -232,8 +232,8 @@ bool stream_add(Table *stream, const uint8_t bytes[KNOT_BYTES], uint32_t time,
             return true;
         }
     }
-    stream->count = (uint16_t)(stream->count - gone);
-    stream->first = (uint16_t)((stream->first + gone) % MAX_KNOTS);
+    stream->count = (uint16_t)(stream->count - played);
+    stream->first = (uint16_t)((stream->first + played) % MAX_KNOTS);
     int at = (stream->first + stream->count) % MAX_KNOTS;
     stream->knots[at] = added;
     stream->count++;

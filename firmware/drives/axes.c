@@ -9,7 +9,7 @@
 Drive drives[MOTORS];
 Axis axes[MOTORS];
 float led[3][MOTORS];
-bool wanted, was_ready, follows, hurry;
+bool requested, was_ready, follows, hurry;
 static bool home_known, home_lost;
 const Limits *limits;
 static uint8_t crooked; /* consecutive cycles with crooked positions */
@@ -83,7 +83,7 @@ void enter(Axis *axis, Stage stage)
     axis->since = 0;
     axis->pending = false;
     axis->step = 0;
-    axis->unheard = axis->missed = axis->doubled = axis->astray = axis->answers = 0;
+    axis->heartbeat_age = axis->missed = axis->doubled = axis->deviating = axis->answers = 0;
     if (stage != UP)
         axis->status = axis->still = 0;
 }
@@ -100,10 +100,10 @@ static void watch(int m, bool leaps)
 {
     Axis *axis = &axes[m];
     float off_m = apart_m(m, axis->actual, axis->reached);
-    bool astray = wanted && enabled(axis) && limits->following_m > 0 && off_m > limits->following_m;
-    axis->astray = astray ? (uint8_t)(axis->astray + 1) : 0;
-    axis->leapt = astray && (leaps || axis->leapt);
-    if (axis->astray != ASTRAY_CYCLES)
+    bool deviates = requested && enabled(axis) && limits->following_m > 0 && off_m > limits->following_m;
+    axis->deviating = deviates ? (uint8_t)(axis->deviating + 1) : 0;
+    axis->leapt = deviates && (leaps || axis->leapt);
+    if (axis->deviating != DEVIATING_CYCLES)
         return;
     alarm(m, TROUBLE_ASTRAY, 0, (uint32_t)lrintf(1e6f * off_m), FAULT_FOLLOWING);
     if (axis->leapt)
@@ -197,7 +197,7 @@ static void age(int m)
 {
     Axis *axis = &axes[m];
     axis->since = (uint16_t)(axis->since + (axis->since <= BOOT_TICKS));
-    axis->unheard = (uint16_t)(axis->unheard + (axis->unheard <= SILENT_TICKS));
+    axis->heartbeat_age = (uint16_t)(axis->heartbeat_age + (axis->heartbeat_age <= SILENT_TICKS));
     if (axis->alarm && !in_fault(axis) && --axis->alarm == 0)
         axis->faults = 0;
     axis->lost = axis->lost && !is_up(axis);
@@ -212,9 +212,9 @@ static void age(int m)
         axis->pending = false;
         if (axis->step == STARTS)
             lose(m, TROUBLE_SILENT, 0, 0);
-    } else if (axis->stage == UP && axis->unheard > SILENT_TICKS)
+    } else if (axis->stage == UP && axis->heartbeat_age > SILENT_TICKS)
         lose(m, TROUBLE_SILENT, 0, 0);
-    axis->keeps = wanted || !enabled(axis) ? 0 : (uint16_t)(axis->keeps + 1);
+    axis->keeps = requested || !enabled(axis) ? 0 : (uint16_t)(axis->keeps + 1);
     if (axis->keeps > KEEPS_TICKS) {
         lose(m, TROUBLE_KEEPS, 0, axis->status);
         axis->keeps = 0;
@@ -262,7 +262,7 @@ void drives_start(const Drive of[MOTORS], const Limits *its_limits)
     memset(axes, 0, sizeof axes);
     memset(&trouble, 0, sizeof trouble);
     limits = its_limits;
-    wanted = was_ready = follows = hurry = home_known = home_lost = false;
+    requested = was_ready = follows = hurry = home_known = home_lost = false;
     phase = crooked = 0;
     bus_alarm = 0;
 }
@@ -271,19 +271,19 @@ void drives_start(const Drive of[MOTORS], const Limits *its_limits)
 
 void hal_drive(bool on)
 {
-    for (int m = 0; m < MOTORS && wanted && !on && !was_ready; m++)
+    for (int m = 0; m < MOTORS && requested && !on && !was_ready; m++)
         if (!enabled(&axes[m]))
             note((uint8_t)(m + 1), TROUBLE_NOT_ENABLED, 0, axes[m].status, false);
     if (on)
         memset(&trouble, 0, sizeof trouble);
     hurry = !on; /* the frames are sent at the end of this tick */
-    wanted = on;
+    requested = on;
     was_ready = follows = false;
 }
 
 bool hal_ready(void)
 {
-    bool all = wanted && all_up();
+    bool all = requested && all_up();
     for (int m = 0; m < MOTORS; m++)
         all = all && enabled(&axes[m]) && axes[m].proven;
     was_ready = was_ready || all;

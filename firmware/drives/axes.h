@@ -14,7 +14,7 @@
 #define START_TICKS 100     /* maximum wait for a start; also the time until a started drive can be enabled */
 #define STARTS 10           /* maximum number of tries */
 #define KEEPS_TICKS 100     /* maximum time in which a drive must switch its current off */
-#define ASTRAY_CYCLES 2     /* consecutive cycles with a following error that are a fault */
+#define DEVIATING_CYCLES 2  /* consecutive cycles with a following error that are a fault */
 #define CROOKED_CYCLES 5    /* consecutive cycles with inconsistent positions that are a fault */
 #define STILL_CYCLES 150    /* cycles for which an axis must rest before it gets current */
 #define STILL_M 0.0005f     /* maximum motion of an axis that counts as resting [m] */
@@ -27,9 +27,9 @@ typedef struct {
     bool pending;      /* the last order has not been executed yet */
     bool proven;       /* the backend's trial before an enable has succeeded */
     uint16_t since;    /* ticks since the last order, or since the start of the stage */
-    uint16_t unheard;  /* ticks since the last heartbeat, 0 to SILENT_TICKS + 1 */
+    uint16_t heartbeat_age; /* ticks since the last heartbeat, 0 to SILENT_TICKS + 1 */
     uint8_t answers;   /* number of positions since the last request */
-    uint8_t missed, doubled, astray; /* consecutive cycles */
+    uint8_t missed, doubled, deviating; /* consecutive cycles */
     uint16_t status;   /* the drive's statusword, or its state */
     uint32_t errors;   /* the drive's own errors, as reported */
     int32_t actual, home, target; /* [counts] */
@@ -50,7 +50,7 @@ extern Drive drives[MOTORS];
 extern Axis axes[MOTORS];
 extern const Limits *limits;
 extern float led[3][MOTORS]; /* last setpoint [m], [m/s], [m/s2] */
-extern bool wanted, was_ready, follows; /* current is requested; current is on; the axes follow setpoints */
+extern bool requested, was_ready, follows; /* current is requested; current is on; the axes follow setpoints */
 extern bool hurry; /* whether the current must be switched off in this tick */
 
 /* Functions of each backend. */

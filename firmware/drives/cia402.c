@@ -162,7 +162,7 @@ static void answered(int m, const uint8_t data[8])
 static void heartbeat(int m, uint8_t state)
 {
     Axis *axis = &axes[m];
-    axis->unheard = 0;
+    axis->heartbeat_age = 0;
     if (state == BOOT_UP) {
         bool ours = axis->stage == SILENT && axis->step && axis->since <= ANSWER_TICKS;
         if (!ours) /* the boot-up is not a reply to a reset by this board */
@@ -235,10 +235,10 @@ static uint16_t controlword(Axis *axis)
         return DISABLE;
     if (in_fault(axis)) { /* the current stays off until a new Enable */
         axis->resets = axis->resets ? (uint16_t)(axis->resets - 1) : BOOT_TICKS / CYCLE_TICKS;
-        return wanted || axis->resets >= RESET_CYCLES ? DISABLE : FAULT_RESET;
+        return requested || axis->resets >= RESET_CYCLES ? DISABLE : FAULT_RESET;
     }
     axis->resets = BOOT_TICKS / CYCLE_TICKS;
-    if (!wanted || !all_up() || !(enabled(axis) || stands(axis)))
+    if (!requested || !all_up() || !(enabled(axis) || stands(axis)))
         return DISABLE;
     if ((axis->status & 0x4F) == 0x40) /* switch on disabled */
         return SHUTDOWN;

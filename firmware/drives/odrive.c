@@ -29,7 +29,7 @@ bool enabled(const Axis *axis) { return axis->status == CLOSED_LOOP; }
 
 /* CANSimple cannot read the watchdog's setting. After each start, the watchdog is tested once before the
    first setpoint: the board sends nothing while the drive holds the plate. */
-static bool tried(const Axis *axis) { return wanted && !axis->proven && enabled(axis); }
+static bool tried(const Axis *axis) { return requested && !axis->proven && enabled(axis); }
 
 static uint8_t fault_of(uint32_t errors)
 {
@@ -58,7 +58,7 @@ static void heartbeat(int m, uint32_t errors, uint8_t state)
 {
     Axis *axis = &axes[m];
     bool was_tried = tried(axis), bitten = was_tried && errors & DOG;
-    axis->unheard = 0;
+    axis->heartbeat_age = 0;
     axis->errors = errors;
     axis->status = state;
     if (axis->stage == SILENT && !axis->lost && axis->since > START_TICKS)
@@ -137,7 +137,7 @@ static void set_position(int m)
 static void order(int m)
 {
     Axis *axis = &axes[m];
-    if (!wanted || !all_up()) {
+    if (!requested || !all_up()) {
         axis->pending = axis->pending && axis->stage != UP;
         if (hurry || axis->status != IDLE)
             send_message(m, SET_STATE, IDLE, 0);

@@ -5,7 +5,7 @@
 
    CAN is a file descriptor that carries a struct can_frame in each datagram. TICKS is a file descriptor
    from which the program reads the number of ticks that have passed (eight bytes). Default: a timerfd.
-   The program ends when its input has ended and the motors are off, or when the CAN interface is gone
+   The program ends when its input has ended and the motors are off, or when the CAN interface is lost
    or down. */
 #define _GNU_SOURCE
 #include <errno.h>
@@ -39,7 +39,7 @@ static int can, ticks;
 static uint64_t now_us;
 static uint32_t boot;
 static float late; /* [ticks] */
-static bool ended, off, gone, written = true;
+static bool ended, off, lost, written = true;
 
 uint64_t hal_time_us(void) { return now_us; }
 uint32_t hal_boot(void) { return boot; }
@@ -71,20 +71,20 @@ float hal_load(void)
    ends, so that the host reports this and waits for the interface. */
 static void check_interface(ssize_t size)
 {
-    gone = gone || size == 0 || (size < 0 && errno != EAGAIN && errno != EINTR && errno != ENOBUFS);
+    lost = lost || size == 0 || (size < 0 && errno != EAGAIN && errno != EINTR && errno != ENOBUFS);
 }
 
 bool can_read(CanFrame *frame)
 {
-    struct can_frame came;
+    struct can_frame received;
     ssize_t size;
-    while ((size = read(can, &came, sizeof came)) == sizeof came) {
-        if (came.can_id & CAN_ERR_FLAG) {
-            off = off || came.can_id & CAN_ERR_BUSOFF;
-        } else if (!(came.can_id & (CAN_EFF_FLAG | CAN_RTR_FLAG)) && came.can_dlc <= 8) {
-            frame->id = (uint16_t)came.can_id;
-            frame->size = came.can_dlc;
-            memcpy(frame->data, came.data, sizeof frame->data);
+    while ((size = read(can, &received, sizeof received)) == sizeof received) {
+        if (received.can_id & CAN_ERR_FLAG) {
+            off = off || received.can_id & CAN_ERR_BUSOFF;
+        } else if (!(received.can_id & (CAN_EFF_FLAG | CAN_RTR_FLAG)) && received.can_dlc <= 8) {
+            frame->id = (uint16_t)received.can_id;
+            frame->size = received.can_dlc;
+            memcpy(frame->data, received.data, sizeof frame->data);
             return true;
         }
     }
@@ -147,7 +147,7 @@ int main(int argc, char **argv)
     boot = (uint32_t)time(NULL) ^ (uint32_t)getpid() << 16;
     drives_start(DRIVES, &LIMITS);
     controller_start(&controller, LIMITS);
-    while (rests < LAST_TICKS && !gone && tick_passed()) {
+    while (rests < LAST_TICKS && !lost && tick_passed()) {
         drives_begin();
         controller_tick(&controller);
         drives_end();

@@ -135,7 +135,7 @@ class Axis:
         self.position = self.start = self._target = 0
         self._status = self._missed = self._doubled = self._beat = 0
         self._due = self.late_s = 0.0
-        self._led = self._astray = False
+        self._led = self._deviates = False
 
     def __enter__(self) -> Axis:
         """Set the drive up, without current."""
@@ -153,7 +153,7 @@ class Axis:
         master, end = self._master, self._master.now + OFF_S
         with uninterrupted():
             with contextlib.suppress(PlateError):  # the SDOs below report a bus fault
-                brakes = error is not None and not self._astray
+                brakes = error is not None and not self._deviates
                 while brakes and enabled(self._status) and master.now < end:
                     self._exchange(QUICK_STOP)
             try:
@@ -225,7 +225,7 @@ class Axis:
         end of the cycle."""
         reached, self._target = self._target, target
         self._exchange(word)
-        received, astray = self._received, abs(self.position - reached) / abs(self.scale)
+        received, deviation = self._received, abs(self.position - reached) / abs(self.scale)
         troubles = (
             (received.emergency, Trouble.EMERGENCY, *(received.emergency or (0, 0))[::-1]),
             (received.boots, Trouble.RESET, 0, 0),
@@ -241,11 +241,11 @@ class Axis:
                 raise PlateError(trouble_text(self._motor, kind, index, code))
         if self._master.other_master:
             raise PlateError(trouble_text(0, Trouble.OTHER_MASTER))
-        self._astray = enabled(self._status) and astray > self._allowed
-        if self._astray:
+        self._deviates = enabled(self._status) and deviation > self._allowed
+        if self._deviates:
             raise PlateError(
-                f"motor_{self._motor}: does not follow; following error is {1e3 * astray:.2g} mm, "
-                f"allowed: {1e3 * self._allowed:g} mm"
+                f"motor_{self._motor}: does not follow; following error is {1e3 * deviation:.2g} "
+                f"mm, allowed: {1e3 * self._allowed:g} mm"
             )
 
     def enable(self, amplitude: float, ends: tuple[int, int]) -> None:

@@ -194,7 +194,7 @@ class Feeder:
         self._unreported = 0  # number of reservations that ended without a report on the pick
         # Total number of parts before the hopper was opened.
         self._total_before_opening: int | None = None
-        self._evaluate_at, self._barren = -math.inf, 0
+        self._evaluate_at, self._vain_openings = -math.inf, 0
 
     # Inputs
 
@@ -427,7 +427,7 @@ class Feeder:
     @property
     def hopper_empty(self) -> bool:
         """Whether the last openings of the hopper brought no new parts."""
-        return self._barren >= MAX_OPENINGS
+        return self._vain_openings >= MAX_OPENINGS
 
     def silence(self, now: float) -> str:
         """Return a text that describes missing messages of the planner. Empty if none are
@@ -474,7 +474,7 @@ class Feeder:
         return None
 
     def _begin(self, now: float) -> None:
-        self._barren = min(self._barren, MAX_OPENINGS - 1)
+        self._vain_openings = min(self._vain_openings, MAX_OPENINGS - 1)
         if self._task is _Task.IDLE:
             if now >= self._evaluate_at:  # the parts may have changed since the last opening
                 self._total_before_opening = None
@@ -692,7 +692,9 @@ class Feeder:
             total + quantity.taken + self._unreported + quantity.discharged + quantity.lost
         )
         if self._total_before_opening is not None and now >= self._evaluate_at and self._sees_all():
-            self._barren = 0 if total_parts > self._total_before_opening else self._barren + 1
+            self._vain_openings = (
+                0 if total_parts > self._total_before_opening else self._vain_openings + 1
+            )
             self._total_before_opening = None
         if self._reserved is not None or purging or self.silence(now):
             return None

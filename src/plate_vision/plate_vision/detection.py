@@ -254,7 +254,7 @@ class Discs(NamedTuple):
         Objects on the plate that are not accepted as parts. Their x and y are not set.
     shadow : Shadow, optional
         The shadow that every part casts; None if unknown.
-    doubtful : bool
+    uncertain : bool
         Whether many objects have a large misfit, so that a shadow must be searched.
     """
 
@@ -262,7 +262,7 @@ class Discs(NamedTuple):
     parts: np.ndarray
     overlooked: np.ndarray
     shadow: Shadow | None = None
-    doubtful: bool = False
+    uncertain: bool = False
 
     @property
     def places(self) -> np.ndarray:
@@ -303,7 +303,7 @@ def find_discs(
     scene = Scene(plate, channels_of(image, plate, region), region, options, view)
     if shadow is not None:
         discs = _shadowed_discs(scene, shadow)
-        if not _doubtful(discs):
+        if not _uncertain(discs):
             return discs
     discs = _dark_discs(plate, region, options, view)
     remains = find_remains(
@@ -311,8 +311,8 @@ def find_discs(
     )
     if remains is not None:
         discs = _with_others(scene, discs, remains)
-    discs = discs._replace(doubtful=_doubtful(discs))
-    if view.calibration is None or not (discs.doubtful and search):
+    discs = discs._replace(uncertain=_uncertain(discs))
+    if view.calibration is None or not (discs.uncertain and search):
         return discs
     every = find_remains(
         scene.channels, region, scene.limit, view.least_px, NO_DISCS.places, NO_DISCS.parts
@@ -346,14 +346,14 @@ class Scene:
         return contrast_image(self.channels, self.region)
 
 
-def _doubtful(discs: Discs) -> bool:
+def _uncertain(discs: Discs) -> bool:
     """Whether many objects have a large misfit. Parts with an unknown shadow are such objects."""
     good = GOOD_MISFIT if discs.shadow is None else GOOD_FIT
-    doubtful = np.count_nonzero(discs.found["misfit"] > good)
+    uncertain = np.count_nonzero(discs.found["misfit"] > good)
     if len(discs.overlooked):
         odd = np.isin(discs.overlooked["reason"], ("misfit", "too large", "too small"))
-        doubtful += np.count_nonzero(odd)
-    return bool(doubtful >= FEWEST and doubtful > ROUGH * len(discs.found))
+        uncertain += np.count_nonzero(odd)
+    return bool(uncertain >= FEWEST and uncertain > ROUGH * len(discs.found))
 
 
 def _with_others(scene: Scene, discs: Discs, remains: Remains) -> Discs:

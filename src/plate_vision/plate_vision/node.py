@@ -370,15 +370,15 @@ class DetectorNode(SafeLifecycleNode[DetectorParameters]):
         alone = self.options.photographs
         if alone:
             source = f"image {self._images}"
-        came: np.ndarray | None = None
+        received: np.ndarray | None = None
         try:
-            came = image = unpack()
+            received = image = unpack()
             if alone:
                 self._tracker, self._expected = Tracker(self._tracker.options), None
                 if self._images == 1 + self._refused:
                     self._suit(image.shape[1::-1])
             began = time.perf_counter()
-            self._check_stamp(came, seconds(stamp))
+            self._check_stamp(received, seconds(stamp))
             if self._location is not None:
                 image = self._find_plate(self._location, image, stamp)
             self._image = image
@@ -391,10 +391,10 @@ class DetectorNode(SafeLifecycleNode[DetectorParameters]):
             self._tally.refused += 1
             self._tally.why = str(error)
             self._refused += 1
-            if came is not None:
-                self._aiming.add_image(came, stamp, str(error))
+            if received is not None:
+                self._aiming.add_image(received, stamp, str(error))
             return
-        self._last_image = came
+        self._last_image = received
         self._tally.detection_ms.append(1e3 * (time.perf_counter() - began))
         if self._tracker is not before:
             self._note_ids()
@@ -415,12 +415,12 @@ class DetectorNode(SafeLifecycleNode[DetectorParameters]):
             self._drawings.publish(array_to_image(self._draw(image), stamp, "bgr8"))
         if self._markers.get_subscription_count():
             self._markers.publish(self._scene(stamp))
-        self._check_outline(came, seconds(stamp))
+        self._check_outline(received, seconds(stamp))
         if not 0 <= seconds(stamp) - self._faint_at < FAINT_PERIOD_S:
             self._check_faint(image, seconds(stamp))
         if alone:
             self._log_photograph(source)
-        self._aiming.add_image(came, stamp)
+        self._aiming.add_image(received, stamp)
 
     def _check_stamp(self, image: np.ndarray, stamp: float) -> None:
         """Raise an error if an image has the same stamp as the previous image but other pixels.

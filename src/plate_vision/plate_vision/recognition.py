@@ -142,7 +142,7 @@ def find_types_under(
     elif not seen.agrees:  # touching parts can look like shadows
         seen = attempt(False)
     patches, found = seen.segments.patches, seen.found
-    whole = seen.segments.doubtful(is_named(found))
+    whole = seen.segments.uncertain(is_named(found))
     if whole is not None:
         # The areas in `whole` were removed as shadows, but they may belong to parts, because the
         # edges of a moving part are soft like those of a shadow. Therefore, recognise the patches

@@ -196,7 +196,7 @@ def observe(
         return _observe_types(vision, vision.catalogue, tracker, image, stamp, expected)
     # Search for a shadow only in the 1st, 2nd, 4th, 8th... of consecutive images that need it,
     # because the search takes long.
-    search = tracker.doubtful & (tracker.doubtful + 1) == 0
+    search = tracker.uncertain & (tracker.uncertain + 1) == 0
     discs = find_discs(image, vision.region, vision.options, vision.view, tracker.shadow, search)
     found = discs.found
     places = discs.places
@@ -226,8 +226,8 @@ def observe(
     )
     if after is tracker:  # the tracker has already used this image
         return tracker
-    doubtful = tracker.doubtful + 1 if discs.doubtful and discs.shadow is None else 0
-    after = replace(after, shadow=discs.shadow, doubtful=doubtful)
+    uncertain = tracker.uncertain + 1 if discs.uncertain and discs.shadow is None else 0
+    after = replace(after, shadow=discs.shadow, uncertain=uncertain)
     return _with_unsettled(vision, after)
 
 

@@ -184,7 +184,7 @@ def test_the_size_of_a_board_is_asked_for(capsys):
         ("3 x 7 squares, allowed: 4 x 4 to", ["board", "--board", "3x7", "--square", "0.03"]),
         ("square is 30 m, allowed: 0.001 to 1", ["board", "--board", "9x7", "--square", "30"]),
         ("square is inf m, allowed", ["board", "--board", "9x7", "--square", "inf"]),
-        ("pixels, allowed: 200,000,000", ["board", "--board", "40x40", "--square", "0.1"]),
+        ("pixels, allowed: at most 200,000,000", ["board", "--board", "40x40", "--square", "0.1"]),
         (
             "marker is 6 px, allowed in 5X5_100: at least 7 px",
             ["board", "--board", "9x7", "--square", "0.001", "--marker", "0.0005"],

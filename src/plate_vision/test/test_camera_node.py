@@ -213,12 +213,12 @@ def test_an_unplugged_camera_is_named_and_goes_on_when_it_is_back(start, camera)
 
 def test_a_silent_camera_is_named(start, camera):
     graph = start(camera, device=camera.path, **SIZE)
-    graph.report("s: check that the camera is plugged in and does not wait for a trigger")
+    graph.report("s; check that the camera is plugged in and does not wait for a trigger")
 
 
 def test_a_silent_pipe_is_named(start, tmp_path):
     os.mkfifo(tmp_path / "pipe")
-    start(device=tmp_path / "pipe", **SIZE).report("s: check that a program writes frames")
+    start(device=tmp_path / "pipe", **SIZE).report("s; check that a program writes frames")
 
 
 def test_an_error_of_a_library_is_told_and_images_go_on(start, camera):
@@ -254,7 +254,7 @@ def test_frames_of_another_size_are_refused_and_the_others_used(start, camera):
 def test_a_black_and_a_frozen_picture_are_errors(start, camera):
     graph = start(camera, device=camera.path, **SIZE)
     black = np.full((48, 64), 5, np.uint8)
-    graph.report("the image is black: remove the lens cap", shows=lambda: black)
+    graph.report("the image is black; remove the lens cap", shows=lambda: black)
     graph.report("the image is frozen", shows=lambda: NOISE)
 
 

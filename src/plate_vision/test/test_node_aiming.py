@@ -92,7 +92,7 @@ def test_home_is_found_by_markers_or_outline(make_plate, marked_rig, draw, corne
         assert np.abs(np.array(found) - corners_px).max() < 0.3
         again = called(graph, "save_home")
         assert (again.success, again.message) == (
-            False, "home has not been found: call ~/find_home first",
+            False, "home has not been found; call ~/find_home first",
         )  # fmt: skip
     finally:
         graph.close()

@@ -125,7 +125,9 @@ def test_a_camera_that_was_shifted_is_named(way, level, rng):
     before = View(distance=0.95)
     after = dataclasses.replace(before, at=way)
     found = seen(rig_of(before), after, [*BARE, *parts_over_edges(rng)]).finding
-    x, y = re.search(r"it is shifted by \((.*), (.*)\) mm: the camera was", found.message).groups()
+    x, y = re.search(
+        r"it is shifted by \((.*), (.*)\) mm, because the camera was", found.message
+    ).groups()
     assert (float(x), float(y)) == pytest.approx((-1e3 * way[0], -1e3 * way[1]), abs=0.3)
     assert found.level == level  # a part's radius is 8 mm
 

@@ -29,7 +29,12 @@ def test_many_things_are_a_warning_with_the_remedy():
     found = tally(7, ["too large", "too large", "too faint"]).finding(DISCS)
     assert found.level == Level.WARN
     assert says(
-        found.message, "3 of 10", "2 too large", "9.8 mm", "radius_m is 8 mm", "1 too faint"
+        found.message,
+        "3 of 10",
+        "2 too large",
+        "9.8 mm",
+        "radius_m in section parts is 8 mm",
+        "1 too faint",
     )
 
 
@@ -83,7 +88,7 @@ def test_each_reason_has_a_remedy(reason, typed):
     assert f"1 {reason} (" in found.message
     if reason == "too small":
         sizes = "types have 4 to 9 mm" if typed else "radius_m in section parts is 4 to 9 mm"
-        assert f"radius 9.8 mm, {sizes}" in found.message
+        assert f"radius is 9.8 mm, but {sizes}" in found.message
 
 
 R, INNER = 8e-3, np.array([0.29, 0.14])

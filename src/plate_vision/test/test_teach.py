@@ -125,13 +125,13 @@ def test_what_cannot_be_learned_says_why(draw_types):
 
 def test_what_makes_a_type_hard_to_know_is_said(draw_types):
     sharp = picture(draw_types, "nut", 12)
-    assert learn_type("nut", [Example(sharp)], HOME).doubts == ()
-    (doubt,) = learn_type("nut", [Example(cv2.GaussianBlur(sharp, (0, 0), 4))], HOME).doubts
-    assert "picture: blur of the contours is" in doubt
+    assert learn_type("nut", [Example(sharp)], HOME).warnings == ()
+    (warning,) = learn_type("nut", [Example(cv2.GaussianBlur(sharp, (0, 0), 4))], HOME).warnings
+    assert "picture: blur of the contours is" in warning
     red = {"nut": replace(TYPES["nut"], colour_lab=(50.0, 60.0, 40.0))}
     examples = [Example(sharp), Example(picture(draw_types, "nut", 13, types=red))]
-    (doubt,) = learn_type("nut", examples, HOME).doubts
-    assert "teach each colour as a separate type" in doubt
+    (warning,) = learn_type("nut", examples, HOME).warnings
+    assert "teach each colour as a separate type" in warning
 
 
 def test_what_is_rounder_than_its_examples_are_alike_is_a_disc(draw_types):
@@ -269,7 +269,7 @@ def test_names_that_nothing_would_be_called_by_are_refused(name, tmp_path):
 def test_the_program_teaches_lists_renames_merges_and_deletes(folder, capsys):
     rig = ["--rig", str(config_path("rig.yaml")), "--bare", "bare.png"]
     main(["screw", "screw.png", *rig])
-    assert "corners, no symmetry; 13.6" in capsys.readouterr().out
+    assert "corners, no symmetry; diameter 13.6" in capsys.readouterr().out
     main(["bracket", "bracket.png", *rig])
     types = load_part_types("parts.yaml")
     assert apart(types["screw"], TYPES["screw"], 1000.0)[0] < 0.25
@@ -358,7 +358,7 @@ def test_a_height_that_is_not_given_is_asked_for(height, given, warns, rng):
     learned = vision.calibration, bare, vision.region, 1e-3 * given
     lesson = learn_type("post", [Example(image)], *learned)
     assert lesson.count == 3
-    assert len(lesson.doubts) == warns
-    for doubt in lesson.doubts:
-        stated = re.search(r"agree best with a height of about (\d+) mm: .* --height", doubt)
+    assert len(lesson.warnings) == warns
+    for warning in lesson.warnings:
+        stated = re.search(r"agree best with a height of about (\d+) mm: .* --height", warning)
         assert int(stated[1]) == pytest.approx(height, abs=2)

@@ -118,16 +118,16 @@ class V4l2Source(Camera):
     def _choose(self, device: V4l2Device) -> str:
         """Return the format of the settings. If the settings have no format, return the first
         format that has this size and rate."""
-        wanted, size_px = self.settings, self.settings.size_px
+        requested, size_px = self.settings, self.settings.size_px
         has = [form for form in FORMATS if form in device.formats()]
         offers = {form: device.sizes(form) for form in has}
         known = f"a format of {', '.join(FORMATS)}"
-        if wanted.format and wanted.format not in has:
+        if requested.format and requested.format not in has:
             raise CameraError(
-                f"{self.path}: format is {wanted.format}, allowed by {device.name}: "
+                f"{self.path}: format is {requested.format}, allowed by {device.name}: "
                 f"{', '.join(has) or known}"
             )
-        forms = [wanted.format] if wanted.format else has
+        forms = [requested.format] if requested.format else has
         fit = [form for form in forms if any(size.holds(size_px) for size in offers[form])]
         if not fit:
             sizes = "; ".join(f"{form} {_listed(offers[form])}" for form in forms)
@@ -136,18 +136,18 @@ class V4l2Source(Camera):
                 f"{sizes or known}"
             )
         rates = {form: device.rates(form, size_px) for form in fit}
-        rate = wanted.rate or LIVE_RATE
+        rate = requested.rate or LIVE_RATE
         quick = [form for form in fit if not rates[form] or max(rates[form]) >= 0.99 * rate]
         if not quick:
             best = ", ".join(f"{max(rates[form]):.4g} with {form}" for form in fit)
-            if wanted.rate:
+            if requested.rate:
                 raise CameraError(
                     f"{self.path}: rate is {rate:g} images per second at {size_px[0]} x "
                     f"{size_px[1]} px, allowed by {device.name}: {best}"
                 )
             quick = [max(fit, key=lambda form: max(rates[form]))]
         slow = [form for form in quick if not rates[form] or min(rates[form]) <= 1.01 * rate]
-        if wanted.rate and not slow:
+        if requested.rate and not slow:
             least = ", ".join(f"{min(rates[form]):.4g} with {form}" for form in quick)
             raise CameraError(
                 f"{self.path}: rate is {rate:g} images per second at {size_px[0]} x {size_px[1]} "
@@ -226,8 +226,8 @@ class V4l2Source(Camera):
             ("white_balance_k", WHITE_BALANCE, values.white_balance_k > 0, 1),
             ("focus", FOCUS, values.focus >= 0, 1),
         )
-        for name, number, wanted, unit in given:
-            if not wanted:
+        for name, number, requested, unit in given:
+            if not requested:
                 continue
             value, control = getattr(values, name), has.get(number)
             if control is None:

@@ -167,14 +167,14 @@ class Conditions:
     swell_px : float
         Distance by which outlines are larger than the parts [px], because of blur, soft shadows or
         light.
-    settled : bool
+    final : bool
         Whether lamp and growth were measured with parts of known types.
     """
 
     lamp: Lamp | None = None
     background: Background | None = None
     swell_px: float = 0.0
-    settled: bool = False
+    final: bool = False
 
 
 def recognise(
@@ -220,12 +220,12 @@ def recognise_under(
     """
     outlines, colours = measure_patches(image, patches, calibration)
     found = _compared(image, patches, outlines, colours, catalogue, calibration, conditions)
-    if conditions.settled or not len(found):
+    if conditions.final or not len(found):
         return found, conditions
-    settled = _settled(conditions, found, outlines, catalogue, calibration)
-    if settled.lamp is not conditions.lamp or settled.swell_px:
-        found = _compared(image, patches, outlines, colours, catalogue, calibration, settled)
-    return found, settled
+    final = _final(conditions, found, outlines, catalogue, calibration)
+    if final.lamp is not conditions.lamp or final.swell_px:
+        found = _compared(image, patches, outlines, colours, catalogue, calibration, final)
+    return found, final
 
 
 def _compared(
@@ -481,7 +481,7 @@ def _ways_to_lay(
     return [plain] if own == seen else [filled]
 
 
-def _settled(
+def _final(
     conditions: Conditions,
     found: np.ndarray,
     outlines: Sequence[Outline],
@@ -491,7 +491,7 @@ def _settled(
     """Return the conditions, measured with those detections (n,) SIGHTING that have a type."""
     named = np.flatnonzero(is_named(found) & found["whole"])
     if len(named) < FEWEST_NAMED:
-        return replace(conditions, settled=True)
+        return replace(conditions, final=True)
     swell = float(np.median(found["swell_px"][named]))
     if abs(swell) < MIN_SWELL_PX:
         swell = 0.0
@@ -499,7 +499,7 @@ def _settled(
     if lamp is not None:
         lamp = _measured(lamp, found, named, outlines, catalogue, calibration)
     return replace(
-        conditions, lamp=lamp, settled=True, swell_px=min(max(swell, -MAX_SWELL_PX), MAX_SWELL_PX)
+        conditions, lamp=lamp, final=True, swell_px=min(max(swell, -MAX_SWELL_PX), MAX_SWELL_PX)
     )
 
 

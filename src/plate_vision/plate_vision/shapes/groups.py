@@ -214,18 +214,18 @@ def explain_groups(
         As in `recognise`.
     """
     # Patches at the border are not changed, because they are incomplete or may be the plate's edge.
-    settled = is_named(seen) | ~seen["whole"]
-    if settled.all() or not catalogue.templates:
+    explained = is_named(seen) | ~seen["whole"]
+    if explained.all() or not catalogue.templates:
         return seen
     kept, added = np.ones(len(seen), bool), []
     least = np.min(catalogue.area)
     area = np.pi * (seen["radius_px"] / calibration.scale(_places(seen))) ** 2
     tries = Work(MAX_TRIES)
-    clusters = _clusters(patches, settled, image.shape[:2])
+    clusters = _clusters(patches, explained, image.shape[:2])
     for members in sorted(clusters, key=lambda one: float(np.sum(area[one]))):
         if np.sum(area[members]) < TWO * least or not tries.left:
             continue
-        own = members[~settled[members]]
+        own = members[~explained[members]]
         for chosen in (members, own) if len(own) < len(members) else (members,):
             union = _union([patches[i] for i in chosen])
             one = recognise(image, [union], catalogue, calibration, conditions)
@@ -245,16 +245,16 @@ def _places(seen: np.ndarray) -> np.ndarray:
 
 
 def _clusters(
-    patches: Sequence[Patch], settled: np.ndarray, shape: tuple[int, int]
+    patches: Sequence[Patch], explained: np.ndarray, shape: tuple[int, int]
 ) -> list[np.ndarray]:
     """Return the indices of the patches in each cluster. A cluster consists of patches that touch
-    each other and need an explanation, and of the patches next to them. `settled` (n,) is whether a
-    patch needs no explanation."""
+    each other and are not explained, and of the patches next to them. `explained` (n,) is whether a
+    patch has a type or is cut by the image's border."""
     owner = np.full(shape, -1, np.int32)
     for i, patch in enumerate(patches):
         owner[patch.place][patch.mask] = i
     touching = np.eye(len(patches), dtype=bool)
-    free = np.flatnonzero(~settled)
+    free = np.flatnonzero(~explained)
     element = np.ones((2 * TOUCH_PX + 1,) * 2, np.uint8)
     for one in free.tolist():
         window = owner[patches[one].around(TOUCH_PX, shape)]
@@ -309,8 +309,8 @@ def _parts(
     if levels[usual] or lamp is not None:
         view = _on_plate(view, calibration, levels[usual], lamp)
     most = LARGER * float(np.max(catalogue.filled_area))
-    doubtful = one["label"][0] == UNKNOWN and outlines[0].filled.area < most
-    found = take_apart(_coarser(view, catalogue), catalogue, doubtful, tries)
+    uncertain = one["label"][0] == UNKNOWN and outlines[0].filled.area < most
+    found = take_apart(_coarser(view, catalogue), catalogue, uncertain, tries)
     # Fit the parts again to the contour at full resolution.
     found = [replace(part, pose=view.fitted(part.template, part.pose)) for part in found]
     left = view.mask
@@ -379,12 +379,12 @@ def _coarser(view: View, catalogue: Catalogue) -> View:
 
 
 def take_apart(
-    view: View, catalogue: Catalogue, doubtful: bool = False, tries: Work | None = None
+    view: View, catalogue: Catalogue, uncertain: bool = False, tries: Work | None = None
 ) -> list[Found]:
     """Return the parts of a group, with poses in plate_home. The result is empty if no parts are
-    found. If `doubtful`, the group may be a single part. Parts are then returned only if they cover
-    it completely. `tries` is the number of combinations that may still be tried for this group and
-    other groups."""
+    found. If `uncertain`, the group may be a single part, so parts are returned only if they cover
+    the group completely. `tries` is the number of combinations that may still be tried for this
+    group and other groups."""
     tries = tries or Work(TRIES)
     border = _edge_distances(view)
     least, most = np.array([np.min(catalogue.area), np.max(catalogue.area)]) * view.scale**2
@@ -414,7 +414,7 @@ def take_apart(
             for rank, part in enumerate(fitting[:FIRST]):
                 more = (passed + rank, depth - 1, next(number), (*parts, part), left, fitting)
                 heapq.heappush(open_, more)
-    if doubtful:
+    if uncertain:
         return []
     # If no parts cover the group completely, only the certain parts are returned.
     sure, free = [], border

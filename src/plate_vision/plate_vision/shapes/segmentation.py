@@ -128,7 +128,7 @@ class Segments(NamedTuple):
     labels: np.ndarray
     cut: np.ndarray
 
-    def doubtful(self, named: np.ndarray) -> np.ndarray | None:
+    def uncertain(self, named: np.ndarray) -> np.ndarray | None:
         """Return the pixels (H, W) bool of those regions from which shadows were removed and whose
         patches have no type. Return None if there are no such regions. `named` (n,) is whether each
         patch has a type."""

@@ -148,13 +148,13 @@ def _teach(args: argparse.Namespace) -> None:
     if args.scale is not None:
         calibration = calibrate_by_scale(1e3 * args.scale)
     else:
-        rig, doubt = rig_of_picture(load_rig(args.rig), size)
-        if doubt:
-            print(f"warning: {name}: {doubt}; or use --scale", file=sys.stderr)
+        rig, warning = rig_of_picture(load_rig(args.rig), size)
+        if warning:
+            print(f"warning: {name}: {warning}; or use --scale", file=sys.stderr)
         try:
             vision = make_vision(rig)
         except PlateError as error:
-            hint = "; if it does not show the whole plate, use --scale" if doubt else ""
+            hint = "; if it does not show the whole plate, use --scale" if warning else ""
             raise TeachError(f"{name}: {error}{hint}") from None
         calibration, region = vision.calibration, vision.region
     bare = None if args.bare is None else load_bare(args.bare, size)
@@ -176,8 +176,8 @@ def _teach(args: argparse.Namespace) -> None:
     lesson = add_type(args.out, args.name, examples, calibration, bare, region, args.height)
     for problem in lesson.unused:
         print(f"warning: bare plate not used: {problem}", file=sys.stderr)
-    for doubt in lesson.doubts:
-        print(f"warning: {doubt}", file=sys.stderr)
+    for warning in lesson.warnings:
+        print(f"warning: {warning}", file=sys.stderr)
     print(lesson_text(lesson))
     picture_file = args.out.with_name(lesson.part.picture)
     print(f"written: {args.out} (types), {picture_file} (picture of the taught part)")

@@ -147,7 +147,7 @@ class Lesson:
         The first example, with the type's outline and the direction of the angle 0 drawn into it.
     unused : tuple of str
         Reasons why examples were not used.
-    doubts : tuple of str
+    warnings : tuple of str
         Warnings about reasons why the type may be difficult to recognise.
     """
 
@@ -156,7 +156,7 @@ class Lesson:
     size_m: np.ndarray
     picture: np.ndarray
     unused: tuple[str, ...] = ()
-    doubts: tuple[str, ...] = ()
+    warnings: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True, eq=False)
@@ -252,11 +252,11 @@ def learn_type(
     )
     size = 2 * np.sqrt(np.array([o.area for o in outlines]) / np.pi)
     picture = _picture(part, shown[0].example, pose, calibration)
-    doubts = _doubts(name, shown, colour, coloured)
+    warnings = _warnings(name, shown, colour, coloured)
     if height == 0:
-        doubts += _height_doubt(name, outlines, calibration, scale, unlike)
+        warnings += _height_warning(name, outlines, calibration, scale, unlike)
     size_m = np.array([size.mean(), size.std()])
-    return Lesson(part, len(outlines), size_m, picture, tuple(unused), doubts)
+    return Lesson(part, len(outlines), size_m, picture, tuple(unused), warnings)
 
 
 def drawn_name(name: str) -> str:
@@ -399,7 +399,7 @@ def _blur_px(image: np.ndarray, patch: Patch) -> float:
     return float(np.median(contrast / (np.sqrt(2 * np.pi) * np.maximum(slope, 1e-9))))
 
 
-def _doubts(
+def _warnings(
     name: str, shown: Sequence[_Shown], colour: np.ndarray, coloured: bool
 ) -> tuple[str, ...]:
     """Return warnings about reasons why a type may be difficult to recognise: blurred examples, or
@@ -407,7 +407,7 @@ def _doubts(
     blurs: dict[str, float] = {}
     for one in shown:
         blurs[one.example.name] = max(one.blur, blurs.get(one.example.name, 0.0))
-    doubts = [
+    warnings = [
         f"type {name}: {picture}: blur of the contours is {blur:.1f} times the maximum, so sizes "
         "and angles are less accurate; focus the camera, and keep it and the parts at rest"
         for picture, blur in blurs.items()
@@ -416,15 +416,15 @@ def _doubts(
     colours = np.array([one.colour for one in shown])
     furthest = float(colour_distance(colours, colour, coloured).max())
     if furthest > COLOUR_LAB:
-        doubts.append(
+        warnings.append(
             f"type {name}: distance of colours from their mean is up to {furthest:.0f} Lab, "
             f"allowed: {COLOUR_LAB:g} Lab. Many parts will be unknown; teach each colour as a "
             "separate type"
         )
-    return tuple(doubts)
+    return tuple(warnings)
 
 
-def _height_doubt(
+def _height_warning(
     name: str, outlines: Sequence[Outline], calibration: Calibration, scale: float, unlike: float
 ) -> tuple[str, ...]:
     """Return a warning if the outlines of a type agree much better with a height than without it.

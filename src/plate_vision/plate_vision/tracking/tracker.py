@@ -90,7 +90,7 @@ class Tracker:
         Shadow that every part casts in the last image.
     lamp : Lamp, optional
         Lamp that casts the shadows of parts with types.
-    doubtful : int
+    uncertain : int
         Number of consecutive images in which many objects have a large misfit and no shadow was
         found.
     """
@@ -104,7 +104,7 @@ class Tracker:
     overlooked: np.ndarray = field(default_factory=lambda: NONE_OVERLOOKED)
     shadow: Shadow | None = None
     lamp: Lamp | None = None
-    doubtful: int = 0
+    uncertain: int = 0
 
     @property
     def found(self) -> tuple[Track, ...]:
