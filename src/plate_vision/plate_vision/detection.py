@@ -97,8 +97,8 @@ parts the distance is 2. If two parts are nearer than this minimum, the part wit
 is rejected."""
 
 BETTER = 2.0
-"""Minimum ratio of the misfits of two overlapping discs with which the disc with the smaller misfit
-is certainly the part. `GOOD_MISFIT` is added to the resulting limit."""
+"""Factor between the misfits of two overlapping discs. The disc with the smaller misfit m is
+certainly the part if the other misfit is at least `BETTER` m + `GOOD_MISFIT`."""
 
 CLEARLY_DARK = 0.8
 """Maximum brightness of a part's pixels in the first, fast search, relative to the plate's
@@ -117,7 +117,8 @@ FAINT = 2.0
 less contrast is reported as too faint."""
 
 MIN_ALIKE = 3
-"""Minimum number of similar parts from which their median radius is used as the known radius."""
+"""Minimum number of similar parts. If there are so many, their median radius is used as the known
+radius."""
 
 ALIKE = 0.12
 """Maximum relative deviation of similar parts' radii from their median radius [-]."""

@@ -38,7 +38,8 @@ Shadows of other objects and stripes exceed this limit, because they are larger 
 
 
 COARSE_PX = 4.0
-"""Radius of a part to which larger images are reduced [px], to save computing time."""
+"""Radius of a part in a reduced image [px]. Images with larger parts are reduced to this radius to
+save computing time."""
 
 
 def faint_patches(

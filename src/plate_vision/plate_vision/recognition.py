@@ -36,9 +36,9 @@ BLUR_PX = 0.8
 """Typical blur of a camera, including the size of its pixels: a standard deviation [px]."""
 
 MIN_CORNER_PX = 0.25
-"""Minimum protrusion of corners from a round outline in the image with which the angle can be
-measured [px]. For stars with 5 to 16 corners, the error of the angle is then at most a fifth of the
-angle between two corners."""
+"""Minimum protrusion of corners from a round outline in the image [px]. With a smaller protrusion,
+the angle cannot be measured. With this protrusion, the error of a star's angle is at most a fifth
+of the angle between two corners. Stars with 5 to 16 corners were tried."""
 
 SIZE_ALONE = 3.0
 """Minimum difference between two types that differ only in size [standard deviations]. If the

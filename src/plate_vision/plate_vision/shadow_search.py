@@ -82,8 +82,8 @@ the fitted length. The measured length is used if its misfit is below this limit
 `GOOD_FIT`."""
 
 WORST = 0.4
-"""Value to which the misfit of an object is limited before the mean is computed, so that objects
-that are not parts do not dominate the mean."""
+"""Upper limit of an object's misfit in the mean. The limit prevents that objects that are not parts
+dominate the mean."""
 
 ROUNDS = 2
 """Number of grid searches over the darkness and the edge. After each search, the length of the

@@ -87,7 +87,8 @@ class Vision:
     catalogue : Catalogue, optional
         Types of parts; None: all parts are discs with this radius.
     background : Background, optional
-        The bare plate, for parts with types; None: a model of it is made from each image.
+        Image of the bare plate, for parts with types. If it is None, a model of the bare plate is
+        made from each image.
     inner : (2,)
         Half side lengths of the area that the plate covers for every motor position [m]. Outside
         this area, an object without a type may be the edge of a plate that was not at home.

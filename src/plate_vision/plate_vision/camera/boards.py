@@ -34,7 +34,7 @@ MIN_CORNERS = 6
 """Minimum number of corners in a picture. A homography needs four."""
 
 MIN_MARKERS = 4
-"""Minimum number of detected markers with which they are compared with the markers of the board."""
+"""Minimum number of detected markers for a comparison with the markers of the board."""
 
 WORST_MISFIT = 0.4
 """Maximum root mean square distance between the detected markers and the markers of the board
@@ -42,8 +42,8 @@ WORST_MISFIT = 0.4
 the lens distorts strongly."""
 
 NEAR = 4
-"""Number of nearest markers from which a corner is predicted. Only near markers are used, because
-the distortion of the lens changes little between them and the corner."""
+"""Number of markers that are used to predict a corner. These are the nearest markers, because the
+distortion of the lens changes little between them and the corner."""
 
 
 MIN_SQUARE_M, MAX_SQUARE_M = 1e-3, 1.0
@@ -362,7 +362,8 @@ class LensFit:
                 f"{self.cover[1]:.0%} of its height, advised: {MIN_COVER:.0%} or more of both "
                 "(hold the board in the corners of the image)"
             )
-        model = self.lens.model  # not checked for a fisheye, which has no undistorted image
+        # The image of a fisheye lens is never undistorted, so this check does not apply to it.
+        model = self.lens.model
         if model != "equidistant" and not _shows(self.lens, self.size_px):
             return (
                 "the fitted lens folds the image near its edges; keep the plate away from them, or "

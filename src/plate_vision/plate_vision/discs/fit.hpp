@@ -35,8 +35,8 @@ inline double rim_of(const Silhouette& part) {
 // valid only near the edge.
 constexpr double MAX_STEP_PX = 1.0;
 
-// Change [px] of place and radius below which the fit has converged. The next change would be about
-// 0.001 px, which is a tenth of the error that the image's noise causes.
+// Maximum change [px] of place and radius in the last step of the fit. The next change would be
+// about 0.001 px, which is a tenth of the error that the image's noise causes.
 constexpr double SETTLED_PX = 0.01;
 
 constexpr int MAX_ITERATIONS = 25;
@@ -50,8 +50,8 @@ constexpr double FIT_DAMPING = 1e-3;
 // the part's darkness, ODD_SIGMAS a number of standard deviations of the image's noise.
 constexpr double ODD_FRACTION = 0.25, ODD_SIGMAS = 4.0;
 
-// Distance [px] on both sides of the edge up to which pixels contribute to the misfit. It is added
-// to the half width of the edge.
+// Width [px] of the bands beside the blurred edge. Pixels in the edge and in these bands contribute
+// to the misfit.
 constexpr double CONTOUR_PX = 1.0;
 
 // Range of the side faces' darkness, relative to the darkness of the top. The range is limited

@@ -17,7 +17,8 @@ namespace plate {
 // rounding of the window, 1 px for the seed's error, and 1.3 px for the blurred edge.
 constexpr double RIM_PX = 3.0;
 
-// Distance [px] beyond a part's radius from which on its window must show bare plate.
+// Width [px] of the ring around a part, without the outer ring of the window. The outer ring must
+// show bare plate.
 constexpr double RIM_CLEAR_PX = 2.2;
 
 // Radius of the inner part of a disc [part radii]. The inner part does not contain the blurred

@@ -26,8 +26,8 @@ MIN_CHANNEL = 20.0
 is darker, the noise and the dark current of the sensor are too large relative to it."""
 
 INNER = 0.6
-"""Radius up to which the brightness of a disc is measured [radii]. The blurred edge is outside this
-radius."""
+"""Radius of the inner area of a disc [radii]. The disc's brightness is measured in this area, which
+does not contain the blurred edge."""
 
 
 class Channels(NamedTuple):

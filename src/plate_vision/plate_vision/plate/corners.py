@@ -30,7 +30,8 @@ ROUNDS = 3
 0.05 px remains after the second refinement."""
 
 SETTLED_M = 2e-4
-"""Shift of the corners in a refinement below which no further refinement is necessary [m]."""
+"""Maximum shift of the corners in the last refinement [m]. After a larger shift, the corners are
+refined again."""
 
 
 def find_plate_corners(

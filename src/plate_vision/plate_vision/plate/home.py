@@ -21,8 +21,8 @@ from ..camera.markers import find_markers, square_corners
 from ..errors import CalibrationError
 
 MIN_SEEN = 2
-"""Minimum number of markers from which a pose is determined. With a single marker, the angle would
-be inaccurate, because a marker is only 3 cm long."""
+"""Minimum number of detected markers for the measurement of a pose. With a single marker, the angle
+would be inaccurate, because a marker is only 3 cm long."""
 
 WORST_FIT_M = 1e-3
 """Maximum root mean square deviation of the markers' corners from their places in the rig file [m].

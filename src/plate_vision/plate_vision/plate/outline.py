@@ -27,8 +27,8 @@ IMAGES = 5
 cycle."""
 
 REST_M = 5e-4
-"""Maximum range of an edge's places in the images of an evaluation with which the plate counts as
-at rest [m]. For a plate at rest, the range is 0.1 mm with a noise of 15 grey levels."""
+"""Maximum range of an edge's places in the images of an evaluation [m]. If a range is larger, the
+plate was moving. For a plate at rest, the range is 0.1 mm with a noise of 15 grey levels."""
 
 RECHECK_S = 1.0
 """Minimum time from a finding to the next evaluation [s]. The evaluation of an image takes 20 to 60
@@ -106,16 +106,18 @@ each profile has one correct and two false candidates, one triple in 27 is corre
 of the curves are correct."""
 
 INLIER_PX = 2.0
-"""Maximum distance of a step from the curve to which it belongs [px]. An edge that is bent by a
-lens with strong distortion deviates by 1 px from a curve of second degree."""
+"""Maximum distance between a step and the curve of its edge [px]. An edge that is bent by a lens
+with strong distortion deviates by 1 px from a curve of second degree."""
 
 MOVED_RADII = 2.0
-"""Maximum deviation of the plate's outline from the prediction for which a moved camera is assumed
-as the cause if a flipped image is possible too [part radii]."""
+"""Maximum deviation of the plate's outline from the prediction that is explained by a moved camera
+[part radii]. If the deviation is larger and the outline agrees with a flip, the image is assumed to
+be flipped."""
 
 SIDE_PX = 5.0, 10.0
-"""Range of distances from a step in which the brightness beside the step is measured [px]. The
-distances are larger than the width of a line of pen or tape, which is 2 to 4 px."""
+"""Minimum and maximum distance from a step in a profile [px]. The brightness beside the step is
+measured between these distances. They are larger than the width of a line of pen or tape, which is
+2 to 4 px."""
 
 SHIFT_TEXT_M = 5e-4
 """Minimum shift that is stated in a message [m]. It is the error of the measurement with noise and

@@ -12,8 +12,8 @@ namespace plate {
 // and its surround.
 constexpr double SEAM_PX = 1;
 
-// Maximum distance from the middle of an edge, in half lengths of the edge, up to which the
-// polynomial of a bent edge is evaluated. Farther outside, its value at this distance is used.
+// Maximum distance from the middle of an edge at which the polynomial of a bent edge is evaluated
+// [half lengths of the edge]. At larger distances, the polynomial is continued by a constant.
 constexpr double BOW_REACH = 1.05;
 
 // Compute `Region.depth` (count,) of points: their distance from the nearest edge [px]. It is

@@ -26,8 +26,8 @@ noise of a and b equals the noise of L. The colour difference of the CIE (Intern
 on Illumination) has the weight 2.55, because its L is 0 to 100 and not 0 to 255."""
 
 SIGMAS = 3.5
-"""Maximum deviation of a pixel from the background for which it counts as background, in standard
-deviations of the background's noise."""
+"""Maximum deviation of a background pixel from the background, in standard deviations of the
+background's noise."""
 
 MIN_NOISE = 2.5
 """Minimum assumed standard deviation of a background [L]. Rounding and JPEG compression cause this

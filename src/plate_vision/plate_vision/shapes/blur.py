@@ -14,9 +14,9 @@ from .patch import Patch
 
 MAX_PX, MAX_RADIUS = 0.5, 0.144
 """Maximum blur (standard deviation) of an image in which types are determined: `MAX_PX` [px] plus
-`MAX_RADIUS` times the parts' median radius. In synthetic images, nuts of 10 px radius were mistaken
-for washers with a blur of 2.0 px and more, but not with 1.8 px. Nuts of 19 px radius were mistaken
-with a blur of 3.4 px and more, but not with 3.1 px."""
+`MAX_RADIUS` times the parts' median radius. In synthetic images with a blur of 2.0 px or more, nuts
+of 10 px radius were recognised as washers. With a blur of 1.8 px, they were recognised correctly.
+For nuts of 19 px radius, the corresponding values were 3.4 px and 3.1 px."""
 
 POINTS = 24
 """Number of points on the contour of a patch."""
@@ -45,8 +45,8 @@ STEPS = 13
 """Number of samples of a profile."""
 
 SECANT = 3
-"""Number of points between a point of a contour and each of the two other points from which the
-direction of the contour is computed."""
+"""Distance along a contour [points]. The contour's direction at a point is computed from the two
+points at this distance before and after it."""
 
 
 def is_blurred(image: np.ndarray, patches: Sequence[Patch]) -> bool:

@@ -25,7 +25,7 @@ constexpr double LIKELY = 0.4;
 // Number of Gauss-Newton steps.
 constexpr int FIT_STEPS = 5;
 
-// Distance between the outlines below which no other angle is tried [px].
+// Maximum distance between outlines that agree [px]. If they agree, no other angle is tried.
 constexpr double EXACT = 0.15;
 
 // Correlation of two spectra (HARMONICS,). One spectrum is rotated by each of the angles in turn.

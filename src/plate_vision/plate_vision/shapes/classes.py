@@ -71,7 +71,8 @@ OTHER_SIZE = 0.45
 it does not depend on how much parts of the type differ."""
 
 OTHER_SIZE_PX = 1.0
-"""Minimum difference between the outlines in size with which `OTHER_SIZE` is applied [px]."""
+"""Minimum distance between the outlines because of their different sizes [px]. If the distance is
+smaller, `OTHER_SIZE` is not applied."""
 
 UNLIKE = 0.4
 """Maximum distance between the forms (see `Outline.form`) of a patch and a type that is tried. For
@@ -96,7 +97,8 @@ FILLED_COLOUR = 0.5
 [-]."""
 
 CLEAN = 1.5
-"""Maximum score of a type with holes for which the type is not also tried without its holes."""
+"""Maximum score of a type with holes that fits well. If the score is larger, the type is also tried
+without its holes."""
 
 OUTLINE_ERROR, USUAL_FIT_PX = 0.3, 0.15
 """Position error because the outline differs from the type's outline. It is `OUTLINE_ERROR` times

@@ -41,7 +41,8 @@ UNEQUAL = 0.5
 smaller, both sides are one part."""
 
 COMPACT = 0.85
-"""Minimum solidity of both sides of an unclear neck with which they count as two parts."""
+"""Minimum solidity of a compact piece. If both sides of an unclear neck are compact, they count as
+two parts."""
 
 MIN_GOOD = 0.35
 """Minimum fraction of a patch's area that must be compact or similar to other pieces after the
@@ -55,25 +56,27 @@ MEMBERS = 3
 """Minimum number of pieces of a kind that justifies a straight cut."""
 
 MIN_DENT_PX = 1.2
-"""Minimum depth of a concave corner at which a cut can begin [px]."""
+"""Minimum depth of a concave corner [px]. A straight cut can begin only at such a corner."""
 
 MAX_DENTS = 6
-"""Maximum number of concave corners of a piece that are used. The deepest ones are used."""
+"""Maximum number of concave corners that are used. If a piece has more of them, the deepest corners
+are used."""
 
 LARGER = 1.5
 """Minimum area of a piece that may be several parts, relative to the area of a kind in the image.
 A kind is a set of similar pieces."""
 
 DENTED = 0.9
-"""Solidity below which a large piece that is not similar to others counts as a group."""
+"""Minimum solidity of a large piece that is not similar to others. If its solidity is smaller, it
+counts as a group."""
 
 EDGES_PERCENT = (70, 80, 90)
 """Percentages of the inner pixels of a piece that are not edges. All of them are tried, and the
 percentage that splits the piece best is used."""
 
 SMALLER = 0.5
-"""Minimum area of a kind into which a piece is split along inner edges, relative to the typical
-kind."""
+"""Minimum area of a kind, relative to the typical kind. Pieces are not split along inner edges into
+smaller kinds."""
 
 COLOURS = (4, 8)
 """Numbers of colour clusters in a piece. Parts may touch where two clusters meet."""
@@ -87,7 +90,7 @@ STEEP = 4.0
 edge whose step is twice the noise limit has this gradient."""
 
 MIN_INNER = 40
-"""Minimum number of inner pixels of a piece in which edges are searched."""
+"""Minimum number of inner pixels of a piece. In a smaller piece, no edges are searched."""
 
 MIN_SEPARATED = 0.3
 """Minimum fraction of a piece that consists of compact pieces after a split along edges."""

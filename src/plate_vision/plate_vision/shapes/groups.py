@@ -48,11 +48,12 @@ from .patch import Patch
 from .shadows import Lamp
 
 NEAR_PX: float = _kernels.NEAR_PX
-"""Maximum distance between the contours of a group and of a part for which they count as coincident
-[px]."""
+"""Maximum distance between the contours of a group and of a part [px]. Below this distance, the two
+contours count as the same."""
 
 OUTSIDE_PX: float = _kernels.OUTSIDE_PX
-"""Maximum distance outside the group up to which a point of a part counts as inside [px]."""
+"""Maximum distance of a part's point from the group [px]. Points at smaller distances count as
+inside the group."""
 
 MAX_OUTSIDE: float = _kernels.MAX_OUTSIDE
 """Maximum fraction of a part that is outside the group."""
@@ -61,8 +62,8 @@ RIM_POINTS = 200
 """Number of points on the contour of a group."""
 
 ENOUGH_PX = 10.0
-"""Approximate reach of the smallest type in the image in which parts are searched [px]. If its
-reach is larger, the image is reduced first."""
+"""Approximate reach of the smallest type in a reduced image [px]. If its reach in the image is
+larger, the image is reduced before parts are searched."""
 
 TOUCH_PX = 2
 """Maximum distance between patches that may belong to one part, or to one group [px]."""

@@ -64,9 +64,9 @@ STEADY = 0.6
 searched. No other light can then agree with more of the plate."""
 
 STEADY_LIMIT = 0.6
-"""Maximum deviation of a pixel with which it agrees with the last light, relative to the limit of
-the plate's noise. It is below 1, so that a slight change of the light is noticed before it is as
-large as the noise."""
+"""Maximum deviation of a pixel that agrees with the last light, relative to the noise limit of the
+plate. It is below 1, so that a slight change of the light is noticed before it is as large as the
+noise."""
 
 EVEN = np.zeros((6, 3), np.float32)
 """Coefficients of the surfaces if the light is the same as in the image of the background."""

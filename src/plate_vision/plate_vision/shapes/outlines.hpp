@@ -21,7 +21,7 @@ namespace plate {
 // 12th and 16th.
 constexpr int HARMONICS = 17;
 
-// REACH_PX: distance on both sides of a patch's contour up to which its edge is searched [px].
+// REACH_PX: range on both sides of a patch's contour in which the exact edge is searched [px].
 // STEPS: number of samples in this range.
 constexpr double REACH_PX = 2.5;
 constexpr int STEPS = 11;
@@ -35,7 +35,7 @@ constexpr double MIN_STEP = 0.25;
 // fit plus the square of a tenth of the part's reach. It limits the effect of outliers.
 constexpr double CLIP = 16.0;
 
-// Change below which a fit has converged [units of the fit, usually pixels].
+// Maximum change in the last step of a fit [units of the fit, usually pixels].
 constexpr double STILL = 0.003;
 
 // Minimum assumed RMS deviation of points from a type's outline [units].

@@ -19,7 +19,7 @@ ROUND = 0.95
 """Minimum of 4 pi area / length^2 for the hull of a disc. For a regular octagon it is 0.948."""
 
 SURE = 60.0
-"""Minimum contrast with which the confidence is not reduced [grey levels]."""
+"""Minimum contrast of a clear object [grey levels]. A smaller contrast reduces the confidence."""
 
 SOFT = 0.3
 """Maximum gradient at the contour of a soft patch, relative to the background's limit [1/px]. The

@@ -17,7 +17,8 @@ namespace plate {
 // contours count as the same.
 constexpr double NEAR_PX = 1.3;
 
-// Maximum distance outside the group up to which a point of a part counts as inside [px].
+// Maximum distance of a part's point from the group [px]. Points at smaller distances count as
+// inside the group.
 constexpr double OUTSIDE_PX = 1.6;
 
 // Maximum fraction of a part that is outside the group.

@@ -29,8 +29,8 @@ FINE = 0.012
 `FINE_PX` is used."""
 
 PLAIN_PX = 0.14
-"""Maximum RMS deviation from the outline with which a polygon with fewer corners is preferred
-[px]."""
+"""Maximum RMS deviation of a polygon from the outline [px]. Among the polygons within this limit,
+the polygon with the fewest corners is used."""
 
 PLAIN = 0.006
 """Limit of the deviation like `PLAIN_PX`, but relative to the part's reach [-]. The largest of the
@@ -44,8 +44,8 @@ BULGE_PX = 0.35
 """Maximum distance of the outline from the polygon's edges [px]."""
 
 CLEAR_PX = 2.0
-"""Minimum distance from the corners at which the distance between outline and polygon is evaluated
-[px]. Blur rounds the corners."""
+"""Distance from the corners [px]. At smaller distances, the polygon is not compared with the
+outline, because blur rounds the corners."""
 
 STAY = 0.05
 """Weight of a corner's shift in the fit, relative to the weight of the outline's distance. It keeps

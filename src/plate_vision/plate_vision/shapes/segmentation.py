@@ -37,8 +37,8 @@ MIN_HOLE_PX2 = 6
 """Minimum area of a hole [px2]. A smaller area is a speck on the part."""
 
 NEAR_PX = 12
-"""Distance from a pixel up to which the maximum deviation is searched [px]. This maximum is used as
-the deviation of the part around the pixel."""
+"""Radius of the neighbourhood of a pixel [px]. The maximum deviation in this neighbourhood is used
+as the deviation of the part around the pixel."""
 
 HOLE = 0.35
 """Maximum deviation of a hole from the plate, relative to the part's contrast. A highlight has a
@@ -218,8 +218,8 @@ def _bridged(cover: np.ndarray, away: np.ndarray, light: np.ndarray) -> np.ndarr
     """Return the pixels (H, W) uint8 of parts.
 
     Between two colours of a part there may be pixels that look like the plate, for example at the
-    edge of a highlight on a dark part. They are included if the step between the two colours is
-    larger than the step from the part to the plate.
+    edge of a highlight on a dark part. Such pixels are included if the step between the two colours
+    is larger than the step from the part to the plate.
     """
     mask = (cover >= HALF).astype(np.uint8)
     narrow, wide = np.ones((3, 3), np.uint8), np.ones((5, 5), np.uint8)
@@ -405,7 +405,8 @@ def _patch(piece: Piece, window: Window, region: Region | None) -> Patch | None:
     here = np.s_[y0 : top + height + 1, x0 : left + width + 1]
     inside = piece.inside[here].astype(np.uint8)
     mask = (inside > 0) & ~window.holes[here]
-    # A piece that was cut off and is thin around a hole is not a part, so exclude its holes here.
+    # A piece that was cut from a patch may be thin around a hole. Such a piece is not a part, so the
+    # thickness is measured without the holes.
     body = inside if piece.alone else mask.astype(np.uint8)
     framed = cv2.copyMakeBorder(body, 1, 1, 1, 1, cv2.BORDER_CONSTANT, value=0)
     if np.max(cv2.distanceTransform(framed, cv2.DIST_L2, 3)) < MIN_DEPTH_PX:

@@ -23,8 +23,8 @@ if at least `FEWEST` patches have a shadow. The second value applies if these sh
 the same side. The third value applies if fewer patches have a shadow."""
 
 FEWEST = 3
-"""Minimum number of patches with a shadow from which all patches are assumed to have a shadow. The
-fraction `AGREE` must be reached too."""
+"""Minimum number of patches with a shadow. If this number and the fraction `AGREE` are reached, all
+patches are assumed to have a shadow."""
 
 ALIGNED = 0.8
 """Minimum length of the mean of the unit vectors to the shadows. With this length, the shadows
@@ -444,8 +444,8 @@ def _of_shadows(
     way: np.ndarray,
     patches: int,
 ) -> np.ndarray:
-    """Return the deviations (count,) below which pixels that look like a darker plate belong to a
-    shadow.
+    """Return the maximum deviation of a shadow for each patch (count,). Pixels that look like a
+    darker plate belong to the shadow if their deviation is smaller.
 
     The light is the same for all parts. If the light sides of many patches have soft edges, or are
     in the same direction, all parts are assumed to have shadows with the same deviation.

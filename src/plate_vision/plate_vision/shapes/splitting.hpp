@@ -25,7 +25,7 @@ struct Neck {
     double one, other, width;
 };
 
-// Maximum number of steps into which distances are divided when pixels are sorted.
+// Maximum number of different distances when pixels are sorted.
 constexpr double MAX_STEPS = 1e6;
 
 struct Basins {

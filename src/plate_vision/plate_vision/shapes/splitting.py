@@ -28,7 +28,7 @@ LEVEL = 0.8
 smaller in the gap between blurred parts."""
 
 LEVELS_PX = 16
-"""Number of steps per pixel into which distances are divided when pixels are sorted."""
+"""Resolution of the distances when pixels are sorted [steps per pixel]."""
 
 
 def split(cover: np.ndarray, mask: np.ndarray) -> tuple[np.ndarray, int, np.ndarray]:

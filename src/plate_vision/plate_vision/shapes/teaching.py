@@ -78,8 +78,7 @@ TURNED = 0.015
 reach."""
 
 TURNED_PX = 0.25
-"""RMS deviation between a ring and its rotated copy that is always allowed if they are equal [px].
-For small parts it is larger than `TURNED` times the reach."""
+"""Lower bound of the limit that `TURNED` describes [px]. It applies to small parts."""
 
 MAX_SYMMETRY = 12
 """Maximum symmetry of a part that is not round."""
@@ -108,8 +107,8 @@ sets with 6 mm, and by 11 of 12 sets with 8 mm. With the camera at 0.91 m, half 
 parts of 8 mm height caused it. Each set had four examples."""
 
 BESIDE_PX, BESIDE_RADIUS = 9.0, 0.6
-"""Distance on both sides of a contour over which blur is measured: the smaller one of `BESIDE_PX`
-[px] and `BESIDE_RADIUS`, relative to the radius [-]."""
+"""Range on both sides of a contour for the measurement of blur. It is the smaller one of
+`BESIDE_PX` [px] and `BESIDE_RADIUS` times the radius."""
 
 
 @dataclass(frozen=True, eq=False)

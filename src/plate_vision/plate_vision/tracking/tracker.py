@@ -24,8 +24,8 @@ from .track import UNKNOWN, Prediction, Sighting, Track
 
 UNKNOWN_MISSED = 30
 """Number of consecutive images without a detection for which an object of the class `unknown` keeps
-its track. It is larger than for parts, because such an object is often detected in some images
-only. Without it, the object would have to be confirmed again after each gap."""
+its track. The number is larger than for parts, because such an object is often detected in some
+images only. With a smaller number, the object would have to be confirmed again after each gap."""
 
 
 @dataclass(frozen=True)
