@@ -73,9 +73,9 @@ from .codes import Code
 from .interface import FeedStatus, Output, Quantity, ReadyPart, Reply, Reserved, State
 
 LATE_S = 0.3
-"""Maximum delay of images [s]. If the stamp of an image is later by more than this delay than the
-newest stamp at the end of a reservation, the image was certainly taken after the reservation
-ended."""
+"""Maximum delay of images [s]. When a reservation ends, the newest stamp may be older than the
+present time by this delay. An image with a stamp that exceeds the newest stamp by this delay was
+certainly taken after the end of the reservation."""
 
 SEEN_AGAIN_S = 1.0
 """Maximum time for which the detector reports a part after a robot has taken it [s]. The detector's
@@ -113,7 +113,7 @@ SPREADS = 2.0
 """Maximum distance of a falling part from the hopper's place [spread of the hopper]."""
 
 WAITS = "stopped until a person calls resume_feeding: "
-"""Beginning of the text that describes a stop. The reason follows."""
+"""First part of the reply after a stop. The second part is the reason for the stop."""
 
 MAX_S = 3600.0
 """Maximum `timeout_s` of a command [s]."""
@@ -178,7 +178,7 @@ class Feeder:
         self._task, self._since = _Task.IDLE, -math.inf  # time of the last command or status
         self._sent, self._in_force = FeedOrder(FeedMode.FEED, task.picks), False
         self._rested = 0  # number of statuses since the plate rests by order
-        # Whether the planner has stopped the plate without an order since the last part.
+        # Whether the planner has stopped the plate without an order, because enough parts are ready.
         self._planner_rested = False
         self._waiting: _Waiting | None = None
         self._prepared: _Request | None = None
@@ -495,7 +495,7 @@ class Feeder:
             self._unreported += 1
 
     def _hold(self, part: ReadyPart) -> None:
-        assert self._status is not None  # the part was offered from a status
+        assert self._status is not None  # the part comes from a status
         self._held[part.id] = self._status.stamp
 
     # Replies to waiting commands

@@ -74,8 +74,9 @@ STOPPED = "the feeder was deactivated"
 NEED_A_PERSON = (
     TaskStatus.STOPPED, TaskStatus.CANCELED, TaskStatus.PREEMPTED, TaskStatus.DRIVER_STOPPED,
 )  # fmt: skip
-"""Reasons for the end of the planner's task that require a person to call resume_feeding. Either
-another client has requested the end, or a person must enable the motors anyway."""
+"""Reasons of `TaskStatus` for the end of the planner's task. After an end with one of these reasons,
+a person must call resume_feeding. Either another client has requested the end, or a person must
+enable the motors anyway."""
 
 BY_PERSON = (
     DriverStatus.SWITCHED_OFF, DriverStatus.EMERGENCY_STOP, DriverStatus.POWER_CUT,

@@ -1,4 +1,4 @@
-"""The equivalent terminal call for each command of a browser. The page's log shows it."""
+"""The equivalent terminal call for each command of a browser. The page's log shows these calls."""
 
 from __future__ import annotations
 

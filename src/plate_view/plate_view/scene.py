@@ -132,7 +132,8 @@ def wanted_scene(rig: Rig, stamp: float, wanted: Wanted) -> Scene:
 
 
 def cycle_scene(rig: Rig, stamp: float, cycle: PlateCycle, field: bool) -> Scene:
-    """Return a cycle of the plate. If `field`, include its drift and mean force."""
+    """Return the motion of the plate in a cycle. If `field`, include the drift and the mean force of
+    parts."""
     t = np.linspace(0, cycle.period, SAMPLES)
     pose, twist = cycle.pose(t), cycle.twist(t)
     with np.errstate(all="ignore"):

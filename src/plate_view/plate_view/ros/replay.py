@@ -1,4 +1,4 @@
-"""Replay of a recorded run. The page shows it instead of the graph."""
+"""Replay of a recorded run, which the page shows instead of the running graph."""
 
 from __future__ import annotations
 

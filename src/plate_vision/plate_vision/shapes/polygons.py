@@ -29,8 +29,8 @@ FINE = 0.012
 `FINE_PX` is used."""
 
 PLAIN_PX = 0.14
-"""Maximum RMS deviation of a polygon from the outline [px]. Among the polygons within this limit,
-the polygon with the fewest corners is used."""
+"""Maximum RMS deviation of a polygon from the outline [px]. Two neighbouring corners are replaced
+by one if the deviation of the new polygon is within this limit."""
 
 PLAIN = 0.006
 """Limit of the deviation like `PLAIN_PX`, but relative to the part's reach [-]. The largest of the
