@@ -1,4 +1,5 @@
-"""Processes messages until a condition is true. Signals are deferred until then."""
+"""Processes messages until a condition is true. Signals never interrupt the processing of a
+message."""
 
 from __future__ import annotations
 

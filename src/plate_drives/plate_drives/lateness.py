@@ -43,7 +43,7 @@ def measured(transport: HostTransport, seconds: float) -> np.ndarray:
                 if not late:
                     end = time.monotonic() + seconds
                 late.append(transport.load)
-                transport.values()  # this call resets the maximum
+                transport.values()  # `values` resets the maximum in `load`
             elif ENDED in transport.report().text:
                 break
             time.sleep(POLL_S)

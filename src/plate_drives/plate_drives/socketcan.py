@@ -242,7 +242,8 @@ class HostTransport(SerialTransport):
         return measured
 
     def enable(self) -> Order:
-        """Enable as with a board. Refuse if setpoints were too late for the rig."""
+        """Request the enabling of the motors. Refuse it if earlier setpoints were too late for the
+        rig."""
         if self._late_ms > self.allowed_ms:
             return Order().settle(self._lateness())
         self._too_late = ""

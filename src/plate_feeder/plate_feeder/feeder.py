@@ -178,7 +178,7 @@ class Feeder:
         self._task, self._since = _Task.IDLE, -math.inf  # time of the last command or status
         self._sent, self._in_force = FeedOrder(FeedMode.FEED, task.picks), False
         self._rested = 0  # number of statuses since the plate rests by order
-        # Whether the planner has stopped the plate without an order, because enough parts are ready.
+        # Whether the planner has stopped the plate without an order because enough parts are ready.
         self._planner_rested = False
         self._waiting: _Waiting | None = None
         self._prepared: _Request | None = None

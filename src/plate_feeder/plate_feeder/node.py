@@ -74,7 +74,7 @@ STOPPED = "the feeder was deactivated"
 NEED_A_PERSON = (
     TaskStatus.STOPPED, TaskStatus.CANCELED, TaskStatus.PREEMPTED, TaskStatus.DRIVER_STOPPED,
 )  # fmt: skip
-"""Reasons of `TaskStatus` for the end of the planner's task. After an end with one of these reasons,
+"""Reasons of `TaskStatus` for the end of the planner's task. After an end for one of these reasons,
 a person must call resume_feeding. Either another client has requested the end, or a person must
 enable the motors anyway."""
 

@@ -132,7 +132,7 @@ def wanted_scene(rig: Rig, stamp: float, wanted: Wanted) -> Scene:
 
 
 def cycle_scene(rig: Rig, stamp: float, cycle: PlateCycle, field: bool) -> Scene:
-    """Return the motion of the plate in a cycle. If `field`, include the drift and the mean force of
+    """Return the plate's motion in a cycle. If `field`, include the drift and the mean force of
     parts."""
     t = np.linspace(0, cycle.period, SAMPLES)
     pose, twist = cycle.pose(t), cycle.twist(t)
