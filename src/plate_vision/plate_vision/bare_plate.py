@@ -91,7 +91,7 @@ def know_plate(
         things, found = things_text(image, vision.region), Finding(Level.OK, text)
         if things:
             found = Finding(
-                Level.WARN, f"{text}; {things}; if these are parts, remove them and learn it again"
+                Level.WARN, f"{text}; {things}; if these are parts, remove them, and learn again"
             )
         return BarePlate(True, vision.background), vision, found
     if vision.background is None:

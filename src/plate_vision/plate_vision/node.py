@@ -116,7 +116,7 @@ class DetectorParameters(NodeOptions):
         INPUT_TIMEOUT_S, "Time without an image after which diagnostics are STALE [s]", 0.1, 3600.0
     )
     bare_plate_file: str = parameter(
-        "", "For part types: picture of the bare plate, or folder of pictures; empty: estimate it"
+        "", "Picture of the bare plate for part types, or folder of pictures; empty: estimated"
     )
     teach_name: str = parameter("", "Name of the part type that ~/teach learns", live=True)
     teach_file: str = parameter(str(OUT), "File of part types that ~/teach writes")

@@ -445,8 +445,9 @@ inline double improve(DiscFit& disc, double (&normal)[UNKNOWNS][UNKNOWNS],
     return change;
 }
 
-// Measure discs (n,), also among neighbours. Input: seeds (n, 2) [px], the silhouettes (n,) of
-// parts there, and the shadows that the parts cast. `noise` is a standard deviation, as darkness.
+// Measure discs (n,). The discs may have neighbours. Input: seeds (n, 2) [px], the silhouettes (n,)
+// of parts at the seeds, and the shadows that the parts cast. `noise` is a standard deviation of
+// the darkness.
 inline void fit_discs(const LitPlate& plate, View<const double, 2> seeds, const Silhouette* parts,
                       const Shadows& shadows, double noise, Disc* discs) {
     const int count = seeds.size(0);

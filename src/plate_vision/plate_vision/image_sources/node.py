@@ -74,7 +74,7 @@ class CameraParameters(NodeOptions):
         choices=(AUTO, *FORMATS),
     )
     camera_file: str = parameter(
-        "", "Path of the lens for camera_info, camera.yaml; empty: not calibrated"
+        "", "File of the lens for camera_info, such as camera.yaml; empty: unknown lens"
     )
     exposure_us: float = parameter(
         0.0, "Exposure time [us]; 0: the device's setting", 0.0, 1e6, live=True

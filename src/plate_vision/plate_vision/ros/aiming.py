@@ -170,7 +170,7 @@ class AimingView:
         situation = self._situation()
         self._job = self._pool.submit(self._measure, image, stamp, refused, situation)
 
-    # On the worker thread
+    # The functions below run on the worker thread.
 
     def _measure(self, image: np.ndarray, stamp: Time, refused: str, situation: Situation) -> None:
         try:
@@ -327,7 +327,7 @@ class AimingView:
             msg.error_px = lens.fit.error_px
         return msg
 
-    # On the thread of the ROS executor
+    # The functions below run on the thread of the ROS executor.
 
     def _take_results(self) -> None:
         while self._results:

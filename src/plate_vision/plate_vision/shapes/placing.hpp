@@ -24,7 +24,8 @@ constexpr double OUTSIDE_PX = 1.6;
 // Maximum fraction of a part that is outside the group.
 constexpr double MAX_OUTSIDE = 0.06;
 
-// Count of contour points that marks an excluded place. It is lower than any other count.
+// Value that replaces the number of contour points at an excluded place. It is lower than any
+// number of points.
 constexpr int16_t BARRED = -30'000;
 
 // Number of places along a row that are processed together.
