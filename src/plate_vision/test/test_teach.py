@@ -277,7 +277,7 @@ def test_the_program_teaches_lists_renames_merges_and_deletes(folder, capsys):
     assert cv2.imread("screw_taught.png") is not None
     capsys.readouterr()
     main(["list"])
-    assert "corners, 0 holes, symmetry 1, 13.6" in capsys.readouterr().out
+    assert "corners, 0 holes, symmetry 1, diameter 13.6" in capsys.readouterr().out
     main(["rename", "screw", "bolt"])
     assert [*load_part_types("parts.yaml")] == ["bolt", "bracket"]
     assert (folder / "bolt_taught.png").exists()
