@@ -274,7 +274,7 @@ def test_nobody_is_there(graph, view):
 
 @pytest.mark.parametrize(
     ("others", "end"),
-    [({5}, "=5"), ({5, 9}, "of yours"), ({0}, "0")],
+    [({5}, "=5"), ({5, 9}, "of your graph)"), ({0}, "0")],
 )
 def test_a_domain_is_recommended_only_where_it_can_be_no_other(monkeypatch, others, end):
     """The next command may be an enable."""
