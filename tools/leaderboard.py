@@ -62,7 +62,7 @@ def tables(folder: Path) -> str:
         every = [own for result in there.values() for own in result["tasks"][task]["rows"]]
         errors = [key for key in ERRORS if any(own[key] for own in every)]
         columns = ["agent", "done (interval [%])", "plate time [s]"]
-        columns += [*(ERRORS[key] for key in errors), "lost", "decision [ms]"]
+        columns += [*(ERRORS[key] for key in errors), "lost", "decision [ms]", "commit"]
         rows = sorted(row(name, result, task, errors) for name, result in there.items())
         text += f"\n## {task}\n"
         if lines := [f"| {' | '.join(cells)} |\n" for order, cells in rows if order[2]]:
@@ -94,6 +94,7 @@ def row(file: str, result: dict[str, Any], task: str, errors: list[str]) -> tupl
         *(f"{np.median([own[key] for own in ended]):.3g}" for key in errors),
         str(found["dropped"]),
         f"{found['decision_ms']:.3g}",
+        result["commit"],
     ]
     return (world != "nominal", world, -share, took), cells
 
