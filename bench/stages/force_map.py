@@ -20,10 +20,8 @@ from plate_core import load_rig
 from plate_solver import Limits, average_force
 from plate_solver.averages import (
     force_rules,
-    intervals,
     sinusoid_forces,
     step_forces,
-    triangular_forces,
 )
 from plate_solver.sinusoids import SinusoidBasis, SinusoidFamily, sinusoid_basis
 
@@ -86,9 +84,6 @@ def batch_rows(
     calls: dict[str, Callable[[], np.ndarray]] = {
         "forces": partial(sinusoid_forces, motion, position, still, force_rules(NUMBER)),
         "plain numba, n = 128": partial(plain_forces, motion, position, steps),
-        "triangular waves (19)-(21)": partial(
-            triangular_forces, motion, position, *intervals(NUMBER)
-        ),
     }
     timed = race(calls, seconds)
     return [

@@ -5,7 +5,7 @@ import pytest
 
 from plate_core import load_rig
 from plate_solver import _kernels
-from plate_solver.averages import force_rules, intervals
+from plate_solver.averages import force_rules
 from plate_solver.averages.rotations import SequenceForces
 from plate_solver.averages.sinusoids import motions_of
 from plate_solver.averages.unreachable import _cells, _circles
@@ -46,7 +46,6 @@ CALLS = {
     "slip_at": (random(2 * NUMBER, 3), 0.1, 0.2, 0.0, 0.0, SLIP),
     "force_of": (SLIP, RULES, 1, WORK, random(3, 2 * NUMBER)),
     "sinusoid_forces": (CASES, *PLACES, RULES),
-    "triangular_forces": (CASES, PLACES[0], *intervals(NUMBER)),
     "invert": (START, random(5, 3 * BASIS.size), *PLACES, PLACES[1], MOTIONS, 1e-3, 2, 2),
     "ramps": (random(2, 3), HALF, LOADS, 10.0),
     "timeline": (random(3), random(2, 3), random(3), 9.0),

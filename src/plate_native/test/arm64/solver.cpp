@@ -7,7 +7,6 @@
 #include "averages/mean_force.hpp"
 #include "averages/sinusoid_force.hpp"
 #include "cycle_map/stick_slip.hpp"
-#include "averages/triangular_waves.hpp"
 #include "cycle_map/turning.hpp"
 #include "averages/request.hpp"
 
@@ -84,11 +83,6 @@ static void average_forces(Draws& draws) {
     const Rules rules{given<2>(nodes.waves, {rows, few + usual}), few,
                       given<2>(nodes.taylor, {DEGREE + 1, number}), pieces};
     sinusoid_forces(given<3>(motions, {cases, rows, 3}), places, speeds, rules, forces);
-    put(force);
-    const int kinks = 9;
-    const Numbers basis = draws.many(kinks * rows, -1, 1), shares = draws.many(kinks, 0, 0.2);
-    triangular_forces(given<3>(motions, {cases, rows, 3}), places, given<2>(basis, {kinks, rows}),
-                      shares.data(), forces);
     put(force);
     const Numbers times = rising(draws, 5, 0.01, 0.05), factors = draws.many(5 * 18, -1, 1);
     spline_force(times.data(), given<3>(factors, {5, 6, 3}), places, speeds, forces);

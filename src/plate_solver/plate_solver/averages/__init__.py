@@ -10,7 +10,6 @@ from .mean_force import average_force, step_force_gradient, step_forces
 from .rotation_solver import RotationSolver
 from .sinusoid_force import force_rules, sinusoid_forces
 from .sinusoid_solver import SinusoidSolver
-from .triangular_waves import intervals, triangular_forces
 from .unreachable import is_out_of_reach
 
 __all__ = [
@@ -19,12 +18,10 @@ __all__ = [
     "SinusoidSolver",
     "average_force",
     "force_rules",
-    "intervals",
     "is_out_of_reach",
     "library_force",
     "manipulability",
     "sinusoid_forces",
     "step_force_gradient",
     "step_forces",
-    "triangular_forces",
 ]

@@ -2,7 +2,6 @@
 #include "averages/mean_force.hpp"
 #include "averages/request.hpp"
 #include "averages/rules_record.hpp"
-#include "averages/triangular_waves.hpp"
 #include "records.hpp"
 
 namespace plate {
@@ -109,19 +108,6 @@ void bind_force_maps(nb::module_& m) {
             nb::gil_scoped_release others_may_run;
             sinusoid_forces(view(coefficients), view(position), view(velocity), *rule,
                             pairs(force));
-        }
-        return to_numpy<2>(std::move(force), {count, 2});
-    });
-    m.def("triangular_forces", [](Box coefficients, Table position, Table kinks, Numbers shares) {
-        const size_t count = position.shape(0), waves = coefficients.shape(1);
-        check("coefficients", coefficients, {count, waves, 3});
-        check("position", position, {count, 2});
-        check("kinks", kinks, {shares.size() + 1, waves});
-        std::vector<double> force(2 * count);
-        {
-            nb::gil_scoped_release others_may_run;
-            triangular_forces(view(coefficients), view(position), view(kinks), shares.data(),
-                              pairs(force));
         }
         return to_numpy<2>(std::move(force), {count, 2});
     });
