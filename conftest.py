@@ -11,8 +11,8 @@ import time
 
 import pytest
 from graph.domains import own_domain
-from graph.shared_memory import remove_leftovers
 from needs import missing
+from shared_memory import remove_leftovers
 
 LEFT_OUT = {need: f"{need} is missing: make test-tools" for need in missing()}
 SETUP = pytest.StashKey[float]()

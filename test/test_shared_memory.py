@@ -9,7 +9,7 @@ import pytest
 
 rclpy = pytest.importorskip("rclpy")
 
-from graph.shared_memory import FOLDER, remove_leftovers  # noqa: E402
+from shared_memory import FOLDER, remove_leftovers  # noqa: E402
 
 NODE = [
     sys.executable, "-c",

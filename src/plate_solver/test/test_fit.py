@@ -4,7 +4,8 @@ import numpy as np
 import pytest
 from scipy.optimize import least_squares
 
-from plate_solver.fit import basin_hopping, condition_of, fit, least_norm_step
+from plate_solver._kernels import least_norm_step
+from plate_solver.fit import basin_hopping, condition_of, fit
 
 
 @pytest.mark.parametrize("damping", [0.0, 0.1])

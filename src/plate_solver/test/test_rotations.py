@@ -6,11 +6,11 @@ import pytest
 from plate_core import PlateError
 from plate_core.motion import usage
 from plate_solver import Goal, Limits, RotationSolver, average_force
+from plate_solver._kernels import force_slopes, ramps, timeline
 from plate_solver.averages import step_forces
-from plate_solver.averages.rotations import force_slopes
 from plate_solver.library.library import unit_twists
 from plate_solver.rotations.family import RotationFamily, line_of
-from plate_solver.rotations.sequence import motion, ramps, timeline
+from plate_solver.rotations.sequence import motion
 
 HALF = np.array([0.3, 0.15])
 CORNERS = HALF * np.array([[-1, -1], [1, -1], [1, 1], [-1, 1]])
@@ -127,7 +127,7 @@ def test_force_slopes_agree_with_differences(rig):
         return step_forces(position, velocity, twist, dt).ravel()[asked]
 
     line = line_of(parameters, sequence.plain)
-    found = force_slopes(parameters, sequence.plain, line, position, velocity, asked)
+    found = force_slopes(parameters, sequence.plain, *line, position, velocity, asked)
     step = 1e-6
     for p, d in enumerate(step * np.eye(len(parameters))):
         slope = (forces(parameters + d) - forces(parameters - d)) / (2 * step)

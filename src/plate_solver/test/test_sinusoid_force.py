@@ -7,9 +7,11 @@ import pytest
 from scipy.integrate import quad
 
 from plate_solver import average_force
+from plate_solver._kernels import force_of, slip_at
 from plate_solver.averages import force_rules, sinusoid_forces
-from plate_solver.averages.sinusoid_force import ADAPTIVE, USUAL, force_of, slip_at
 from plate_solver.sinusoids import sinusoid_basis
+
+ADAPTIVE, USUAL = -1, 1  # as in sinusoid_force.hpp
 
 NONE = np.empty((0, 0))
 

@@ -5,9 +5,10 @@ import pytest
 
 from plate_core.motion import usage
 from plate_solver import Limits
+from plate_solver._kernels import AIM, EXCESS_M
 from plate_solver.limits import limit_use
 from plate_solver.sinusoids import sinusoid_basis
-from plate_solver.sinusoids.limits import AIM, EXCESS_M, LimitedSinusoids
+from plate_solver.sinusoids.limits import LimitedSinusoids
 
 
 @pytest.fixture

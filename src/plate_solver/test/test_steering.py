@@ -9,15 +9,13 @@ from plate_core import PlateCycle, PlateError
 from plate_core.motion import is_rest, usage
 from plate_sim import simulate
 from plate_solver import Goal, RotationSolver, SinusoidSolver
+from plate_solver._kernels import TRACE, adjoint, trace
 from plate_solver.cycle_map import (
     LANES,
-    TRACE,
-    adjoint,
     blocks_of,
     end_state,
     end_state_gradient,
     finely_sampled,
-    trace,
 )
 from plate_solver.goal import Turns
 from plate_solver.limits import Limits

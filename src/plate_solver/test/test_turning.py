@@ -13,15 +13,13 @@ from plate_core.motion import usage
 from plate_sim.friction import bar
 from plate_sim.world import WorldState, run_cycle, simulate_bodies
 from plate_solver import Controller, Limits
+from plate_solver._kernels import TURNING_TRACE, adjoint_turning, trace_turning
 from plate_solver.cycle_map import (
     LANES,
-    TURNING_TRACE,
-    adjoint_turning,
     end_turning,
     end_turning_gradient,
     finely_sampled,
     room_spread,
-    trace_turning,
     turning_blocks_of,
 )
 from plate_solver.sinusoids import SinusoidFamily, sinusoid_basis

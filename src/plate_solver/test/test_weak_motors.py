@@ -10,10 +10,10 @@ from plate_core import CycleError, Rig, load_rig
 from plate_core.motion import usage
 from plate_core.rig import PEAK_OVER_RMS, Suspension, mass_matrix, modal_matrices
 from plate_solver import Goal, Limits, RotationSolver, SinusoidSolver
+from plate_solver._kernels import EXCESS_M, ramps
 from plate_solver.limits import HEADROOM, limit_use, within_limits
-from plate_solver.rotations.sequence import ramps
 from plate_solver.sinusoids import limited_sinusoids, sinusoid_basis
-from plate_solver.sinusoids.limits import EXCESS_M, LimitedSinusoids
+from plate_solver.sinusoids.limits import LimitedSinusoids
 
 
 def with_motors(force, continuous, **facts) -> Rig:

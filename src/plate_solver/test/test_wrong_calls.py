@@ -5,7 +5,8 @@ import pytest
 
 from plate_core import load_rig
 from plate_solver import _kernels
-from plate_solver.cycle_map import LANES, TRACE, TURNING_TRACE, blocks_of, turning_blocks_of
+from plate_solver._kernels import LANES, TRACE, TURNING_TRACE
+from plate_solver.cycle_map import blocks_of, turning_blocks_of
 from plate_solver.goal import Ends
 from plate_solver.limits import Limits
 from plate_solver.sinusoids import sinusoid_basis

@@ -30,7 +30,6 @@ def run_cycle(
     *,
     contacts: Contacts = INELASTIC,
     cycles: int = 1,
-    ground: Ground = LEVEL,
 ) -> WorldState:
     """Return the state after a plate cycle.
 
@@ -48,8 +47,6 @@ def run_cycle(
         plate.
     cycles : int
         Number of cycles.
-    ground : Ground
-        Static friction, dependence of friction on the slip, and tilt.
 
     Raises
     ------
@@ -57,7 +54,7 @@ def run_cycle(
         If a state is not finite, if parts overlap at the start, or if a coefficient or count is out
         of range.
     """
-    return _run(state, cycle, rig, mu, step, contacts, cycles, ground, 0)[0]
+    return _run(state, cycle, rig, mu, step, contacts, cycles, 0)[0]
 
 
 def record_cycle(
@@ -69,10 +66,9 @@ def record_cycle(
     *,
     contacts: Contacts = INELASTIC,
     cycles: int = 1,
-    ground: Ground = LEVEL,
 ) -> tuple[WorldState, BodyTrajectory]:
     """Return the result of `run_cycle`, and the motion at each step."""
-    after, (path,) = _run(state, cycle, rig, mu, step, contacts, cycles, ground, 1)
+    after, (path,) = _run(state, cycle, rig, mu, step, contacts, cycles, 1)
     return after, path
 
 
@@ -84,7 +80,6 @@ def _run(
     step: float,
     contacts: Contacts,
     cycles: int,
-    ground: Ground,
     every: int,
 ) -> tuple[WorldState, list[BodyTrajectory]]:
     if cycles < 1:
@@ -97,7 +92,7 @@ def _run(
     limit = friction_accel(mu, rig.friction.gravity, len(labels))
     (after,), paths = run_together(
         [state], [cycle], Shapes.of([footprints[label] for label in labels]), [limit], rig,
-        contacts, [ground], step=step, cycles=cycles, every=every,
+        contacts, [LEVEL], step=step, cycles=cycles, every=every,
     )  # fmt: skip
     return after, paths
 

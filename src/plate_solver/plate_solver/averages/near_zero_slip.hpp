@@ -1,5 +1,18 @@
 // Quadrature error of the mean over equal steps. It arises at times at which the slip of a part
-// nearly vanishes. Kernels of near_zero_slip.py.
+// nearly vanishes.
+//
+// The slip's direction w/|w| is an analytic function of time, except at branch points with
+// wx^2 + wy^2 = 0. A dip is a time at which the slip nearly vanishes. A dip corresponds to a pair of
+// branch points a + i b and a - i b near the real axis. The mean over n equal steps minus the true
+// mean is exactly a sum of integrals along the cuts that go up from the branch points. With
+// t = a + i b cosh u the integral of a dip is
+//
+//     -2/pi Re integral of w / sqrt(Q) q / (1 + q) du from 0 to infinity,   q = exp(i n t)
+//     Q = (wx^2 + wy^2) / (-(b sinh u)^2)
+//
+// The integrand is even and decreases like exp(-n b cosh u). Its poles are at Im u = pi/2 for any
+// b. Therefore the same few equal steps of u are sufficient for deep and shallow dips. No finer
+// grid of times is needed.
 #pragma once
 #include <algorithm>
 #include <array>
@@ -265,7 +278,7 @@ struct Excess {
 };
 
 // Computes the error of the mean over n steps [mu m g] that is caused by the dip near a time t with
-// exp(i t) = `start`. The error is the integral in near_zero_slip.py. n is N times a power of 2.
+// exp(i t) = `start`. The error is the integral at the top of this file. n is N times a power of 2.
 // Unless `gradient` is empty, the error of the derivatives is subtracted from it.
 inline Excess excess(View<const double, 2> slip, Complex start, int n, View<double, 2> gradient) {
     const BranchPoint point = branch_point(slip, start, CLOSE * 2 * PI / n);

@@ -12,7 +12,7 @@ import numpy as np
 
 from .. import _kernels
 from ..fit import Fit
-from ..rotations.family import Line, RotationFamily, Sequences
+from ..rotations.family import RotationFamily, Sequences
 from .request import Request
 
 
@@ -66,16 +66,3 @@ def mean_force_error(
     `CURL_LENGTH_M`."""
     _, twist, dt = family.samples(parameters)
     return _kernels.mean_force_error(SequenceForces.of(request, family), twist, dt)
-
-
-def force_slopes(
-    theta: np.ndarray,
-    family: Sequences,
-    line: Line,
-    position: np.ndarray,
-    velocity: np.ndarray,
-    requested: np.ndarray,
-) -> np.ndarray:
-    """Return the derivatives (R, P) of the R rows `requested` (3 M,) of `step_forces` with respect
-    to the parameters."""
-    return _kernels.force_slopes(theta, family, *line, position, velocity, requested)

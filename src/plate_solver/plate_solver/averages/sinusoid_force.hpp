@@ -14,7 +14,8 @@ namespace plate {
 
 constexpr int DEGREE = 10;  // degree of the Taylor polynomials
 
-// Quadratures, described in sinusoid_force.py.
+// Quadratures: by panels (adaptive), by the usual number of equal steps with a correction at dips,
+// by a few equal steps, and by the usual number of equal steps.
 enum Grid { PANELS = -2, ADAPTIVE = -1, FEW = 0, USUAL = 1 };
 
 // Sample points of the slip of N harmonics: `Rules` of sinusoid_force.py.

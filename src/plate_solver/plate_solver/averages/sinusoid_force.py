@@ -4,7 +4,7 @@ The mean over n equal steps of a smooth periodic function has an error of exp(-n
 distance of its nearest singularity from the real axis. Here the singularities are the complex times
 at which the slip of the part is zero. At a dip, the slip nearly vanishes and b is small. Therefore
 dips are detected in the samples, and the error that each dip causes is subtracted
-(`near_zero_slip`). If two dips are too close to be separated, the adaptive quadrature of
+(near_zero_slip.hpp). If two dips are too close to be separated, the adaptive quadrature of
 `mean_force` is used instead. The quadrature represents the slip by Taylor polynomials.
 
 The slip of a part is an array `slip` (2 N + 1, 2): rows sin 1..N, cos 1..N, constant; columns x, y
@@ -35,18 +35,6 @@ DEGREE = 10
 """Degree of the Taylor polynomials in the pieces of the adaptive quadrature. Their error in the
 highest harmonic of the slip is (pi/8)^11 / 11! = 1e-12."""
 
-FEW = 0
-"""Quadrature by a few equal steps."""
-
-USUAL = 1
-"""Quadrature by the usual number of equal steps."""
-
-ADAPTIVE = -1
-"""Quadrature by the usual number of equal steps, with a correction at dips."""
-
-PANELS = -2
-"""Adaptive quadrature by panels."""
-
 
 class Rules(NamedTuple):
     """Sample points of the slip for N harmonics.
@@ -55,9 +43,9 @@ class Rules(NamedTuple):
     ----------
     waves : (2 N, K)
         Rows sin 1..N, cos 1..N at equal steps of the period. The first `few` columns are the coarse
-        grid `FEW`; the usual grid follows.
+        grid; the usual grid follows.
     few : int
-        Number of steps of the coarse grid `FEW`.
+        Number of steps of the coarse grid.
     taylor : (D + 1, N)
         Taylor coefficients of each harmonic about the middle of a piece. The unit of time is the
         length of the piece. Even rows are factors of the harmonic's value at the middle, odd rows
@@ -85,35 +73,6 @@ def force_rules(number: int) -> Rules:
         :, None
     ]
     return Rules(np.vstack([np.sin(angle), np.cos(angle)]), counts[0], taylor, pieces)
-
-
-def slip_at(
-    coefficients: np.ndarray, x: float, y: float, vx: float, vy: float, slip: np.ndarray
-) -> None:
-    """Write the coefficients (2 N + 1, 2) of the slip velocity of the plate relative to a part at
-    (x, y) with velocity (vx, vy) to `slip`. The last row is the constant term. The motion of the
-    plate has `coefficients` (2 N, 3) in plate_home."""
-    _kernels.slip_at(coefficients, x, y, vx, vy, slip)
-
-
-def force_of(
-    slip: np.ndarray, rule: Rules, grid: int, work: np.ndarray, gradient: np.ndarray
-) -> tuple[float, float]:
-    """Return the average force [mu m g] for a slip velocity.
-
-    Parameters
-    ----------
-    slip : (2 N + 1, 2)
-        Coefficients of the slip velocity [m/s], as `slip_at` writes them.
-    grid : int
-        `FEW`, `USUAL`, `ADAPTIVE` or `PANELS`.
-    work : (5, K)
-        Buffer for samples. The buffer is overwritten.
-    gradient : (3, 2 N) or (0, 0)
-        Output: derivatives with respect to the slip's rows, d f_x / d slip_x, d f_x / d slip_y = d
-        f_y / d slip_x, d f_y / d slip_y [s/m]. An empty array disables it.
-    """
-    return _kernels.force_of(slip, rule, grid, work, gradient)
 
 
 def sinusoid_forces(

@@ -22,8 +22,7 @@ from .. import _kernels
 from .blocks import LANES
 
 TURNING_STATE: int = _kernels.TURNING_STATE
-TURNING_TRACE: int = _kernels.TURNING_TRACE
-"""Size of a block's state, and of its trace per step, in rows of `LANES`: see turning.hpp."""
+"""Size of a block's state, in rows of `LANES`: see turning.hpp."""
 
 
 def room_spread(spread: np.ndarray, angle: np.ndarray) -> np.ndarray:
@@ -102,34 +101,3 @@ def turning_blocks_of(
     state[: len(rows)] = rows
     blocks = state.reshape(-1, LANES, 10).transpose(0, 2, 1)
     return np.ascontiguousarray(blocks).reshape(-1, TURNING_STATE)
-
-
-def trace_turning(
-    state: np.ndarray, pose: np.ndarray, twist: np.ndarray, dt: float, steps: np.ndarray
-) -> None:
-    """Integrate parts, in blocks (b, `TURNING_STATE`), over samples (n, 3) of the plate's motion.
-
-    The state is updated in place. The data for `adjoint_turning` is written to `steps` (n, b,
-    `TURNING_TRACE`).
-    """
-    _kernels.trace_turning(state, pose, twist, dt, steps)
-
-
-def adjoint_turning(
-    steps: np.ndarray, twist: np.ndarray, dt: float, coast: float,
-    by_twist: np.ndarray,
-) -> None:  # fmt: skip
-    """Compute the derivatives of positions and rotations. `blocks.adjoint` does the same for
-    positions only.
-
-    Parameters
-    ----------
-    steps : (n, b, `TURNING_TRACE`)
-        Output of `trace_turning`.
-    twist : (n, 3)
-    dt, coast : float
-    by_twist : (bins, b, 3, 3 LANES)
-        Output: derivatives of x, of y, then of the rotations of a block's parts with respect to the
-        plate's twist along x, y and theta. The pose is the integral of the twist.
-    """
-    _kernels.adjoint_turning(steps, twist, dt, coast, by_twist)

@@ -6,6 +6,6 @@ C++.
 """
 
 from .basin_hopping import basin_hopping
-from .levenberg_marquardt import Fit, condition_of, fit, least_norm_step
+from .levenberg_marquardt import Fit, condition_of, fit
 
-__all__ = ["Fit", "basin_hopping", "condition_of", "fit", "least_norm_step"]
+__all__ = ["Fit", "basin_hopping", "condition_of", "fit"]

@@ -63,14 +63,6 @@ def fit(
     return Fit(*_kernels.fit(evaluate, admissible, start, tolerance, iterations))
 
 
-def least_norm_step(jacobian: np.ndarray, error: np.ndarray, damping: float) -> np.ndarray:
-    """Return the damped step of minimum norm, J' (J J' + damping mean(diag) 1)^-1 error.
-
-    If there are fewer parameters than errors, the equivalent system for the parameters is solved.
-    """
-    return _kernels.least_norm_step(jacobian, error, damping)
-
-
 def condition_of(jacobian: np.ndarray) -> float:
     """Return the condition number of the Jacobian. The condition number is infinite if it exceeds
     1e7."""

@@ -46,7 +46,7 @@ class Sequences(NamedTuple):
     period, accel : float
         Length of the cycle [s] and peak acceleration of ramps [m/s2].
     loads : (m, 3)
-        Rows for the motors' forces, as in `ramps`. Empty if the forces are not checked.
+        Rows for the motors' forces, as in sequence.hpp. Empty if the forces are not checked.
     steps : (int, int)
         Number of steps in each ramp, and number of steps in each hold.
     limits : Limits
@@ -67,7 +67,7 @@ Moved = tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, np.ndarray]
 
 
 def line_of(theta: np.ndarray, family: Sequences) -> Line:
-    """Return the knot times and the twists at the knots: see `timeline`."""
+    """Return the knot times and the twists at the knots, as in sequence.hpp."""
     return _kernels.line_of(theta, family)
 
 

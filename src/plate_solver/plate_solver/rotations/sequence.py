@@ -22,44 +22,6 @@ import numpy as np
 from .. import _kernels
 
 
-def ramps(
-    twists: np.ndarray, half: np.ndarray, loads: np.ndarray, accel: float
-) -> tuple[np.ndarray, np.ndarray]:
-    """Return the lengths (J + 1,) [s] of the ramps and their derivatives (J + 1, 3).
-
-    Parameters
-    ----------
-    twists : (J, 3)
-        Twist of each rotation. The plate is at rest before the first and after the last one.
-    half : (2,)
-        Half side lengths of the plate [m].
-    loads : (m, 3)
-        Rows of additional limits, for example of motor forces. The product of each row with the
-        plate's acceleration is kept below `accel`.
-    accel : float
-        Peak acceleration of the fastest corner [m/s2].
-
-    Returns
-    -------
-    length : (J + 1,)
-    slope : (J + 1, 3)
-        Derivatives with respect to the change of twist, which is the twist after the ramp minus the
-        twist before it.
-    """
-    return _kernels.ramps(twists, half, loads, accel)
-
-
-def timeline(
-    holds: np.ndarray, twists: np.ndarray, ramp: np.ndarray, period: float
-) -> tuple[np.ndarray, np.ndarray]:
-    """Return the knot times (2 J + 3,) [s] and the twists at the knots (2 J + 3, 3).
-
-    `holds` (J + 1,) are the relative durations of the J rotations and of the rest at the end. The
-    durations are scaled to fill the part of the period that the ramps do not use.
-    """
-    return _kernels.timeline(holds, twists, ramp, period)
-
-
 def knot_poses(times: np.ndarray, knots: np.ndarray) -> np.ndarray:
     """Return the pose (K, 3) at every knot before the motion is closed."""
     return _kernels.knot_poses(times, knots)

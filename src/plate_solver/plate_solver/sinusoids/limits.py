@@ -12,16 +12,8 @@ import numpy as np
 
 from plate_core import PlateCycle
 
-from .. import _kernels
 from ..limits import Limits
 from .basis import SinusoidBasis, SinusoidFamily
-
-EXCESS_M: float = _kernels.EXCESS_M
-"""Displacement error equivalent to a violation by 100 % of a limit [m]."""
-
-AIM: float = _kernels.AIM
-"""Fraction of a limit that a motion may use without a violation. Solutions end slightly above
-it."""
 
 
 class LimitedSinusoids(SinusoidFamily):
