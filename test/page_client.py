@@ -42,8 +42,8 @@ class Browser:
             await self.read(end - time.monotonic())
 
     async def ended(self):
-        """Return the task as it ended: who is slow is no fault, and the planner ends what does not
-        get on."""
+        """Return the task's state at its end. A slow task is no fault, and the planner ends a task
+        without progress."""
         await self.until(lambda newest: newest["task"]["state"] in ("running", "done"))
         while self.newest["task"]["state"] == "running":
             await self.read()

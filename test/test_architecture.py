@@ -1,4 +1,4 @@
-"""The rules of the house that a machine can check: who may import what."""
+"""Architecture rules that a program can check: allowed imports."""
 
 import ast
 import re
@@ -16,10 +16,10 @@ COMPOSED = {"plate_bringup", "plate_drives", "plate_gym"}
 """The packages that put stages together."""
 
 AVERAGES = "plate_solver.averages"
-"""What computes mean forces, apart from what steers."""
+"""Modules that compute mean forces, separate from steering."""
 
 ROS = re.compile(r"rclpy|\w+_msgs|\w+_interfaces|std_srvs|rosidl\w*|rpyutils|ament_\w+|launch\w*")
-# What a core may import besides the standard library, and the rosdep key that declares it.
+# Imports that a core may use besides the standard library, and the rosdep key that declares each.
 LIBRARIES = {
     "can": "python3-can",
     "cv2": "python3-opencv",
@@ -95,7 +95,7 @@ def declared(package: str, kinds: str) -> set[str]:
 
 
 def undeclared(package: str, paths: list[Path], kinds: str, known: dict[str, str]) -> set[str]:
-    """What files import and package.xml does not name."""
+    """Imports that package.xml does not declare."""
     found = {root for path in paths for root in roots(path)}
     needed = {known.get(n, n) for n in found if n in {*known, *PACKAGES} or ROS.fullmatch(n)}
     return needed - declared(package, kinds) - {package}
@@ -163,8 +163,7 @@ def test_stages_import_no_other_stage():
 
 
 def test_what_runs_does_without_the_averages():
-    """Only agents of the gym use them, and what is outside `src`; no kernel includes one of
-    theirs."""
+    """Only agents of the gym use them, and code outside `src`; no kernel includes one of theirs."""
     own = {AVERAGES, *(f"plate_solver.{name}" for name in public(AVERAGES) or ())}
     door = ROOT / "src/plate_solver/plate_solver/__init__.py"
     chapter = door.parent / "averages"
@@ -220,8 +219,8 @@ def test_package_xml_says_in_a_comment_what_pip_alone_installs():
 
 
 def test_rosdep_knows_all_that_package_xml_names():
-    """Each key is in the list of those that were looked up in the public index, and each of these
-    is needed."""
+    """Each key is in the list of keys that were found in the public index, and each of these is
+    needed."""
     lines = (ROOT / "test/rosdep_keys.txt").read_text(encoding="utf-8").splitlines()
     known = {line for line in lines if line and not line.startswith("#")}
     packages = {path.parent.name for path in files("src/*/package.xml")}
@@ -230,7 +229,7 @@ def test_rosdep_knows_all_that_package_xml_names():
 
 
 def test_others_import_only_public_names():
-    """Public is what `__all__` of a package or of one of its chapters names."""
+    """The public names are those in `__all__` of a package or of one of its chapters."""
     offenders = [
         f"{label(path)}: {name}"
         for path in files(
@@ -245,7 +244,7 @@ def test_others_import_only_public_names():
 
 
 def test_guards_do_not_trust_the_timeline():
-    """What stops the motors must not depend on the rule by which others predict cycles."""
+    """Code that stops the motors must not depend on the rule by which others predict cycles."""
     rule = {"Timeline", "in_time", "next_cycle", "timeline"}
     offenders = [
         f"{label(path)}: {name}"

@@ -1,4 +1,4 @@
-"""Bags: what is kept of quality of service, and that a node answers a bag as it did the graph."""
+"""Bags: the stored quality of service, and that a node answers a bag as it answered the graph."""
 
 import contextlib
 import time
@@ -41,7 +41,7 @@ def test_latched_and_sensor_topics_are_kept_as_they_are_offered(tmp_path):
     executor = rclpy.executors.SingleThreadedExecutor(context=context)
     executor.add_node(ear)
     try:
-        for topic in ("tf_static", "mixed"):  # said before anybody listens
+        for topic in ("tf_static", "mixed"):  # published before anybody subscribes
             latched = node.create_publisher(TFMessage, topic, LATCHED)
             latched.publish(TFMessage())
         live = {
@@ -95,7 +95,7 @@ KINDS = {
     "/parts": Parts, "/part_forces": PartForces, "/plate_cycle": JointTrajectory,
     "/motor_setpoints": JointTrajectory,
 }  # fmt: skip
-"""In the order in which what has the same stamp comes."""
+"""In the order in which messages with the same stamp arrive."""
 
 NODES = {
     "simulator": (["/motor_setpoints"], ["/image_raw", "/ground_truth"]),
@@ -104,7 +104,8 @@ NODES = {
     "solver": (["/clock", "/part_forces"], ["/plate_cycle"]),
     "driver": (["/clock", "/plate_cycle"], ["/motor_setpoints"]),
 }
-"""What each node hears and says; beside that the planner hears of the driver, and of a goal."""
+"""Messages that each node receives and publishes; the planner also receives the driver's status,
+and a goal."""
 
 
 def stamp_ns(msg):
@@ -223,7 +224,7 @@ def test_a_bag_that_is_played_to_one_node_has_the_same_answers(bag, name, tmp_pa
             if topic in inputs:
                 publishers[topic].publish(data)
                 if topic == "/clock":
-                    until(lambda: False, 0.05)  # is heard before what follows, as in the graph
+                    until(lambda: False, 0.05)  # arrives before the next one, as in the graph
                 if name == "planner" and (topic, stamp) == ("/parts", goal_at):
                     client.start(load_scenario(OPTIONS.scenario))
                 continue

@@ -1,4 +1,4 @@
-"""The measuring programs: what they write, what they refuse, and that runs repeat."""
+"""The measuring programs: their output, their refusals, and that runs repeat."""
 
 import ast
 import json
@@ -26,7 +26,7 @@ BENCH = Path(__file__).resolve().parents[1] / "bench"
 TIMINGS = {
     "solve_ms_median", "solve_ms_p99", "step_ms_median", "step_ms_p99", "late_cycles", "load",
 }  # fmt: skip
-"""What depends on the machine and on what else it does."""
+"""Values that depend on the machine and on its load."""
 
 TINY = short_task(0.01, 20)
 
@@ -102,7 +102,8 @@ def test_a_second_call_runs_only_the_missing_seeds(tiny, runs, capsys):
 
 @pytest.fixture
 def refusal(monkeypatch, capsys):
-    """Run a program here: returns its exit code and the last line of what it says is wrong."""
+    """Run a program in this process. Return its exit code and the last line of its error
+    message."""
 
     def run_here(program, *arguments):
         monkeypatch.setattr(sys, "argv", [program.__name__, *arguments])

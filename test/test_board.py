@@ -119,17 +119,17 @@ def test_image_has_no_double_no_heap_and_no_streams(firmware):
         r"|_?(?:write|read|open|close|fstat|isatty|lseek)(?:_r)?"
     )
     assert [name for name in names if banned.fullmatch(name)] == []
-    # The expression finds what it must.
+    # The expression finds the expected text.
     for name in ("__aeabi_dmul", "__aeabi_f2d", "__aeabi_d2f", "__adddf3", "malloc", "_sbrk"):
         assert banned.fullmatch(name)
 
 
 QUICKLY = "CFLAGS=-std=c99 -O0 -mcpu=cortex-m4 -mthumb -mfpu=fpv4-sp-d16 -mfloat-abi=hard"
-"""Compiles in half of the time what is not run."""
+"""Halves the compilation time of the program, which is not run."""
 
 
 class Bench:
-    """A person's shell outside the environment, with a programmer that writes down what it gets."""
+    """A shell outside the environment, with a programmer that records its arguments."""
 
     def __init__(self, folder: Path) -> None:
         self.build = folder / "build"
@@ -152,7 +152,7 @@ class Bench:
         return done.returncode, done.stdout, done.stderr
 
     def refused(self, *arguments: str) -> str:
-        """Return the one line that says why a make was refused; nothing was flashed."""
+        """Return the one line with the reason why a make was refused; nothing was flashed."""
         before = self.flashes()
         code, _, errors = self.make(*arguments)
         assert code
@@ -199,7 +199,7 @@ def test_flash_takes_what_was_built_as_told_and_says_what_that_is(bench):
     assert bench.image() == image
     [call] = bench.flashes()
     assert f"program {bench.build}/plate.elf verify reset exit" in call
-    # It refuses what it is not sure of.
+    # It refuses uncertain values.
     assert "BAUD 460800" in bench.refused("flash", "BAUD=460800")
     assert STANDARD in bench.refused("flash", "RIG=")
     later = (bench.build / "plate.txt").stat().st_mtime + 1
@@ -207,7 +207,7 @@ def test_flash_takes_what_was_built_as_told_and_says_what_that_is(bench):
     assert f"{bench.rig} is newer" in bench.refused("flash")
     os.utime(bench.rig, (1, 1))
     assert bench.make("flash")[0] == 0
-    # A build remembers what it was told.
+    # A build remembers its options.
     assert bench.make("CRYSTAL_MHZ=25")[0] == 0
     before = bench.image()
     code, told, _ = bench.make("BAUD=460800")

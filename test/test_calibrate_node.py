@@ -118,7 +118,7 @@ def test_what_calibrate_has_learned_is_used_from_the_next_configure_on(monkeypat
         run(1.0)
         calibrated()
         run(1.0)
-        emulator.reset()  # it fails, with the reason; nothing begins again by itself
+        emulator.reset()  # it fails, with the reason, and does not restart by itself
         run(2.0)
         assert not learned.exists()
         assert not driver._calibration.running

@@ -1,4 +1,4 @@
-"""The bench's scenes as real cameras see them: what they show is where it is said to be."""
+"""The bench's scenes with real cameras' effects: the true positions agree with the images."""
 
 import cv2
 import numpy as np

@@ -111,7 +111,7 @@ def led(bench, since=0):
 
 
 def travel(rows, motor):
-    """Times [ms] and where a motor was told to be [m]."""
+    """Times [ms] and commanded positions of a motor [m]."""
     own = rows[(rows[:, 1] == motor) & (rows[:, 2] == 15)]
     return own[:, 0], (own[:, 3] - HOMES[motor]) / (SCALE * SIGNS[motor])
 
@@ -333,7 +333,7 @@ def test_a_reset_board_sends_no_target_before_it_knows_one(bench):
     check_bus(bench)
 
 
-# What goes wrong
+# Faults
 
 
 FAULTS = [
@@ -644,7 +644,7 @@ def test_a_drive_that_counts_from_elsewhere_at_a_second_enable_has_lost_home(ben
 
 
 def test_an_absolute_zero_that_cannot_be_is_refused(bench):
-    bench.drives[3].position = 7000.0  # where the other three say home
+    bench.drives[3].position = 7000.0  # where the other three have home
     boot(bench)
     enable(bench)
     assert bench.state == State.OFF
@@ -714,7 +714,7 @@ def test_100_000_frames_of_noise_enable_nobody(bench):
     check_bus(bench)
 
 
-# What the host says of it
+# The host's report
 
 
 class Port:

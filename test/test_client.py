@@ -56,7 +56,7 @@ def check_the_command(graph):
 
 
 def check_a_planner_that_dies(graph, monkeypatch):
-    """A client does not wait in vain for what a dead planner promised."""
+    """A client does not wait in vain for a promise of a dead planner."""
     observer = graph.observer
     plate = observer.client
     observer.pulses.clear()  # else the death of a node is the observer's error
@@ -64,6 +64,6 @@ def check_a_planner_that_dies(graph, monkeypatch):
     graph.processes.signal("planner", signal.SIGKILL)
     with pytest.raises(PlateError, match="no message from the planner for 2 s"):
         plate.wait(task, 30.0)
-    monkeypatch.setattr("plate_client.ros.client.FOUND_S", 1.0)  # it is gone
+    monkeypatch.setattr("plate_client.ros.client.FOUND_S", 1.0)  # it has ended
     with pytest.raises(GraphError, match=r"no action sort_parts|does not answer the goal"):
         observer.start(SORT_4, 0.0)

@@ -54,7 +54,7 @@ def drive_of(network, node, **of_eds):
     from canopen.objectdictionary import ODRecord, ODVariable
 
     class Told(Drive):
-        """By SDO too it says how it is."""
+        """It also reports its state by SDO."""
 
         def now(self, index, **_):
             status = STATUS[self.state] & (0xFFFF if self.remote else ~0x200)
@@ -167,7 +167,7 @@ def all_off(bench):
     return all(drive.state in ("switch on disabled", "fault") for drive in bench.drives)
 
 
-# What is found
+# Detection
 
 
 def test_to_check_only_reads(bench, rig_file, capsys):
@@ -254,7 +254,7 @@ def test_swapped_serial_numbers(bench, rig_file, capsys):
     assert f"WRONG: motor_2: {text}" in said
 
 
-# What is moved, and written
+# Motions and writing
 
 
 def test_drives_are_identified_measured_and_written(bench, rig_file, capsys):
@@ -279,7 +279,7 @@ def test_drives_are_identified_measured_and_written(bench, rig_file, capsys):
         line.partition("#")[2] for line in text.splitlines()
     ]
     assert "motor_2: sign: 1, serial: 702" in capsys.readouterr().out
-    # Nothing else has moved, and as little as was said.
+    # Nothing else has moved, and only by the announced distance.
     assert [drive.enables for drive in bench.drives] == [1] * 4
     assert max(abs(place) for _, place in bench.reached) < 0.55e-3
     assert all_off(bench)
@@ -390,7 +390,7 @@ def test_while_a_drive_keeps_its_current_no_other_one_gets_any(bench, rig_file, 
 
 
 def test_serial_numbers_that_are_no_numbers_are_left_out(bench, rig_file):
-    """All of a maker's drives may tell the same."""
+    """All drives of a manufacturer can report the same number."""
     before = load_rig(rig_file).motors[1].drive
     for drive in bench.drives:
         put(drive, 0x1018, 4, 1)

@@ -53,7 +53,7 @@ def demo(*words, mark="", env=(), **options):
 
 
 def marked(mark):
-    """Processes that were started by a run, by what is in their environment."""
+    """Processes that a run has started, identified by their environment."""
     found = []
     for path in Path("/proc").glob("[0-9]*/environ"):
         try:
@@ -214,7 +214,7 @@ def test_a_run_leaves_results_and_pictures(tmp_path):
 def check_that_no_node_has_loaded_code_since(moves, loaded, demo):
     """An answer would be late by that."""
     loaded = [line.split() for line in loaded.read_text().splitlines()]
-    assert len({pid for _, pid, _ in loaded}) > 6  # we heard of the nodes: forks are told too
+    assert len({pid for _, pid, _ in loaded}) > 6  # the nodes are known: forks get the signal too
     late = [(pid, name) for at, pid, name in loaded if float(at) > moves]
     assert [name for pid, name in late if pid != str(demo)] == []
 
@@ -229,7 +229,7 @@ def check_bag(folder, result):
         pytest.approx(result["motor_setpoints"], abs=3),
     )
     assert said["/image_raw"][1] > 10
-    assert said["/task_status"][1] >= 2  # latched: what was said before we listened, too
+    assert said["/task_status"][1] >= 2  # latched: also messages published before the subscription
 
 
 def test_an_interrupt_leaves_nothing_running(tmp_path):
@@ -249,7 +249,7 @@ def test_an_interrupt_leaves_nothing_running(tmp_path):
     assert process.returncode == 130, output + errors
     assert output.endswith("demo: SIGINT, all nodes are stopped\n")
     assert marked(mark) == []
-    result = json.loads((tmp_path / "result.json").read_text())  # what was done so far is kept
+    result = json.loads((tmp_path / "result.json").read_text())  # the results so far are kept
     assert (result["success"], result["message"]) == (False, "ended by SIGINT")
     assert result["cycles"] > 0
 
@@ -276,7 +276,7 @@ def test_an_interrupt_while_the_nodes_stop_keeps_the_results(tmp_path, monkeypat
 
 
 def test_what_an_interrupted_task_did_counts_to_the_last_that_is_known():
-    """The planner says every second how long, in whole milliseconds: 0.1173 s is 0.117."""
+    """The planner reports every second the duration in whole milliseconds: 0.1173 s is 0.117."""
     starts = [10.0, 10.1173, 10.2346, 10.3519]
     parts = (Parts(header=Header(stamp=to_time(round(1e9 * t)))) for t in starts)
     record = Record(truth=[serialize_message(part) for part in parts])
@@ -325,7 +325,7 @@ def test_every_run_has_a_folder_of_its_own(tmp_path, monkeypatch):
 
 
 def test_a_camera_that_is_missing_is_said_at_once(tmp_path, monkeypatch, capsys):
-    _, port = os.openpty()  # a serial port on which nobody answers
+    _, port = os.openpty()  # a serial port on which no device answers
     words = ["--transport", "serial", "--port", os.ttyname(port), "--out", str(tmp_path)]
     monkeypatch.setattr(sys, "argv", ["demo.py", *words])
     _, terminal = os.openpty()

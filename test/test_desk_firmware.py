@@ -1,5 +1,5 @@
-"""The firmware on this computer with simulated drives: what `make demo TRANSPORT=cia402` runs, or
-=odrive."""
+"""The firmware on this computer with simulated drives, as with `make demo TRANSPORT=cia402` or
+odrive."""
 
 from itertools import pairwise
 

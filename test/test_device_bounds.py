@@ -174,7 +174,7 @@ def test_a_late_tick_moves_the_plate_by_two_milliseconds(device, late):
     done = run(device, *orders)
     assert_bounded(done)
     assert (done.state, done.faults) == (State.PLAYING, Fault.NONE)
-    # The table's time goes on by 2 ms in a late tick: what was played is what it would have been.
+    # In a late tick, the table's time advances by 2 ms: the played motion is otherwise the same.
     in_time = run(device, *PLAYING, *alive(0.5))
     begin, wanted = (
         np.flatnonzero(np.any(d.setpoints[:, 2] != 0, axis=1))[0] for d in (done, in_time)
@@ -255,7 +255,7 @@ def test_a_plate_that_is_where_it_cannot_be_is_not_moved(device, place):
     done = run(device, HELLO, f"place {place}", say(101, Enable(BOOT)), *HOMEWARD)
     assert not len(done.setpoints)
     assert (done.state, done.faults, done.stop) == (State.OFF, Fault.LIMIT, BOOT + 1)
-    # Whatever the sensors say, telemetry can be read, and tells that the motors are off.
+    # Whatever the sensors report, telemetry can be read, and shows that the motors are off.
     told = [p.message for p in done.said if isinstance(p.message, Telemetry)]
     assert (told[-1].state, told[-1].faults) == (State.OFF, Fault.LIMIT)
 
@@ -274,7 +274,7 @@ int main(void)
         printf("%d", sane(&c, &at, 1e-3f));
 }
 """
-"""A program that tells which setpoints may be commanded 1 ms after rest at home."""
+"""A program that computes which setpoints are allowed 1 ms after rest at home."""
 
 
 def test_a_setpoint_too_far_from_the_last_is_not_commanded(tmp_path):
@@ -294,7 +294,7 @@ def test_a_setpoint_too_far_from_the_last_is_not_commanded(tmp_path):
 
 
 def test_a_tick_reads_and_obeys_no_more_than_it_may(device):
-    """128 bytes and four packets; what is left is read in the ticks after."""
+    """128 bytes and four packets; the rest is read in the following ticks."""
     beats = b"".join(say(k, Heartbeat(k)) for k in range(1, 101))  # 18 bytes and less each
     done = run(device, HELLO, beats, 0.1)
     pulses = [p.message for p in done.said if isinstance(p.message, Pulse)]

@@ -96,7 +96,7 @@ def test_heat_builds_up_and_brakes(device):
 
 
 def spoilt(rng: np.random.Generator, whole: bytes) -> bytes:
-    """An upload with one byte changed, or some bytes gone."""
+    """An upload with one changed byte, or some missing bytes."""
     data = bytearray(whole)
     at = int(rng.integers(len(data)))
     if rng.random() < 0.5:

@@ -121,7 +121,7 @@ def test_a_cycle_goes_round_and_after_a_pulled_plug_a_person_enables(tmp_path):
         starts = [nanoseconds(m.header.stamp) for m in motions]
         gaps = np.subtract(starts[1:], ends[:-1])
         assert np.min(gaps) >= -2
-        # On a busy machine the device's clock stands still, which it tells.
+        # On a busy machine the device's clock stalls, which it reports.
         assert np.sum(gaps) <= 1e6 * device._lost_ms + 2 * len(gaps)
         assert until(lambda: any(any(s.position) for s in states))
         # Pulled out, the device brakes; back again, the plate rests until somebody enables.
@@ -140,7 +140,7 @@ def test_a_cycle_goes_round_and_after_a_pulled_plug_a_person_enables(tmp_path):
         driver.destroy_node()  # it still speaks with the device
         executor.shutdown()
         ended.set()
-        thread.join(10)  # before what it waits for is destroyed
+        thread.join(10)  # before the objects that it waits for are destroyed
         own.shutdown()
         device.destroy_node()
         peer.destroy_node()
@@ -149,7 +149,7 @@ def test_a_cycle_goes_round_and_after_a_pulled_plug_a_person_enables(tmp_path):
 
 
 def test_on_a_computer_that_is_held_up_the_device_takes_nobody_for_silent(tmp_path, monkeypatch):
-    """Three seconds of which its process gets none: its clock has stood still meanwhile."""
+    """Its process gets no CPU time for three seconds, and its clock stops meanwhile."""
     clock = [10**9]
     monkeypatch.setattr(node, "time", SimpleNamespace(monotonic_ns=lambda: clock[0]))
     arguments = ["--ros-args", "-p", f"link:={tmp_path / 'port'}", "-r", "__ns:=/held_up"]

@@ -122,7 +122,8 @@ def test_a_stop_that_is_pressed_twice_needs_one_enable_for_the_second(device):
 
 
 def test_a_stop_that_the_line_repeats_is_one(device):
-    """Before and after the plate is at rest; where it ends what was enabled since, it is new."""
+    """The plate is at rest before and after; if this ends a play since the enable, it counts as a
+    new stop."""
     again = say(300, Stop(0))
     for orders in (
         [*PLAYING, again, again, *alive(0.8)],
@@ -246,7 +247,7 @@ def test_it_is_the_number_alone_that_such_sequences_lack(device):
 
 
 def test_a_stop_in_the_middle_of_a_stream_message(device):
-    """Its knots are looked at for two ticks, during which nothing is read: then comes the stop."""
+    """Its knots are checked for two ticks, during which nothing is read; then the stop arrives."""
     knots = wave(0.004)
     parts = []
     for i in range(0, 96, 4):

@@ -37,7 +37,7 @@ BRAKED_S = 1.0
 
 @dataclass
 class Driver:
-    """What the driver's node does, without ROS. All times are those of the device."""
+    """The driver's node without ROS. All times are those of the device."""
 
     seed: int
     streams: bool

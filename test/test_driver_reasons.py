@@ -72,7 +72,7 @@ EVENTS = {
     DriverReason.NO_ANSWER: (DriverState.ERROR, lambda board: setattr(board, "loss", 1.0)),
     DriverReason.PORT: (DriverState.ERROR, lambda board: setattr(board, "cut", True)),
 }
-"""What happens to a board with current, and the state after it."""
+"""Event on a board with current, and the state after it."""
 
 
 def provoke_event(firmware, latch, event):
@@ -99,7 +99,7 @@ def provoke_earlier_stop(firmware, latch):
 @provokes(DriverReason.HOST_SILENT, DriverState.STOPPED)
 def provoke_host_silent(firmware, latch):
     transport = enabled(firmware)
-    for _ in range(800):  # and nobody polls
+    for _ in range(800):  # without polls
         firmware.tick()
     pass_time(firmware, transport, 0.2)
     return transport

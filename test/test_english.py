@@ -63,7 +63,7 @@ ODD = {
     "zero.py": b"a = 1\x00\n",
     "coding.py": b"# -*- coding: nothing -*-\n",
 }
-"""Contents that are not what the names say."""
+"""Contents that do not match the names."""
 
 
 @pytest.mark.parametrize("name", [*ODD, "missing.md", "folder.md", "dangling.py"])

@@ -1,4 +1,4 @@
-"""The examples do what they say."""
+"""The examples do what their docstrings state."""
 
 import os
 import subprocess

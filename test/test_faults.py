@@ -1,4 +1,4 @@
-"""Nodes of the real graph are killed and frozen in mid-task: what is said of it, and what moves."""
+"""Nodes of the real graph are killed and frozen in mid-task: the reports, and the motion."""
 
 from pathlib import Path
 
@@ -30,10 +30,12 @@ EXPECTED = {
         "planner",
     ),
 }
-"""By fault: what task_status says, and a node whose diagnostics go bad (but for the planner's)."""
+"""By fault: the text of task_status, and a node whose diagnostics get worse (None for the
+planner)."""
 
 HELD_UP = "the planner was stalled for"
-"""What it says instead after some kills, about one in a hundred: DDS held it up (docs/graph.md)."""
+"""Alternative text after about one kill in a hundred, if DDS blocked the planner
+(docs/graph.md)."""
 
 
 def test_a_node_that_is_gone_is_named_and_nothing_moves_unasked(tmp_path, domain, monkeypatch):
@@ -53,6 +55,7 @@ def test_a_node_that_is_gone_is_named_and_nothing_moves_unasked(tmp_path, domain
             assert levels[other] in ("STALE", "ERROR"), row
             assert row.rest_s is not None, "the plate goes on"
             assert not row.moved_unasked, row
-            # A person puts back what the plate lost while it came to rest; nothing else is needed.
+            # A person replaces the parts that the plate lost while it came to rest; nothing else is
+            # needed.
             assert row.to_go_on in (["goal"], ["goal", "parts"]), row
             assert row.goes_on, row

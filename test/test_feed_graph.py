@@ -1,4 +1,4 @@
-"""The feeder in the real graph: a robot takes parts over TCP; stops, and what comes after them."""
+"""The feeder in the real graph: a robot takes parts over TCP; stops, and how to continue."""
 
 import json
 import re

@@ -1,4 +1,4 @@
-"""The guide of the feeder says what the feeder does."""
+"""The guide of the feeder agrees with the feeder."""
 
 from pathlib import Path
 

@@ -77,7 +77,7 @@ def test_bytes_are_those_of_the_examples(device):
     assert done.stop == 0xCAFE + 2
     [pulse] = [p.message for p in done.said if isinstance(p.message, Pulse)]
     assert pulse == Pulse(1_500_000_000, 1_000)
-    # All that it sends is what the Python codec would send.
+    # It sends exactly the bytes of the Python codec.
     assert done.sent == b"".join(frame(pack(packet)) for packet in done.said)
     assert [p.sequence for p in done.said] == list(range(len(done.said)))
 
@@ -102,7 +102,7 @@ def test_table_is_played_and_taken_over_at_the_boundary(device):
     assert {m.waiting for m in told} == {0, 2}
     assert max(abs(np.diff([m.device_us for m in told]) - 10_000)) == 0
     for m in told[-20:]:
-        # Measured at the tick's beginning: where the tick before has told the motors to be.
+        # Measured at the start of the tick: the setpoints of the previous tick.
         tick = np.argmin(abs(done.times - m.device_us * 1e-6)) - 1
         np.testing.assert_allclose(m.position, done.setpoints[tick, 0], rtol=1e-6)
 
@@ -207,7 +207,7 @@ def test_home_is_found_as_part_of_enable(device):
     done = run(device, "search 100", HELLO, say(101, Enable(BOOT)), 0.05, *HOMEWARD, 0.06)
     assert (done.state, done.faults) == (State.READY, Fault.NONE)
     assert done.times[0] == pytest.approx(0.002 + 0.1, abs=2e-3)
-    # Once it is known it is not looked for again; after Home it is.
+    # Once home is known it is not searched again, except after Home.
     off = [say(200, Stop(1)), "search 100000"]
     known = [say(201, Enable(BOOT + 1)), *HOMEWARD]
     done = run(device, *READY, *off, *known)
@@ -286,7 +286,7 @@ def test_a_knot_that_is_there_stays_as_it_came_first(device):
 
 
 def test_a_commit_that_waits_for_its_answer_is_answered_once(device):
-    """A table of which all is there at once is looked at for many ticks."""
+    """A table that arrives at once is checked for many ticks."""
     knots = tuple(still(k * 100_000) for k in range(401))
     frames = uploaded(1, knots, 110, 3)
     commit, number = frames[-1], 110 + len(frames) - 1

@@ -1,4 +1,4 @@
-"""The five nodes as processes, over real topics: what only the whole graph can show."""
+"""The five nodes as processes, over real topics: tests that need the whole graph."""
 
 import contextlib
 import signal
@@ -68,7 +68,7 @@ def declared(name):
 
 
 def test_the_files_of_parameters_say_what_the_nodes_do():
-    """Defaults as declared; all that disturbs; what the planner has to know of a camera."""
+    """Declared defaults; all disturbances; the planner's settings for a camera."""
     named = given("nodes.yaml")
     assert list(named) == NAMES
     for name, values in named.items():
@@ -258,7 +258,7 @@ def test_a_node_that_is_deactivated_ends_the_task_and_works_again_when_it_is_act
             observer.change_state(name, "activate")
             observer.await_answers(30)
         observer.change_state("simulator", "deactivate")
-        assert any(silent(observer) for _ in range(10))  # what was on its way still comes
+        assert any(silent(observer) for _ in range(10))  # messages on their way still arrive
         lose_the_first_answer(monkeypatch)  # as DDS may
         observer.change_state("simulator", "activate")
         assert observer.until(lambda: record.truth, 30)
@@ -367,7 +367,7 @@ def test_a_page_that_ends_again_and_again_is_given_up_but_not_one_that_seldom_do
         assert said[last:] == [given_up] * (len(said) - last)
 
 
-# What is kept of a run
+# The stored results of a run
 
 
 def test_images_can_be_thinned_without_losing_beginning_or_end():
@@ -383,7 +383,7 @@ def test_images_can_be_thinned_without_losing_beginning_or_end():
 
 
 def test_nobody_gets_a_domain_that_is_taken(monkeypatch):
-    monkeypatch.setattr(domains, "DOMAINS", range(102, 106))  # nobody else gets these
+    monkeypatch.setattr(domains, "DOMAINS", range(102, 106))  # no other subscriber gets these
     with contextlib.ExitStack() as stack, socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as other:
         first = [stack.enter_context(domains.own_domain()) for _ in range(2)]
         free = sorted({102, 103, 104, 105} - set(first))

@@ -1,4 +1,4 @@
-"""Every program says what it does when it is asked by `--help`, and does nothing else."""
+"""Every program describes itself with `--help`, and does nothing else."""
 
 import re
 import runpy
@@ -37,7 +37,7 @@ def _elsewhere(tmp_path, monkeypatch):
 
 
 def asked(capsys, monkeypatch, program, run):
-    """What a program prints when it is asked; it ends well, and within a screen."""
+    """A program's help. It exits with success, and fits on a screen."""
     monkeypatch.setattr(sys, "argv", [program, "--help"])
     try:
         code = run()

@@ -26,7 +26,7 @@ def _files(tmp_path, monkeypatch):
 
 
 class Worker:
-    """As pytest-xdist has them: `tests` is what it has been given."""
+    """Workers as in pytest-xdist: `tests` are the assigned tests."""
 
     def __init__(self, number, count):
         self.workerinput = {"workerid": f"gw{number}", "workercount": count}
@@ -111,7 +111,7 @@ def test_one_worker_runs_all():
     [(0, 1, True), (1, 2, False), (1, 3, True), (1, 4, True), (2, 4, False), (4, 4, True)],
 )
 def test_workers_behind_give_way(monkeypatch, number, count, front):
-    """A worker that takes the place of one that has crashed is what that one was, or before it."""
+    """A worker that replaces a crashed one gets its lane, or an earlier one."""
     given = []
     monkeypatch.setattr("os.nice", given.append)
     lanes.give_way({"workerid": f"gw{number}", "workercount": count})

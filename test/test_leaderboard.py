@@ -65,7 +65,7 @@ def test_better_and_faster_agents_come_first(tmp_path):
     forged = result("slow", 20, 9.0)
     forged["tasks"]["Sort4-v1"] = {"rows": forged["tasks"]["Sort4-v1"]["rows"], "success": 9.0}
     (tmp_path / "slow.json").write_text(json.dumps(forged), encoding="utf-8")
-    assert lines[1] in leaderboard.tables(tmp_path).splitlines()  # what a row is made of
+    assert lines[1] in leaderboard.tables(tmp_path).splitlines()  # the contents of a row
     few = result("slow", 20, 9.0)
     del few["tasks"]["Sort4-v1"]["rows"][3]
     for text, words in (

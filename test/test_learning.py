@@ -134,6 +134,6 @@ def test_a_file_of_something_else_is_refused(tmp_path):
     with pytest.raises(PlateError, match="not a valid calibration"):
         saved_response(path)
     path.unlink()
-    os.mkfifo(path)  # that nobody writes to
+    os.mkfifo(path)  # a pipe without a writer
     with pytest.raises(PlateError, match=r"not a valid calibration .*is a FIFO, allowed: a reg"):
         saved_response(path)

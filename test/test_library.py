@@ -53,7 +53,8 @@ def test_it_is_installed_with_its_data_and_needs_no_ros(tmp_path):
 
 
 def test_it_asks_for_what_its_parts_ask_for():
-    """Each package can also be installed alone; together they need what the whole names."""
+    """Each package can also be installed alone; together their requirements are those of the
+    whole."""
     settings = tomllib.loads((ROOT / "pyproject.toml").read_text("utf-8"))
     whole, parts = settings["project"], settings["tool"]["setuptools"]["packages"]["find"]["where"]
     asked, versions = set(), set()

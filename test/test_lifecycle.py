@@ -1,4 +1,4 @@
-"""Every node of the loop through every transition, twice; what it needs is read in configure."""
+"""Every node of the loop through every transition, twice; its inputs are read in configure."""
 
 import importlib
 import itertools
@@ -84,7 +84,7 @@ def test_every_transition_twice(name, tmp_path, monkeypatch):
                 assert managed.trigger("activate") == SUCCESS
                 managed.spin_for(0.3)
                 assert managed.trigger("deactivate") == SUCCESS
-                managed.spin_for(0.2)  # what was on its way does no harm
+                managed.spin_for(0.2)  # messages on their way do no harm
             assert managed.trigger("cleanup") == SUCCESS
             managed.spin_for(0.2)
             assert managed.entities == empty
@@ -151,7 +151,7 @@ def test_a_bad_rig_file_is_refused_and_read_again_when_it_is_mended(name, tmp_pa
         assert managed.trigger("deactivate") == SUCCESS
         (result,) = managed.node.set_parameters([Parameter("rig_file", value="none.yaml")])
         assert result.successful
-        assert managed.trigger("activate") == SUCCESS  # still with what was configured
+        assert managed.trigger("activate") == SUCCESS  # still with the configured values
         assert managed.trigger("deactivate") == SUCCESS
         assert managed.trigger("cleanup") == SUCCESS
         assert managed.trigger("configure") == FAILURE

@@ -36,7 +36,7 @@ def nearest(parts, place):
 def test_a_script_drags_parts_of_the_real_graph(tmp_path):
     options = LightOptions(scenario="play", seed=1, lockstep=True, autostart=False)
     with session(options, tmp_path, pictures=False) as graph:
-        observer, heard = graph.observer, {"part_targets": Targets()}  # none was told yet
+        observer, heard = graph.observer, {"part_targets": Targets()}  # no target was published yet
         for kind, topic, qos in (
             (Parts, "ground_truth", DATA), (Parts, "parts", DATA),
             (Targets, "part_targets", LATCHED), (TaskStatus, "task_status", LATCHED),

@@ -49,7 +49,7 @@ HOMES = (0.5, -7.25, 90.0, 0.0)
 PLATE = Plate(RIG, HOMES, TURNS * np.array(SIGNS))
 
 FINE = 1e-5
-"""Of a turn: what single precision leaves at 90 turns."""
+"""Error of a position [turns]: the resolution of single precision at 90 turns."""
 
 
 @pytest.fixture(name="leader", scope="module")
@@ -254,7 +254,7 @@ def test_home_is_not_taken_in_a_swing(bench):
     assert np.max(np.abs(rows[rows[:, 5] == 8, 2])) < FINE
 
 
-# What goes wrong
+# Faults
 
 
 def lose_heartbeat(bench, drive):
@@ -311,7 +311,7 @@ def bus_off(bench, drive):
     bench.order("busoff")
 
 
-FAULTS = [  # what; what is reported of motor 2, or 0: the bus; after at most [ms]
+FAULTS = [  # fault; the report about motor 2, or 0 for the bus; maximum time [ms]
     (lose_heartbeat, 2, Trouble.SILENT, 0, Fault.HARDWARE, 175),
     (reset, 2, Trouble.NO_POSITION, 0, Fault.HARDWARE, 12),
     (quick_reset, 2, Trouble.ERROR, 0, Fault.HARDWARE, 25),
@@ -357,7 +357,7 @@ def test_once_it_is_over_a_person_enables_again(bench, trouble):
     live(bench, 2600)
     assert [drive.enables for drive in bench.drives] == before  # nothing moves unasked
     assert bench.state == State.OFF
-    if trouble is bus_off:  # it may have been reset: a person says where home is
+    if trouble is bus_off:  # it may have been reset: a person sets home
         enable(bench, 399, ms=900)
         assert bench.state == State.OFF
         assert said_by(bench, DriveTrouble)[-1] == DriveTrouble(0, Trouble.HOME_LOST, 0, 0)

@@ -57,7 +57,7 @@ def film(folder):
 
 
 def test_a_film_is_seen_answered_and_sent_but_no_task_is_done(tmp_path):
-    """What is not measured is said before anything starts; at its end, or before, the task ends."""
+    """Unmeasured values are listed before anything starts. At its end, or before, the task ends."""
     film(tmp_path)
     words = ["--rig", tmp_path / "rig.yaml", "--camera", tmp_path / "film.mp4"]
     words += ["--scenario", "sort_4", "--out", tmp_path / "out", "--no-view", "--no-pictures"]

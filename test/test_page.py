@@ -58,7 +58,7 @@ async def opened_again(url):
 
 
 def test_the_graph_outlives_its_page_which_comes_again():
-    """First in this file: as long as the graph of those below does not run yet."""
+    """First in this file, while the graph of the other tests does not run yet."""
     play = Path(__file__).resolve().parents[1] / "tools" / "play.py"
     mark = f"PLATE_TEST_RUN={uuid.uuid4().hex}"
     name, value = mark.split("=")
@@ -105,7 +105,7 @@ def test_a_part_comes_to_where_its_target_is_dragged(url):
         await browser.until(lambda newest: newest.get("targets", {}).get("targets"))
         assert browser.newest["targets"]["targets"][0]["id"] == "black_1"
         answer = await browser.ask("move", targets=[{"id": "nobody", "x": 0, "y": 0}])
-        assert answer["ok"]  # it goes by a topic; the planner says in its log that there is none
+        assert answer["ok"]  # it is sent on a topic; the planner logs that there is no task
         other = await Browser.open(url)
         points = [[start["x"], start["y"]], [0, 0]]
         wrong = await browser.ask("follow", id="black_1", points=points, speed=0, closed=False)
@@ -214,7 +214,7 @@ UPGRADE = {
 
 
 def status(port, path, **headers):
-    """What the page answers to a request with these headers."""
+    """The page's reply to a request with these headers."""
     with contextlib.closing(http.client.HTTPConnection("127.0.0.1", port, TIMEOUT_S)) as caller:
         caller.request("GET", path, headers=headers)
         return caller.getresponse().status

@@ -55,7 +55,7 @@ def page(opened, url):
 
 
 def known(page, what):
-    """What the page knows: the newest message of a kind, or a part of it."""
+    """The page's data: the newest message of a kind, or a part of it."""
     return page.evaluate(
         f"async () => {{ const {{known}} = await import('./bus.js'); return {what}; }}"
     )
@@ -91,7 +91,7 @@ def drag(page, start, end, steps=12):
 
 
 def enable(page):
-    """Again, if the driver says "call again": for a moment after it has stood still."""
+    """Call again if the driver replies "call again", as it does for a moment after a stall."""
     for _ in range(10):
         page.get_by_role("button", name="Enable").click()
         again = "document.getElementById('plate-answer').textContent.includes('call again')"
@@ -168,7 +168,7 @@ def test_a_node_that_says_nothing_is_named(page, graph):
 
 
 def test_every_control_works_without_an_error(page):
-    """Buttons, boxes, sliders and lists of all panels, but for those that stop."""
+    """Buttons, boxes, sliders and lists of all panels, except those that stop."""
     for tab in page.get_by_role("tab").all():
         if not tab.is_visible():
             continue

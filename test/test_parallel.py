@@ -1,4 +1,4 @@
-"""Parallel runs: their results, progress, and what is kept."""
+"""Parallel runs: their results, progress, and stored results."""
 
 import json
 import time

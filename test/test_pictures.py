@@ -1,4 +1,4 @@
-"""Films and strips show what happened where it happened: pixels against the places in metres."""
+"""Films and strips show events at their places: pixels compared with places in metres."""
 
 from dataclasses import replace
 
@@ -104,7 +104,7 @@ def test_angles_are_drawn_as_they_are_and_as_wanted():
     draw_parts(run, canvas, 0.2, faces=True)
     radius = run.rig.parts.radius_m
     assert near(at(canvas, (-2 * radius, 0.0)), (34, 34, 34))  # it points to the left
-    assert near(at(canvas, (0.0, 1.4 * radius)), class_colour("black"))  # and is to point up
+    assert near(at(canvas, (0.0, 1.4 * radius)), class_colour("black"))  # and must point up
     assert at(canvas, (0.0, -2 * radius)) == (255, 255, 255)
     assert [pose[2] for pose in run.poses] == [np.radians(90)]
 

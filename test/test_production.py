@@ -35,7 +35,7 @@ FEW = {"restarts": 10}
 
 
 def acts(robot, until, answer_at, step=0.05):
-    """Step a robot up to a time; it is answered when it has asked, but not before `answer_at`."""
+    """Step a robot up to a time. It gets a reply after its request, but not before `answer_at`."""
     found, asked = [], False
     for now in np.arange(0, until, step):
         while True:
@@ -171,7 +171,7 @@ def test_a_hopper_that_is_opened_over_a_full_plate_does_not_end_a_production():
 def test_recipes_that_cannot_be_filled_are_refused():
     with pytest.raises(PlateError, match="'sort_4', allowed: a scenario of kind feed"):
         filled(load_scenario("sort_4"), 10)
-    for fill in (2, 101):  # of 3 that are to be ready, as a recipe's file is refused
+    for fill in (2, 101):  # of 3 that must be ready, as a recipe's file is refused
         with pytest.raises(PlateError, match=f"fill is {fill}, allowed: 3 .* to 100"):
             filled(load_scenario("feed"), fill)
     assert filled(load_scenario("feed"), 5).task.hopper.least == 4  # 12 of 15

@@ -1,4 +1,4 @@
-"""The reference of keys: the page is what the code says, and the code does what it says."""
+"""The reference of keys: the page agrees with the code, and the code with its descriptions."""
 
 import re
 from collections import defaultdict

@@ -114,7 +114,7 @@ def every_kind(chart, tmp_path_factory):
 
 
 def look_at(page, width=1300, change=lambda text: text):
-    """Open a page in headless Chromium without a network; return what is there and the console."""
+    """Open a page in headless Chromium without a network. Return its content and the console."""
     text = page.read_text(encoding="utf-8").replace("<style>", BEFORE + "<style>", 1)
     copy = page.with_name("probed.html")
     copy.write_text(change(text).replace("</html>", AFTER + "</html>"), encoding="utf-8")
@@ -135,7 +135,7 @@ def look_at(page, width=1300, change=lambda text: text):
 
 
 class References(HTMLParser):
-    """Collects what a page would load or lead to."""
+    """Collects the files and links of a page."""
 
     def __init__(self):
         super().__init__()
@@ -228,7 +228,8 @@ def test_a_measurement_that_is_there_is_not_made_again(drawn):
 def test_charts_are_drawn_from_their_csv_files_where_nothing_is_measured(
     drawn, tmp_path, monkeypatch, capfd
 ):
-    """As on a fresh clone: the same text and CSV files; what cannot be drawn is reported."""
+    """As on a fresh clone: the same text and CSV files; charts that cannot be drawn are
+    reported."""
     import charts
 
     shutil.copytree(drawn / "docs", tmp_path / "docs")

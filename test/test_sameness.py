@@ -1,4 +1,4 @@
-"""One seed, one answer: what a run must not depend on, and that it does not."""
+"""One seed, one result: a run does not depend on load, threads or processors."""
 
 import ctypes
 import json
@@ -20,7 +20,7 @@ from tasks.sameness import compared, trace
 ROOT = Path(__file__).resolve().parents[1]
 
 WIDTHS = {"x86-64": "", "x86-64-v3": "avx2", "x86-64-v4": "avx512vl"}
-"""Processors that kernels are compiled for, and what one must have to run that code."""
+"""Processors for which kernels are compiled, and the features that they require."""
 
 PRODUCT = """
 #include "plate/products.hpp"
@@ -38,7 +38,8 @@ if __name__ == "__main__":
 
 
 def processors():
-    """What of WIDTHS runs here; elsewhere kernels are compiled for one processor alone."""
+    """The entries of WIDTHS that run here. On other machines kernels are compiled for one processor
+    only."""
     if platform.machine() != "x86_64":
         return ["native"]
     flags = Path("/proc/cpuinfo").read_text(encoding="utf-8")

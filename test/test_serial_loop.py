@@ -88,7 +88,7 @@ def test_the_judge_sees_a_jump():
 
 
 def test_a_host_that_was_held_up_finds_the_plate_at_rest_and_waits_for_a_person():
-    """It is not silent for so long that the link fails: the device alone has noticed."""
+    """The line is not silent long enough for the link to fail: only the device has noticed."""
     emulator = Emulator(DeviceLimits.of_rig(load_rig()))
     host = [0.0]  # its time
     transport = SerialTransport(lambda: Port(emulator), lambda: host[0], 1)

@@ -42,7 +42,7 @@ RIG = load_rig()
 PERIOD = 0.1
 TICK_S = 1e-3
 MAX_TICKS = 100
-"""On a machine that is too busy the board's clock stands still from there on."""
+"""On a machine that is too busy, the board's clock stalls from there on."""
 
 NAMESPACE = f"/serial_node_{os.getpid()}"
 NODE = "plate_driver.node"
@@ -106,7 +106,7 @@ class Board:
         self._reader, packets = self._reader.fed(data)
         self.heard += [parse(packet).message for packet in packets]
         order = "" if self.dead or not data else f"rx {data.hex()}\n"
-        # In the last tick: a board does not hear what has not been said yet.
+        # In the last tick: a board does not receive bytes that are not sent yet.
         self.process.stdin.write(f"run {(due - 1) * 1000}\n{order}run 1000\n")
         self.process.stdin.flush()
         self.ticks += due
@@ -212,7 +212,7 @@ class Bench:
 
     def stopped(self, name: str = "emergency_stop"):
         """Stop with one call. On a busy computer the device may confirm later than a call waits;
-        the driver goes on by itself, and says when it has."""
+        the driver continues, and reports the confirmation."""
         answer = self.stop(name)
         assert answer.success or answer.message == UNANSWERED, answer.message
         self.wait(LIFE_PERIOD_S)
@@ -313,7 +313,7 @@ def test_cycles_reach_the_board_and_telemetry_the_graph(bench):
     assert abs(stamps[-1] * 1e-9 - time.time()) < 5
     bench.send_until(lambda: board.travel > 5e-4)
     assert board.travel < 2e-3
-    # Starts of cycles: of rest before, one after the other, and of what was sent.
+    # Starts of cycles: of rest before, one after the other, and of the sent cycles.
     bench.send_until(lambda: sum(msg_to_cycle(s).knot_pose.any() for s in bench.starts) > 1)
     begins = np.array([nanoseconds(s.header.stamp) for s in bench.starts])
     moved = np.array([msg_to_cycle(s).knot_pose.any() for s in bench.starts])
@@ -323,7 +323,7 @@ def test_cycles_reach_the_board_and_telemetry_the_graph(bench):
         steps = np.diff(begins[moved]) * 1e-9 / PERIOD
         assert np.all(np.abs(steps - np.round(steps)) < 0.1), steps
     assert nanoseconds(bench.setpoints[-1].header.stamp) <= bench.stamp
-    # Without cycles the plate rests by itself, with current. Without a task that is normal.
+    # Without cycles the plate rests, with current. Without a task that is normal.
     assert bench.until(lambda: board.state is State.READY)
     assert bench.until(bench.rests), (bench.reports[-1].message, bench.texts)
     assert bench.reports[-1].level == DiagnosticStatus.OK
@@ -417,7 +417,7 @@ def test_an_end_in_mid_motion_stops_the_plate_for_good(bench):
         assert (board.count(Enable), board.current) == (enables, False), way
         assert bench.off(), (way, bench.texts)
         if way.__name__ != "SIGKILL":
-            assert board.count(Stop) > stops  # it said so, and did not leave it to the device
+            assert board.count(Stop) > stops  # it reported it, and did not leave it to the device
 
 
 def test_kinds_of_stop_and_a_device_that_does_not_answer(bench):
@@ -437,7 +437,7 @@ def test_kinds_of_stop_and_a_device_that_does_not_answer(bench):
     assert bench.until(lambda: bench.texts[-1] == OFF or "host silent" in bench.texts[-1])
     assert bench.until(lambda: not board.current)
     bench.moving()
-    # Its cable is cut: nobody acknowledges, and the answer says so.
+    # Its cable is cut: no device acknowledges, and the reply states this.
     board.dead = True
     answer = bench.stop()
     assert (answer.success, answer.message) == (False, UNANSWERED)

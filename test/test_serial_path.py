@@ -72,7 +72,7 @@ def test_tables_arrive_and_are_played_as_often_as_asked(firmware):
         told += [] if start is None else [start]
     np.testing.assert_allclose(np.diff(told), PERIOD, atol=4e-3)
     assert len(told) in (round(0.5 / PERIOD), round(0.5 / PERIOD) + 1)
-    # Eight times, then it rests by itself, with current; the host has said nothing for that.
+    # Eight times, then it rests, with current; the host has sent nothing for that.
     pass_time(firmware, transport, 1.0)
     assert firmware.states[-1] is State.READY
     moving = [row[0] for row in firmware.setpoints if row[0] > began and any(row[1:5])]
@@ -253,7 +253,7 @@ def test_a_cable_that_is_pulled_lets_the_plate_brake(firmware):
     for _ in range(20):
         transport.poll()
         pass_time(firmware, transport, 0.1)
-    # It brakes 0.25 s after it heard the last word, or rests since its table is over before that.
+    # It brakes 0.25 s after the last received frame, or rests because its table has ended before.
     later = firmware.states[pulled:]
     assert State.BRAKING in later
     assert 0.2 <= later.index(State.BRAKING) * TICK_S <= 0.28
@@ -292,7 +292,7 @@ def test_a_session_of_another_host_stops_the_plate(firmware):
     first = enabled(firmware)
     play(firmware, first, 1.0)
     since = firmware.now
-    second = link(firmware, seed=1000)  # as after kill -9: nobody has said good-bye
+    second = link(firmware, seed=1000)  # as after kill -9, without a last message
     pass_time(firmware, second, 1.5)
     quiet_since(firmware, since)
     assert second.report().reason is DriverReason.EARLIER_STOP

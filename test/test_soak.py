@@ -1,4 +1,4 @@
-"""One task after the other in the real graph; what is said of it."""
+"""One task after the other in the real graph, and the statistics."""
 
 import numpy as np
 import pytest
@@ -13,7 +13,7 @@ NODES = ("simulator", "detector", "planner", "solver", "driver")
 
 
 def task(number, counts=(100, 0, 0), growth=0.0, ended="done"):
-    """A task that ended after so many half minutes; memory grows by so much an hour."""
+    """A task that ended after a number of half minutes; memory grows by an amount per hour."""
     at = 30.0 * (number + 1)
     stamps = at + 0.2 * np.arange(50)
     hops = stamps[:, None] + 1e-3 * np.array([0, 1, 4, 9, 29, 34 + number % 2])

@@ -116,7 +116,7 @@ class Bench:
         assert self.transport.report().condition is Condition.READY
 
     def targets(self, node):
-        """Times [ms] and travels [m] that a drive in operation was told."""
+        """Times [ms] and commanded travels [m] of a drive in operation."""
         rows = [
             (at, *struct.unpack("<Hi", data))
             for at, identifier, data in self.sent if identifier == RPDO + node
@@ -267,7 +267,7 @@ def test_an_interface_that_is_pulled_out_ends_the_process_and_is_waited_for(benc
     bench.frames.close()
     os.write(bench.ticks, struct.pack("=Q", 1))
     assert bench.ports[0]._process.wait(10) == 1
-    for _ in range(2):  # what it has said before, and its end
+    for _ in range(2):  # its earlier output, and its end
         bench.transport.poll()
     report = bench.transport.report()
     assert (report.condition, report.reason) == (Condition.GONE, DriverReason.PORT)

@@ -140,7 +140,7 @@ def assert_played(done: Run, tables: dict[int, Spliced]) -> None:
 
 
 def setpoints(done: Run, messages: list[Telemetry]) -> np.ndarray:
-    """What was commanded (n, 3, 4) in the ticks that messages tell of."""
+    """Commanded setpoints (n, 3, 4) in the ticks between messages."""
     times = np.array([m.device_us * 1e-6 for m in messages])
     rows = np.searchsorted(done.times, times - 1e-7)
     assert np.all(np.abs(done.times[rows] - times) < 1e-7)
@@ -168,7 +168,7 @@ def test_without_one_the_tail_leads_to_rest(device):
     assert (done.state, done.faults) == (State.READY, Fault.NONE)
     moves = done.times[done.setpoints[:, 2].any(axis=1)]
     assert moves[-1] - moves[0] == pytest.approx(table.length * 1e-8, abs=3e-3)
-    # What comes in the tail, and begins at rest, begins at its end.
+    # A table that arrives in the tail, and begins at rest, begins at its end.
     waits = chain(3, 1)[0]
     data, commits = sent([table, waits])
     late = table.splice_ticks * 1e-8 + 0.003
@@ -176,7 +176,7 @@ def test_without_one_the_tail_leads_to_rest(device):
     assert done.answers()[commits[1]] is Status.DONE
     assert begun(done)[2] - begun(done)[1] == table.length
     assert_played(done, {1: table, 2: waits})
-    # So does what comes before the splice.
+    # So does a table that arrives before the splice.
     done = run(device, *READY, data[0], 0.004, data[1], *alive(0.4))
     assert begun(done)[2] - begun(done)[1] == table.length
 
@@ -197,7 +197,7 @@ def test_what_begins_in_motion_begins_at_a_splice_ahead_or_not_at_all(device, ca
         tables[1] = nudged(tables[1], case)
     elif case == "rest":  # nothing plays
         tables, wait = [replace(tables[0], repeats=0), tables[1]], 0.005
-    elif case == "closed":  # what plays has no splice
+    elif case == "closed":  # the playing table has no splice
         tables[0] = replace(tables[0], splice_ticks=0)
     data, commits = sent(tables)
     done = run(device, *READY, data[0], wait, data[1], *alive(0.3))
@@ -309,8 +309,8 @@ def test_a_tail_has_its_image_as_a_cycle_has(device, phase):
 
 
 def assert_smooth(done: Run, tables: list[Spliced]) -> None:
-    """Setpoints keep the limits, and are continuous: position, speed, and acceleration but for the
-    terms of a brake and of the way home."""
+    """Setpoints keep the limits, and are continuous: position, speed, and acceleration, except for
+    the terms of a brake and of the motion home."""
     q, v, a = np.moveaxis(done.setpoints, 1, 0)
     assert np.max(np.abs(q)) <= STROKE_M * SLACK
     assert np.max(np.abs(v)) <= SPEED * SLACK
@@ -428,12 +428,12 @@ class Story:
 
 
 def checked(story: Story, done: Run) -> Counter:
-    """Check what a device did; returns how often each thing has happened."""
+    """Check the actions of a device. Return how often each event has happened."""
     answers, seen = done.answers(), Counter()
     good = {n: t for n, t in story.tables.items() if answers.get(story.commits[n]) is Status.DONE}
     seen.update(answers[c].name for c in story.commits.values() if c in answers)
     assert_smooth(done, list(good.values()))
-    assert_played(done, good)  # only what was not refused
+    assert_played(done, good)  # only the accepted ones
     playing, messages = begun(done), told(done)
     ready = [(last, m) for last, m in pairwise(messages) if m.state is State.READY]
     rests = setpoints(done, [m for _, m in ready])

@@ -1,4 +1,4 @@
-"""The stability maps: the border that is measured lies where the theory says."""
+"""The stability maps: the measured border agrees with the theory."""
 
 import numpy as np
 import pytest

@@ -99,7 +99,7 @@ def test_a_host_that_is_held_up_costs_a_brake_and_is_told():
     bench.run(0.4, polls=False)
     assert bench.state in (State.BRAKING, State.OFF)
     bench.run(3.0)
-    assert bench.state is State.OFF  # until a person has looked
+    assert bench.state is State.OFF  # until a person has checked
     bench.enable()
     bench.transport.send(swing(0.008), 50)
     bench.run(2.0)
@@ -198,7 +198,7 @@ def test_a_table_that_the_device_cannot_store_ahead_is_refused(pieces, period_s,
 
 
 def test_a_stream_ends_at_rest_when_no_more_cycles_come():
-    """The host has nothing more to say: no fault, and the next cycle needs no enable."""
+    """The host has nothing more to send: no fault, and the next cycle needs no enable."""
     bench = Bench(LineFaults(baud=921_600.0))
     bench.transport.send(swing(0.004), 3)
     bench.run(0.6)

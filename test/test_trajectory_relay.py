@@ -32,7 +32,7 @@ def _relay_module(monkeypatch):
 
 
 class Controller:
-    """Relay, controller and motors that do as told."""
+    """Relay, controller and motors that follow their commands."""
 
     def __init__(self, module) -> None:
         self.now, self.speaks, self.jammed = 0.0, True, False

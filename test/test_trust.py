@@ -1,4 +1,5 @@
-"""How far to believe the simulator: what the page names is there, and its estimates are ours."""
+"""Accuracy of the simulator: the tests that the page names exist, and its estimates are those of
+the code."""
 
 import ast
 import re

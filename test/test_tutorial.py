@@ -22,12 +22,12 @@ BLOCK = re.compile(r"(?:^<!-- (.+?) -->\n)?^```(\w+)\n(.*?)^```$", re.DOTALL | r
 FILE = re.compile(r"# (\S*my/\S+)")
 MAX_S = 300
 NOISE = "RTPS_TRANSPORT_SHM"
-"""What the network layer says of processes that were killed before, of whatever run."""
+"""Output of the network layer about processes that were killed in any earlier run."""
 
 
 @dataclass(frozen=True)
 class Step:
-    """A command and what it shows, or a file and what is in it."""
+    """A command and its expected output, or a file and its content."""
 
     command: str = ""
     shown: str = ""

@@ -1,5 +1,5 @@
-"""The closed loop with things on the plate that are of no class of the task: the truth of the
-simulator tells what becomes of them."""
+"""The closed loop with objects on the plate that belong to no class of the task. The simulator's
+truth shows what happens to them."""
 
 from dataclasses import replace
 
@@ -29,7 +29,7 @@ def test_unknown_things_stay_on_the_plate_and_clear_of_its_edge(scenario, monkey
         return world["it"]
 
     def update(tracker, stamp, centre, label, *args, **kwargs):
-        """Take in what an image shows, without the class of some parts."""
+        """Record the detections of an image, without the class of some parts."""
         state, label = world["it"].state, np.array(label, dtype="U32")
         for name, place in zip(state.ids, state.position, strict=True):
             if name in world["unknown"]:

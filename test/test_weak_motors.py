@@ -47,7 +47,7 @@ def test_parts_are_sorted_within_force_and_heat(method, effort):
 
 @pytest.mark.parametrize("solver", [RotationSolver, SinusoidSolver])
 def test_frequencies_that_are_told_are_those_of_the_cycles(solver):
-    """What check_rig says of stroke and speed is said for waves that the solvers make."""
+    """The values of check_rig for stroke and speed apply to waves that the solvers produce."""
     made, kinds = solver(load_rig()), (False, True)
     periods = [made.steering_period(n, lasting=kind) for n in range(1, 8) for kind in kinds]
     assert min(1 / period for period in periods) == pytest.approx(CYCLE_HZ[0])

@@ -1,4 +1,4 @@
-"""What `feasible` says before a task starts: its rehearsals, and the command."""
+"""`feasible` before a task starts: its rehearsals, and the command."""
 
 import re
 import subprocess

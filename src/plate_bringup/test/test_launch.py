@@ -1,4 +1,5 @@
-"""The launch files: what they start by stand-ins of `launch`, and by itself where that is there."""
+"""The launch files: the actions that they start, with stand-ins of `launch`, and with `launch`
+itself if it is installed."""
 
 import subprocess
 import sys
@@ -17,7 +18,7 @@ ACTIONS = ("DeclareLaunchArgument", "ExecuteProcess", "GroupAction", "LogInfo", 
 
 
 class Recorded:
-    """Stands for any action, and keeps what it was made with."""
+    """Stands for any action, and keeps its arguments."""
 
     def __init__(self, kind, *args, **values):
         self.kind, self.args = kind, args
@@ -26,7 +27,7 @@ class Recorded:
 
 @pytest.fixture
 def stand_in(monkeypatch):
-    """Modules that record what a launch file asks for."""
+    """Modules that record the requests of a launch file."""
 
     def module(name, kinds):
         made = types.ModuleType(name)
@@ -145,7 +146,7 @@ def test_launch_files_start_the_same_list(stand_in, file, names, files):
         assert (node.package, node.executable) == (listed[name].package, listed[name].executable)
         assert [Path(path).name for path in node.parameters[:-1]] == files
         wanted = {"method": "rotations"} if name == "solver" else {}
-        assert node.parameters[-1] == wanted  # what is left out is as the files have it
+        assert node.parameters[-1] == wanted  # omitted arguments have the values of the files
 
 
 def test_arguments_become_parameters_topics_and_a_recorder(stand_in, tmp_path):

@@ -1,5 +1,5 @@
-"""The launch file of docs/guide/launch.md: what it starts, by stand-ins of `launch`, and by itself
-where that is there; and its file of parameters."""
+"""The launch file of docs/guide/launch.md: the actions that it starts, with stand-ins of `launch`,
+and with `launch` itself if it is installed; and its file of parameters."""
 
 import json
 import re
@@ -22,7 +22,7 @@ NAMES = {node.name for node in RunOptions().nodes(load_graph())}
 
 
 class StandIn(types.ModuleType):
-    """A module that has every name: a callable that keeps what it was called with."""
+    """A module that has every name: a callable that keeps its arguments."""
 
     def __getattr__(self, name):
         if name.startswith("__"):

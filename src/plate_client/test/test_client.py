@@ -1,4 +1,4 @@
-"""The client where there is no planner, or one that says nothing."""
+"""The client without a planner, or with a planner that sends nothing."""
 
 import os
 from types import SimpleNamespace

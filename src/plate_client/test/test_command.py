@@ -128,7 +128,7 @@ def test_services_and_state(graph):
 
 @pytest.mark.parametrize("ends", ["ready", "stopped: supply"])
 def test_enable_waits_until_the_motors_are_ready(make, view, clock, ends):
-    """They may be so later than the answer, or not at all: then the reason is told."""
+    """The state can change after the reply, or not at all; then the reason is printed."""
     node = make("driver")
     statuses = node.create_publisher(DriverStatus, "driver_status", LATCHED)
     statuses.publish(DriverStatus(state=DriverStatus.STOPPED, text="stopped: before"))
@@ -143,7 +143,7 @@ def test_enable_waits_until_the_motors_are_ready(make, view, clock, ends):
         return response
 
     node.create_service(SetBool, "enable", answer)
-    # As the driver does: what it says comes beside the answer.
+    # As from the driver: its status arrives at the same time as the reply.
     node.create_timer(0.2, lambda: statuses.publish(due.pop(0)) if due else None, clock=clock.clock)
     graph = view(NAMESPACE)
     if ends == "ready":
@@ -156,7 +156,7 @@ def test_enable_waits_until_the_motors_are_ready(make, view, clock, ends):
 
 @pytest.fixture
 def starting(make, clock):
-    """A node `solver` that says how it is, and a node `mute` that says nothing yet."""
+    """A node `solver` that publishes diagnostics, and a node `mute` that publishes none yet."""
     solver, mute = make("solver"), make("mute")
     publisher = solver.create_publisher(DiagnosticArray, "diagnostics", DATA)
     mute.create_publisher(DiagnosticArray, "diagnostics", DATA)
@@ -229,7 +229,7 @@ def test_what_is_urgent_waits_for_a_node_that_is_not_seen_yet(view, monkeypatch,
     monkeypatch.setattr(alone, "_until", until)
     with pytest.raises(PlateError, match=r"no graph runs.*; cut the power by hand$"):
         asked(alone, command)
-    assert seen == [True, False]  # not ended by nobody being seen, but by the longer wait
+    assert seen == [True, False]  # ends after the longer wait, not because no node is visible
 
 
 @pytest.mark.parametrize(("command", "calls"), [("emergency_stop", 2), ("home", 1)])

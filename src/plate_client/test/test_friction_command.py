@@ -61,7 +61,7 @@ def progress(graph):
 
 @pytest.mark.parametrize("later", [lambda graph: None, lambda g: g.receive("driver_status", READY)])
 def test_a_driver_that_measures_no_longer_is_reported_within_seconds(later, capsys):
-    """One that is gone, and one that was started again."""
+    """A driver that has ended, and one that was restarted."""
     begun = 30
 
     def script(graph):

@@ -1,11 +1,12 @@
-"""What several tests here share."""
+"""Fixtures and functions that several tests of this folder share."""
 
 import pytest
 
 
 @pytest.fixture(scope="session")
 def hears():
-    """Read what a program says until a line of it: on a busy machine Fast DDS may say more."""
+    """Read the output of a program until a line. On a busy machine, Fast DDS can print further
+    lines."""
 
     def until(process, line):
         return any(said == f"{line}\n" for said in process.stdout)

@@ -1,4 +1,4 @@
-"""A node whose console nobody reads goes on; and what it logs arrives where somebody does."""
+"""A node continues if nobody reads its console, and its log arrives if somebody does."""
 
 import signal
 import subprocess
@@ -12,7 +12,7 @@ import pytest
 pytest.importorskip("rclpy")
 
 PIPE_BYTES = 4096
-"""What the console's pipe holds: the least that Linux has."""
+"""Capacity of the console's pipe: the minimum of Linux."""
 
 LINES = 100
 """More than it holds."""
@@ -78,7 +78,7 @@ def test_a_crash_says_where_it_was(tmp_path):
 
 
 def test_a_node_without_a_console_works(tmp_path):
-    """What it opens must not get the number of stderr either."""
+    """A file that it opens must not get the number of stderr either."""
     words = [sys.executable, "-c", PROGRAM, "20", str(tmp_path / "said")]
     with subprocess.Popen(["bash", "-c", 'exec "$@" <&- >&- 2>&-', "bash", *words]) as node:
         try:

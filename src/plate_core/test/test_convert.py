@@ -1,4 +1,4 @@
-"""Messages: what goes out comes back, and what is wrong is named."""
+"""Messages: values survive a conversion in both directions, and wrong values are named."""
 
 from dataclasses import replace
 

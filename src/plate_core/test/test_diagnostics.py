@@ -18,7 +18,7 @@ from plate_core.status import Finding, Level  # noqa: E402
 
 @pytest.fixture
 def talker(clock):
-    """A node whose simulated clock stands still, and what is heard of it."""
+    """A node whose simulated clock is stopped, and its received diagnostics."""
     words = ["--ros-args", "-p", "use_sim_time:=true", "-r", "__ns:=/diagnostics_test"]
     rclpy.init(args=words)
     node, executor, heard = rclpy.create_node("talker"), SteppedExecutor(clock), []
@@ -71,7 +71,7 @@ def test_that_the_level_has_become_worse_is_told_at_once_and_only_once(talker):
     for worse in (Level.WARN, Level.STALE, Level.ERROR):
         level[0], count = worse, len(reports)
         executor.until(lambda worse=worse: heard[-1].status[0].level == bytes([worse]))
-        if len(reports) == count:  # told between two reports, which count on
+        if len(reports) == count:  # published between two reports, which continue to count
             before = len(heard)
             executor.until(lambda count=count: len(reports) > count)
             executor.until(lambda before=before: len(heard) > before)

@@ -1,4 +1,4 @@
-"""A process ends with its own exit code also where the middleware does not let go of it."""
+"""A process ends with its own exit code, even if the middleware does not release it."""
 
 import os
 import subprocess

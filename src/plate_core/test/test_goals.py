@@ -1,4 +1,5 @@
-"""Scenarios as goals: what goes out comes back, and a wrong goal is refused as a wrong file is."""
+"""Scenarios as goals: values survive a conversion in both directions, and a wrong goal is refused
+like a wrong file."""
 
 import math
 from dataclasses import replace

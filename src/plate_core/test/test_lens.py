@@ -1,4 +1,4 @@
-"""The lens against OpenCV's, and the pose of the camera that the corners tell."""
+"""The lens compared with OpenCV's, and the pose of the camera computed from the corners."""
 
 from dataclasses import replace
 
@@ -77,7 +77,7 @@ def test_bends_as_opencv(lens, pixels):
 @pytest.mark.parametrize("lens", LENSES)
 def test_straightens_what_it_bends(lens, pixels):
     pixels = pixels[np.all(np.isfinite(lens.straighten(pixels)), axis=1)]
-    assert len(pixels) >= 290  # the rest is outside of what the lens shows
+    assert len(pixels) >= 290  # the other points are outside of the lens's image
     assert np.allclose(lens.bend(lens.straighten(pixels)), pixels, atol=1e-9)
     pixels = pixels[:290]
     grid = pixels.reshape(29, 10, 2)
@@ -165,7 +165,8 @@ def test_what_is_no_lens_is_refused(matrix, distortion, model, words):
 
 
 def test_a_pole_is_the_end_of_what_a_lens_shows():
-    """r (1 + r2) / (1 - r2) grows to infinity at r = 1: what is seen anywhere has a ray below."""
+    """r (1 + r2) / (1 - r2) grows to infinity at r = 1, so every visible point has a ray below
+    it."""
     lens = Lens((100.0, 100.0), (0.0, 0.0), (1, 0, 0, 0, 0, -1, 0, 0), "rational_polynomial")
     r = np.array([0.0, 0.3, 0.7, 0.9, 0.99])
     straight = 100 * np.column_stack([r * np.cos(r), r * np.sin(r)])
@@ -215,7 +216,7 @@ def test_pose_needs_a_lens():
 
 
 def test_default_camera_is_a_rigid_one():
-    """What camera_info says and where the corners are agree to a hundredth of a pixel."""
+    """camera_info and the places of the corners agree to a hundredth of a pixel."""
     rig = load_rig()
     rotation, translation = camera_pose(rig)
     corners = np.column_stack([rig.plate.corners, np.zeros(4)])

@@ -1,4 +1,4 @@
-"""A managed node works while it is active, and only then; what it made is gone after clean-up."""
+"""A managed node works only while it is active, and releases everything at clean-up."""
 
 import signal
 import subprocess
@@ -22,7 +22,7 @@ from plate_core.ros import DATA, NodeOptions, SafeLifecycleNode, parameter, star
 from plate_core.status import Finding, Level  # noqa: E402
 
 MAX_S = 60
-"""A bound on what takes a moment [s]."""
+"""Maximum duration of an operation that takes a moment [s]."""
 
 
 @dataclass(frozen=True)
@@ -34,7 +34,7 @@ class Options(NodeOptions):
 
 
 class EchoNode(SafeLifecycleNode[Options]):
-    """Says again what it hears, and ticks."""
+    """Publishes each received message again, and ticks."""
 
     def __init__(self):
         super().__init__("echo", Options)
@@ -244,7 +244,7 @@ def test_what_configure_reads_changes_while_the_node_is_not_active(peer):
     assert peer.set("size", 4).successful
     assert peer.change("configure")
     assert peer.set("size", 5).successful
-    assert peer.echo.options.size == 4  # in force is what was configured
+    assert peer.echo.options.size == 4  # the configured values are in force
     assert peer.change("activate")
     result = peer.set("size", 6)
     assert not result.successful
@@ -328,7 +328,7 @@ def test_the_clock_changes_while_the_node_is_not_active(peer):
         ):
             assert (result.successful, result.reason) == (False, refused)
         assert clock.ros_time_is_active is simulated
-        assert (clock.now().nanoseconds == 0) is simulated  # nobody publishes /clock
+        assert (clock.now().nanoseconds == 0) is simulated  # /clock has no publisher
         assert peer.until(lambda n=simulated: listens("/clock") == n)
         assert peer.echo.get_parameter("use_sim_time").value is simulated
         assert peer.echo.options.gain == 1.0

@@ -12,7 +12,7 @@ import pytest
 pytest.importorskip("rclpy")
 
 PATIENCE_S = 60
-"""A bound on what takes a few seconds, more when the machine is busy [s]."""
+"""Maximum duration of an operation that takes a few seconds, or more on a busy machine [s]."""
 
 NODE = """
 import os, signal, sys, time
@@ -160,7 +160,7 @@ def _orphan():
 )
 def test_a_node_ends_with_the_process_that_started_it(orphan, program, heard, last):
     _, output = orphan(program, heard)
-    assert output.read().endswith(last)  # until nobody has the pipe any more
+    assert output.read().endswith(last)  # until no process has the pipe open
 
 
 def test_one_that_is_to_live_on_does(orphan):
@@ -211,4 +211,4 @@ def test_a_defect_is_a_traceback_and_code_1():
         output, errors = process.communicate(timeout=PATIENCE_S)
     assert process.returncode == 1
     assert "RuntimeError: a defect" in errors
-    assert output.endswith("last words, ROS works: True\n")  # Fast DDS may say something before
+    assert output.endswith("last words, ROS works: True\n")  # Fast DDS can print something before

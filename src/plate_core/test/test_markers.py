@@ -1,4 +1,4 @@
-"""What RViz draws, against the numbers it is drawn from."""
+"""Markers for RViz, compared with the numbers from which they are drawn."""
 
 import numpy as np
 import pytest

@@ -1,4 +1,4 @@
-"""Facts that nobody has measured yet."""
+"""Facts of a rig that are not measured yet."""
 
 from dataclasses import replace
 

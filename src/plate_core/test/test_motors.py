@@ -1,4 +1,5 @@
-"""What motors can do, against linear programmes over corners and over motor forces, and statics."""
+"""Limits of the motors, compared with linear programmes over corners and over motor forces, and
+with statics."""
 
 from dataclasses import replace
 
@@ -70,7 +71,7 @@ def test_reach_against_the_best_that_motors_could_give(seed):
 
 @pytest.mark.parametrize("seed", range(20))
 def test_motions_within_reach_have_the_force(seed):
-    """Any motion whose corners stay below it, but for what the plate's spin adds."""
+    """Any motion whose corners stay below it, except for the part caused by the plate's spin."""
     rng = np.random.default_rng(seed)
     rig = weak(20.0, 20.0, scattered(seed % 5 + 1))
     t = np.arange(64) / 64 * 0.1

@@ -9,7 +9,7 @@ import pytest
 from plate_core import PlateError, choose_network, ros_domain
 
 ENV_SH = "/elsewhere/config/fastdds.xml"
-"""What env.sh exports, whatever is asked for later."""
+"""Variables that env.sh exports, whatever is requested later."""
 
 
 @pytest.mark.parametrize(

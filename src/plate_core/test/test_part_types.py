@@ -1,4 +1,4 @@
-"""Part types: what may stand in their file, and their moments."""
+"""Part types: the allowed contents of their file, and their moments."""
 
 import pickle
 

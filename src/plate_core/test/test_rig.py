@@ -1,4 +1,4 @@
-"""The rig file: what is read, and how a wrong one is refused."""
+"""The rig file: its values, and how a wrong file is refused."""
 
 import dataclasses
 import os
@@ -267,7 +267,7 @@ def test_a_lens_is_added_to_a_rig_file(tmp_path, data, block):
 
 def test_a_rig_file_that_is_edited_is_a_regular_file(tmp_path):
     path = tmp_path / "rig.yaml"
-    os.mkfifo(path)  # that nobody writes to
+    os.mkfifo(path)  # a pipe without a writer
     with pytest.raises(PlateError, match=r"rig\.yaml: is a FIFO, allowed: a regular file"):
         edit_rig(path, {}, lambda rig: True)
     path.unlink()

@@ -1,4 +1,4 @@
-"""Scenarios: what is shipped, what is refused, where parts start."""
+"""Scenarios: the shipped ones, refusals, and the places at which parts start."""
 
 from dataclasses import replace
 from pathlib import Path

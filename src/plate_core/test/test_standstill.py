@@ -1,4 +1,4 @@
-"""What waited while a process stood still is kept apart from what is asked now."""
+"""Requests that waited during a stall of the process are distinguished from new requests."""
 
 from plate_core.standstill import AFTER_S, Standstill
 

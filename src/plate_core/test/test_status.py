@@ -1,4 +1,4 @@
-"""Levels of diagnostics, and when an input counts as gone."""
+"""Levels of diagnostics, and when an input counts as timed out."""
 
 import pytest
 

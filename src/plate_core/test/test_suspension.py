@@ -1,4 +1,4 @@
-"""The suspension of a rig file: what is read, and how a wrong one is refused."""
+"""The suspension of a rig file: its values, and how a wrong one is refused."""
 
 from math import inf, pi
 

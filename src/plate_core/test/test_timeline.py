@@ -26,7 +26,7 @@ SWING, BIGGER, SHORT = swing(1e-3), swing(2e-3), swing(1e-3, 1e-3)
 
 
 def player(cycle, *sent):
-    """A player that runs a cycle since 3 s, and what was sent to it meanwhile."""
+    """A player that has run a cycle for 3 s, and the tables that were sent to it meanwhile."""
     timeline = Timeline(cycle, 3.0)
     for one in sent:
         timeline = timeline.send(one)

@@ -1,4 +1,4 @@
-"""Two publishers of one topic are noticed by the numbers of what they send."""
+"""Two publishers of one topic are detected by the sequence numbers of their messages."""
 
 import itertools
 

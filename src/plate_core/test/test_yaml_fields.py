@@ -175,7 +175,7 @@ def test_odd_values_are_refused_in_a_line(tmp_path, text, message):
 def test_aliases_of_aliases_are_read_and_shown_in_short(tmp_path):
     path = tmp_path / "file.yaml"
     lines = ["x0: &x0 [1, 1, 1, 1, 1, 1, 1, 1, 1]"]
-    for i in range(1, 12):  # 9^12 entries, if each were looked at
+    for i in range(1, 12):  # 9^12 entries, if each were visited
         lines.append(f"x{i}: &x{i} [{', '.join(9 * [f'*x{i - 1}'])}]")
     path.write_text("\n".join(lines))
     with pytest.raises(FileError, match=r"x11 is .*, allowed: a text") as error:

@@ -13,7 +13,7 @@ TABLE = SimpleNamespace(cycle=SimpleNamespace(period=PERIOD), length=PERIOD)
 
 
 def told(telemetry):
-    """Starts (K,) that are told of telemetry (time, table, ticks), and what is said of it."""
+    """Starts (K,) reported from telemetry (time, table, ticks), and the message about them."""
     starts, begins, problems = CycleStarts(0.0), [], []
     for time, table, ticks in telemetry:
         playing = TABLE if table else None
@@ -25,8 +25,8 @@ def told(telemetry):
 
 
 def plays(ticks=lambda true, time: true, lost=0.0):
-    """Telemetry of 3 s: rest, then tables that play twice each; `ticks` is what the device says of
-    how long one has played [s]."""
+    """Telemetry of 3 s: rest, then tables that play twice each. `ticks` is the reported time since
+    the start of the play [s]."""
     rng = np.random.default_rng(3)
     for time in np.arange(0.005, 3.0, EACH_S):
         if rng.random() < lost:

@@ -18,8 +18,8 @@ TABLE = SimpleNamespace(cycle=SimpleNamespace(period=0.2), length=0.2)
 
 @dataclass(frozen=True)
 class Way:
-    """Between two clocks: each way's least delay and what comes on top of it [s], a share of frames
-    that is lost, and a host that now and then stands still for so long [s]."""
+    """A line between two clocks: the minimum delay of each direction, the additional delay [s], the
+    fraction of lost frames, and the duration of occasional stalls of the host [s]."""
 
     delay: float = 0.0
     jitter: float = 0.0
@@ -28,8 +28,8 @@ class Way:
 
 
 def conversation(way, device, seconds, rng):
-    """What a host hears over a line that keeps the order: when, and a pulse or telemetry's time;
-    `device` is its clock [s] at a true time, which is the host's."""
+    """Messages that a host receives over a line that keeps their order: arrival time, and time of a
+    pulse or of telemetry. `device` is the device's time [s] at a true time, which is the host's."""
     steps = rng.uniform(POLL_S, 1.3 * POLL_S, int(seconds / POLL_S))
     steps += way.pause * rng.uniform(0.3, 1.0, steps.size) * (rng.random(steps.size) < 0.01)
     polls = np.cumsum(steps)
@@ -111,10 +111,11 @@ LIES = {
 
 
 FAR = {"1 % fast", "1 % slow"}
-"""Found by the way's round trip over what is more than `DRIFT`: 0.8 % of two seconds are 16 ms."""
+"""Detected after the round trip divided by the excess over `DRIFT`: 0.8 % of two seconds are 16
+ms."""
 
 SLOW = {"1 % slow", "20 % slow", "stands still", "constant"}
-"""Told, but believed: each pulse that shows it tells where the clock stands."""
+"""The step is reported, but the clock is accepted: each pulse shows its new time."""
 
 FOR_A_MOMENT = {"jumps ahead", "jumps back", "wraps at 32 bits", "begins anew"}
 
@@ -157,7 +158,7 @@ def test_the_clock_is_right_to_half_the_round_trip():
         clock = clock.received(Pulse(round(sent * 1e9), device_us), sent + there + back)
     assert clock.host_time(0) == pytest.approx(offset, abs=0.001)
     assert clock.latest - clock.earliest < 0.003
-    # A pulse from the future is nobody's.
+    # A pulse from the future belongs to no heartbeat.
     assert clock.received(Pulse(9_000_000_000, 0), 8.5) == clock
 
 

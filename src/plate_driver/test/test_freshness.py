@@ -1,4 +1,4 @@
-"""What is too old moves nothing: the rule itself, and many loops that stall at random."""
+"""Outdated cycles move nothing: the rule itself, and many loops that stall at random."""
 
 import heapq
 import itertools
@@ -89,7 +89,7 @@ def test_what_a_task_asked_for_moves_nothing_after_its_end():
 
 @pytest.mark.parametrize("stamp_ns", [0, at(6.5), at(7.0)])
 def test_what_is_said_later_of_older_images_does_not_bring_back_what_has_ended(stamp_ns):
-    """A planner that was started again has asked for nothing yet."""
+    """A restarted planner has not requested anything yet."""
     fresh = ready().with_state(0, 0.1, at(0.1)).ended(at(7.0)).ended(stamp_ns)
     with pytest.raises(CycleError, match="a task that has ended"):
         fresh.remaining_s(at(6.8), at(7.1), PERIOD)
@@ -171,7 +171,7 @@ def run(seed: int) -> list[tuple[float, float, int]]:
         begins = np.sort(rng.uniform(0, 20, rng.integers(0, 4)))
         hop.frozen = [(b, b + 10 ** rng.uniform(-1, 0.7)) for b in begins]
     slow = 10 ** rng.uniform(-2.5, -0.5)  # of a message [s]: 3 ms to 0.3 s
-    ends = np.sort(rng.uniform(1, 20, rng.integers(0, 4)))  # tasks; each begins anew 0.5 s later
+    ends = np.sort(rng.uniform(1, 20, rng.integers(0, 4)))  # tasks; each restarts 0.5 s later
     stops = np.sort(rng.uniform(1, 20, rng.integers(0, 3)))  # enabled again 0.5 s later
 
     def running(t: float) -> bool:
@@ -201,7 +201,7 @@ def run(seed: int) -> list[tuple[float, float, int]]:
     asked = -1.0  # true time of the image of the planner's last request
     while queue:
         t, _, what, content = heapq.heappop(queue)
-        if what == "end":  # the planner says so when it runs
+        if what == "end":  # the planner reports it when it runs
             put(hops["planner"].runs_at(t) + rng.exponential(slow), "ended")
             continue
         name = "driver" if what in ("look", "ended") else what
@@ -242,7 +242,7 @@ def run(seed: int) -> list[tuple[float, float, int]]:
         last_ns = stamp
         if not moves:
             continue
-        # The judge, by what is true.
+        # The evaluation, by the true values.
         age = t - taken
         thaw = max((end for _, end in hop.frozen if end <= t and end - _ > 0.3), default=0.0)
         enabled = max((stop + 0.5 for stop in stops if stop + 0.5 <= t), default=0.0)

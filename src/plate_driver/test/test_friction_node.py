@@ -1,4 +1,4 @@
-"""The driver's services that measure friction: who may start one, and what ends it."""
+"""The driver's services that measure friction: when a measurement is allowed, and what ends it."""
 
 import shutil
 

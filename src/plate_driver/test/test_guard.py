@@ -18,7 +18,7 @@ from plate_driver.setpoints.guard import Guard
 RIG = load_rig()
 LIMITS = RIG.limits
 EXCESS = 1e-5
-"""What rounding may add to a limit [fraction]."""
+"""Excess of a limit by rounding [fraction]."""
 
 SIZES = st.sampled_from([0.0, 1e-9, 1e-4, 1e-3, 0.01, 1.0, 1e4, 1e60, 1e200, np.nan, np.inf])
 TIMES = st.sampled_from([0.0, 1e-4, 0.02, 0.2, 3.0, 1e6])
@@ -26,7 +26,7 @@ STAMPS = st.one_of(st.integers(-(2**31), 2**62), st.integers(0, 10**10))
 
 
 def wild_cycle(seed: int, knots: int, size: float, period: float, smooth: int) -> PlateCycle:
-    """Anything that a message can say; CycleError if it is none."""
+    """Any content of a message; CycleError if it is no cycle."""
     rng = np.random.default_rng(seed)
     rate = [1.0, knots / period, (knots / period) ** 2]
     times = np.append(0.0, np.cumsum(rng.uniform(0.05, 1, knots)))
@@ -184,7 +184,7 @@ def test_when_cycles_cease_to_come_the_plate_counts_as_resting():
     rested, over = guard.watched(11.0001)
     assert over
     assert rested.table is None
-    assert rested.watched(20.0) == (rested, False)  # told once
+    assert rested.watched(20.0) == (rested, False)  # reported once
     # Motors that hold for less than that are not taken to go on.
     guard, _ = Guard(RIG, hold_cycles=5, hold_s=0.5).accepted(cycle, 1, 10.0)
     assert guard.plays == 2
@@ -192,7 +192,7 @@ def test_when_cycles_cease_to_come_the_plate_counts_as_resting():
 
 
 def test_a_clock_that_is_put_back_ends_what_was_sent_before():
-    """As when a simulator starts again; its clock may be heard a little after its images."""
+    """As after a restart of the simulator: its clock can arrive a little later than its images."""
     cycle = wild_cycle(1, 12, 1e-4, 0.2, 1)
     guard, _ = Guard(RIG).accepted(cycle, 100 * 10**9, 100.0)
     assert guard.watched(99.1) == guard.watched(0.0) == (guard, False)

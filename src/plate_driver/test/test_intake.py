@@ -123,7 +123,7 @@ def test_a_cycle_that_arrived_before_a_stop_is_not_sent_after_it(desk):
 
 
 def test_a_cycle_continues_no_table_from_before_a_stop(desk):
-    """Also if the motors were enabled again before anybody has looked at their state."""
+    """Also if the motors were enabled again before their state was read."""
     desk.send(FIRST)
     desk.now += 0.05
     desk.send(SECOND)

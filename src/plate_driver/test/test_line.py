@@ -1,4 +1,4 @@
-"""What the host makes of pulses: round trip, loss; and what a line can carry."""
+"""The host's estimates from pulses: round trip, loss; and the capacity of a line."""
 
 import numpy as np
 import pytest

@@ -1,4 +1,4 @@
-"""What the driver's node decides: a node in this process, in the test's time."""
+"""Decisions of the driver's node: a node in this process, in the test's time."""
 
 import contextlib
 import re
@@ -134,7 +134,7 @@ def test_good_and_bad_cycles(driven, rig):
     assert driven.stamps()[2:] == [stamp, good]
     assert driven.send(GENTLE) == driven.stamps()[-1]
 
-    # What happened is in the diagnostics, and what is commanded in motor_states.
+    # Diagnostics have the event, and motor_states the commanded state.
     driven.pass_time(1.0)
     totals = driven.values()
     assert [totals[-1][key] for key in ("cycles", "refused", "scaled")] == ["5", "6", "1"]
@@ -239,7 +239,7 @@ def test_starts_of_cycles_and_of_tails_are_told(make, monkeypatch):
 
 
 class Refusing(Player):
-    """Motors whose controller says that it takes no table, which is true or not."""
+    """Motors whose controller reports that it plays no table, which is true or not."""
 
     takes = False
 
@@ -301,7 +301,7 @@ def test_a_foreign_cycle_is_faded_and_silence_lets_the_plate_rest(make, rig):
     applied = msg_to_motors(rig, driven.setpoints[-1])
     assert applied.starts_at_rest
     assert applied.period == pytest.approx(3 * PERIOD)
-    # No more cycles: the plate rests by itself, and the driver says so; nothing is sent for it.
+    # No more cycles: the plate rests without a command, and the driver reports it.
     tell_task(driven, TaskStatus.RUNNING)
     silence = "no plate_cycle for 0.6 s: the plate rests"
     driven.pass_time(0.59)
@@ -368,7 +368,8 @@ def test_what_is_too_old_or_of_a_task_that_has_ended_moves_nothing(driven):
     driven.pass_time(0.5)
     old = driven.clock.time_ns() - 700 * MS
     assert refused(driven, old).startswith("plate_cycle is for an image 0.70 s old")
-    # The end of the task is heard after the cycle that it had asked for, but was said before.
+    # The end of the task arrives after the cycle that the task had requested, but was published
+    # before it.
     asked = driven.clock.time_ns()
     data = serialize_message(
         TaskStatus(header=Header(stamp=to_time(asked)), state=TaskStatus.ABORTED)
@@ -380,7 +381,7 @@ def test_what_is_too_old_or_of_a_task_that_has_ended_moves_nothing(driven):
     )
     inputs.tasks = inputs.tasks._replace(subscription=subscription)
     assert refused(driven, asked) == "plate_cycle is for a task that has ended"
-    # A plate at rest may be asked for at any time.
+    # Rest can be requested at any time.
     assert driven.send(PlateCycle.rest(PERIOD), asked) == asked
     assert at_rest(driven.setpoints[-1])
     driven.pass_time(PERIOD)
@@ -546,7 +547,7 @@ def test_a_stop_latches_in_every_state(driven):
     assert "ready" not in driven.told[driven.told.index(EMERGENCY) :]
     assert refused(driven) == f"the driver is {EMERGENCY}"
     assert driven.report.level == DiagnosticStatus.ERROR
-    # A stop of an inactive and of an unconfigured driver, and what enable says there.
+    # A stop of an inactive and of an unconfigured driver, and the reply of enable there.
     assert driven.enable().success
     for label, word in (("deactivate", "inactive"), ("cleanup", "unconfigured")):
         assert change(driven, label)

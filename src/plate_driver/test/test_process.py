@@ -47,7 +47,7 @@ for command in commands:
     except SystemExit as end:
         print("code", end.code, flush=True)
 """
-"""The program `plate`, which is given one command after the other, and time for what is there."""
+"""The program `plate`, which gets one command after the other, and time to discover the nodes."""
 
 
 class Peer:
@@ -68,7 +68,7 @@ class Peer:
             (DiagnosticArray, "diagnostics", self.reports),
         ):
             self.node.create_subscription(kind, topic, received.append, DATA)
-        self.told: list[str] = []  # without what is said again
+        self.told: list[str] = []  # without repeated messages
         self.node.create_subscription(DriverStatus, "driver_status", self._on_status, LATCHED)
         self.cycles = self.node.create_publisher(JointTrajectory, "plate_cycle", DATA)
         self.tasks = self.node.create_publisher(TaskStatus, "task_status", LATCHED)
@@ -92,7 +92,7 @@ class Peer:
         return self._file.read_text()
 
     def seen(self, condition, seconds: float = 60.0) -> bool:
-        """Spin until the condition holds; False if it does not within so long."""
+        """Spin until the condition holds. Return False if it does not hold within the time [s]."""
         end = time.monotonic() + seconds
         while not (holds := condition()) and time.monotonic() < end:
             self.executor.spin_once(timeout_sec=0.02)
@@ -108,9 +108,9 @@ class Peer:
         return stamp_ns
 
     def moved(self) -> None:
-        """Have the plate move, by a cycle for each new image as a solver does. What the driver
-        hears late, or before it has noticed that it is ready, it refuses, and before it knows this
-        publisher it hears nothing."""
+        """Move the plate by a cycle for each new image, as a solver does. The driver refuses late
+        cycles and those that arrive before it is ready, and receives none before it has discovered
+        this publisher."""
         sent, before = [], len(self.setpoints)
 
         def answered() -> bool:
@@ -136,7 +136,8 @@ class Peer:
         return made
 
     def changes(self, unfit: str):
-        """Return what has the driver do a transition; `unfit` is none that it has now."""
+        """Return a function that makes the driver do a transition. `unfit` is a transition that is
+        not possible now."""
         [client] = self.clients(ChangeState, "driver/change_state", transition(unfit))
         return lambda label: self.call(client, transition(label)).success
 
@@ -185,7 +186,7 @@ def test_a_process_answers_over_ros_and_rests_at_an_interrupt(peer):
         peer.cycles.publish(data[: len(data) // 2])
         return peer.seen(lambda: "cycle refused: JointTrajectory: " in peer.output, 1.0)
 
-    peer.until(refused)  # which is not told twice in two seconds
+    peer.until(refused)  # which is not reported twice within two seconds
     peer.until(lambda: "task_status: TaskStatus: " in peer.output)
     peer.tasks.publish(TaskStatus(text="idle"))
     peer.until(lambda: peer.states)
@@ -236,7 +237,7 @@ def test_a_process_is_managed_frozen_and_terminated(peer):
     assert not change("configure")
     assert state() == "active"
     peer.moved()
-    # Nobody sends a cycle any more, though a task runs: it rests by itself, and says so.
+    # No cycle arrives any more, although a task runs: the plate rests, and the driver reports it.
     peer.tasks.publish(TaskStatus(state=TaskStatus.RUNNING))
     peer.until(lambda: peer.level == DiagnosticStatus.STALE)
     assert "no plate_cycle for 0.3 s: the plate rests" in peer.output
@@ -244,7 +245,8 @@ def test_a_process_is_managed_frozen_and_terminated(peer):
     peer.rests()
     assert change("cleanup")
     assert state() == "unconfigured"
-    # A second life. What came while the driver stood still moves nothing, however young it is.
+    # After a restart: messages that arrived during the stall of the driver move nothing, even if
+    # they are new.
     assert change("configure")
     assert change("activate")
     peer.moved()

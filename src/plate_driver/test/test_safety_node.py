@@ -19,10 +19,10 @@ from plate_driver.status import UNANSWERED, UNCERTAIN  # noqa: E402
 from plate_driver.transports import Condition, Measured, Order, Report  # noqa: E402
 
 FOREVER_S = 3600.0
-"""Orders of this transport are waited for so long, if nobody bounds that."""
+"""Maximum wait for orders of this transport without another bound."""
 
 IN_TIME_S = 0.5
-"""Each call is answered within so long."""
+"""Maximum time until a call gets its reply."""
 
 
 class Withheld:
@@ -120,7 +120,7 @@ def test_a_stop_that_is_not_acknowledged_is_answered_and_goes_on_being_tried(des
     assert (answer.success, answer.message) == (False, UNANSWERED)
     status = desk.node.status
     assert (status.text, status.reason) == (UNCERTAIN, DriverReason.STOP_UNANSWERED)
-    desk.motors.stops[-1].settle()  # the status then says how it ended
+    desk.motors.stops[-1].settle()  # the status then has the result
     assert desk.node.status.text == "error: no word"
     # Telemetry shows it: an acknowledgement is not needed.
     desk.motors.told, desk.motors.telemetry = Report(Condition.OFF), True
@@ -190,7 +190,7 @@ def test_what_a_stop_opens_while_the_driver_ends_is_closed(desk):
     safety.close = stop_and_close
     desk.go_silent()
     desk.node.close()
-    assert (len(desk.motors.stops), desk.motors.closed) == (2, 1)  # to close is to stop too
+    assert (len(desk.motors.stops), desk.motors.closed) == (2, 1)  # closing also stops
 
 
 def test_a_stop_of_an_unconfigured_driver_is_tried_until_it_is_acknowledged(desk):

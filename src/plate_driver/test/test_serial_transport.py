@@ -95,7 +95,7 @@ def test_other_end_that_vanishes_is_a_trouble_not_a_crash(terminal):
 
 
 def test_a_port_that_is_not_there_is_waited_for(terminal, tmp_path):
-    """As one that is lost: it is told once, and the device is greeted when it comes."""
+    """As a lost port: it is reported once, and Hello is sent when the port appears."""
     master, slave = terminal
     link, clock = tmp_path / "port", [0.0]
     transport = SerialTransport(lambda: open_port(str(link)), lambda: clock[0], 1)

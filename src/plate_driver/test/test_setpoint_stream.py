@@ -78,7 +78,7 @@ def test_a_stream_ends_at_rest_when_its_cycles_have_been_sent():
     assert 0 < last.ticks - sent[-2].ticks <= 5_000_000  # no piece may be longer
     assert abs(stream.time - last.ticks * 1e-8) < 1e-12
     assert stream.until(60.0) == (stream, ())
-    # The way to rest: no acceleration beyond what there was, hardly any way.
+    # The path to rest: no larger acceleration than before, and hardly any distance.
     ends = [[k.position[0], k.velocity[0], 100.0 if k is sent[-2] else 0.0] for k in sent[-2:]]
     way = BPoly.from_derivatives([0.0, (last.ticks - sent[-2].ticks) * 1e-8], ends)
     t = np.linspace(0, way.x[-1], 200)

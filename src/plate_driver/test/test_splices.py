@@ -23,7 +23,7 @@ SIZE = 2e-4
 
 STEP = 1e-3
 MOST = 1 + 1e-4
-"""What rounding may make of a limit."""
+"""Excess of a limit by rounding."""
 
 
 def spliced(rng, before=None, size=SIZE) -> PlateCycle:
@@ -124,7 +124,8 @@ def test_a_cycle_in_motion_that_begins_elsewhere_is_refused(pair, rng):
 
 
 def test_a_cycle_in_motion_is_never_scaled(rng):
-    """From rest it is, with its tail; what follows the cycle as it came then begins elsewhere."""
+    """A cycle from rest is scaled, with its tail. A cycle that continues the unscaled one then
+    begins elsewhere."""
     first = spliced(rng, size=2e-2)
     table, fit = prepare(RIG, first, 1)
     assert 0 < fit.factor < 0.9
@@ -152,7 +153,7 @@ def test_what_rounding_makes_of_a_limit_is_no_excess(rng):
 
 
 def test_the_tail_keeps_the_limits_too(pair):
-    """A cycle is scaled, or refused, by what its tail alone exceeds."""
+    """A cycle is scaled, or refused, even if only its tail exceeds a limit."""
 
     def hard(cycle):
         short = replace(cycle, tail=PlateCycle.stopping(cycle.state(-1), 0.0101))
@@ -234,7 +235,7 @@ def test_a_table_with_a_tail_is_played_once(pair):
     assert guard.lasts_s == pytest.approx(PERIOD + TAIL)
     assert not guard.over(10.149)
     assert guard.over(10.151)
-    # What follows begins at the splice, and what plays then may be anywhere up to that.
+    # The next cycle begins at the splice. Until then, any state of the playing cycle is possible.
     late, _ = guard.accepted(second, 2, 10.12)
     assert late.statistics.late == pytest.approx(0.02)
     assert guard.accepted(second, 2, 10.08)[0].statistics.late == 0
@@ -315,7 +316,7 @@ def test_motors_that_are_too_warm_end_in_a_scaled_cycle_from_rest_and_go_on(rng)
     for k in range(200):
         now = k * PERIOD
         guard, _ = guard.watched(now)
-        if guard.table is None:  # the plate has told that it rests: it is answered from there
+        if guard.table is None:  # the plate's rest was reported, so the next cycle begins at rest
             before = None
         cycle = spliced(rng, before)
         try:
@@ -338,8 +339,8 @@ def test_motors_that_are_too_warm_end_in_a_scaled_cycle_from_rest_and_go_on(rng)
 
 
 class Player:
-    """What a device does with tables, by its documented rules; notes each `STEP` which one plays,
-    and how far it is in that [s]."""
+    """A device that plays tables by its documented rules. It records at each `STEP` which table
+    plays, and for how long [s]."""
 
     def __init__(self) -> None:
         self.now, self.steps = 0.0, []
@@ -454,10 +455,10 @@ def sender(rng, guard, last):
     before = None if guard.table is None else guard.table.cycle
     tailed = before if before is not None and before.tail is not None else None
     return [
-        lambda: spliced(rng, tailed),  # as asked
+        lambda: spliced(rng, tailed),  # as requested
         lambda: spliced(rng, tailed),
         lambda: spliced(rng, tailed),
-        lambda: spliced(rng, last),  # following what was refused, or is long over
+        lambda: spliced(rng, last),  # continues a refused cycle, or one that ended long ago
         lambda: spliced(rng),
         lambda: closed(rng),
         lambda: spliced(rng, tailed, 3e-3),  # too much
@@ -579,7 +580,7 @@ def test_whatever_is_streamed_the_plate_never_jumps():
                 totals[0] += 1
             now += 0.01 * rng.choice(WAITS, p=WAITED)
             guard, _ = guard.watched(now)
-            # Just not, or just beyond the end of what is sent.
+            # Just inside, or just beyond the end of the sent path.
             stream, more = stream.until(stream.begin * 1e-8 + PERIOD + rng.choice([0.02, -0.04]))
             streams[-1] += more
             cycle = stream.playing.cycle
@@ -595,7 +596,7 @@ def test_whatever_is_streamed_the_plate_never_jumps():
     assert np.min(totals) > 40, totals
 
 
-# What it reports
+# Its reports
 
 
 def test_starts_of_tails_are_told_too(pair, rng):
@@ -629,7 +630,7 @@ def test_starts_of_tails_are_told_too(pair, rng):
         rests = [at for at in found if at not in begins]
         assert any(at == pytest.approx(1.25) for at in rests)
         assert not any(1.0 < at < 1.24 for at in rests)
-    # Where nothing was heard of the tail the plate is not told to rest before its end.
+    # If no tail was reported, the plate gets no order to rest before the tail's end.
     found = told(lambda time: 1.19 < time < 1.26)
     assert 1.2 not in found
     assert not any(1.1 < at < 1.249 for at in found)

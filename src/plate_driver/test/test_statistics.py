@@ -1,4 +1,4 @@
-"""What a guard counts, and when it takes the plate for one at rest."""
+"""Counters of a guard, and when the plate counts as at rest."""
 
 import pytest
 

@@ -1,4 +1,4 @@
-"""The latch, and a transport in its thread: what was made before a stop is not sent after it."""
+"""The latch, and a transport in its thread: tables computed before a stop are not sent after it."""
 
 import threading
 import time
@@ -78,7 +78,7 @@ def test_a_weaker_reason_does_not_replace_a_stronger_one():
 
 
 class Motors(SimTransport):
-    """Motors that do and tell nothing by themselves: the test is their controller."""
+    """Motors that neither act nor report by themselves: the test is their controller."""
 
     motors = True
 
@@ -139,7 +139,7 @@ def test_a_stop_wins_over_an_enable_that_is_under_way():
     latch.close(EMERGENCY)
     order = thread.enable(latch.number)
     latch.close(CUT, over=())
-    motors.enabled.settle()  # the device has taken it before it heard of the stop
+    motors.enabled.settle()  # the device has accepted it before it received the stop
     thread.poll()
     assert order.failure == STOPPED_SINCE
     assert (motors.stops, latch.reason, latch.enabling) == ([False], CUT, False)
@@ -166,7 +166,7 @@ def test_a_stop_that_is_not_acknowledged_is_done_if_what_is_measured_shows_it():
     motors.told, motors.measured_at = Condition.OFF, [now]
     thread.poll()
     order.settle("it cannot be cut from here")
-    assert not thread.stopped(order, True, now)  # what the transport says of it counts
+    assert not thread.stopped(order, True, now)  # the transport's report counts
 
 
 def test_a_late_stop_is_forgotten_once_it_is_acknowledged_or_the_motors_are_off():
@@ -348,7 +348,7 @@ def test_calibrating_is_a_state():
 
 
 def test_motors_that_are_ready_before_the_latch_is_open_do_not_brake():
-    """The device is heard before the enable has come back; only a stop since then brakes."""
+    """The device reports before the call of enable returns; only a stop since then brakes."""
     latch = closed(CUT)
     number = latch.number
 

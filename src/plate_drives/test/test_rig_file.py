@@ -1,4 +1,4 @@
-"""What is written into a rig file: its own form stays."""
+"""Changes written into a rig file: the rest of the file keeps its form."""
 
 from dataclasses import replace
 

@@ -45,7 +45,7 @@ class Cell:
         self.busy = False  # whether the planner has more to do though enough are ready
 
     def do(self, method, *args, **kwargs):
-        """Give a command, and return what it answers, now or in this step."""
+        """Give a command, and return its reply, now or in this step."""
         reply = getattr(self.feeder, method)("robot", *args, **kwargs)
         self.step()
         return reply
@@ -304,7 +304,7 @@ def test_a_window_and_an_angle_of_a_command():
     assert cell.answer().part.id == "black_2"
     cell.do("part_taken")
     cell.run(3)
-    one_more = replace(BLACK, ready=BLACK.ready + 1)  # while old images show the one that is gone
+    one_more = replace(BLACK, ready=BLACK.ready + 1)  # while old images show the removed part
     assert cell.output.order.picks == (one_more,)
     cell.run(15)
     assert cell.output.order.picks == (BLACK,)
@@ -377,7 +377,7 @@ def test_a_task_that_does_not_begin():
     before = cell.t
     assert cell.answer(2 * START_S).code is Code.SILENT
     assert cell.t - before == pytest.approx(START_S, abs=0.25)
-    assert not cell.output.run  # nothing begins later that nobody waits for
+    assert not cell.output.run  # no task begins later without a waiting client
 
 
 @pytest.mark.parametrize("command", ["prepare_part", "get_part"])
@@ -426,7 +426,7 @@ def test_after_a_stop_nothing_begins_before_a_person_says_so():
             assert repr(reply) == repr(expected)  # its NaN is unequal to itself
         cell.run(2)
         assert not cell.output.run
-    feeder.task_ended("the planner is gone")  # what comes after it does not lift it
+    feeder.task_ended("the planner is gone")  # later events do not end the stop
     assert feeder.get_part("robot", now=cell.t).code is Code.STOPPED
     assert feeder.state(cell.t) is State.STOPPED
     feeder.resume()
@@ -624,8 +624,8 @@ def test_no_hopper_opens_over_a_robot_and_no_part_is_told_on_which_others_fall()
 
 
 def test_what_falls_while_a_robot_hides_it_is_counted_before_the_hopper_opens_again():
-    """Until the robot has left the planner goes on with the image of before: else what has fallen
-    meanwhile falls once more, and parts below it are offered."""
+    """Until the robot has left, the planner uses the last image before. Otherwise newly dropped
+    parts would be dropped again, and parts below the robot would be offered."""
     place = replace(BLACK, low=(-0.2, -0.1))
     cell = Cell(replace(TASK, picks=(place,), hopper=HOPPER), ready=(), seen={"black": 2})
     cell.ready = {"black_1": part("black_1"), "black_2": part("black_2", -0.19)}

@@ -37,7 +37,7 @@ COVARIANCE = [1e-8, 0.0, 0.0, 0.0, 4e-8, 0.0, 0.0, 0.0, 1e-4]
 
 
 class Planner:
-    """Says of each image that the plate rests if it was told so, and what is ready."""
+    """Reports for each image whether the plate rests as ordered, and the ready parts."""
 
     def __init__(self, clock):
         self.node = rclpy.create_node("planner")
@@ -63,7 +63,7 @@ class Planner:
         return CancelResponse.ACCEPT
 
     def end(self, text, reason=TaskStatus.NO_PARTS):
-        """End the task, and say so with the result alone."""
+        """End the task, and report it only by the result."""
         goal, self.goal = self.goal, None
         self.results[bytes(goal.goal_id.uuid)] = TaskStatus(
             task="feed", state=TaskStatus.ABORTED, reason=reason, text=text

@@ -22,7 +22,7 @@ ANSWER = re.compile(rb"[245]\d\d [ -~]+\r\n")
 
 
 class Stub:
-    """Answers at once, but for commands that wait: those when a test lets it."""
+    """Replies at once, except to commands that wait: to those when a test releases them."""
 
     def __init__(self):
         self.asked, self.waiting, self.gone = [], [], set()
@@ -58,11 +58,11 @@ class Robot:
         self.file = self.socket.makefile("rb")
 
     def send(self, data):
-        with contextlib.suppress(OSError):  # the server may have let go of us
+        with contextlib.suppress(OSError):  # the server may have closed the connection
             self.socket.sendall(data)
 
     def line(self):
-        """Return an answer; empty if the server has let go of us."""
+        """Return a reply. It is empty if the server has closed the connection."""
         try:
             return self.file.readline()
         except ConnectionError:

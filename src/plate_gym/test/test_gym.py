@@ -344,7 +344,7 @@ def test_a_part_that_the_robot_takes_counts(gym):
 
 
 def test_parts_that_leave_count_unless_they_are_meant_to(gym):
-    """The chute is to the right; what is lost costs, and ends nothing."""
+    """The chute is on the right. A lost part costs reward, but does not end the episode."""
     env = gym.PlateEnv("Feed-v1")
     for label, x, lost in (("grey", 0.299, 0), ("grey", -0.299, 1), ("black", 0.299, 1)):
         env.reset(seed=0)
@@ -419,7 +419,7 @@ def test_ours_follows_the_references_that_it_is_told(gym):
 
 
 def test_ours_feeds_as_fast_as_the_robot_takes(gym):
-    """Who does nothing feeds what happens to lie ready."""
+    """An agent that does nothing feeds the parts that happen to be ready."""
     from plate_gym.agent import Brief
     from plate_gym.agents import AGENTS
 
@@ -434,7 +434,7 @@ def test_ours_feeds_as_fast_as_the_robot_takes(gym):
 
 
 def test_what_is_seen(gym):
-    """Parts where they are but for noise, as late and as often missed as the world has them."""
+    """True positions with noise, with the latency and the misses of the world."""
     env = gym.PlateEnv("Sort10-v1")
     true = env.reset(seed=2)[0], env.plates.plates[0].simulation.state
     error = true[0][:, :2] - true[1].position
@@ -471,7 +471,7 @@ def test_a_rendered_picture_shows_the_parts(gym):
 
 
 class Tk:
-    """Of the desktop: as Tk, it destroys a window that is closed, unless it was told otherwise."""
+    """A desktop's toolkit like Tk: it destroys a closed window, unless another handler is set."""
 
     def __init__(self):
         self.lock, self.updates, self.closed, self.on_close = Lock(), 0, False, self.destroy
@@ -522,7 +522,7 @@ def test_a_window_that_is_closed_or_copied_ends_nothing(gym, monkeypatch):
 
 
 def test_a_rest_after_motion_is_reached_by_the_tail(gym):
-    """What an agent sends that does not begin where the plate is waits until it rests."""
+    """A motion that does not begin in the plate's state waits until the plate rests."""
     from plate_gym.agent import Brief
     from plate_gym.agents import AGENTS
 
@@ -610,7 +610,7 @@ def test_who_is_told_what_runs_cannot_change_it(gym):
 
 
 def test_the_guide_is_right(capsys):
-    """Its programs run, and its tables say what the scenarios and the worlds say."""
+    """The page's programs run, and its tables agree with the scenarios and the worlds."""
     from plate_gym.agent import KNOWN, Brief
     from plate_gym.tasks import TASKS, WORLDS, scenario_of
     from plate_sim.world import NONE

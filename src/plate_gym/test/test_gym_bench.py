@@ -1,4 +1,4 @@
-"""The judge of agents: what it counts, that it gives the same again, what it notices."""
+"""The evaluation of agents: its counts, its repeatability, and the cheats that it detects."""
 
 import copy
 import json
@@ -186,8 +186,8 @@ def test_fresh_seeds_show_a_share_that_was_picked(bench, result, monkeypatch, go
 
 
 def test_code_is_known_by_what_it_says(bench, tmp_path, monkeypatch):
-    """The commit is that of this file or of what it is a copy of, even inside another repository;
-    a change of any source is another digest."""
+    """The commit is that of this file or of its original, even inside another repository. A change
+    of any source changes the digest."""
     before = bench.sources()
     package = tmp_path / "plate_core"
     package.mkdir()
@@ -226,7 +226,7 @@ CHEATS = {
 
 @pytest.fixture
 def module(tmp_path, monkeypatch):
-    """A module with agents that cheat or fail, and with what is no agent."""
+    """A module with agents that cheat or fail, and with objects that are no agents."""
     text = "import numpy as np\nclass Base:\n    action, observation = 'motion', 'parts'\n"
     text += "    def __init__(self, brief, seed): self.brief = brief\n"
     text += "\n".join(f"class {name}(Base):\n    {code}" for name, code in CHEATS.items())
@@ -383,7 +383,7 @@ def test_our_solver_is_time_of_a_decision(bench, module, monkeypatch):
 
 
 def in_this_process(bench, monkeypatch):
-    """The command's workers know nothing of what a test has changed."""
+    """The command's workers do not have the changes that a test has made."""
     episodes = bench.episodes
 
     def here(agent, world, task, seeds, workers, *args, **settings):
@@ -527,8 +527,8 @@ def test_a_summary_is_of_its_rows(bench, result, monkeypatch):
 
 
 def test_an_agent_of_ones_own_by_the_command(tmp_path, bench, monkeypatch):
-    """One that does nothing gets nothing, for as long as the task may take; it runs where libraries
-    compute alike on all processors."""
+    """An agent that does nothing gets no reward during the whole task. It runs where libraries
+    compute the same on all processors."""
     monkeypatch.delenv("NPY_DISABLE_CPU_FEATURES", raising=False)
     alike = f"import os\nassert os.environ.items() >= {bench.ALIKE}.items()\n"
     (tmp_path / "lazy.py").write_text(alike + LAZY, encoding="utf-8")
@@ -538,14 +538,15 @@ def test_an_agent_of_ones_own_by_the_command(tmp_path, bench, monkeypatch):
     ]  # fmt: skip
     done = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, timeout=300)
     assert done.returncode == 0, done.stderr
-    assert done.stderr == "made"  # what it prints is no result
+    assert done.stderr == "made"  # its output is no result
     (row,) = json.loads((tmp_path / "lazy.json").read_text())["tasks"]["Sort4-v1"]["rows"]
     assert (row["success"], row["return"], row["steps"], row["limit_share"]) == (False, 0, 1200, 0)
     assert row["time_s"] == pytest.approx(120)
 
 
 def test_an_agent_that_hangs_ends_with_the_command(tmp_path):
-    """Its worker, too, which hears no interrupt; what the agent writes is no answer of a judge."""
+    """Its worker, which gets no interrupt, also ends. The agent's output is no reply of the
+    evaluation."""
     text = LAZY.replace("return", "os.write(1, b'the same again'); hang()  #")
     hang = """
 import os, time
@@ -613,8 +614,8 @@ def test_the_other_agents_act(bench, name):
 
 
 def test_the_papers_method_has_the_forces_it_asks_for(bench, monkeypatch):
-    """On the averaged map, where the plate turns so slowly that it takes no time to turn round:
-    what gives a part 30 mm/s in 0.2 s, of 0.25 times 9.81 m/s^2."""
+    """On the averaged map, with a plate so slow that it reverses in no time: the force that gives a
+    part 30 mm/s in 0.2 s, as a fraction of 0.25 times 9.81 m/s^2."""
     from plate_gym import PlateEnv, classic
     from plate_gym.agent import Brief
     from plate_solver import average_force
@@ -631,7 +632,7 @@ def test_the_papers_method_has_the_forces_it_asks_for(bench, monkeypatch):
 
 
 def ended(main):
-    """With which code a program has ended, by itself or by its parser."""
+    """Exit code of a program, from itself or from its parser."""
     try:
         return main()
     except SystemExit as end:

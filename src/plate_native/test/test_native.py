@@ -1,4 +1,4 @@
-"""Kernels: compiled when what they include has changed, and once for all clones; none is fused."""
+"""Kernels: compiled when an included file has changed, once for all clones; no fused operations."""
 
 import importlib.util
 import os
@@ -45,7 +45,7 @@ def package(tmp_path, monkeypatch):
 
 
 def build():
-    """Compile; returns what was compiled, and what the module says."""
+    """Compile. Return the compiled files, and the module's output."""
     command = CompileKernels(Distribution({"name": "some", "ext_modules": [kernels("some")]}))
     command.inplace, command.build_temp = True, "made"
     command.finalize_options()
@@ -75,7 +75,7 @@ def test_only_what_has_changed_is_compiled(package, capfd):
 
 
 def as_in_another_clone():
-    """Leave of what was compiled only what the user has."""
+    """Keep only the user's part of the compiled files."""
     shutil.rmtree("made")
     next(Path("some").glob("_kernels*.so")).unlink()
 
@@ -141,7 +141,7 @@ MESSAGES = Path(__file__).parents[2] / "plate_interfaces"
 
 
 def test_messages_of_another_clone_name_this_one(package):
-    """Texts do, as they have the path of the clone; what is compiled stays as it is."""
+    """Texts differ, because they have the path of the clone. Compiled files stay as they are."""
     first, second = package / "first", package / "second"
     for clone in (first, second):
         shutil.copytree(MESSAGES, clone / "messages")

@@ -1,4 +1,4 @@
-"""What several tests of the node use."""
+"""Fixtures that several tests of the node use."""
 
 import pytest
 

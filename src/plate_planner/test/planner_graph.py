@@ -93,7 +93,7 @@ class Graph:
             self.drivers.publish(self.driver)
 
     def driver_text(self):
-        """What the planner has heard of the driver."""
+        """The planner's received messages of the driver."""
         status = self.planner._monitor.inputs.driver_status
         return None if status is None else status.text
 
@@ -115,7 +115,7 @@ class Graph:
         return future.result()
 
     def result(self, handle):
-        """The end of a goal: status of the action, and what the planner says of the task."""
+        """The end of a goal: status of the action, and the planner's status of the task."""
         future = handle.get_result_async()
         self.until(future.done)
         return future.result().status, future.result().result.status
@@ -182,7 +182,7 @@ class Graph:
         return future.result()
 
     def image(self, stamp_s, position, ids=IDS):
-        """Publish parts and return what the planner asks for, once it has heard the answer."""
+        """Publish parts, and return the planner's request once it has received the result."""
         count = len(self.forces)
         stamp = to_time(round(stamp_s * 1e9))
         if self.reporting:

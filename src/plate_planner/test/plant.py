@@ -1,4 +1,5 @@
-"""A plant that does what it is asked one cycle later, and what tests of the planner do with it."""
+"""A plant that follows each request one cycle later, and common functions of the planner's
+tests."""
 
 from collections import Counter
 

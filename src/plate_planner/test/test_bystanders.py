@@ -63,7 +63,7 @@ def test_things_that_come_and_go_do_not_keep_a_task_from_beginning():
 
 
 def asked_of(planner, images):
-    """Return the ids of what is asked for after each of these images; the plate rests."""
+    """Return the ids in the request after each of these images; the plate rests."""
     state, asked = ready(planner, images[0]), []
     for k, image in enumerate(images):
         state = planner.started(state, PlateCycle.rest(T), k * T, True)

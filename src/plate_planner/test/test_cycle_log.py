@@ -145,7 +145,7 @@ def swinging(k):
 
 
 def played(count, late, log=None):
-    """A log of `count` cycles of 0.1 s, each of them `late` cycles later than it was asked for."""
+    """A log of `count` cycles of 0.1 s, each `late` cycles later than requested."""
     log = (log or CycleLog()).started(swinging(0), 0.0)
     for k in range(1, count):
         log = log.record_cycle(swinging(k), 0.1 * k - 0.02, 0.1 * (k - 1))
@@ -184,7 +184,7 @@ def test_one_late_answer_is_not_expected_of_the_next():
 
 
 def test_a_cycle_that_is_due_is_expected_before_it_is_reported():
-    log = played(12, 1)  # 1.1 to 1.2 s runs what was sent tenth
+    log = played(12, 1)  # from 1.1 to 1.2 s the tenth sent cycle runs
     for one in (log, log.record_cycle(swinging(12), 1.19, 1.1)):
         assert one.advance(1.21).runs[-1][1].knot_pose[1, 0] == pytest.approx(11e-4)
 
@@ -239,7 +239,7 @@ def test_a_report_says_what_has_begun_in_spite_of_what_was_expected():
     assert [cycle for _, cycle in log.runs] == [LEAVES, LEAVES.tail]
     assert np.array_equal(log.until_answer.plate, HOME)
     assert log.end == pytest.approx(1.15)
-    # What was refused is not expected any more: it does not begin at rest.
+    # A refused cycle is no longer expected, because it does not begin at rest.
     assert not log.advance(1.15).runs[-1][1].moves
 
 
@@ -265,7 +265,7 @@ def test_an_image_that_is_older_than_the_last_report_does_not_undo_it():
     log = reported((1.0, LEAVES), (1.1, LEAVES.tail), (1.15, SHORT))
     assert log.advance(1.1) == log
     assert log.advance(1.0).certain
-    assert not log.advance(0.9).known  # time began anew
+    assert not log.advance(0.9).known  # time has restarted
 
 
 def test_a_tail_is_no_cycle_as_others():
@@ -306,7 +306,7 @@ def test_cycles_that_move_the_plate_without_an_answer_are_counted():
     assert (again.begun, again.unanswered_cycles) == (13, 1)
     assert again.started(swinging(11), 1.2) == again  # reported once more
     assert log.started(SHORT, 1.2).unanswered_cycles == 0  # rest
-    # A tail is what no answer leads to, unless it was rest that was asked.
+    # No request leads to a tail, unless rest was requested.
     log = CycleLog().started(SHORT, 0.9).record_cycle(LEAVES, 0.95, 0.9).started(LEAVES, 1.0)
     assert log.started(LEAVES.tail, 1.1).unanswered_cycles == 1
     assert log.record_cycle(SHORT, 1.05, 1.0).started(LEAVES.tail, 1.1).unanswered_cycles == 0

@@ -75,7 +75,8 @@ class World:
 
 
 def estimated(world, cycles, latency=0.0, given=0.0, edit=lambda k, parts: parts, told=False):
-    """Yield the estimator after every image, and the truth at its stamp; `told` of starts."""
+    """Yield the estimator after every image, and the truth at its stamp. `told`: whether starts are
+    reported."""
     estimator, cycle = Estimator.of(RIG, T, given), PlateCycle.rest(T)
     for k in range(cycles):
         if told:
@@ -244,7 +245,7 @@ def test_what_parts_do_beyond_what_the_model_knows_is_observed():
     assert estimator.bias.drift == pytest.approx(Windy.wind, abs=2e-3)
 
 
-# What parts do otherwise than predicted, against drifts that are known
+# Deviations of the parts from the prediction, compared with known drifts
 
 MOST = np.array([0.05, 0.05])
 
@@ -299,7 +300,7 @@ def test_parts_that_were_not_asked_go_on_drifting():
     parts = Parts.make(("a_1", "a_2"), np.zeros((2, 2)), np.full((2, 2), 0.01))
     asked = LastRequest(("a_2",), np.full((1, 2), 0.03), 1.0)
     assert asked.drift_of(parts, 1.0 + T, T) == pytest.approx(np.array([[0.01] * 2, [0.03] * 2]))
-    for other in (1.0 + 2 * T, 0.0):  # too old, and of a time that has begun anew
+    for other in (1.0 + 2 * T, 0.0):  # too old, and from a time that has restarted
         assert asked.drift_of(parts, other, T) == pytest.approx(np.full((2, 2), 0.01))
 
 
@@ -341,7 +342,7 @@ def test_images_of_any_time_tell_places_and_latency(rate, latency):
 @pytest.mark.parametrize("phase", [0.0, 0.45])
 @pytest.mark.parametrize("latency", [0.0, 0.06])
 def test_images_of_a_trigger_line_need_no_search_for_their_latency(phase, latency):
-    """Stamps are late by any time, and scatter; the line tells when images were taken."""
+    """Stamps have any delay and noise; the line reports when images were taken."""
     rig = replace(RIG, camera=replace(RIG.camera, trigger=CameraTrigger(phase)))
     world, rng = World(4, 1.1), np.random.default_rng(0)
     estimator, cycle, errors = Estimator.of(rig, T, None), PlateCycle.rest(T), []
@@ -384,7 +385,8 @@ def test_the_search_for_the_latency_bears_an_empty_plate():
 
 
 def test_the_first_images_in_motion_already_tell_of_the_latency():
-    """Stamps that scatter are not believed before the frames are known; a wrong first guess is."""
+    """Noisy stamps are not accepted before the frame interval is known; a wrong first estimate is
+    corrected."""
     errors = []
     for seed in range(8):
         runs = run_free(30.0, 0.08, jitter=0.005, cycles=3, seed=seed)

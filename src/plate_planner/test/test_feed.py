@@ -1,4 +1,4 @@
-"""Feeding: which parts are got ready, when the plate rests, and what is reported."""
+"""Feeding: which parts are prepared, when the plate rests, and the reports."""
 
 import pickle
 from dataclasses import replace
@@ -33,7 +33,7 @@ def situation(seen, t=0.0, hidden=None, tail=0.0):
 
 
 def run(task, *images, memory=None, begin=0, kept=False):
-    """Return what the rules make of images, one each cycle, the first in one of them."""
+    """Return the results of the rules for images, one per cycle, the first one in a given cycle."""
     rules, found = Feeder(task, RIG), None
     for k, seen in enumerate(images):
         now = replace(situation(seen, (begin + k) * T), kept=kept)
@@ -141,8 +141,8 @@ def test_nothing_lies_still_as_long_as_a_motion_that_was_asked_for_may_come(begi
 
 
 def test_a_motion_that_rest_has_overtaken_may_still_begin_while_the_driver_stands_still():
-    """The answer to image 0 and rest after it are heard at once, but reach the plate late: it rests
-    on its own until the motion begins with image 4."""
+    """The cycle for image 0 and the rest after it are received at once, but reach the plate late:
+    it rests until the motion begins with image 4."""
     assert _at_rest_while_a_motion_is_awaited(begins=4, count=8) == [k > 5 for k in range(8)]
 
 
@@ -153,8 +153,8 @@ def test_a_motion_that_the_driver_has_refused_is_not_awaited_for_ever():
 
 
 def _at_rest_while_a_motion_is_awaited(begins, count):
-    """Return whether each image is reported to be at rest; the motion asked for after image 0 is
-    answered in time, and begins with an image, or never."""
+    """Return whether each image is reported as at rest. The motion requested after image 0 arrives
+    in time, and begins with an image, or never."""
     feed = Planner(RIG, replace(SCENARIO, task=TASK))
     state, still = feed.start(feed.initial()), []
     push = np.outer(np.sin(np.linspace(0, 2 * np.pi, 20)) ** 3, [0.001, 0.0, 0.0])

@@ -181,7 +181,7 @@ def test_force_gives_back_the_wanted_interval():
     assert back + tolerance * T / MASS == pytest.approx(request.high)
 
 
-# The whole, against a plant that does what it is asked one cycle later
+# The complete rules, with a plant that follows each request one cycle later
 
 
 @pytest.mark.parametrize("shuffle", [False, True])
@@ -321,7 +321,7 @@ def test_a_part_pushed_far_off_its_path_ends_the_task():
 
 
 class Weak(Plant):
-    """A plant on which parts get a share of the drift that is asked of them, up to a bound."""
+    """A plant on which parts get a fraction of the requested drift, up to a bound."""
 
     share, bound = 1.0, np.inf
 

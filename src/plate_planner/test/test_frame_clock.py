@@ -89,7 +89,7 @@ def test_another_rate_is_found():
 
 
 def test_a_clock_of_frames_does_not_run_away():
-    """Of a camera that drops every third image, irregularly timed: stamps stay believed."""
+    """A camera with irregular times that drops every third image: its stamps stay accepted."""
     rng = np.random.default_rng(0)
     clock = FrameClock()
     for k in range(3000):

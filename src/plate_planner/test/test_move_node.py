@@ -23,7 +23,7 @@ def play(*targets):
 
 
 def connected(graph):
-    """What publishes `targets`, and what is heard of `part_targets`."""
+    """Publisher of `targets`, and the received messages of `part_targets`."""
     heard = []
     graph.probe.create_subscription(Targets, "part_targets", heard.append, LATCHED)
     publisher = graph.probe.create_publisher(Targets, "targets", DATA)
@@ -32,7 +32,8 @@ def connected(graph):
 
 
 def asked_now(graph, begin_s):
-    """What is asked at the next image; on a busy machine an answer may come too late to ask."""
+    """The request at the next image. On a busy machine a result can arrive too late for a
+    request."""
     for k in range(50):
         asked = graph.image(begin_s + 0.1 * k, APART)
         if asked.targets is not None:

@@ -42,7 +42,7 @@ def test_with_a_camera_that_runs_free_each_cycle_is_answered(graph):
     began = []
 
     def shown(k, images=True):
-        """Images in mid-cycle, and a cycle that begins, of which nothing is asked in between."""
+        """Images in mid-cycle, and the start of a cycle, without a request in between."""
         for t in (100.03, 100.07) if images else ():
             stamp = to_time(round(1e9 * (t + 0.1 * k)))
             graph.parts.publish(parts_to_msg(Parts.make(IDS, APART), stamp))
@@ -65,7 +65,7 @@ def test_with_a_camera_that_runs_free_each_cycle_is_answered(graph):
     assert len(asked.forces) == 4
     assert asked.at_start
     assert nanoseconds(asked.start) == nanoseconds(began[-1]) + 100_000_000
-    # Where images cease to come nothing is asked for once the last one is older than 0.4 s.
+    # If no images arrive, nothing is requested once the last one is older than 0.4 s.
     for k in range(8, 14):
         shown(k, images=False)
     assert [len(msg.forces) for msg in graph.forces[-6:]] == [4, 4, 4, 0, 0, 0]
@@ -165,7 +165,7 @@ def test_cancel_ends_the_task(graph):
     assert task.text == "aborted after 0.1 s: canceled"
     assert graph.image(0.3, APART).parts.ids == ()
     graph.until(lambda: graph.report()[0] == DiagnosticStatus.WARN)  # no failure
-    again = handle.cancel_goal_async()  # of what has ended
+    again = handle.cancel_goal_async()  # of an ended task
     graph.until(again.done)
     assert not again.result().goals_canceling
 
@@ -197,7 +197,7 @@ def test_stop_says_what_was_stopped(graph):
     graph.until(lambda: graph.states[-1] == aborted)
     assert graph.stop().message == f"no task runs; the last one: {aborted}"
     graph.until(lambda: graph.states[-1] == "idle")
-    # What this task has asked for stays told: the driver may have heard of its end by this alone.
+    # The requests of this task stay published: the driver may have learned its end only from them.
     assert nanoseconds(graph.statuses[-1].header.stamp) == 400_000_000
 
 
@@ -333,7 +333,7 @@ def test_an_error_of_the_driver_may_pass_but_not_stay(graph):
 
 
 def test_motors_that_were_stopped_and_enabled_again_end_the_task(graph):
-    """Nobody may have heard of the stop in between."""
+    """Other nodes may not have received the stop in between."""
     graph = graph()
     handle = graph.begin()
     enabled_again = DriverStatus(state=DriverStatus.READY, text="ready", enabled_at=to_time(1))
@@ -377,7 +377,7 @@ def test_without_parts_the_task_ends_without_any_image(silenced):
     assert silenced.states[-1].startswith("aborted after 0.1 s: no parts for ")
     assert silenced.states[-1].endswith("do the detector and the camera run?")
     silenced.until(lambda: silenced.report()[0] == DiagnosticStatus.ERROR)
-    # A stop acknowledges it; then diagnostics only tell what is missing.
+    # A stop acknowledges the failure. Then diagnostics report only missing inputs.
     silenced.stop()
     silenced.until(lambda: silenced.states[-1] == "idle")
     silenced.until(lambda: silenced.report()[0] == DiagnosticStatus.STALE)
@@ -446,7 +446,7 @@ def test_an_order_of_a_stranger_is_not_carried_out(graph, monkeypatch):
     graph = graph(input_timeout_s=30.0)
     monkeypatch.setattr(
         graph.planner._monitor, "second_publishers", str
-    )  # it may be gone before it is named
+    )  # it may have ended before it is named
     orders = graph.probe.create_publisher(FeedOrder, "feed_orders", DATA)
     graph.until(orders.get_subscription_count)
     graph.begin(scenario=load_scenario("feed"))
@@ -551,7 +551,7 @@ def reported(graph):
 
 
 AT_ONCE_S = 0.05
-"""So long threads of the middleware take to hand on three messages [s]."""
+"""Maximum time in which threads of the middleware deliver three messages [s]."""
 
 ORDERS = list(itertools.permutations(("cycle", "start", "parts")))
 

@@ -122,7 +122,7 @@ def test_a_part_may_hide_for_a_while():
 
 
 def test_nothing_is_done_while_a_part_is_only_predicted():
-    """It may have fallen off; once all are seen again the hold has not begun anew."""
+    """The part may have fallen off. Once all parts are detected again, the hold continues."""
     state = evaluate(RUNNING, 100.0, Findings((), True, 0.0), LIMITS)
     hidden = evaluate(state, 101.0, Findings((), True, 0.0, all_seen=False), LIMITS)
     assert hidden.phase is Phase.RUNNING

@@ -1,4 +1,4 @@
-"""The planner as a whole, against a plant that does what it is asked one cycle later."""
+"""The planner as a whole, with a plant that follows each request one cycle later."""
 
 from dataclasses import replace
 
@@ -27,7 +27,7 @@ def test_it_sorts(name):
     assert progress.parts_sorted == progress.parts_total == scenario.count
     assert np.all(plant.position[:, 0] * side > 0.6 * RIG.plate.half[0])
     assert np.all(np.abs(plant.position) < 0.9 * RIG.plate.half)
-    assert len(asked.parts) == 0  # nothing is asked of anyone once it is done
+    assert len(asked.parts) == 0  # no part gets a request once the task is done
 
 
 def test_sorted_parts_stay_sorted_while_others_are_on_their_way():
@@ -70,7 +70,7 @@ def test_a_part_that_falls_off_in_the_last_cycle_is_lost_and_the_task_not_done(h
     for k in range(30):
         seen = without(parts, "grey_2") if falls is not None and k >= falls else parts
         state, asked, progress = planner.plan(state, seen, k * T)
-        assert (len(asked.parts) > 0) == (k < 5)  # after the hold time the plate is to rest
+        assert (len(asked.parts) > 0) == (k < 5)  # after the hold time the plate must rest
         if progress.phase != "running":
             break
         if heard:

@@ -1,4 +1,4 @@
-"""Posing: which part gets which pose, what is asked, and that it gets there on a lazy plate."""
+"""Posing: the pose of each part, the requests, and that parts arrive on a slow plate."""
 
 from dataclasses import replace
 

@@ -126,7 +126,7 @@ AT_ONCE = {
     Reason.DRIVER_STOPPED: lambda graph, handle: setattr(graph, "driver", NOT_READY[0]),
     Reason.STOOD_STILL: lambda graph, handle: graph.clock.step(1.0),
 }
-"""What ends a running task without another image."""
+"""Events that end a running task without another image."""
 
 
 def provoke_at_once(make, reason):

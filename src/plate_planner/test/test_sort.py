@@ -1,4 +1,5 @@
-"""What sorting asks for: where parts are to go, in lanes while it is far; when they are sorted."""
+"""Requests of sorting: the targets of the parts, in lanes while they are far; when parts are
+sorted."""
 
 from dataclasses import replace
 
@@ -214,7 +215,7 @@ def test_a_bin_too_small_for_its_parts_is_refused():
 def test_parts_for_a_bin_along_an_edge_keep_behind_the_wall_if_it_has_room_there(
     inner, least, room
 ):
-    """The wall is 20 mm from the edge, and 14 mm are what has to be; slots are 10 mm from sides."""
+    """The wall is 20 mm from the edge, and 14 mm are required. Slots are 10 mm from the sides."""
     strip = Bin(((-0.1, inner), (0.05, inner), (0.05, 0.15), (-0.1, 0.15)))
     slot = slots(strip, "black", RIG)
     assert len(slot) == room

@@ -1,4 +1,4 @@
-"""Parts to targets: the best match, and what is asked of assembled parts."""
+"""Parts to targets: the best assignment, and the requests for assembled parts."""
 
 from itertools import permutations
 

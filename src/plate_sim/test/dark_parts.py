@@ -1,4 +1,4 @@
-"""What a picture of dark parts on a light plate shows, as centres and areas [px]."""
+"""Dark parts in a picture of a light plate, as centres and areas [px]."""
 
 import numpy as np
 
@@ -12,7 +12,7 @@ def light_of(camera):
 
 
 def covered(camera, image, point, reach=25):
-    """Centre (2,) [px] and area [px2] of what is black around a point [px]."""
+    """Centre (2,) [px] and area [px2] of the black pixels around a point [px]."""
     u0, v0 = np.round(point).astype(int)
     window = np.s_[max(v0 - reach, 0) : v0 + reach + 1, max(u0 - reach, 0) : u0 + reach + 1]
     share = (PLATE - image[window] / light_of(camera)[window]) / (PLATE - BLACK)

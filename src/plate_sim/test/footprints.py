@@ -1,4 +1,4 @@
-"""What tests of footprints share."""
+"""Common functions of the tests of footprints."""
 
 from dataclasses import replace
 

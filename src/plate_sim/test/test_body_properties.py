@@ -1,4 +1,4 @@
-"""What holds for any finite parts: energy, momentum, names, turned and mirrored rooms."""
+"""Properties of any finite parts: energy, momentum, order of parts, rotated and mirrored scenes."""
 
 import harmonic
 import numpy as np

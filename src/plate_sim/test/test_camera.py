@@ -20,7 +20,7 @@ def render(position, classes, noise=0.0, seed=0, **more):
 
 
 def darkness(image, empty, point, size=20):
-    """Centroid (u, v) [px] and sum of what a part takes from the light around a point [px]."""
+    """Centroid (u, v) [px] and sum of the light that a part removes around a point [px]."""
     u0, v0 = np.round(point).astype(int)
     window = np.s_[v0 - size : v0 + size + 1, u0 - size : u0 + size + 1]
     weight = empty[window].astype(float) - image[window]

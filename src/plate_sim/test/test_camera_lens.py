@@ -1,4 +1,5 @@
-"""What the camera draws through a lens, over an exposure and of other shapes, against OpenCV."""
+"""Images of the camera through a lens, over an exposure and of other shapes, compared with
+OpenCV."""
 
 from dataclasses import replace
 
@@ -58,7 +59,8 @@ def test_discs_are_where_opencv_projects_them(lens):
         centre, weight = covered(camera, image, expected, 15)
         assert np.hypot(*(centre - expected)) < 0.02
         assert weight == pytest.approx(area, rel=0.01)
-        # What is left to the image of the disc's centre is perspective's and the lens's bias.
+        # The remaining difference from the image of the disc's centre is the bias of perspective
+        # and lens.
         assert np.hypot(*(seen(lens, place[None])[0] - expected)) < 0.1
 
 

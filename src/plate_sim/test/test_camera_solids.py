@@ -210,7 +210,8 @@ def test_sizes_scale_outlines_and_marks():
 
 
 def test_what_is_off_costs_nothing(monkeypatch):
-    """No outline is made, nothing is blurred or scaled: and the camera's place is not asked."""
+    """No outline is computed, nothing is blurred or scaled, and the camera's position is not
+    computed."""
 
     def never(*_):
         raise AssertionError

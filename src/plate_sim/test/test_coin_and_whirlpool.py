@@ -42,7 +42,7 @@ def turning(frequency, spin, count=256):
 
 
 def polar(run, samples):
-    """Angle [rad] and radius [m] of the first part after every so many samples."""
+    """Angle [rad] and radius [m] of the first part after every given number of samples."""
     x, y = run.position[::samples, 0].T
     return np.unwrap(np.arctan2(y, x)), np.hypot(x, y)
 

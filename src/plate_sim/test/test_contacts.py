@@ -52,7 +52,7 @@ def test_rims_do_not_rub():
     state = discs([[-0.02, 0.005], [0.02, -0.005]], [[0.3, 0.0], [-0.3, 0.0]])
     end, _ = record_cycle(state, PlateCycle.rest(0.1), RIG, mu=SMOOTH)
     assert np.sum(end.velocity, axis=0) == pytest.approx(0, abs=1e-12)
-    # What is left is the part of the speed across the line of centres at the moment of contact.
+    # The remaining speed is the component across the line of centres at the time of contact.
     sine = 0.01 / (2 * RADIUS)
     assert np.linalg.norm(end.velocity[0]) == pytest.approx(0.3 * sine, rel=1e-9)
 

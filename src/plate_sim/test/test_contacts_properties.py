@@ -1,4 +1,4 @@
-"""What must hold for any crowd of discs: drawn at random, and shrunk to the least that fails."""
+"""Properties of any crowd of discs: random crowds, shrunk to the smallest that fails."""
 
 import numpy as np
 from hypothesis import given, settings

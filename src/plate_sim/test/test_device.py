@@ -119,7 +119,7 @@ def test_line_takes_its_time():
 
 
 class Host:
-    """Sends what it is given, and heartbeats; keeps what the device says and does."""
+    """Sends the given packets, and heartbeats. Keeps the device's packets and setpoints."""
 
     def __init__(self, accidents: FaultSchedule | None = None) -> None:
         self.setpoints: list[np.ndarray | None] = []
@@ -160,7 +160,7 @@ class Host:
         self.say(Begin(table, len(knots), table_crc(knots)))
         for first in range(0, len(knots), 4):
             self.say(Knots(table, first, tuple(knots[first : first + 4])))
-            self.wait(0.003)  # as long as the line would take
+            self.wait(0.003)  # for the time that the line would take
         self.say(Commit(table, 50))
 
     @property

@@ -44,12 +44,12 @@ def test_sensors_tell_what_the_simulated_plate_does(bandwidth):
     q, qd, qdd = motor_state(RIG, cycle.pose(t), cycle.twist(t), cycle.accel(t))
     start = motor_state(RIG, cycle.pose(0), cycle.twist(0), cycle.accel(0))
     plate.moved(np.stack([row[0] for row in start]))  # the jump in acceleration is a tick's ramp
-    # From the second cycle on both have the same past, but for that tick.
+    # From the second cycle on both have the same past, except for that tick.
     for _ in range(30):
         motion, state = realise(hung, state, cycle)
         told = np.array([plate.moved(np.stack(at)) for at in zip(q, qd, qdd, strict=True)])
     travel, _, accel = motor_record(hung, motion, t)
-    # Both motions are far from the command, and alike but for what the levers differ off home.
+    # Both motions are far from the command, and equal except for the changed levers away from home.
     assert np.max(np.abs(travel - q)) > 2e-4
     np.testing.assert_allclose(told[:, 0], travel, atol=0.01 * np.max(np.abs(travel)))
     np.testing.assert_allclose(told[:, 1], accel, atol=0.01 * np.max(np.abs(accel)))

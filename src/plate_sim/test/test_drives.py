@@ -25,7 +25,7 @@ LIMITS = Limits(0.01, 1.0, 100.0)
 
 
 def frames(drives, place, word=15):
-    """What a master says in a cycle: all motors to a place [m]."""
+    """Frames of a master in one cycle: all motors to a position [m]."""
     told = [
         (RPDO + d.node, struct.pack("<Hi", word, round(d.sign * d.counts_per_m * place) + zero))
         for d, zero in zip(DRIVES, drives.zeros.tolist(), strict=True)
@@ -67,7 +67,7 @@ ODRIVES = [Drive(n, 25 * 2.0**20, -1 if n == 2 else 1, kind="odrive") for n in (
 
 
 def odrive_frames(drives, place, speed=0.0):
-    """What a master says in a cycle: all motors to a place [m], with their speed [m/s]."""
+    """Frames of a master in one cycle: all motors to a position [m], with their speed [m/s]."""
     return [
         (d.node << 5 | 0x0C, struct.pack("<fhh", turns, round(25e3 * d.sign * speed), 0))
         for d, zero in zip(ODRIVES, drives.zeros.tolist(), strict=True)

@@ -99,7 +99,7 @@ def test_parts_drop_at_the_rate_while_it_is_open():
         count = len(simulation.state.ids) - begin
         assert count == int(8 * min(time, open_s) + 1e-9)
     assert count == 8
-    # What was waited is not lost, and a further call counts in place of what is left.
+    # The time already waited counts, and a further call replaces the remaining time.
     assert simulation.open_hopper(0.1) == 0
     simulation.run(REST)
     assert simulation.open_hopper(10.0) == 80
@@ -245,7 +245,7 @@ def test_the_robot_hides_what_is_below_it_and_nothing_else(scenario):
     changed = np.abs(over - before).reshape(*over.shape[:2], -1).max(axis=2) > 1
     places = simulation._view._camera._places - place
     arm = (np.abs(places[..., 0]) < 0.029) & (places[..., 1] > 0)
-    # Of the arm only what is as grey as it is looks as before.
+    # In the image of the arm, only pixels with its grey value are unchanged.
     assert np.mean(changed[arm]) > 0.99
     beyond = (np.abs(places[..., 0]) > 0.031) | (places[..., 1] < -0.031)
     assert not changed[beyond].any()
@@ -375,7 +375,7 @@ def test_what_the_robot_cannot_do_is_refused(move, words):
     assert np.array_equal(simulation.capture(), image)
 
 
-# Parts that are gone
+# Parts that have left the plate
 
 
 def dark(image, simulation, place):

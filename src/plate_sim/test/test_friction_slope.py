@@ -43,7 +43,7 @@ def test_a_part_alone_comes_to_rest_when_and_where_the_closed_form_says(part, sl
     np.testing.assert_allclose(ends.position[-1, 0], way * heading, atol=2e-7)
     assert not ends.velocity.any()
     before = run(part, 0.5 * heading, 0, slope, 0.9 * time).velocity[-1, 0] @ heading
-    # What is left of the way is what the rest of the velocity takes.
+    # The remaining distance is that of the remaining velocity.
     left = way - run(part, 0.5 * heading, 0, slope, 0.9 * time).position[-1, 0] @ heading
     assert left == pytest.approx(stopping(before, slope)[1], abs=2e-7)
     assert stopping(before, slope)[0] == pytest.approx(0.1 * time, rel=1e-3)
@@ -75,7 +75,7 @@ def test_a_part_rides_on_what_it_does_not_slip(slope):
 
 @pytest.mark.parametrize("part", [disc(RADIUS), SQUARE], ids=["disc", "square"])
 def test_a_part_that_slides_on_is_braked_by_its_changing_weight(part):
-    """v' = -mu (g + r a): what it loses is mu g t, and mu r of what the plate gains."""
+    """v' = -mu (g + r a): the part loses mu g t, and mu r times the plate's gain."""
     cycle, heave = shaken(30), 0.08
     ends = run(part, [3, 0], 0, 0, None, cycle, heave, samples=16)
     gained = cycle.twist(ends.time)[:, 0] - cycle.twist(0.0)[0, 0]

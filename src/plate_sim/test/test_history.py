@@ -1,4 +1,4 @@
-"""What was a while ago: between samples, across cycles, beyond both ends."""
+"""Past states: between samples, across cycles, before the first and after the last one."""
 
 import numpy as np
 import pytest
@@ -33,7 +33,7 @@ def test_even_acceleration_is_met_exactly_at_any_age():
         t = 0.2 - age
         assert past.ago(age).position[0] == pytest.approx([t**2, 0], abs=1e-12)
         assert past.ago(age).angle == pytest.approx(3 * t**2, abs=1e-12)
-    # Before the first cycle it stood still, after the last it goes on.
+    # Before the first cycle the plate rests, after the last one the motion continues.
     assert past.ago(0.5).position[0] == pytest.approx([0, 0])
     assert past.ago(-0.01).position[0] == pytest.approx([0.04 + 0.01 * 0.4, 0])
 

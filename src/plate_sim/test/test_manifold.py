@@ -119,8 +119,8 @@ def test_an_inner_corner_holds_a_disc():
 
 
 def depth(one, other, shared=None):
-    """Deepest overlap of two convex polygons [m], by separating axes in numpy, but for a side of
-    the first one that is no part of its rim."""
+    """Maximum overlap of two convex polygons [m], by separating axes in numpy, without a side of
+    the first one that is not part of its outline."""
     least = np.inf
     for a, b in ((one, other), (other, one)):
         side = np.roll(a, -1, axis=0) - a

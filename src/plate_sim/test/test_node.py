@@ -42,7 +42,7 @@ from plate_sim.world import RANGES
 
 RIG = load_rig()
 MAX_S = 20.0
-"""A test that hears nothing for so long has failed [s]."""
+"""Maximum time without a message until a test fails [s]."""
 
 
 def push(period=0.05):
@@ -57,7 +57,8 @@ def push(period=0.05):
 
 
 class Loop:
-    """A simulator, and a node that hears it and answers each image by `answer(index, stamp)`."""
+    """A simulator, and a node that receives its messages and answers each image by `answer(index,
+    stamp)`."""
 
     clock = None
     """Of the test."""
@@ -355,7 +356,7 @@ def test_the_world_changes_while_it_runs_where_it_can():
         most = RANGES["tilt_x"][1]
         assert "tilt" in set_parameters(loop, tilt_x=most, tilt_y=most)
         assert (loop.simulator.options.tilt_x, loop.simulator.options.tilt_y) == (most, 0.0)
-        assert not set_parameters(loop, noise=3.0)  # what was refused is forgotten
+        assert not set_parameters(loop, noise=3.0)  # refused messages are forgotten
         assert "not active" in set_parameters(loop, latency=0.1)
         assert "rate is 2 in lockstep, allowed: 1" in set_parameters(loop, rate=2.0)
 
@@ -465,7 +466,7 @@ def hear_starts(loop):
 
 
 def kinds(starts):
-    """What each of them is."""
+    """The kind of each of them."""
     known = {"leaves": LEAVES, "goes on": GOES_ON, "tail": LEAVES.tail, "push": push()}
     names = []
     for cycle in starts:

@@ -123,7 +123,7 @@ def test_a_part_slips_again_when_the_surface_accelerates_too_much():
 
 
 def test_rotation_throws_parts_off_that_ride_too_far_out():
-    # A turn whose rate peaks at rim: r w^2 is what a part at radius r feels there.
+    # A rotation whose angular velocity peaks at rim: r w^2 acts there on a part at radius r.
     angle, period = 0.4, 0.5
     cycle = waves(period, [[0, 0, 0]], [[0, 0, 2 * np.pi * angle / period]])
     t = np.linspace(0, period, 4001)

@@ -1,4 +1,4 @@
-"""The world as the camera shows it: latency, blur, what is missed and what is not there."""
+"""The world in the camera's images: latency, blur, missed parts and false ones."""
 
 from dataclasses import replace
 from itertools import pairwise
@@ -161,7 +161,7 @@ def test_parts_are_missed_by_the_share_asked_for():
     simulation = Simulation(RIG, SORT_4, 5, Disturbances(missed_parts=0.25))
     seen = np.array([dark_at(simulation.capture(), simulation.state.position) for _ in range(300)])
     assert np.mean(seen) == pytest.approx(0.75, abs=4 * np.sqrt(0.1875 / seen.size))
-    # Each by itself
+    # Each one alone
     assert np.abs(np.corrcoef(seen.T) - np.eye(4)).max() < 0.25
 
 

@@ -1,4 +1,4 @@
-"""The plate on its flexures, against integration, transfer functions and what energy allows."""
+"""The plate on its flexures, compared with integration, transfer functions and energy bounds."""
 
 from dataclasses import replace
 from math import inf, pi, sqrt
@@ -152,7 +152,7 @@ def test_a_drive_that_knows_the_plate_moves_it_as_commanded(changes):
 
 
 def test_motors_alike_but_weak_scale_the_motion():
-    """The drive's forces are right but for one factor, and the system is linear."""
+    """The drive's forces are correct except for one factor, and the system is linear."""
     weak = rig(feedforward=BY_HEART, motor_gain=(0.9,) * 4)
     motion, _ = realise(weak, PlateState.at_rest(), wild())
     t = np.linspace(0, 0.1, 101)
@@ -308,7 +308,8 @@ def test_overtravel_is_told():
 
 
 def test_unequal_motors_at_resonance_miss_what_was_commanded_by_half():
-    """What a drive that learns has to cure: every harmonic is off, and seen at the motors."""
+    """The errors that a learning drive must correct: every harmonic is wrong, and visible at the
+    motors."""
     hung = rig(motor_gain=(1.15, 0.85, 1.15, 0.85))
     t = np.arange(256) / 256 * 0.1
     w = 2 * pi * 10 * np.array([1, 2, 3])

@@ -1,4 +1,4 @@
-"""States and steps: pure, repeatable, and parts that leave the plate are gone."""
+"""States and steps: pure, repeatable, and parts that leave the plate are removed."""
 
 from dataclasses import replace
 

@@ -1,4 +1,4 @@
-"""What the solver's tests share: the rig, random scenes, and motions of given velocities."""
+"""Fixtures of the solver's tests: the rig, random scenes, and motions of given velocities."""
 
 import numpy as np
 import pytest
@@ -50,8 +50,8 @@ def sinusoid_cycle():
 
 @pytest.fixture(scope="session")
 def excess_of():
-    """Function (family, limits, theta) to what `descend` adds to the errors of the ends, where
-    limits are exceeded: (K,) [m], and minus its derivatives (K, P)."""
+    """Function from (family, limits, theta) to the errors that `descend` adds if limits are
+    exceeded: (K,) [m], and their negative derivatives (K, P)."""
     still = np.zeros((1, 2))
     goal = Goal(still, still, still, still, np.ones(1))
 

@@ -94,7 +94,7 @@ def test_drift_follows_the_request(rig, scene, method, count, bound):
 
 
 def test_prediction_over_the_running_cycle_is_what_makes_it_work(rig, scene):
-    # Told that the plate is at rest, the controller takes parts that swing for still ones.
+    # With the plate reported at rest, the controller assumes that swinging parts rest.
     seeing = follow(rig, scene, "sinusoids", 2)
     assert follow(rig, scene, "sinusoids", 2, blind=True) > 5 * seeing
 
@@ -179,10 +179,10 @@ def test_part_driven_outward_stays_and_does_not_stop_the_other(rig, method, way)
     for _ in range(25):
         loop.step(np.array([0.02 * way, [0.005, 0.005]]))
         assert np.all(np.abs(loop.position) < half)
-    # The other part is not kept waiting: it goes most of what it is asked.
+    # The other part does not wait: it covers most of its requested distance.
     asked = 25 * loop.answer.cycle.period * np.array([0.005, 0.005])
     assert np.all(loop.position[1] - position[1] > 0.6 * asked)
-    # It comes back when asked to.
+    # It returns when requested.
     before = loop.position[0] @ way
     for _ in range(8):
         loop.step(np.array([-0.01 * way, [0.0, 0.0]]))

@@ -242,8 +242,8 @@ def test_each_step_gives_the_same_for_the_same_input_and_leaves_the_input_alone(
     [
         (0.10, 0.15, 0.15, False),  # stays
         (0.10, 0.15, 0.30, True),  # is carried over the edge
-        (0.10, 0.40, 0.30, False),  # is to leave there
-        (0.10, 0.40, -0.30, True),  # is to leave, but at the other side
+        (0.10, 0.40, 0.30, False),  # must leave there
+        (0.10, 0.40, -0.30, True),  # must leave, but on the other side
         (0.30, 0.10, 0.298, False),  # comes in from the edge
     ],
 )

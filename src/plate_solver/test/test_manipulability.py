@@ -51,7 +51,7 @@ def test_two_parts_far_apart(rig):
     np.testing.assert_allclose(library_force(rig, place, [together, across]), 1, atol=0.01)
     found = manipulability(rig, place)
     assert 0.3 < found.weakest_force < 0.6
-    # No direction at random is worse than the one that is said to be the weakest.
+    # No random direction is weaker than the reported weakest one.
     ways = np.random.default_rng(0).normal(size=(40, 4))
     assert np.min(library_force(rig, place, ways)) >= found.weakest_force - 1e-9
 
@@ -98,7 +98,7 @@ def test_the_hull_is_that_of_scipy(rig, scene, count):
 
 
 def test_the_weakest_force_can_be_done(rig, scene):
-    # Before ramps and closure: Method A does most of what the hull promises for the weakest way.
+    # Before ramps and closure: Method A reaches most of the hull's force in the weakest direction.
     _, place = scene(2, 2)
     found = manipulability(rig, place)
     force = found.weakest_force * found.weakest_direction.reshape(2, 2)

@@ -190,7 +190,7 @@ def test_life_of_a_solver(peer, rig, capfd):
     assert peer.set_method("B").successful
     peer.report(lambda r: r["method"] == "sinusoids")
 
-    # Nothing asked: the plate rests.
+    # Without a request the plate rests.
     stamp_ns = plate.stamp_ns
     rest = peer.ask(Wanted.make(Parts.make((), np.zeros((0, 2)))), stamp_ns)
     assert np.all(rest.knot_pose == 0)
@@ -205,7 +205,7 @@ def test_life_of_a_solver(peer, rig, capfd):
         Wanted.make(parts, np.full((2, 2), np.nan)),
         Wanted.make(Parts.make(("a_1", "a_1"), PLACES)),
     ]
-    peer.executor.spin_for(1.1)  # so that diagnostics tell of these alone
+    peer.executor.spin_for(1.1)  # so that diagnostics report only these
     for number, bad in enumerate(refused, 1):
         stamp_ns += 100 * MS
         peer.send(bad, stamp_ns)
@@ -225,7 +225,7 @@ def test_life_of_a_solver(peer, rig, capfd):
     peer.answer(burst[-1])
     assert len(peer.cycles) < count + len(burst)
 
-    # A stamp far back is a simulator that began anew: nothing is remembered.
+    # A stamp far in the past is that of a restarted simulator: the memory is cleared.
     fresh = Plate(peer, stamp_ns=0)
     again = [fresh.cycle().knot_pose for _ in range(3)]
     first = [msg_to_cycle(m).knot_pose for m in peer.cycles[:3]]
@@ -257,7 +257,7 @@ def test_life_of_a_solver(peer, rig, capfd):
     assert peer.until(lambda: not peer.rivals())
     assert np.any(peer.ask(force, fresh.stamp_ns + 400 * MS).knot_pose)
 
-    # Nobody asks: the values are old.
+    # Without requests the values are old.
     peer.told(DiagnosticStatus.STALE, "no part_forces for ", "does the planner run?")
 
     report = peer.report(lambda r: int(r["answers"]) >= 20)

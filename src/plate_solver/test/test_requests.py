@@ -16,7 +16,7 @@ METHODS = {"sinusoids": SinusoidSolver, "rotations": RotationSolver}
 BOTH = pytest.mark.parametrize("method", METHODS.values(), ids=METHODS)
 RIG = load_rig()
 FEW = {method: kind(RIG, restarts=1, iterations=15) for method, kind in METHODS.items()}
-"""Solvers that give up soon: what they tell has to be true all the same."""
+"""Solvers that stop after few attempts: their results must still be true."""
 
 DIP = 1e-3
 """Dense samples may miss this much of a dip [mu m g]."""

@@ -141,7 +141,7 @@ def test_admissible_parameters_are_within_the_limits(rig, seed):
     wild = 20 * rng.normal(size=len(sequence.parameters(np.ones(4))))
     kept = sequence.admissible(wild)
     assert np.all(kept[:5] > 0)
-    # Samples may miss a peak by some per cent; solvers scale what they return by an exact check.
+    # Samples can miss a peak by some per cent; solvers scale their results by an exact check.
     assert usage(rig, sequence.cycle(kept)).worst < 1.06
     np.testing.assert_array_equal(np.sign(kept[5:]), np.sign(wild[5:]))
     gentle = np.concatenate([kept[:5], 0.1 * np.sign(wild[5:])])
@@ -153,7 +153,7 @@ def test_fractions_become_lengths(rig):
     fraction = np.array([0.2, 0.3, 0.1, 0.1])
     parameters = sequence.parameters(fraction)
     np.testing.assert_allclose(parameters[:4] / parameters[0], fraction / 0.2)
-    assert parameters[4] / parameters[0] == pytest.approx(0.3 / 0.2)  # what is left is rest
+    assert parameters[4] / parameters[0] == pytest.approx(0.3 / 0.2)  # the remaining time is rest
     np.testing.assert_array_equal(sequence.parameters(3 * fraction)[4], 0.02)  # nothing is left
 
 
@@ -179,7 +179,8 @@ def test_close_parts_that_go_apart_are_not_shaken_wildly(rig):
 
 @pytest.mark.parametrize("seed", range(5))
 def test_hard_requests_get_true_answers_within_the_limits(rig, seed):
-    """Parts in one place, almost so, on a centre, off the plate; nothing and far too much asked."""
+    """Parts in one place, almost in one place, on a centre, off the plate; requests of zero, and
+    far too large ones."""
     rng = np.random.default_rng(seed)
     solver = RotationSolver(rig, restarts=0, iterations=8)
     met = 0

@@ -31,7 +31,7 @@ def test_warm_start_takes_one_to_three_steps(rig, scene):
 
 
 def test_far_requests_are_reached_by_more_starts(rig, scene):
-    # Four parts at N = 2, near the border of what is possible: the first start hardly ever does.
+    # Four parts at N = 2, near the limit of feasibility: the first start hardly ever succeeds.
     met = {0: 0, 100: 0}
     for restarts in met:
         solver = SinusoidSolver(rig, harmonics=2, restarts=restarts)

@@ -1,4 +1,5 @@
-"""Limits as errors: excess and slopes against differences, and what steering makes of them."""
+"""Limits as errors: violations and gradients compared with differences, and their effect on
+steering."""
 
 import numpy as np
 import pytest
@@ -43,7 +44,7 @@ def test_excess_begins_at_the_aim(limits, excess_of):
     theta = limited.random(np.random.default_rng(1))
     used = limited.use(theta)
     assert len(excess_of(limited, limits, (AIM - 1e-3) / used * theta)[0]) == 0
-    # Instants looked at are not all samples: their peak is a little lower.
+    # Only some instants are evaluated: their peak is a little lower.
     assert len(excess_of(limited, limits, (AIM + 0.1) / used * theta)[0]) > 0
 
 

@@ -1,4 +1,4 @@
-"""Method B: what theory says about the number of harmonics, warm starts, refusals."""
+"""Method B: theory of the number of harmonics, warm starts, refusals."""
 
 import numpy as np
 import pytest

@@ -1,4 +1,4 @@
-"""What both methods promise of `solve`: true residuals, valid cycles, clear refusals."""
+"""Promises of `solve` by both methods: true residuals, valid cycles, clear refusals."""
 
 import numpy as np
 import pytest
@@ -13,7 +13,7 @@ from plate_solver.averages import step_forces
 BOTH = pytest.mark.parametrize("method", [SinusoidSolver, RotationSolver])
 
 FLIP = 2 / 1024
-"""A sample that falls into a dip, where the surface almost stands still, may point either way."""
+"""A sample in a dip, where the surface almost rests, can have any direction."""
 
 
 def check_cycle(rig, cycle):

@@ -25,7 +25,7 @@ from plate_solver.sinusoids.descent import Motions, Problem, descend
 from plate_solver.sinusoids.steer import ROUGH, SPREAD
 
 BOTH = pytest.mark.parametrize("method", [SinusoidSolver, RotationSolver])
-DRIFT = 0.01  # m/s, the most that is asked
+DRIFT = 0.01  # m/s, the maximum request
 STOP = 2e-4  # m/s, where the search stops
 
 
@@ -90,7 +90,7 @@ def test_simulated_parts_go_where_asked(rig, scene, method, count, seeds, least,
         assert solution.cycle.starts_at_rest
         assert usage(rig, solution.cycle).worst <= 1
         got = moved(rig, solution, goal)
-        # The prediction is true: some 0.1 mm is what steps of about 1 ms cost.
+        # The prediction is true: some 0.1 mm are the error of steps of about 1 ms.
         predicted = goal.displacement - solution.residual * unit
         np.testing.assert_allclose(got, predicted, atol=0.15 * DRIFT * period)
         assert solution.success == (rms(solution.residual) * unit <= good)
@@ -102,7 +102,7 @@ def test_simulated_parts_go_where_asked(rig, scene, method, count, seeds, least,
 
 @BOTH
 def test_velocity_at_the_start_counts(rig, scene, method):
-    # Two parts that swing at 30 mm/s are to stay where they are.
+    # Two parts that swing at 30 mm/s must stay in place.
     solver = method(rig)
     period = solver.steering_period(2)
     for seed in range(3):

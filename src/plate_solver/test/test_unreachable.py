@@ -1,4 +1,4 @@
-"""Proofs of what is out of reach: never wrong, sharp for one part, and not empty for several."""
+"""Proofs of infeasibility: never wrong, sharp for one part, and not empty for several."""
 
 import numpy as np
 import pytest

@@ -1,4 +1,4 @@
-"""Motors that lack force, or get hot: both methods design within what they can, both maps."""
+"""Weak or hot motors: both methods stay within their limits, on both maps."""
 
 from dataclasses import replace
 from functools import partial

@@ -1,4 +1,4 @@
-"""What browsers may ask for."""
+"""Commands that browsers are allowed to send."""
 
 import contextlib
 import json
@@ -99,7 +99,7 @@ JSON = st.recursive(
 @settings(deadline=None, suppress_health_check=[HealthCheck.too_slow])  # of a busy machine
 @given(st.sampled_from(sorted(COMMANDS)), st.dictionaries(st.text(max_size=8), JSON), st.data())
 def test_nothing_but_commands_and_refusals(name, extra, data):
-    """Whatever comes is read or refused, and what is read can be told."""
+    """Any input is parsed or refused, and parsed commands can be printed."""
     values = {key: data.draw(JSON) for key in COMMANDS[name]}
     text = json.dumps({"do": name, **values, **extra})
     with contextlib.suppress(CommandError):

@@ -1,4 +1,4 @@
-"""Drift and mean force, beside what can be computed by hand, and beside the plate at rest."""
+"""Drift and mean force, compared with values computed by hand, and with the plate at rest."""
 
 import numpy as np
 import pytest

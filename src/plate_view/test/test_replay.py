@@ -1,4 +1,4 @@
-"""Recorded runs: what is shown at a time, and how they are played."""
+"""Recorded runs: the state shown at a time, and playback."""
 
 import os
 import sqlite3
@@ -66,7 +66,7 @@ def test_a_jump_shows_what_was_known_then(replay, heard):
     replay.seek(BEGIN_S + 4.02)
     shown = dict(heard)
     assert shown["parts"].parts[0].x == pytest.approx(0.040)
-    assert shown["task_status"].text == "begun"  # latched: said long before
+    assert shown["task_status"].text == "begun"  # latched: published long before
     assert len(heard) == 2
     heard.clear()
     replay.seek(BEGIN_S - 7)
@@ -111,7 +111,7 @@ def test_what_is_no_recorded_run_is_refused(tmp_path, bag):
         Replay(bag, KINDS, print)
     for file in (data, bag / "metadata.yaml"):
         file.unlink()
-        os.mkfifo(file)  # that nobody writes to
+        os.mkfifo(file)  # a pipe without a writer
         with pytest.raises(PlateError, match=f"{file.name}: is a FIFO, allowed: a regular file"):
             Replay(bag, KINDS, print)
         file.unlink()

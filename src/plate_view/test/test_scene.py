@@ -1,4 +1,4 @@
-"""What the page gets fits into JSON, and says what there is."""
+"""The page's data fit into JSON, and agree with the scene."""
 
 import base64
 import json

@@ -1,4 +1,4 @@
-"""What the view to aim by measures, in pictures drawn without the detector's code."""
+"""Measurements for aiming a camera, in pictures drawn without the detector's code."""
 
 from dataclasses import replace
 
@@ -269,7 +269,7 @@ def test_a_tilt_is_named_by_the_side_that_is_nearer():
         long = np.linalg.norm(np.roll(corner, -1, axis=0) - corner, axis=1)
         length = dict(zip(names, long.tolist(), strict=True))
         opposite = {"top": "bottom", "bottom": "top", "left": "right", "right": "left"}[side]
-        assert length[side] > 1.1 * length[opposite]  # what is nearer looks larger
+        assert length[side] > 1.1 * length[opposite]  # nearer objects look larger
         assert pictures.tilts == {side}
 
 

@@ -39,7 +39,7 @@ def test_a_row_that_moves_on_by_its_own_spacing():
     assert np.allclose(moved.parts.position, ROW + STEP)
     assert np.allclose(moved.parts.velocity, STEP / T)
     alone = update(tracker, T, ROW + STEP, ["grey"] * 6)
-    assert ids_at(alone) != ids_at(moved)  # so it is the prediction that tells
+    assert ids_at(alone) != ids_at(moved)  # so only the prediction distinguishes them
 
 
 def test_the_missed_one_is_missed_and_nobody_takes_its_place():
@@ -142,7 +142,7 @@ def test_a_class_misread_in_the_first_image_is_put_right_soon():
 
 
 def test_classes_tell_apart_what_places_do_not():
-    """Two parts of two classes change places: what both would have to be misread for."""
+    """Two parts of two classes exchange places: both would have to be misclassified."""
     tracker = update(Tracker(), 0.0, ROW[:2], ["black", "grey"])
     assert update(tracker, T, ROW[1::-1], ["black", "grey"]).parts.ids == ("black_1", "grey_1")
     swapped = update(tracker, T, ROW[:2], ["grey", "black"])

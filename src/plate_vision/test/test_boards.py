@@ -71,7 +71,7 @@ def test_lens_is_found(board, make_scene, rng):
     assert 0.95 < ratio[0] < 1.6
     truth = Lens(MATRIX, np.array(BENT))
     grid = np.stack(np.meshgrid(np.linspace(60, 580, 9), np.linspace(50, 430, 7)), axis=2)
-    # Both lenses straighten; a plane homography may take up what K cannot tell from a pose.
+    # Both lenses undistort; a plane homography can absorb the difference between K and a pose.
     ours, theirs = (lens.straighten(grid.reshape(-1, 2)) for lens in (fit.lens, truth))
     matrix, _ = cv2.findHomography(ours, theirs)
     moved = np.column_stack([ours, np.ones(len(ours))]) @ matrix.T
@@ -199,7 +199,7 @@ def test_boards_are_those_of_opencv():
         theirs = cv2.aruco.CharucoBoard(shape, 0.03, 0.022, known).generateImage(size)
     half = SQUARE_PX // 2
     ours = draw_board(CHARUCO, SQUARE_PX)[half:-half, half:-half]
-    assert np.mean(ours != theirs) < 0.03  # but for a pixel at the markers' rims
+    assert np.mean(ours != theirs) < 0.03  # except for a pixel at the markers' edges
 
 
 def test_corners_of_half_covered_boards(make_scene, rng):

@@ -36,7 +36,7 @@ from plate_vision.image_sources.node import CameraNode  # noqa: E402
 from plate_vision.node import DetectorNode  # noqa: E402
 
 MAX_S = 60.0
-"""A bound on what takes a moment [s]."""
+"""Maximum duration of an operation that takes a moment [s]."""
 
 MAX_COPIES = 12
 """Cost of an image from its pixels to its message, over that of a copy."""
@@ -52,7 +52,7 @@ def noise():
 
 
 class Graph:
-    """The node, and a probe that hears it. `camera` stands in for a device."""
+    """The node, and a probe that receives its messages. `camera` replaces a device."""
 
     def __init__(self, camera=None, detector=None, listen=True, **parameters):
         words = ["--ros-args"]
@@ -148,7 +148,7 @@ def camera(tmp_path):
 
 
 def shown(graph, camera, count=1):
-    """Have the camera take images until the node publishes so many more."""
+    """Let the camera take images until the node has published a given number of further ones."""
     before = len(graph.images)
 
     def enough():

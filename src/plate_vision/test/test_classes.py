@@ -34,7 +34,7 @@ def scatter(names, rng):
 
 
 def paired(found, poses):
-    """Each pose with what was found there."""
+    """Each pose with the detection there."""
     place = np.array([[x, -y] for _, x, y, _ in poses]) * SCALE + CENTRE_PX
     for pose, point in zip(poses, place, strict=True):
         gap = np.hypot(found["x_px"] - point[0], found["y_px"] - point[1])
@@ -42,7 +42,7 @@ def paired(found, poses):
 
 
 def turn_error(found, pose):
-    """How far an angle is off [degrees], but for what symmetry hides; 0 for a disc."""
+    """Error of an angle [degrees], modulo the symmetry; 0 for a disc."""
     symmetry = TYPES[pose[0]].symmetry
     if symmetry == 0:
         return 0.0
@@ -66,7 +66,7 @@ def test_names_places_and_angles_are_the_true_ones(draw_types, catalogue, seed):
 
 
 def star(corners, reach, depth):
-    """A type with so many corners."""
+    """A type with a given number of corners."""
     turn = np.pi / corners * np.arange(2 * corners)
     far = reach * np.where(np.arange(2 * corners) % 2, 1 - depth, 1)
     outline = np.column_stack([far * np.cos(turn), far * np.sin(turn)])

@@ -34,7 +34,8 @@ def labels(count, rng):
 
 
 def error_px(found, centre, label):
-    """Return distances (M,) [px] of what was found from the truth; all found, and nothing else."""
+    """Return distances (M,) [px] of the detections from the truth. All parts must be detected, and
+    nothing else."""
     assert len(found) == len(centre)
     gap = np.hypot(found["x_px"] - centre[:, :1], found["y_px"] - centre[:, 1:])
     nearest = gap.argmin(axis=1)
@@ -94,7 +95,7 @@ ARRANGEMENTS = {
 @pytest.mark.parametrize("name", ARRANGEMENTS)
 @pytest.mark.parametrize("blur", [0.0, 0.7, 1.1])
 def test_touching_parts_are_split(draw, corners_px, rng, name, blur):
-    """Also where the gaps between them are blurred so much that they are dark."""
+    """Also if the gaps between them are so blurred that they are dark."""
     errors = []
     for _ in range(2):
         groups = []
@@ -113,7 +114,8 @@ def test_touching_parts_are_split(draw, corners_px, rng, name, blur):
 
 
 def test_parts_that_seem_to_overlap(draw, corners_px, rng):
-    """Seen at a slant, a part hides some of the next: by what is seen of it, it is still found."""
+    """In a tilted view, a part hides some of the next one, which is still detected by its visible
+    area."""
     middle = apart(12, rng, gap_px=30, box=(60, 580, 125, 355))
     angle = rng.uniform(0, np.pi, 12)
     half = (RADIUS_PX - 1) * np.stack([np.cos(angle), np.sin(angle)], axis=1)

@@ -150,14 +150,14 @@ def test_files_are_never_turned(bgr, form, orientation):
         check = zlib.crc32(b"eXIf" + tags)
         chunk = struct.pack(">I", len(tags)) + b"eXIf" + tags + struct.pack(">I", check)
         marked = whole[:33] + chunk + whole[33:]
-    if orientation > 4 and form == "jpeg":  # or these tests would tell nothing
+    if orientation > 4 and form == "jpeg":  # otherwise these tests would prove nothing
         assert cv2.imdecode(np.frombuffer(marked, np.uint8), 1).shape[:2] == (WIDTH, HEIGHT)
     assert np.array_equal(decode_file(marked, form), decode_file(whole, form))
 
 
 @pytest.mark.parametrize("extension", [".png", ".jpg"])
 def test_files_that_break_off_are_refused(rng, extension):
-    """At whatever byte: OpenCV would fill up with grey what is missing of a JPEG."""
+    """At any byte: OpenCV would fill the missing part of a JPEG with grey."""
     picture = rng.integers(0, 255, (HEIGHT, WIDTH), dtype=np.uint8)
     content = cv2.imencode(extension, picture)[1].tobytes()
     for length in range(len(content) - 1):

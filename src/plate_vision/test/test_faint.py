@@ -20,7 +20,7 @@ def look(image, taken=NOBODY):
 
 
 def spots(contrast, places=PLACES, radius=8.0):
-    """Draw discs that differ from the plate by so many grey levels."""
+    """Draw discs that differ from the plate by a number of grey levels."""
 
     def extra(image):
         y, x = np.mgrid[: image.shape[0], : image.shape[1]]

@@ -358,7 +358,7 @@ def test_pictures_are_never_turned(tmp_path, capsys, rng, kind, orientation):
 
 @pytest.mark.parametrize("turn", [0, 90, 180, 270])
 def test_films_are_never_turned(tmp_path, turn):
-    """The matrix of a track's header, in an MP4 file, is what players turn it by."""
+    """The matrix in the header of a track of an MP4 file gives the players' rotation."""
     path = tmp_path / "film.mp4"
     film = cv2.VideoWriter(str(path), cv2.VideoWriter_fourcc(*"mp4v"), 10, (64, 48))
     frame = np.zeros((48, 64, 3), np.uint8)

@@ -94,7 +94,7 @@ def picture(height, seed=0, poses=POSES, colours=(TOP, SIDE)):
 
 
 def sightings(drawn, known, place=PLACE, poses=POSES, colours=(TOP, SIDE)):
-    """What is seen of parts of a height in a picture of another."""
+    """Detections of parts of one height in a picture for another height."""
     scale = FOCAL_PX / PLACE[2]
     middle = (np.array(SIZE) - 1) / 2
     view = np.array([[scale, 0, middle[0]], [0, -scale, middle[1]], [0, 0, 1]])

@@ -188,7 +188,7 @@ def test_markers_are_told_apart(rng):
 ON_PLATE = np.array([[-0.22, 0.11], [0.0, 0.0], [0.1, -0.136], [0.28, 0.05]])
 LABEL = ["black", "grey", "black", "grey"]
 LEAN = (0.02, -0.015, 0.01)
-"""The camera's turn [rad]: what it sees is then up to 2 cm from where it was."""
+"""The camera's rotation [rad]: its view is then up to 2 cm from the former one."""
 
 
 @pytest.fixture

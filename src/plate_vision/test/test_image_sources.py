@@ -1,4 +1,4 @@
-"""Sources of images: a fake V4L2 device, a film, a folder, a pipe; and what is wrong with them."""
+"""Sources of images: a fake V4L2 device, a film, a folder, a pipe; and their faults."""
 
 import os
 import threading

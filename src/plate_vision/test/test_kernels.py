@@ -1,4 +1,4 @@
-"""Kernels refuse what they would read or write outside memory."""
+"""Kernels refuse arguments with which they would read or write outside memory."""
 
 import numpy as np
 import pytest

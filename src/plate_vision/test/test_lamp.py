@@ -124,8 +124,8 @@ HALF_LIGHT = {"depth": 0.5, "shift_px": (4.0, 3.0)}
 
 
 def touching():
-    """Parts of which none shows by itself where its shadow is: all are as grey as that, or touch
-    one of another colour."""
+    """Parts none of which shows alone where its shadow is: all are as grey as the shadow, or touch
+    a part of another colour."""
     parts = [("washer", *pose[1:]) for pose in poses()[:8]]
     # A washer beside each square.
     return parts + [

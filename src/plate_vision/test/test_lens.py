@@ -141,7 +141,7 @@ def test_the_region_follows_the_bent_edges(name):
         assert region.depth(*outside.T).max() < -5
         chord = edge[0] + (edge[-1] - edge[0]) * (t + 1) / 2
         bulge = max(bulge, np.abs(edge - chord).max())
-    assert bulge > 3  # or this test would not tell
+    assert bulge > 3  # otherwise this test would prove nothing
 
 
 def test_camera_info_goes_before_the_rig_file():

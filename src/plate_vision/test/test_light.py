@@ -36,7 +36,7 @@ def test_parts_do_not_darken_the_plate(draw, region, rng, count):
 
 
 def test_the_room_does_not_darken_the_plate(draw, rng):
-    """Also if nobody says where the plate is."""
+    """Also if the place of the plate is not given."""
     plate = fit_light(draw([], [], rng), make_region((640, 480)), 60)
     assert np.abs(seen(plate) - truth(X_PX, Y_PX)).max() < 1.5
 

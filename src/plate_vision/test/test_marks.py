@@ -14,7 +14,7 @@ MARK_GREY = {"black": 130.0, "grey": 40.0}
 
 
 def marks(centre, label, angle, place=0.5, size=0.3):
-    """Return what draws a spot on every disc, counting sub-pixels."""
+    """Return a function that draws a spot on every disc, by counting sub-pixels."""
 
     def extra(image):
         offset = (np.arange(SUB) + 0.5) / SUB - 0.5

@@ -20,7 +20,7 @@ pytestmark = pytest.mark.usefixtures("detector_time")
 LENS_KEYS = ("  focal_px", "  centre_px", "  distortion")
 
 LONG_S = 60.0
-"""A bound on what the thread of the view does in less than a second [s]."""
+"""Maximum duration of an operation of the view's thread that takes less than a second [s]."""
 
 
 class Aimed:

@@ -64,8 +64,8 @@ def received_transforms(graph, qos, topic, count):
 
 
 def test_frames_without_markers(draw, rng):
-    """The camera where the default rig's corners and lens have it, for those who come later; where
-    the plate is nobody knows. All names with the prefix."""
+    """The camera's pose is that of the default rig's corners and lens, latched; the plate's pose is
+    unknown. All names have the prefix."""
     graph = Graph(frame_prefix="left/")
     try:
         camera = received_transforms(graph, LATCHED, "/tf_static", 1)()

@@ -1,4 +1,4 @@
-"""Photographs: the detector measures each image by itself."""
+"""Photographs: the detector measures each image separately."""
 
 import re
 

@@ -59,7 +59,7 @@ def parts_over_edges(rng, count=40):
 
 
 def no_claim(check):
-    """Assert that nothing is said to be wrong, and return the text."""
+    """Assert that no problem is reported, and return the text."""
     assert check.done
     assert check.finding is None, check.finding.message
     return check.text
@@ -221,7 +221,7 @@ def test_a_plate_that_shakes_is_no_camera_that_was_moved():
         scenes = [rectangle(LENGTH, WIDTH, at, by) for at, by in zip(place, turn, strict=True)]
         check = evaluate(rig_of(view), [draw(view, [(one, 205.0)], 60.0) for one in scenes])
         assert says(no_claim(check), "as predicted", "plate moves")
-        assert not check.agrees  # it is looked at again at rest
+        assert not check.agrees  # it is checked again at rest
 
 
 def test_a_plate_seen_at_one_place_of_its_cycle_is_no_camera_that_was_moved():
@@ -248,7 +248,7 @@ def test_a_finding_stays_until_the_outline_agrees():
     check = evaluate(rig_of(view), [wrong] * IMAGES)
     assert check.finding is not None
     assert check.add(right, 0.6) is check  # too soon after the last one
-    for k in range(IMAGES):  # while a task runs nothing is said of where the plate is
+    for k in range(IMAGES):  # while a task runs, the place of the plate is not reported
         check = check.add(right, 2.0 + 0.1 * k, moving=True)
         assert check.finding is not None
     for k in range(IMAGES):

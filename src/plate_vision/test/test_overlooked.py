@@ -18,7 +18,8 @@ def things(*reasons):
 
 
 def tally(taken, *images, radius=9.8e-3):
-    """Return the tally of images with so many parts each, and things of these reasons."""
+    """Return the tally of images with a given number of parts each, and objects with these
+    reasons."""
     counted = OverlookedTally()
     for reasons in images:
         counted.add(taken, things(*reasons), np.full(len(reasons), radius))

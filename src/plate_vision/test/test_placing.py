@@ -1,4 +1,4 @@
-"""All places and turns of a part in a group: as trying each of them by itself."""
+"""All places and angles of a part in a group, compared with separate trials of each."""
 
 import numpy as np
 import pytest

@@ -86,7 +86,7 @@ def test_parts_that_differ_in_colour_alone(rng):
 
 
 def test_without_a_lens_the_height_is_known_by_the_perspective_or_by_the_rig_file(rng):
-    """A tilted view of square pixels tells the camera's place."""
+    """A tilted view of square pixels determines the camera's position."""
     look = Look(0.6, 650.0, (0.0, 25.0))
     position = scattered(rng)
     image = cast(look, position, GREYS, rng, height=0.01)

@@ -18,7 +18,7 @@ SUB = 8
 
 
 def scene(shapes, part=180.0, ground=80.0, light=None, noise=2.0, seed=1, size=(300, 400)):
-    """Return a picture (H, W) uint8: `shapes` tell for x, y [px] what is inside."""
+    """Return a picture (H, W) uint8. `shapes` return which points x, y [px] are inside."""
     height, width = size
     offset = (np.arange(SUB) + 0.5) / SUB - 0.5
     x = (np.arange(width)[:, None] + offset).ravel()

@@ -19,7 +19,7 @@ RED, BLUE, GREY = (40, 60, 130), (140, 90, 50), (90, 90, 90)
 
 
 def cover_of(inside, size=SIZE):
-    """How much of each pixel lies in what `inside` tells of x, y [px]."""
+    """Fraction of each pixel inside a shape. `inside` returns which points x, y [px] are inside."""
     offset = (np.arange(SUB) + 0.5) / SUB - 0.5
     x = (np.arange(size[1])[:, None] + offset).ravel()
     y = (np.arange(size[0])[:, None] + offset).ravel()[:, None]

@@ -1,4 +1,4 @@
-"""Types learned from drawn pictures beside their truth; what cannot be learned; the program."""
+"""Types learned from drawn pictures, compared with the truth; refused pictures; the program."""
 
 import re
 import resource

@@ -32,7 +32,8 @@ def test_a_count_that_is_used_up_gives_nothing_more():
 
 
 def test_a_plate_sized_patch_is_one_group_and_is_not_cut(monkeypatch):
-    """As of light that nobody has followed: most of the plate is then beyond its own noise."""
+    """As with light that the detector has not followed: most of the plate then differs by more than
+    its noise."""
     cuts = []
     split = grouping.split
     monkeypatch.setattr(grouping, "split", lambda *a: cuts.append(a[1].size) or split(*a))
