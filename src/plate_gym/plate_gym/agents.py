@@ -59,9 +59,11 @@ class Ours:
             self._planner = self._planner.order(self._state, info["order"])
         follow = self._state.memory
         if isinstance(follow, FollowMemory):  # use the references of the evaluation
-            pace, start = float(info["pace"][0]), time + running.period
-            path_s = float(info["path_s"])
-            follow = replace(follow, anchor=start, progress=path_s, scaling=(pace, pace))
+            before, after = map(float, info["pace"])
+            start, path_s = time + running.period, float(info["path_s"])
+            follow = replace(
+                follow, anchor=start, progress=path_s, scaling=(before, after), fixed=True
+            )
             self._state = replace(self._state, memory=follow)
         self._state, wanted, _ = self._planner.answer(self._state)
         cycle = self._answer(wanted, running)

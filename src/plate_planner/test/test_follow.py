@@ -373,6 +373,19 @@ def test_references_slow_down_as_soon_as_a_cycle_lacks_what_was_asked(fraction, 
     assert memory.scaling[1] == 1.0
 
 
+def test_references_that_another_program_sets_stay_whatever_an_image_shows():
+    scenario = load_scenario("follow_2")
+    plant, follower = Plant(scenario), Follower(scenario.task, RIG)
+    memory = replace(follower.begin(plant.seen(), 0.0), anchor=1.0, progress=0.8, fixed=True)
+    seen = Parts.make(plant.ids, follower.reference(memory, 2.0) + [0.003, 0.0])
+    short = np.array([0.02, 0.0])
+    now = Situation(seen, 2.0, 2.1, 2.1, T, True, True, seen.position, short, True, seen, 0.0)
+    after = follower.measure(memory, now)
+    assert after.rms_error_m == pytest.approx(0.003)
+    assert (after.anchor, after.progress, after.scaling) == (1.0, 0.8, memory.scaling)
+    assert follower.measure(replace(memory, fixed=False), now).scaling[1] < 1
+
+
 @pytest.mark.parametrize("speed", [0.08, 0.2])
 def test_references_slow_down_before_corners(speed):
     scenario = load_scenario("follow_2")

@@ -63,6 +63,22 @@ def test_the_announced_period_is_that_of_the_answer(rig, scene, method, count, t
     assert solver.steer(goal, 1.0, 1.0).cycle.period == period
 
 
+def test_a_motion_that_ends_with_the_requested_mean_velocity_meets_the_goal_ahead_too(rig, scene):
+    period, coast, count = 0.2, 0.03, 3
+    rotation = np.array([0.1, -0.2, 0.3])
+    turns = Turns(np.zeros(count), np.full((count, 3), 1e-5), rotation, rotation, np.ones(count))
+    goal = replace(random_goal(rig, scene, 0, count, period, 0.0005), turns=turns)
+    ahead = goal.ahead(coast, period)
+    end = np.concatenate([(goal.position + goal.displacement).T.ravel(), rotation])
+    moved = np.concatenate([goal.displacement.T.ravel(), rotation])
+    np.testing.assert_allclose(ahead.error(end + coast * moved / period)[0], 0, atol=1e-15)
+    # A part that ends at rest misses it by the distance that it would have moved on.
+    slack = (1 + coast / period) * goal.tolerance.T.ravel()
+    short = np.append(np.maximum(np.abs(moved[:-3]) * coast / period - slack, 0), 0.15 * rotation)
+    np.testing.assert_allclose(np.abs(ahead.error(end)[0]), np.abs(short), atol=1e-12)
+    assert ahead.coast == coast
+
+
 # Missed share of the wanted displacement, median over seeds. Measured 0.05, 0.05, 0.07 and
 # 0.04, 0.11, 0.17; the search itself may stop at 0.15.
 @pytest.mark.parametrize(

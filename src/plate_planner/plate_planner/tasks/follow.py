@@ -173,6 +173,8 @@ class FollowMemory:
         Sum of squared distances from the references [m2], and number of distances.
     max_error_m : float
         Maximum distance of a part from its reference so far [m].
+    fixed : bool
+        Whether another program sets `anchor`, `progress` and `scaling`. Images do not change them.
     """
 
     match: tuple[str, ...] = ()
@@ -185,6 +187,7 @@ class FollowMemory:
     square_sum: float = 0.0
     samples: int = 0
     max_error_m: float = 0.0
+    fixed: bool = False
 
     @property
     def rms_error_m(self) -> float:
@@ -345,23 +348,23 @@ class Follower(TaskRules):
         path, part = matched_rows(match, now.parts)
         distance = np.hypot(*(reference[path] - now.parts.position[part]).T)
         worst = float(np.max(distance, initial=0.0))
+        measured = replace(
+            memory,
+            match=match,
+            square_sum=memory.square_sum + float(np.sum(distance**2)),
+            samples=memory.samples + len(distance),
+            max_error_m=max(memory.max_error_m, worst),
+        )
+        if memory.fixed:
+            return measured
         lacking = (now.shortfall[part] - NEGLIGIBLE) / self._speeds[path]
         before, time = memory.scaling[1], memory.path_time(now.start)
         after = before
         if now.latency_known:
             after = self._scaling(before, worst, float(np.max(lacking, initial=0.0)))
             after = min(after, self._ahead(time, now.period))
-        return replace(
-            memory,
-            match=match,
-            square_sum=memory.square_sum + float(np.sum(distance**2)),
-            samples=memory.samples + len(distance),
-            max_error_m=max(memory.max_error_m, worst),
-            # Until the result takes effect, the references keep their previous speed.
-            anchor=now.start,
-            progress=time,
-            scaling=(before, after),
-        )
+        # Until the result takes effect, the references keep their previous speed.
+        return replace(measured, anchor=now.start, progress=time, scaling=(before, after))
 
     def _scaling(self, before: float, worst: float, lacking: float) -> float:
         """Return the next speed scaling for an error [m] and a shortfall of drift [path's speed].

@@ -229,6 +229,28 @@ class Goal:
         turns = None if self.turns is None else self.turns.shifted(shift[places:])
         return replace(self, displacement=displacement, turns=turns)
 
+    def ahead(self, coast: float, period: float) -> Goal:
+        """Return a goal in which the ends are also extrapolated by `coast` [s].
+
+        Let x be the end of a part, v its final velocity, d the requested displacement, and P the
+        length of the cycle. The goal x - x0 = d becomes
+
+            x + coast v - x0 = d (1 + coast/P)
+
+        A motion that meets both goals has v = d/P: the part ends with the requested mean velocity,
+        so that the next cycle can request the same displacement. Rotations are treated alike.
+        """
+        scale, turns = 1 + coast / period, self.turns
+        if turns is not None:
+            turns = replace(turns, low=scale * turns.low, high=scale * turns.high)
+        return replace(
+            self,
+            displacement=scale * self.displacement,
+            tolerance=scale * self.tolerance,
+            turns=turns,
+            coast=coast,
+        )
+
     def end(self, pose: np.ndarray, twist: np.ndarray, dt: np.ndarray) -> np.ndarray:
         """Predict the end (C,) of a sampled motion.
 

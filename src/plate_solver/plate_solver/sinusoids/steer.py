@@ -70,6 +70,11 @@ PLAYS = 2
 """Number of consecutive plays of a motion with a free end. The motion is evaluated after them. A
 third play brings no improvement: see docs/results.md."""
 
+FORCE_LOOKAHEAD_S = 0.01
+"""Time by which the search extrapolates the parts if forces are requested [s] (`Goal.ahead`). The
+final corrections remove the error of the displacements that this causes. Without the extrapolation,
+a fast part often ends a cycle too slowly, and the next cycle cannot reach its displacement."""
+
 AIMS = 2
 """Number of final corrections of the best motion. The corrections keep the limits and compensate
 the difference between fine and coarse steps."""
@@ -162,7 +167,8 @@ class SinusoidSteering:
         motions = self._motions[key]
         known = self._warm.get(key)
         fresh = RANDOM_STARTS if known is None else 0
-        problem = Problem.of(goal, motions, BEYOND)
+        aim = goal if goal.lasting else goal.ahead(FORCE_LOOKAHEAD_S, period)
+        problem = Problem.of(aim, motions, BEYOND)
 
         def start(index: int, near: Fit) -> np.ndarray:
             if index < fresh:
