@@ -8,8 +8,10 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from shaking import PERIOD, from_rest
+from shaking import shaking as shaking_cycle
 
-from plate_core import PlateCycle, PlateError, load_rig
+from plate_core import PlateError, load_rig
 from plate_core.serial_protocol import (
     Acknowledgement,
     Message,
@@ -34,7 +36,6 @@ STRICT = [
 SANITIZED = ["-fsanitize=address,undefined", "-fno-sanitize-recover=all"]
 
 RIG = load_rig()
-PERIOD = 0.1
 TICK_S = 1e-3
 
 
@@ -55,24 +56,13 @@ def compiled(folder: Path, *patterns: str) -> Path:
 
 def shaking(amplitude: float, turns: int = 2) -> MotorTable:
     """Return the table of a cycle that starts at rest, with an amplitude [m]."""
-    t = np.arange(48) * PERIOD / 48
-    wave = np.sin(np.pi * t / PERIOD) ** 4
-    phase = 2 * np.pi * turns * t / PERIOD
-    pose = np.column_stack([wave * np.sin(phase), wave * np.cos(phase), 2 * wave])
-    cycle = PlateCycle.from_samples(PERIOD, amplitude * pose)
-    twist, accel = cycle.knot_twist.copy(), cycle.knot_accel.copy()
-    twist[[0, -1]] = accel[[0, -1]] = 0
-    return prepare(RIG, PlateCycle.from_knots(cycle.times, cycle.knot_pose, twist, accel), 1)[0]
+    return prepare(RIG, shaking_cycle(amplitude, PERIOD, turns), 1)[0]
 
 
 def long_table() -> MotorTable:
     """Return a table of 64 pieces in 0.2 s."""
-    t = np.arange(64) * 0.2 / 64
-    wave = 5e-4 * np.sin(np.pi * t / 0.2) ** 4
-    cycle = PlateCycle.from_samples(0.2, np.outer(wave, [1, 1, 0]))
-    twist, accel = cycle.knot_twist.copy(), cycle.knot_accel.copy()
-    twist[[0, -1]] = accel[[0, -1]] = 0
-    return prepare(RIG, PlateCycle.from_knots(cycle.times, cycle.knot_pose, twist, accel), 1)[0]
+    wave = 5e-4 * np.sin(np.pi * np.arange(64) / 64) ** 4
+    return prepare(RIG, from_rest(0.2, np.outer(wave, [1, 1, 0])), 1)[0]
 
 
 @dataclass

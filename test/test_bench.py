@@ -15,12 +15,13 @@ import numpy as np
 import pytest
 import run
 import yaml
+from shaking import from_rest
 from short_task import short_task
 
 from harness import MEASUREMENTS, Result, of_median, of_share, share
 from harness.measurements import MAX_CORES, busy_cores
 from harness.result import WORDS
-from plate_core import PlateCycle, load_rig
+from plate_core import load_rig
 
 BENCH = Path(__file__).resolve().parents[1] / "bench"
 TIMINGS = {
@@ -243,10 +244,7 @@ def test_a_drive_on_a_bus_is_as_late_as_its_setpoints(drive, late_ms):
 
     line = Driven(drive, 1, latency_ms=3, jitter_ms=0, loop_hz=150)
     wave = 0.005 * np.sin(np.pi * np.arange(40) / 40) ** 4
-    cycle = PlateCycle.from_samples(0.5, np.outer(wave, [1, 0, 0]))
-    twist, accel = cycle.knot_twist.copy(), cycle.knot_accel.copy()
-    twist[[0, -1]] = accel[[0, -1]] = 0  # from rest to rest
-    cycle = PlateCycle.from_knots(cycle.times, cycle.knot_pose, twist, accel)
+    cycle = from_rest(0.5, np.outer(wave, [1, 0, 0]))
     line.send(SimpleNamespace(cycle=cycle))
     for _ in range(2):
         [motion] = line.play(np.inf)

@@ -8,8 +8,9 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 import yaml
+from shaking import bump
 
-from plate_core import PlateCycle, load_rig
+from plate_core import load_rig
 from plate_core.rig import rig_path
 from plate_core.serial_protocol import State
 
@@ -35,17 +36,6 @@ from plate_sim.device.node import DeviceNode  # noqa: E402
 
 RIG = load_rig()
 PATIENCE_S = 15.0
-
-
-def nudge(period: float = 0.2) -> PlateCycle:
-    """Plate 2 mm along x and back, at rest at both ends."""
-    t = np.arange(33) / 32
-    u, scale = t * (1 - t), 2e-3 * 4**3
-    pose, twist, accel = np.zeros((3, 33, 3))
-    pose[:, 0] = scale * u**3
-    twist[:, 0] = scale * 3 * u**2 * (1 - 2 * t) / period
-    accel[:, 0] = scale * (6 * u * (1 - 2 * t) ** 2 - 6 * u**2) / period**2
-    return PlateCycle.from_knots(period * t, pose, twist, accel)
 
 
 def test_a_cycle_goes_round_and_after_a_pulled_plug_a_person_enables(tmp_path):
@@ -108,7 +98,7 @@ def test_a_cycle_goes_round_and_after_a_pulled_plug_a_person_enables(tmp_path):
         assert until(enabler.service_is_ready)
         assert not ready()
         assert enable()
-        cycle, clock = nudge(), peer.get_clock()
+        cycle, clock = bump(2e-3, 0.2), peer.get_clock()
         # As the planner does, again and again
         peer.create_timer(0.5, lambda: cycles.publish(cycle_to_msg(cycle, clock.now().to_msg())))
         assert until(lambda: sum(map(whole, motions)) > 3)

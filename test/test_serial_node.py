@@ -13,8 +13,9 @@ import tty
 
 import numpy as np
 import pytest
+from shaking import PERIOD, shaking
 
-from plate_core import PlateCycle, load_rig
+from plate_core import load_rig
 from plate_core.serial_protocol import Commit, Enable, Hello, Reader, State, Stop, parse
 
 rclpy = pytest.importorskip("rclpy")
@@ -39,7 +40,6 @@ from plate_driver.status import AT_REST, LOOK, OFF, UNANSWERED  # noqa: E402
 from plate_interfaces.msg import DriverStatus  # noqa: E402
 
 RIG = load_rig()
-PERIOD = 0.1
 TICK_S = 1e-3
 MAX_TICKS = 100
 """On a machine that is too busy, the board's clock stalls from there on."""
@@ -47,16 +47,6 @@ MAX_TICKS = 100
 NAMESPACE = f"/serial_node_{os.getpid()}"
 NODE = "plate_driver.node"
 LIFECYCLE = {"configure": 1, "cleanup": 2, "activate": 3, "deactivate": 4}
-
-
-def shaking(amplitude: float) -> PlateCycle:
-    """Cycle that starts at rest; amplitude [m]."""
-    t = np.arange(48) * PERIOD / 48
-    wave = np.sin(np.pi * t / PERIOD) ** 4 * np.sin(4 * np.pi * t / PERIOD)
-    cycle = PlateCycle.from_samples(PERIOD, amplitude * np.outer(wave, [1, 1, 0]))
-    twist, accel = cycle.knot_twist.copy(), cycle.knot_accel.copy()
-    twist[[0, -1]] = accel[[0, -1]] = 0
-    return PlateCycle.from_knots(cycle.times, cycle.knot_pose, twist, accel)
 
 
 EMERGENCY, CUT = (f"stopped: {what}; {LOOK}" for what in ("emergency stop", "power cut"))
@@ -339,14 +329,6 @@ def test_cycles_reach_the_board_and_telemetry_the_graph(bench):
     assert board.count(Stop) >= 1
     assert bench.until(lambda: board.state is State.OFF)
     assert not board.current
-
-
-def test_streams_reach_the_board_too(bench):
-    bench.start("streams:=true")
-    bench.tells(OFF)
-    bench.moving()
-    bench.end()
-    assert bench.until(lambda: bench.board.state is State.OFF)
 
 
 def again(bench: Bench) -> None:

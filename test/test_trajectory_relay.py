@@ -9,8 +9,9 @@ import numpy as np
 import pytest
 from cuts import cut
 from scipy.interpolate import BPoly
+from shaking import shaking
 
-from plate_core import CycleError, PlateCycle, load_rig
+from plate_core import CycleError, load_rig
 from plate_core.driver_status import DriverReason, DriverState, DriverStatus
 from plate_driver.setpoints import MotorTable, prepare
 from plate_driver.status import LOOK, driver_status
@@ -72,15 +73,8 @@ def _rig(relay_module):
     return Controller(relay_module)
 
 
-def shaking(amplitude: float) -> MotorTable:
-    t = np.arange(48) * PERIOD / 48
-    wave = np.sin(np.pi * t / PERIOD) ** 4
-    phase = 4 * np.pi * t / PERIOD
-    pose = amplitude * np.column_stack([wave * np.sin(phase), wave * np.cos(phase), 2 * wave])
-    cycle = PlateCycle.from_samples(PERIOD, pose)
-    twist, accel = cycle.knot_twist.copy(), cycle.knot_accel.copy()
-    twist[[0, -1]] = accel[[0, -1]] = 0
-    return prepare(RIG, PlateCycle.from_knots(cycle.times, cycle.knot_pose, twist, accel), 1)[0]
+def table(amplitude: float) -> MotorTable:
+    return prepare(RIG, shaking(amplitude), 1)[0]
 
 
 def check(rig: Controller) -> None:
@@ -104,7 +98,7 @@ def test_nothing_moves_before_an_enable(rig):
         DriverState.STOPPED, DriverReason.OTHER, f"stopped: {report.text}; {LOOK}"
     )
     with pytest.raises(CycleError, match="the motors are off"):
-        rig.relay.send(shaking(0.001), 3)
+        rig.relay.send(table(0.001), 3)
     rig.run(0.2)
     assert not np.any(rig.state)
 
@@ -112,9 +106,9 @@ def test_nothing_moves_before_an_enable(rig):
 def test_tables_are_played_and_rest_by_themselves(rig):
     rig.run(0.1)
     assert rig.relay.enable().done
-    rig.relay.send(shaking(0.001), 3)
+    rig.relay.send(table(0.001), 3)
     rig.run(0.25)
-    rig.relay.send(shaking(0.0005), 2)
+    rig.relay.send(table(0.0005), 2)
     rig.run(1.0)
     check(rig)
     peaks = np.max(np.abs(np.array(rig.rows)[:, 0]), axis=1)
@@ -126,7 +120,7 @@ def test_tables_are_played_and_rest_by_themselves(rig):
 
 
 def test_a_cycle_with_a_tail_is_played_to_rest_and_none_in_motion(rig):
-    cycle = cut(shaking(0.001).cycle, 0, 18)
+    cycle = cut(shaking(0.001), 0, 18)
     rig.run(0.1)
     rig.relay.enable()
     rig.relay.send(MotorTable.of(RIG, cycle, 1), 1)
@@ -142,7 +136,7 @@ def test_a_cycle_with_a_tail_is_played_to_rest_and_none_in_motion(rig):
 def test_a_stop_brakes_along_the_path_and_latches(rig):
     rig.run(0.1)
     rig.relay.enable()
-    rig.relay.send(shaking(0.002), 100)
+    rig.relay.send(table(0.002), 100)
     for moment in (0.113, 0.137, 0.151):
         rig.run(moment)
         order = rig.relay.stop()
@@ -152,18 +146,18 @@ def test_a_stop_brakes_along_the_path_and_latches(rig):
         assert order.done
         assert np.max(np.abs(rig.state[0])) < 1e-9
         with pytest.raises(CycleError):
-            rig.relay.send(shaking(0.002), 100)
+            rig.relay.send(table(0.002), 100)
         assert rig.relay.stop().failure == ""  # pressed again
         rig.run(0.2)
         assert rig.relay.enable().done
-        rig.relay.send(shaking(0.002), 100)
+        rig.relay.send(table(0.002), 100)
     check(rig)
 
 
 def test_it_does_not_promise_what_it_cannot_do(rig):
     rig.run(0.1)
     rig.relay.enable()
-    rig.relay.send(shaking(0.002), 100)
+    rig.relay.send(table(0.002), 100)
     rig.run(0.1)
     assert "cannot cut the current" in rig.relay.stop(cut=True).failure
     rig.speaks = False

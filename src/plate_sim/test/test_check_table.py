@@ -2,24 +2,13 @@
 
 import numpy as np
 import pytest
+from shaking import bump
 
 from plate_core import CycleError, PlateCycle, load_rig
 from plate_sim.plate import check_table
 
 RIG = load_rig()
 REST = PlateCycle.rest(0.1)
-
-
-def bump(height, period=0.1):
-    """Table that leaves home along x and comes back: `height` [m] half-way, at rest at the ends."""
-    t = np.arange(33) / 32
-    u = t * (1 - t)
-    pose, twist, accel = np.zeros((3, 33, 3))
-    scale = height * 4**3  # the bump is 64 u^3
-    pose[:, 0] = scale * u**3
-    twist[:, 0] = scale * 3 * u**2 * (1 - 2 * t) / period
-    accel[:, 0] = scale * (6 * u * (1 - 2 * t) ** 2 - 6 * u**2) / period**2
-    return PlateCycle.from_knots(period * t, pose, twist, accel)
 
 
 def test_a_good_table_is_taken_and_measured():
