@@ -6,7 +6,6 @@ import re
 import threading
 from pathlib import Path
 
-import cv2
 import numpy as np
 import pytest
 import yaml
@@ -176,38 +175,6 @@ def test_no_camera_one_that_looks_elsewhere_and_a_little_shift_are_reported(grap
     shows("outline", r"shifted by \(-12\.\d, -?0\.\d\) mm", "2_shifted")
 
 
-def test_it_is_covered_dark_and_burnt(graph, page, shows):
-    graph[0].show(np.full((480, 640), 2, np.uint8))
-    shows("light", "the light is on and the lens is open", "3_covered")
-    shows("focus", "lens is uncovered")
-    graph[0].show(np.clip(picture().astype(int) * 2, 0, 255).astype(np.uint8))
-    shows("light", "clipped at 255|burnt out", "4_burnt")
-    graph[0].show(np.clip(picture().astype(int) - 180, 0, 255).astype(np.uint8))
-    shows("light", "darker than|at 0")
-
-
-def test_defocus_makes_sharpness_fall_and_focus_makes_it_rise(graph, page, shows):
-    image = picture()
-    graph[0].show(image)
-    shows("outline", "as predicted")
-    shows("focus", r"steady, best \d")
-    graph[0].show(cv2.GaussianBlur(image, (0, 0), 3))
-    await_text(page, "#sharpness-note", "falls")
-    shows("focus", "turn the focus back", "5_defocused")
-    graph[0].show(image)
-    await_text(page, "#sharpness-note", "rises")
-    shows("focus", "steady, best")
-    assert level(page, "focus") == "good"
-
-
-def test_what_is_taken_and_what_is_left(graph, page, shows):
-    graph[0].show(picture())
-    shows("parts", "1 too small", "6_parts")
-    left = page.inner_text("#camera-left")
-    assert left.startswith("1 too small: radius ")
-    shows("size", "diameter of the parts is 15.8 to 15.8 px")
-
-
 def test_home_is_found_where_the_camera_is_mounted(graph, page, shows, folder):
     view = View(distance=1.1, roll=8.0, tilt_x=10.0)
     graph[0].show(picture(view, small=False))
@@ -259,9 +226,8 @@ def test_it_is_ready(graph, page, shows):
     """By the lens that was written, and home found anew with it."""
     view = View(focal=FOCAL, distance=0.9, lens=(BEND[0], BEND[1], 0.0))
     graph[0].show(picture(view, small=False))
-    shows(
-        "light", "at most 1% of its pixels are clipped"
-    )  # the board is gone, which is a quadrilateral too
+    # The board is gone, which is a quadrilateral too.
+    shows("light", "at most 1% of its pixels are clipped")
     page.get_by_role("button", name="Find home").click()
     await_text(page, "#camera-state", "Ready")
     assert page.locator("#camera-checks [data-check=home]").count() == 0

@@ -82,29 +82,3 @@ def test_an_odd_file_is_a_finding_and_the_others_are_checked(tmp_path, capsys, n
         f"{odd}: not readable as {'Python' if odd.suffix == '.py' else 'UTF-8'}"
     )
     assert second.startswith(f"{bad}:1: ")
-
-
-@pytest.mark.parametrize(
-    ("name", "data", "line"),
-    [
-        ("empty.py", b"", None),
-        ("empty.md", b"", None),
-        ("dos.py", f"# Fine.\r\n# {BAD[0]}\r\n".encode(), 2),
-        ("dos.md", f"Fine.\r\n\r\n{BAD[0]}\r\n".encode(), 3),
-        ("mark.py", f"\ufeff# {BAD[0]}\n".encode(), 1),
-        ("latin.py", f"# coding: latin-1\n# caf\xe9: {BAD[4]}\n".encode("latin-1"), 2),
-        ("block.c", f"int a;\n/* {BAD[0]} */\n".encode(), 2),
-        ("behind.cpp", f"int a;  // {BAD[0]}\n".encode(), 1),
-        ("value.yaml", f"key: 1\n# {BAD[0]}\n".encode(), 2),
-    ],
-)
-def test_any_encoding_and_line_end_is_read(tmp_path, name, data, line):
-    file = tmp_path / name
-    file.write_bytes(data)
-    assert [found for found, *_ in findings(file)] == ([] if line is None else [line])
-
-
-def test_a_huge_page_is_checked_in_linear_time(tmp_path):
-    file = tmp_path / "huge.md"
-    file.write_text("A plain line of a page.\n```\ncode\n```\n" * 50_000 + BAD[0] + "\n")
-    assert [line for line, *_ in findings(file)] == [200_001]

@@ -1,7 +1,6 @@
 """The page of the first day: its commands run, its buttons and pictures are there."""
 
 import re
-from pathlib import Path
 
 from test_tutorial import ROOT, printed_by, shell, steps
 
@@ -36,9 +35,3 @@ def test_commands_of_plate_that_it_names_exist():
     makefile = (ROOT / "Makefile").read_text(encoding="utf-8")
     given = set(re.findall(r"\b([A-Z]+)=", TEXT))
     assert given <= set(re.search(r"^NAMES := (.*)$", makefile, re.MULTILINE)[1].split())
-
-
-def test_its_pictures_are_there_and_small():
-    pictures = [PAGE.parent / name for name in re.findall(r"!\[.*?\]\((\S+)\)", TEXT)]
-    assert len(pictures) == 3
-    assert all(Path(one).stat().st_size < 60_000 for one in pictures)

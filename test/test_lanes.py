@@ -77,15 +77,6 @@ def test_half_of_the_workers_begin_with_real_nodes_and_take_what_is_left():
     assert front.shutting_down
 
 
-def test_workers_behind_run_what_computes_in_either_folder():
-    found, (front, behind) = started(TESTS, 2)
-    _, files = run(found, [front, behind], TESTS, of=behind)
-    assert files == ["src/a.py"] * 3 + ["src/c.py"] * 3 + ["test/d.py"] * 3
-    files, _ = run(found, [front, behind], TESTS, of=front)
-    assert files == ["test/b.py"] * 3
-    assert found.tests_finished
-
-
 def test_tests_of_real_nodes_give_way_only_when_nothing_else_is_left():
     nodes = [f"test/{n}.py::test" for n in range(9)]
     tests = [*nodes, "src/a.py::test", "src/c.py::test"]
@@ -98,12 +89,6 @@ def test_tests_of_real_nodes_give_way_only_when_nothing_else_is_left():
     assert min(map(len, behind)) > 1
     assert all(worker.shutting_down for worker in workers)
     assert found.tests_finished
-
-
-def test_one_worker_runs_all():
-    found, workers = started(TESTS, 1)
-    [files] = run(found, workers, TESTS)
-    assert sorted(files) == sorted(test.split("::")[0] for test in TESTS)
 
 
 @pytest.mark.parametrize(

@@ -1,4 +1,4 @@
-"""The charts: Pareto fronts, tables, and the report in a browser that has no network."""
+"""The charts: Pareto fronts, tables, pictures, and a report that refers to nothing outside."""
 
 import csv
 import json
@@ -6,61 +6,20 @@ import re
 import shutil
 import subprocess
 import sys
-from html import unescape
 from html.parser import HTMLParser
 from pathlib import Path
 
 import numpy as np
 import pytest
-from needs import program
 from PIL import Image
 
 from harness import is_done
 
 BENCH = Path(__file__).resolve().parents[1] / "bench"
 
-CHROMIUM = program("chromium")
 QUICK = "force_map"
 
 pytestmark = pytest.mark.needs("plotly", "kaleido", "pandas", "tabulate", "numba")
-browses = pytest.mark.needs("chromium")
-
-BEFORE = """<script>
-window.errors = [];
-window.addEventListener("error", (event) => errors.push(String(event.message)));
-const tell = console.error;
-console.error = (...words) => { errors.push(words.join(" ")); tell(...words); };
-</script>"""
-
-AFTER = """<pre id="probe"></pre><script>
-const charts = [...document.querySelectorAll(".plotly-graph-div")];
-const shown = (chart) => chart.data.filter((trace) => trace.visible !== "legendonly").length;
-const wait = (ms) => new Promise((done) => setTimeout(done, ms));
-const result = {
-  charts: charts.map((chart) => ({
-    title: chart.closest(".chart").ariaLabel,
-    panels: chart.querySelectorAll(".cartesianlayer > .subplot").length,
-    marks: chart.querySelectorAll(".point, .js-line, .heatmaplayer image").length,
-    width: chart.querySelector("svg.main-svg")?.getBoundingClientRect().width ?? 0,
-  })),
-  resources: performance.getEntriesByType("resource").map((entry) => entry.name),
-  wide: document.documentElement.scrollWidth > document.documentElement.clientWidth,
-};
-(async () => {
-  const chart = charts[0], key = chart?.querySelector(".legendtoggle");
-  if (window.Plotly && key) {
-    const all = shown(chart);
-    for (const kind of ["mousedown", "mouseup"]) key.dispatchEvent(new MouseEvent(kind));
-    await wait(1000);
-    result.switched = [all, shown(chart)];
-    const range = [...chart._fullLayout.xaxis.range];
-    await Plotly.relayout(chart, { "xaxis.range": [range[0], (range[0] + range[1]) / 2] });
-    result.zoomed = [range, [...chart._fullLayout.xaxis.range]];
-  }
-  result.errors = errors;
-  document.getElementById("probe").textContent = JSON.stringify(result);
-})();
-</script>"""
 
 
 @pytest.fixture(scope="module")
@@ -103,37 +62,6 @@ def chart():
     return Chart("one", "a", "Title </script>", "reading", "finding", "why", panels, sheet)
 
 
-@pytest.fixture(scope="module")
-def every_kind(chart, tmp_path_factory):
-    """A page with that chart."""
-    from report import write_report
-
-    path = tmp_path_factory.mktemp("page") / "index.html"
-    write_report(path, {}, [chart])
-    return path
-
-
-def look_at(page, width=1300, change=lambda text: text):
-    """Open a page in headless Chromium without a network. Return its content and the console."""
-    text = page.read_text(encoding="utf-8").replace("<style>", BEFORE + "<style>", 1)
-    copy = page.with_name("probed.html")
-    copy.write_text(change(text).replace("</html>", AFTER + "</html>"), encoding="utf-8")
-    done = subprocess.run(
-        [
-            CHROMIUM, "--headless", "--no-sandbox", "--disable-gpu",
-            "--disable-background-networking", "--host-resolver-rules=MAP * ~NOTFOUND",
-            f"--user-data-dir={page.parent / 'profile'}", f"--window-size={width},900",
-            "--enable-logging=stderr", "--virtual-time-budget=30000", "--dump-dom",
-            copy.as_uri(),
-        ],
-        capture_output=True, text=True, timeout=120, check=False,
-    )  # fmt: skip
-    found = re.search(r'<pre id="probe">(.*?)</pre>', done.stdout, re.DOTALL)
-    assert found, done.stderr[-2000:]
-    console = [line for line in done.stderr.splitlines() if "CONSOLE" in line]
-    return json.loads(unescape(found[1])), console
-
-
 class References(HTMLParser):
     """Collects the files and links of a page."""
 
@@ -143,45 +71,6 @@ class References(HTMLParser):
 
     def handle_starttag(self, tag, attrs):
         self.found += [value for name, value in attrs if name in ("src", "href", "data") and value]
-
-
-def assert_drawn(result, console, panels):
-    assert result["errors"] == []
-    assert console == []
-    assert {chart["title"]: chart["panels"] for chart in result["charts"]} == panels
-    for chart in result["charts"]:
-        assert chart["marks"] >= chart["panels"], chart
-        assert chart["width"] > 250 * min(chart["panels"], 2), chart
-    assert result["resources"] == []
-    assert not result["wide"]
-
-
-@browses
-def test_the_report_draws_every_chart_without_a_network(drawn):
-    result, console = look_at(drawn / "report/index.html")
-    assert_drawn(result, console, {"Force map: error against time": 2})
-
-
-@browses
-def test_every_kind_of_panel_is_drawn_and_answers(every_kind):
-    for width in (500, 1300):
-        result, console = look_at(every_kind, width)
-        assert_drawn(result, console, {"Title </script>": 3})
-        assert result["switched"] == [6, 5]  # one of six kinds is switched off
-        before, after = result["zoomed"]
-        assert after == pytest.approx([before[0], sum(before) / 2])
-
-
-@browses
-def test_a_page_that_cannot_draw_is_noticed(every_kind):
-    def without_library(text):
-        start = text.index("<script>/**")
-        return text[:start] + text[text.index("</script>", start) :]
-
-    result, console = look_at(every_kind, change=without_library)
-    assert "Plotly is not defined" in result["errors"][0]
-    assert "Plotly is not defined" in console[0]
-    assert all(chart["panels"] == 0 for chart in result["charts"])
 
 
 @pytest.mark.filterwarnings("ignore:setDaemon", "ignore:unclosed file")  # kaleido's own

@@ -105,27 +105,6 @@ def test_the_predicted_error_of_one_harmonic_is_its_transmissibility_less_one(ri
     )
 
 
-@pytest.mark.needs("plotly")
-@pytest.mark.parametrize("key", MAPS)
-def test_the_chart_of_a_map_has_its_border_and_the_theory_in_every_panel(key):
-    from report.stability import chart_of, rows_of
-
-    one = MAPS[key]
-    low, high = one.bounds
-    z = [[low, low], [2 * one.level - low] * 2, [high, high]]
-    found = [Grid(t, [1.0, 2.0], [1.0, 2.0, 3.0], z, [1.0, 2.0], [1.4, 1.6]) for t in ("a", "b")]
-    samples = [{"map": key, **row} for grid in found for row in grid.rows]
-    chart = chart_of(rows_of({"stability": {"samples": samples}}, one).rows, one)
-    assert [panel.title for panel in chart.panels.list] == ["a", "b"]
-    for panel in chart.panels.list:
-        field, border, theory = panel.traces
-        assert np.shape(field.z) == (3, 2)
-        halfway = np.sqrt(2) if "y" in one.log else 1.5
-        assert border.y == pytest.approx([halfway] * len(border.y))
-        assert set(theory.y) == {1.4, 1.6}
-        assert panel.x.limits[0] < 1 < 2 < panel.x.limits[1]
-
-
 def test_nearness_is_the_ratio_of_borders():
     one = MAPS["stick"]
     z = [[0.0], [2 * one.level], [2 * one.level]]
