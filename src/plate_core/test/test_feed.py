@@ -64,17 +64,13 @@ def test_fractions_of_a_mix_may_be_rounded(tmp_path):
 @pytest.mark.parametrize(
     ("old", "new", "message"),
     [
-        ("kind: feed", "kind: fed", "kind is 'fed'"),
-        ("count: 2", "count: 0", "count is 0, allowed"),
         ("class: black, ready", "class: red, ready", "class is 'red'"),
-        ("ready: 2", "ready: 0", "ready is 0"),
         ("ready: 2", "ready: 16", "a sum of ready, now 16, .*15"),
         ("[[0.0, -0.1], [0.2, 0.1]]", "[[0.2, 0.1], [0.0, -0.1]]", "lower left corner, then"),
         ("[[0.0, -0.1], [0.2, 0.1]]", "[[0.0, 0.2], [-0.1, 0.1]]", "lower left corner, then"),
         ("[0.2, 0.1]", "[0.4, 0.1]", r"window of black is .*0.4"),
         ("[[0.0, -0.1], [0.2, 0.1]]", "[[0, 0.137], [0.2, 0.14]]", "black is .* 14 mm .*allowed"),
         ("ready: 2", "ready: 2, angle_deg: 10", "angles? of black"),
-        ("clearance_m: 0.006", "clearance_m: -1", "clearance_m is -1"),
         ("clearance_m: 0.006", "clearance_m: 0.3", "at most 1, .* a clearance of 300 mm"),
         ("chute: left", "chute: up", "chute is 'up'"),
         ("fill: 15", "fill: 10", "least is 12, allowed: at most fill, which is 10"),
@@ -88,7 +84,6 @@ def test_fractions_of_a_mix_may_be_rounded(tmp_path):
         ),
         ("[-0.18, 0]", "[-0.38, 0]", "place_m is .-0.38, 0. m, allowed"),
         ("rate_ps: 10, ", "", "rate_ps"),
-        ("  clearance_m: 0.006", "  clearance_m: 0.006\n  speed: 3", "speed"),
         ("- {class: black, ready", "- {class: black}\n    - {class: black, ready", "each class on"),
     ],
 )

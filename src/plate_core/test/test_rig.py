@@ -58,13 +58,10 @@ def test_missing_config_file_is_named():
 
 
 SPOILT = [
-    (("plate", "length_m"), -1, r"plate: length_m is -1, allowed: a number from 0\.05 to 10"),
-    (("plate", "width_m"), 0.02, r"plate: width_m is 0\.02, allowed: a number from 0\.05 to 10"),
     (("plate", "width_m"), "wide", "plate: width_m is 'wide', allowed: a number"),
     (("plate", "mass_kg"), True, "plate: mass_kg is True, allowed: a number"),
     (("plate", "mass_kg"), float("nan"), "plate: mass_kg is nan, allowed: a number"),
     (("plate", "lenght_m"), 1, "plate: unknown key lenght_m \\(did you mean length_m.\\), allowed"),
-    (("friction", "mu"), 0, r"friction: mu is 0, allowed: a number from 0\.01 to 2"),
     (("limits", "accel_mps2"), 2, "accel_mps2 is 2, allowed: more than mu g"),
     (("limits",), 5, "limits: got 5, expected a mapping"),
     (("motors", "motor_1", "direction"), [0, 0], "direction is .*, allowed: a vector that is not"),
@@ -73,7 +70,6 @@ SPOILT = [
     (("motors", "motor_5"), {}, "motors: got .*motor_5, allowed: motor_1, motor_2, motor_3"),
     (("motors",), {"motor_1": {}, "motor_2": {}}, r"^rig\.yaml: motors: got motor_1, motor_2, al"),
     (("camera", "width_px"), 640.5, "width_px is 640.5, allowed: a whole number from 16 to 16384"),
-    (("camera", "trigger_phase"), 1, "trigger_phase is 1, allowed: a number from 0 to 0.999"),
     (("camera", "trigger_pulse_s"), 0.02, "trigger_phase is missing"),
     (("camera", "corners_px"), [[0, 0]] * 4, "allowed: four corners that span"),
     (("camera", "corners_px"), [[0, 0]] * 3, "corners_px is .*, allowed: 4 x 2 numbers"),
@@ -81,13 +77,8 @@ SPOILT = [
     (("camera", "distortion"), "k1", "distortion is 'k1', allowed: n numbers from -1e.06 to"),
     (("camera", "distortion"), [0.1] * 3, "lens: distortion has 3 values, allowed: 4 or 5 for plu"),
     (("camera", "distortion"), [-2, 0, 0, 0, 0], "lens: distortion is .* folds the image of the p"),
-    (
-        ("camera", "distortion_model"),
-        "fisheye",
-        "camera: lens: distortion_model is 'fisheye', allow",
-    ),
+    (("camera", "distortion_model"), "fisheye", "camera: lens: distortion_model is 'fisheye'"),
     (("camera", "distortion_model"), 5, "camera: distortion_model is 5, allowed: a text"),
-    (("extra",), 1, r"rig\.yaml: unknown key extra"),
 ]
 
 
