@@ -738,11 +738,7 @@ class Port:
 @pytest.mark.parametrize(
     ("trouble", "reason", "text"),
     [
-        (
-            troubles.emergency,
-            DriverReason.FOLLOWING,
-            "following: motor_2: emergency 8611h, error register ",
-        ),
+        (troubles.emergency, DriverReason.FOLLOWING, "following: motor_2: emergency 8611h, error"),
         (troubles.reset, DriverReason.HARDWARE, "hardware: motor_2: the drive was reset"),
     ],
 )

@@ -222,10 +222,7 @@ WRONG = [
     (deaf, "motor_2: node 2 does not answer, found: 1, 3, 4"),
     (other(x1000_0=0x191), "motor_2: node 2 has device type 191h, allowed: profile 402"),
     (other(x6502_0=1), "motor_2: modes 6502h are 1h, required: cyclic synchronous position"),
-    (
-        other(without=(0x6007,)),
-        "object 6007h:00 (abort 06020000h, no such object), so it cannot be controlled",
-    ),
+    (other(without=(0x6007,)), "object 6007h:00 (abort 06020000h, no such object), so it cannot"),
     (in_fault, "motor_2: the drive is in fault (statusword 0218h): error code 2310h (current), "),
     (lambda bench: bench.drives[1].enter("enabled"), "motor_2: the drive has current"),
     (lambda bench: bench.network.send_message(0x80, b""), "bus: another master is on the bus"),

@@ -236,22 +236,10 @@ def test_unmeasured_facts_are_those_of_the_rig_that_the_nodes_use(stand_in, tmp_
 @pytest.mark.parametrize(
     ("file", "name", "words"),
     [
-        (
-            "closed_loop",
-            "scenaro",
-            r"is 'scenaro' \(did you mean scenario\?\), allowed: scenario, lock",
-        ),
+        ("closed_loop", "scenaro", r"is 'scenaro' \(did you mean scenario\?\), allowed: scenario"),
         ("hardware", "image_topc", r"is 'image_topc' \(did you mean image_topic\?\), allowed: "),
-        (
-            "closed_loop",
-            "port",
-            r"is 'port' \(an argument of hardware\.launch\.py\), allowed: ",
-        ),
-        (
-            "hardware",
-            "lockstep",
-            r"is 'lockstep' \(an argument of closed_loop\.launch.*, allowed: ",
-        ),
+        ("closed_loop", "port", r"is 'port' \(an argument of hardware\.launch\.py\), allowed: "),
+        ("hardware", "lockstep", r"is 'lockstep' \(an argument of closed_loop\.launch.*, allowed:"),
         ("closed_loop", "zoom", r"is 'zoom', allowed: scenario, .*rig_fi"),
     ],
 )

@@ -196,20 +196,14 @@ def test_parameters(graph):
 @pytest.mark.parametrize(
     ("words", "message"),
     [
-        (
-            ("talker", "gain", "2"),
-            r"talker refuses: Parameter gain out of range Min: 0.0, Max: 1.0, value: 2.0",
-        ),
+        (("talker", "gain", "2"), r"gain out of range Min: 0.0, Max: 1.0, value: 2.0"),
         (("talker", "gain", ""), r"talker gain is '', allowed: a float"),
         (("talker", "gain", "{a: 1}"), r"talker gain is '{a: 1}', allowed: a float"),
         (("talker", "gain", "2026-13-45"), r"talker gain is '2026-13-45', allowed: a float"),
         (("talker", "gain", "["), r"talker gain is '\[', allowed: a float"),
         (("talker", "seed", "4"), r"talker refuses: .*read-only"),
         (("talker", "gian", "1"), r"talker has no parameter 'gian' \(did you mean gain\?\)"),
-        (
-            ("talk", "gain", "1"),
-            r"no node 'talk' runs \(did you mean talker\?\); running nodes: talker",
-        ),
+        (("talk", "gain", "1"), r"'talk' runs \(did you mean talker\?\); running nodes: talker"),
         (("gain", "1"), r"set requires NODE NAME VALUE.*talker"),
     ],
 )

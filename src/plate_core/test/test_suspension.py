@@ -106,10 +106,7 @@ def test_wrong_values_are_refused(load, changes, message):
     ("changes", "message"),
     [
         ({"stiffness": [[1, 2, 0], [0, 1, 0], [0, 0, 1]]}, "stiffness is .*a symmetric matrix"),
-        (
-            {"stiffness": np.diag([1, -1, 1])},
-            "stiffness has the eigenvalue -1, allowed: .*semidefinite",
-        ),
+        ({"stiffness": np.diag([1, -1, 1])}, "stiffness has the eigenvalue -1, allowed:"),
         ({"damping": np.full((3, 3), np.nan)}, "damping is .*, allowed: 3 x 3 finite numbers"),
         ({"mass": np.diag([2, 2, 0])}, "mass has the eigenvalue 0, allowed: .* positive"),
         ({"motor_gain": (1, 1, -1, 1)}, "motor_gain is .*, allowed: 4 numbers, 0 or more"),

@@ -112,15 +112,9 @@ def test_a_new_target_far_away_is_no_lack_of_progress():
 @pytest.mark.parametrize(
     ("target", "words"),
     [
-        (
-            PartTarget("black_9", (0.0, 0.0)),
-            "black_9 is unknown, allowed: black_1, black_2",
-        ),
+        (PartTarget("black_9", (0.0, 0.0)), "black_9 is unknown, allowed: black_1, black_2"),
         (PartTarget("x" * 5000, (0.0, 0.0)), "x is unknown"),
-        (
-            PartTarget("grey_1", (0.295, 0.0)),
-            r"grey_1 is \(0.295, 0\) m, .*allowed: \|x\| up to 0.2",
-        ),
+        (PartTarget("grey_1", (0.295, 0.0)), r"grey_1 is \(0.295, 0\) m, .* up to 0.2"),
         (PartTarget("nut_1", (0.0, 0.0)), "class of nut_1 is not in this task, .*black, grey"),
         (PartTarget("grey_1", (np.nan, 0.0)), r"grey_1 is \(nan, 0\) m"),
         (PartTarget("grey_1", (0.0, -np.inf)), r"grey_1 is \(0, -inf\) m"),

@@ -78,10 +78,7 @@ def test_parts_of_other_shapes():
 @pytest.mark.parametrize(
     ("what", "words"),
     [
-        (
-            ("", "black", (0.295, 0.0)),
-            r"place is \(0.295, 0\) m, allowed for black: \|x\| up to",
-        ),
+        (("", "black", (0.295, 0.0)), r"place is \(0.295, 0\) m, allowed for black: \|x\| up to"),
         (("", "black", (0.0, np.nan)), r"place is \(0, nan\) m"),
         (("", "black", FREE, np.inf), "angle is inf, allowed: finite"),
         (("", "blak", FREE), "type is 'blak' .*black.*, allowed: black, grey"),

@@ -77,21 +77,13 @@ def test_there_and_back(tmp_path, rng, count):
     [
         ("image_width: 640", "image_width: wide", "image_width is 'wide', allowed"),
         ("image_width: 640", "image_width: 641", "641 x 480 px, allowed: 640 x 480"),
-        (
-            "plumb_bob",
-            "equidistant",
-            r"camera\.yaml: lens: distortion has 5 values, allowed: 4 for",
-        ),
+        ("plumb_bob", "equidistant", r"camera\.yaml: lens: distortion has 5 values, allowed: 4"),
         ("plumb_bob", "fisheye", r"camera\.yaml: lens: distortion_model is 'fisheye', allowed: pl"),
         ("cols: 5\n  data: [-0.361976, ", "cols: 4\n  data: [", None),
         ("cols: 5", "cols: 6", "data is .*allowed: 6 numbers"),
         ("plumb_bob", "rational_polynomial", None),
         ("438.783367", ".nan", "camera_matrix: data is"),
-        (
-            "438.783367",
-            "-1",
-            r"camera\.yaml: lens: focal lengths are -1 and 437.303 px, allowed: 1",
-        ),
+        ("438.783367", "-1", "focal lengths are -1 and 437.303 px, allowed: 1"),
         ("438.783367", "0", r"camera\.yaml: lens: focal lengths are 0 and"),
         ("438.783367, 0.000000", "438.7, 0.5", r"camera\.yaml: lens: K is .*allowed: \[fx, 0, cx"),
         ("camera_matrix:\n  rows: 3", "camera_matrix:\n  rows: 1", "1 x 3, allowed: 3 x 3"),
