@@ -71,37 +71,16 @@ def names_of(processes):
 @pytest.mark.parametrize(
     ("words", "message"),
     [
-        (
-            ["--scenario", "folow_3"],
-            "scenario is 'folow_3' (did you mean follow_3?), allowed: ",
-        ),
-        (
-            ["--method", "sinusoid"],
-            "method is 'sinusoid' (did you mean sinusoids?), allowed: ",
-        ),
-        (
-            ["--transport", "serail"],
-            "transport is 'serail' (did you mean serial?), allowed: cia402, odrive, serial",
-        ),
+        (["--scenario", "folow_3"], "scenario is 'folow_3' (did you mean follow_3?), allowed: "),
+        (["--method", "sinusoid"], "method is 'sinusoid' (did you mean sinusoids?), allowed: "),
+        (["--transport", "serail"], "transport is 'serail' (did you mean serial?), allowed:"),
         (["--rig", "no/such/rig.yaml"], "no/such/rig.yaml: no such file"),
-        (
-            ["--transport", "serial", "--port", "/dev/none"],
-            "serial port /dev/none is not there",
-        ),
+        (["--transport", "serial", "--port", "/dev/none"], "serial port /dev/none is not there"),
         (["--port", "/dev/null"], "serial port /dev/null is a device, but no serial port, allowed"),
-        (
-            ["--transport", "sim", "--port", "/dev/null"],
-            "port is '/dev/null', but transport sim requires no port",
-        ),
+        (["--transport", "sim", "--port", "/dev/null"], "port is '/dev/null', but transport sim"),
         (["--transport", "serial", "--lockstep"], "transport is serial, but --lockstep requires "),
-        (
-            ["--transport", "cia402", "--port", "/dev/null"],
-            "port is '/dev/null', but transport cia402 requires no port",
-        ),
-        (
-            ["--transport", "odrive", "--rig", "linear_motors"],
-            "rig linear_motors.yaml: its motors have",
-        ),
+        (["--transport", "cia402", "--port", "/dev/null"], "port is '/dev/null', but transport"),
+        (["--transport", "odrive", "--rig", "linear_motors"], "rig linear_motors.yaml: its motors"),
         (["--transport", "cia402", "--lockstep"], "transport is cia402, but --lockstep requires "),
         (["--image-rate", "0.5"], "image_rate is 0.5, allowed: 0, or 1 to 200"),
         (["--domain", "500"], "domain is 500, allowed: 0 to 101"),
@@ -288,15 +267,6 @@ def test_what_an_interrupted_task_did_counts_to_the_last_that_is_known():
     assert develop(record, load_rig()).cycles == 1
 
 
-def test_a_folder_that_cannot_be_made_is_said_before_anything_starts(monkeypatch, capsys):
-    monkeypatch.setattr(sys, "argv", ["demo", "--scenario", "sort_4", "--out", "/proc/x"])
-    assert run(arguments()) == 2
-    output, errors = capsys.readouterr()
-    assert output == ""
-    assert errors.startswith("demo: out is /proc/x: No such file")
-    assert errors.endswith(", allowed: a folder that can be created\n")
-
-
 @pytest.mark.parametrize(
     ("rig", "title"),
     [("desk", "rig desk"), ("my/rig.yaml", "rig.yaml"), ("/a/my_plate.yml", "my_plate.yml")],
@@ -361,39 +331,6 @@ def test_a_node_that_dies_at_start_is_named_with_its_reason(tmp_path, monkeypatc
     assert process.returncode == 1
     assert "demo: solver ended with exit code 2\n    error: no such thing\n" in errors
     assert "nodes answer" not in output
-
-
-def test_a_kill_leaves_nothing_running(tmp_path):
-    mark = uuid.uuid4().hex
-    words = ["--scenario", "sort_4", "--out", str(tmp_path), "--no-pictures", "--no-view"]
-    with demo(*words, mark=mark, start_new_session=True) as process:
-        for line in process.stdout:
-            if "nodes answer" in line:
-                break
-        process.kill()
-        process.communicate(timeout=30)
-    until = time.monotonic() + 10
-    while marked(mark) and time.monotonic() < until:
-        time.sleep(0.1)
-    assert marked(mark) == []
-
-
-def test_a_node_that_dies_is_named_and_its_log_is_shown(tmp_path):
-    mark = uuid.uuid4().hex
-    words = ["--scenario", "sort_4", "--out", str(tmp_path), "--no-pictures", "--no-view"]
-    with demo(*words, mark=mark) as process:
-        for line in process.stdout:
-            if "parts sorted" in line:
-                break
-        for pid in marked(mark):
-            if names_of([pid]) == {"planner"}:
-                os.kill(pid, signal.SIGKILL)
-        _, errors = process.communicate(timeout=60)
-    assert process.returncode == 1
-    assert "demo: planner was ended by SIGKILL" in errors
-    assert "task sort: running" in errors
-    assert "log: " in errors
-    assert marked(mark) == []
 
 
 def test_why_a_task_failed_is_told_before_its_nodes_end(monkeypatch, capsys):

@@ -28,7 +28,7 @@ from plate_planner.tasks import FeedReport
 from plate_sim import Grip, Simulation
 from plate_solver import EFFORT
 from tasks.feeding import BASE, run_case
-from tasks.shaking import conveyed, shaken, thrown
+from tasks.shaking import conveyed, shaken
 
 PLACE = (0.1, 0.0, 0.0)
 FEW = {"restarts": 10}
@@ -204,19 +204,6 @@ def test_a_shake_conveys_parts_as_strongly_as_the_rig_allows(axis):
     assert back == pytest.approx(-ways, abs=1e-4)
 
 
-def test_thrown_parts_lie_evenly_and_clear_of_each_other():
-    half, rng = np.array([0.3, 0.15]), np.random.default_rng(1)
-    reach = np.full(20, 0.01)
-    places = np.array([thrown(reach, half, rng) for _ in range(50)])
-    for place in places:
-        apart = np.hypot(*(place[:, None] - place[None]).transpose(2, 0, 1))
-        assert np.min(apart + np.eye(20)) >= 0.02
-    room = half - 0.01
-    assert np.all(np.abs(places) <= room)
-    spread = places.reshape(-1, 2).std(axis=0)
-    assert spread == pytest.approx(room / np.sqrt(3), rel=0.05)
-
-
 @pytest.mark.parametrize("method", ["vibrated", "thrown"])
 def test_a_peer_picks_parts_too(method):
     found = run_case(BASE, method, 3, 30.0)
@@ -248,14 +235,6 @@ def test_qualify_prints_a_table_and_writes_a_page(monkeypatch, capsys, tmp_path)
     assert f"Best fill: {best[0]} parts" in text
     assert "<svg" in text
     assert text.count("<tr") == 3
-
-
-def test_what_qualify_has_found_is_not_lost_with_its_page(monkeypatch, capsys, short):
-    monkeypatch.setattr(qualify, "qualified", lambda *_: qualify.Row(5, (short,)))
-    assert qualified(monkeypatch, "--recipe", "feed", "--fill", "5", "--page", "/dev/full") == 2
-    told = capsys.readouterr()
-    assert "<- best fill" in told.out
-    assert "page is /dev/full: No space" in told.err
 
 
 @pytest.mark.parametrize(

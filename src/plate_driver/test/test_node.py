@@ -15,7 +15,6 @@ rclpy = pytest.importorskip("rclpy")
 from cuts import cut  # noqa: E402
 from diagnostic_msgs.msg import DiagnosticStatus  # noqa: E402
 from driven import CALM, CUT, EMERGENCY, Driven, at_rest, transition  # noqa: E402
-from lifecycle_msgs.srv import GetState  # noqa: E402
 from rclpy.serialization import serialize_message  # noqa: E402
 from rosgraph_msgs.msg import Clock  # noqa: E402
 from shaking import PERIOD, shaking  # noqa: E402
@@ -31,7 +30,6 @@ from plate_core.ros import (  # noqa: E402
     start_nodes,
     to_time,
 )
-from plate_driver.calibration import Response, save_response  # noqa: E402
 from plate_driver.freshness import STALL_S  # noqa: E402
 from plate_driver.node import DriverNode  # noqa: E402
 from plate_driver.status import OFF  # noqa: E402
@@ -272,20 +270,6 @@ def test_motors_that_take_no_table_are_told_within_two_seconds(make, monkeypatch
     assert driven.report.level == DiagnosticStatus.WARN
 
 
-def test_with_a_calibration_cycles_in_motion_are_refused(make, tmp_path, rig):
-    path = tmp_path / "response.npz"
-    save_response(path, Response.identity(rig, np.arange(1.0, 100.0)))
-    driven = make(f"calibration_file:={path}")
-    assert any("cycles that begin in motion are refused" in line for line in driven.log.lines)
-    driven.send(FIRST)
-    played = msg_to_motors(rig, driven.setpoints[-1])
-    assert played.tail is None
-    assert played.period == pytest.approx(0.15)
-    driven.pass_time(0.05)
-    assert "but a calibration requires a cycle that begins" in refused(driven, cycle=SECOND)
-    assert isinstance(driven.send(FIRST), int)
-
-
 def test_a_plate_rests_before_the_driver_ends(driven):
     stamp = driven.send(GENTLE)
     driven.close()
@@ -468,13 +452,6 @@ def test_lifecycle(make):
     assert change(driven, "shutdown")
     assert driven.stamps() == [stamp, stamp]
     assert at_rest(driven.setpoints[-1])
-
-
-def test_a_transition_that_does_not_fit_is_refused_and_ends_nothing(driven):
-    assert not change(driven, "activate")
-    assert not change(driven, "configure")
-    assert driven.call("get_state", GetState.Request()).current_state.label == "active"
-    assert driven.call("emergency_stop").success
 
 
 @pytest.mark.parametrize(

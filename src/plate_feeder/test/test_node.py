@@ -378,10 +378,7 @@ def test_a_task_that_ends_is_told_and_begun_again(graph):
 
 STOPPED_TASK = {"state": TaskStatus.ABORTED, "reason": TaskStatus.STOPPED, "text": "so"}
 ENDS = {  # of the planner's task, that of the feeder or another
-    **{
-        f"result {reason}": lambda planner, reason=reason: planner.end("aborted: so", reason)
-        for reason in NEED_A_PERSON
-    },
+    "a result": lambda planner: planner.end("aborted: so", min(NEED_A_PERSON)),
     "a stop": lambda planner: planner.tell(TaskStatus(task="feed", **STOPPED_TASK)),
     "a stop of the idle planner": lambda planner: planner.tell(
         TaskStatus(reason=TaskStatus.STOPPED, text="so")
@@ -389,12 +386,9 @@ ENDS = {  # of the planner's task, that of the feeder or another
     "another task": lambda planner: planner.tell(
         TaskStatus(task="sort", state=TaskStatus.RUNNING, text="so")
     ),
-    **{
-        f"driver {reason}": lambda planner, reason=reason: planner.drive(
-            DriverStatus(state=DriverStatus.STOPPED, reason=reason, text="so")
-        )
-        for reason in BY_PERSON
-    },
+    "the driver": lambda planner: planner.drive(
+        DriverStatus(state=DriverStatus.STOPPED, reason=min(BY_PERSON), text="so")
+    ),
 }
 
 
@@ -405,7 +399,7 @@ def test_after_a_person_has_ended_the_task_a_person_has_to_let_it_go_on(graph, e
     robot = graph.robot()
     graph.ask(robot, "get_part")
     graph.until(lambda: graph.feeder._task._seen)
-    if not end.startswith("result"):
+    if end != "a result":
         planner.silent = True
     ENDS[end](planner)
     answer = graph.hear(robot)
@@ -423,7 +417,7 @@ def test_after_a_person_has_ended_the_task_a_person_has_to_let_it_go_on(graph, e
     assert state.endswith(" call=resume_feeding\r\n")
     graph.until(lambda: graph.reports and "resume" in graph.reports[-1].status[0].message)
     assert planner.began == 1
-    if end.startswith("driver"):
+    if end == "the driver":
         refused = graph.call(Trigger, "resume_feeding")
         assert (refused.success, refused.message) == (
             False,

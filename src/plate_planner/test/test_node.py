@@ -553,7 +553,8 @@ def reported(graph):
 AT_ONCE_S = 0.05
 """Maximum time in which threads of the middleware deliver three messages [s]."""
 
-ORDERS = list(itertools.permutations(("cycle", "start", "parts")))
+ORDERS = [("cycle", "start", "parts"), ("parts", "cycle", "start"), ("start", "parts", "cycle")]
+"""Each of the three comes last once; the others are in test_lockstep.py."""
 
 
 @pytest.mark.parametrize("order", ORDERS[1:], ids="-".join)
