@@ -169,7 +169,7 @@ def test_classes_are_those_that_detector_and_simulator_know():
     assert len(set(part_greys(list(tasks.CLASSES)))) == len(CLASSES)
 
 
-@pytest.mark.parametrize(("section", "key"), cases())
+@pytest.mark.parametrize(("section", "key"), list(cases()))
 def test_what_is_out_of_range_is_refused_with_key_and_range(tmp_path, section, key):
     tried = 0
     for read, data in FILES:
