@@ -16,6 +16,7 @@ from typing import Any
 import numpy as np
 import rclpy
 from graph.domains import own_domain
+from graph.gate import NODES
 from graph.hops import Listener
 from graph.processes import ONE_PROCESS, Processes
 from std_srvs.srv import SetBool, Trigger
@@ -30,9 +31,6 @@ from plate_core.serial_protocol import Reader, Stop, parse
 from plate_core.tasks import load_scenario
 from plate_interfaces.msg import DriverStatus
 from stages.device import PERIOD_S, device, shaking
-
-NODES = ("simulator", "detector", "planner", "solver", "driver")
-"""Nodes of the complete graph. The simulator follows the setpoints that the driver publishes."""
 
 MAX_MS = 50.0
 """Maximum allowed latency from the call to the line [ms]."""

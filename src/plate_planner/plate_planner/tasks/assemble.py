@@ -12,10 +12,7 @@ from plate_core import Parts, Rig, Targets
 from plate_core.tasks import AssembleTask
 
 from .targets import GAP, assign, distance_weight
-from .task import Assessment, Situation, TaskRules
-
-BAND = 0.3
-"""Half side of the square around a place in which a part has no error [tolerance]."""
+from .task import BAND, Assessment, Situation, TaskRules
 
 
 @dataclass(frozen=True)

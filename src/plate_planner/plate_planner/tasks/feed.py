@@ -35,16 +35,13 @@ from plate_core.tasks import (
 
 from ..estimation import SETTLE_S
 from .targets import FULL_DISTANCE_M, distance_weight
-from .task import Assessment, Situation, TaskRules
+from .task import BAND, Assessment, Situation, TaskRules
 
 STILL_M = 1e-3
 """Maximum displacement of a ready part since the last image, while the plate is at rest [m]."""
 
 MARGIN_M = 4e-3
 """Margin of the targets inside the window [m]."""
-
-BAND = 0.3
-"""Half width of the target interval of angles [the pick's tolerance]."""
 
 KEPT = 0.8
 """Half width of the angle interval in which a ready part has no error [the pick's tolerance]."""

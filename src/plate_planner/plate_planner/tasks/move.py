@@ -19,10 +19,7 @@ from plate_core.tasks import MoveTask
 
 from ..estimation import rows_of
 from .targets import GAP, distance_weight
-from .task import Assessment, Situation, TaskRules
-
-BAND = 0.3
-"""Half width of the target intervals of position and angle [tolerance]."""
+from .task import BAND, Assessment, Situation, TaskRules
 
 HOME = 2.0
 """Weight of a part without a target, relative to the weight of parts with a target [-]. With this

@@ -15,10 +15,7 @@ from plate_core import AngleTargets, Parts, Rig, Targets, part_class
 from plate_core.tasks import Pose, PoseTask
 
 from .targets import GAP, UNMATCHED, distance_weight, match_by_cost, matched_rows
-from .task import Assessment, Situation, TaskRules
-
-BAND = 0.3
-"""Half width of the target intervals of position and angle [tolerance]."""
+from .task import BAND, Assessment, Situation, TaskRules
 
 STAY = 1.0
 """Minimum weight of a part that must stay at its position, relative to the weight of errors at

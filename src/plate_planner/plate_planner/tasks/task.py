@@ -17,6 +17,10 @@ SIGHT_M, SIGHT_RAD = 3e-4, 0.01
 """Maximum difference between measured and true pose of a part [m, rad]. Tasks are evaluated with
 measured poses."""
 
+BAND = 0.3
+"""Half width of the target intervals of positions and angles, relative to the task's tolerance
+[-]."""
+
 NEARER_M = 0.002
 """Minimum decrease of the distance to the goal that counts as progress [m]. The distance is the sum
 over the parts. It exceeds the camera's noise."""

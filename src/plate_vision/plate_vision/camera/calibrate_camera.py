@@ -20,7 +20,7 @@ from plate_core.rig import LENS_MODELS
 
 from ..drawing import draw_errors
 from ..errors import CalibrationError, check_size
-from ..plate.home import find_home
+from ..plate.home import fiducials_of, find_home
 from .boards import (
     MIN_PICTURES,
     Board,
@@ -228,9 +228,7 @@ def _board(args: argparse.Namespace) -> None:
 
 
 def _markers(args: argparse.Namespace) -> None:
-    fiducials = load_rig(args.rig_file).fiducials
-    if fiducials is None:
-        raise CalibrationError("rig file: section fiducials is missing, allowed: a file with it")
+    fiducials = fiducials_of(load_rig(args.rig_file))
     args.out.mkdir(parents=True, exist_ok=True)
     side_px = round(fiducials.side_m / INCH_M * PRINT_DPI)
     for number in fiducials.numbers:
@@ -245,15 +243,14 @@ def _markers(args: argparse.Namespace) -> None:
 
 def _home(args: argparse.Namespace) -> None:
     rig = load_rig(args.rig_file)
-    if rig.fiducials is None:
-        raise CalibrationError("rig file: section fiducials is missing, allowed: a file with it")
+    fiducials = fiducials_of(rig)
     size_px = (rig.camera.width_px, rig.camera.height_px)
     lens = rig_lens(rig) if args.camera is None else load_lens(args.camera, size_px)
     corners = []
     for name, picture in read_pictures(args.pictures):
         why = ", width_px and height_px of the rig file"
         check_size(f"{name}:", picture.shape[1::-1], size_px, CalibrationError, why)
-        calibration, error = find_home(picture, rig.fiducials, lens)
+        calibration, error = find_home(picture, fiducials, lens)
         corners.append(calibration.to_image(rig.plate.corners))
         print(f"{name}: error of the markers' corners {1e3 * error:.3f} mm rms")
     mean = np.mean(corners, axis=0)

@@ -13,14 +13,11 @@ import numpy as np
 
 from plate_core.rig import project
 
-from .boards import Board, Corners, LensFit, fit_lens
+from .boards import MAX_PICTURES, Board, Corners, LensFit, fit_lens
 
 NEEDED = 10
 """Number of pictures requested. The standard deviation of the focal length is 1 % with five
 pictures and 0.4 % with ten."""
-
-MAX_PICTURES = 40
-"""Maximum number of pictures. With more pictures, the fit would be slow and hardly better."""
 
 DIFFERS = 0.06
 """Minimum distance between the board's place in a new picture and its places in all kept pictures

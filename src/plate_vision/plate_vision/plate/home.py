@@ -96,10 +96,7 @@ def locate_plate(location: PlateLocation, image: np.ndarray) -> tuple[PlateLocat
     CalibrationError
         If plate_home is unknown and the image does not show it, or if the rig has no markers.
     """
-    rig, fiducials = location.rig, location.rig.fiducials
-    if fiducials is None:
-        raise CalibrationError("rig file: section fiducials is missing, allowed: a file with it")
-    home = location.home
+    rig, fiducials, home = location.rig, fiducials_of(location.rig), location.home
     if home is None:
         home, _ = find_home(image, fiducials, location.lens or rig_lens(rig))
         if home.lens is not None:
@@ -112,6 +109,19 @@ def locate_plate(location: PlateLocation, image: np.ndarray) -> tuple[PlateLocat
         used = here if _displacement(rig, here, np.zeros(3)) > MOVED_M else np.zeros(3)
     location = replace(location, home=home, pose=pose, region_pose=used)
     return location, hide_markers(image, fiducials, home, here)
+
+
+def fiducials_of(rig: Rig) -> Fiducials:
+    """Return the markers of a rig.
+
+    Raises
+    ------
+    CalibrationError
+        If the rig file has none.
+    """
+    if rig.fiducials is None:
+        raise CalibrationError("rig file: section fiducials is missing, allowed: a file with it")
+    return rig.fiducials
 
 
 def find_home(

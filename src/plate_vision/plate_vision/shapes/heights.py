@@ -20,7 +20,7 @@ import cv2
 import numpy as np
 
 from .. import _kernels
-from .outlines import Outline, make_outline
+from .outlines import FEWEST_POINTS, Outline, make_outline
 
 FINE = 8
 """Number of sub-pixels along each side of a pixel with which footprints are drawn."""
@@ -30,9 +30,6 @@ STEP_PX = 1.0
 
 MAX_STEPS = 24
 """Maximum number of heights that are evaluated."""
-
-FEWEST_POINTS = 12
-"""Minimum number of points on a hole's contour."""
 
 MIN_SHIFT_PX = 0.02
 """Shift of the top below which no correction is made [px]."""
