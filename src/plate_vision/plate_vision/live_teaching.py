@@ -64,5 +64,5 @@ def learn_shown(teaching: Teaching, vision: Vision, path: Path) -> tuple[PartTyp
     types = {template.part.name: template.part for template in known}
     catalogue = make_catalogue({**types, lesson.part.name: lesson.part})
     vision = replace(vision, catalogue=catalogue)
-    text = "; ".join([lesson_text(lesson), f"written to {path}", *lesson.doubts])
+    text = "; ".join([lesson_text(lesson), f"written to {path}", *lesson.warnings])
     return lesson.part, vision, text
