@@ -267,9 +267,8 @@ class Judge:
         error, turn = np.zeros(shape), np.zeros(shape)
         near_m, near_rad = SIGHT_M, np.inf
         if isinstance(rules, Sorter):  # evaluate all plates at once
-            place = np.concatenate([state.position for state in states])
-            to_go = rules.to_go(Parts.make(names * len(states), place))
-            error = np.where(np.isnan(to_go), 0.0, to_go).reshape(shape)
+            to_go = rules.distances(names, np.array([state.position for state in states]))
+            error = np.where(np.isnan(to_go), 0.0, to_go)
         else:
             near_m += rules.task.tolerance_m
             for row, (memory, state) in enumerate(zip(memories, states, strict=True)):

@@ -97,10 +97,6 @@ class Plate:
         )
         self.noise = np.random.default_rng((seed, 1))
         self._seed = seed
-        self.met_since: float | None = None
-        self.done = False
-        self.dropped, self.to_go, self.first = 0, 0.0, 0.0
-        self.limit_share, self.scaled = 0.0, False
         self.solving_s = np.zeros(2)  # total time of this project's solver, see `clocks`
         self.image = np.zeros(shared.image_shape, np.uint8)
         self.bare = np.zeros(0)
@@ -128,12 +124,6 @@ class Plate:
         memory = self.memory
         return tuple(memory.ids) if isinstance(memory, Feeding) else self.simulation.state.ids
 
-    @property
-    def lost(self) -> int:
-        """Number of parts that have left the plate unintentionally."""
-        memory = self.memory
-        return memory.made.lost if isinstance(memory, Feeding) else self.simulation.state.dropped
-
     @cached_property
     def controller(self) -> Controller:
         """This project's solver. The solver is used for actions that need it."""
@@ -147,6 +137,8 @@ class Plate:
             self.timeline = Timeline(cycle, self.timeline.end)
         else:
             self.timeline = self.timeline.send(cycle).next()
+        if self.memory is None:
+            return
         ids, judge = self.ids, self._shared.judge
         self.memory = judge.update(self.memory, self.simulation, self.time, self.running)
         if judge.feeds:
@@ -175,8 +167,9 @@ class Plate:
             np.append(there, False)[rows],
         )
 
-    def answer(self, action: Any) -> PlateCycle:
-        """Return the cycle of an action, within the limits. The action must not be `motion`."""
+    def answer(self, action: Any) -> tuple[PlateCycle, float, bool]:
+        """Return the cycle of an action, within the limits. Also return the maximum fraction of any
+        limit that it uses, and whether it was scaled down. The action must not be `motion`."""
         level = self._shared.action
         if level != "cycle":
             make = self._forces if level == "forces" else self._progress
@@ -186,8 +179,7 @@ class Plate:
             self.solving_s += clocks() - began
         stamp = round(self.time * 1e9)
         table, fitted = prepare(self._shared.rig, action, stamp, before=(self.running,))
-        self.limit_share, self.scaled = fitted.usage.overall, fitted.factor < 1
-        return table.cycle
+        return table.cycle, fitted.usage.overall, fitted.factor < 1
 
     @property
     def _rows(self) -> np.ndarray:
@@ -228,6 +220,21 @@ class Plates:
     count, threads : int
         Number N of plates, and maximum number of parallel threads.
 
+    Attributes
+    ----------
+    dropped : (N,)
+        Number of parts that have left each plate unintentionally.
+    to_go, first : (N,)
+        Remaining distance, and initial distance for the rewards [m]; see `Score.to_go`.
+    done : (N,) bool
+        Whether the task is done.
+    met_since : (N,)
+        Time since which the task is fulfilled [s]. NaN if it is not fulfilled.
+    limit_share : (N,)
+        Maximum fraction of any limit that the last action uses.
+    scaled : (N,) bool
+        Whether the last action was scaled down to the limits.
+
     Raises
     ------
     PlateError
@@ -260,41 +267,46 @@ class Plates:
         self.image_shape = (camera.height_px, camera.width_px) + (3,) * camera.colour
         self._threads = threads
         self.plates: list[Plate] = [None] * count  # type: ignore[list-item]  # until reset
+        self.dropped, self.to_go, self.first = np.zeros(count, int), np.zeros(count), np.ones(count)
+        self.done, self.met_since = np.zeros(count, bool), np.full(count, np.nan)
+        self.limit_share, self.scaled = np.zeros(count), np.zeros(count, bool)
 
     def reset(self, rows: Sequence[int], seeds: Sequence[int]) -> dict[str, np.ndarray]:
         """Begin new episodes on some plates. Return the content of `Step.info`."""
         for row, seed in zip(rows, seeds, strict=True):
             self.plates[row] = Plate(self, seed)
-        self._update_observations([self.plates[row] for row in rows])
-        score = self._score(rows)
-        for row, to_go in zip(rows, score.to_go, strict=True):
-            plate = self.plates[row]
-            plate.to_go, plate.first = to_go, max(to_go, MIN_DISTANCE_M)
+        plates = [self.plates[row] for row in rows]
+        self._update_observations(plates)
+        score = self._score(plates)
+        self.to_go[rows] = score.to_go
+        self.first[rows] = np.maximum(score.to_go, MIN_DISTANCE_M)
+        self.dropped[rows], self.done[rows], self.met_since[rows] = 0, False, np.nan
+        self.limit_share[rows], self.scaled[rows] = 0.0, False
         info = self._info(rows, score)
-        bare = [plate.bare for row in rows if len((plate := self.plates[row]).bare)]
+        bare = [plate.bare for plate in plates if len(plate.bare)]
         return info | {"bare_images": np.stack(bare)} if bare else info
 
     def step(self, rows: Sequence[int], actions: Sequence[Any]) -> Step:
         """Run a cycle on some plates."""
         plates = [self.plates[row] for row in rows]
-        answers = self._answers(plates, actions)
+        answers, self.limit_share[rows], self.scaled[rows] = self._answers(plates, actions)
         worlds, running = [p.simulation for p in plates], [p.running for p in plates]
         Simulation.run_together(worlds, running, self._threads)
         for plate, cycle in zip(plates, answers, strict=True):
             plate.begin(cycle)
         self._update_observations(plates)
-        score = self._score(rows)
-        count = len(plates)
-        reward, ended, over = np.zeros(count), np.zeros(count, bool), np.zeros(count, bool)
-        for k, plate in enumerate(plates):
-            lost = plate.lost - plate.dropped
-            gained = (plate.to_go - score.to_go[k]) / plate.first
-            plate.dropped, plate.to_go = plate.dropped + lost, score.to_go[k]
-            before = plate.done
-            self._mark(plate, bool(score.met[k]))
-            failed = self._spoilt(plate) or score.failed[k]
-            reward[k], ended[k] = gained - lost + (plate.done - before), plate.done or failed
-            over[k] = not ended[k] and plate.time >= self.scenario.time_limit_s - ROUNDING_S
+        score = self._score(plates)
+        lost = self._lost(plates) - self.dropped[rows]
+        gained = (self.to_go[rows] - score.to_go) / self.first[rows]
+        self.dropped[rows] += lost
+        self.to_go[rows] = score.to_go
+        # In feeding, a lost part does not end the episode, because the hopper adds other parts.
+        spoilt = (self.dropped[rows] > 0) & (not self.judge.feeds)
+        time, before = np.array([plate.time for plate in plates]), self.done[rows]
+        self._mark(rows, time, score.met & ~spoilt)
+        ended = self.done[rows] | spoilt | score.failed
+        over = ~ended & (time >= self.scenario.time_limit_s - ROUNDING_S)
+        reward = gained - lost + (self.done[rows].astype(float) - before)
         return Step(reward, ended, over, self._info(rows, score))
 
     def observed(self) -> np.ndarray:
@@ -304,17 +316,20 @@ class Plates:
         result = np.array([plate.seen for plate in self.plates])
         time = np.array([plate.time for plate in self.plates])
         result[..., 5] = np.minimum(time[:, None] - result[..., 5], NEVER_S)
-        goals = [self.judge.references(p.memory, p.ids) for p in self.plates]
-        return np.clip(np.concatenate([result, np.stack(goals)], axis=2), *self.bounds)
+        if self.judge.follows or self.judge.feeds:
+            goals = [self.judge.references(p.memory, p.ids) for p in self.plates]
+            result = np.concatenate([result, np.stack(goals)], axis=2)
+        return np.clip(result, *self.bounds)
 
-    def _answers(self, plates: Sequence[Plate], actions: Sequence[Any]) -> list[PlateCycle]:
-        """Return the cycles for actions, within the limits."""
-        if self.action != "motion":
-            return self._each(Plate.answer, plates, actions)
-        cycles, shares = self.motions.cycles(np.array(actions, float))
-        for plate, share in zip(plates, shares, strict=True):
-            plate.limit_share = share
-        return cycles
+    def _answers(
+        self, plates: Sequence[Plate], actions: Sequence[Any]
+    ) -> tuple[Sequence[PlateCycle], Any, Any]:
+        """Return the cycles for actions, within the limits. Also return the maximum fraction of any
+        limit that each cycle uses, and whether each was scaled down."""
+        if self.action == "motion":
+            return *self.motions.cycles(np.array(actions, float)), False
+        cycles, shares, scaled = zip(*self._each(Plate.answer, plates, actions), strict=True)
+        return cycles, shares, scaled
 
     def _update_observations(self, plates: Sequence[Plate]) -> None:
         """Make the observations at the start of the running cycles."""
@@ -348,19 +363,23 @@ class Plates:
         with ThreadPoolExecutor(self._threads) as pool:
             return list(pool.map(do, *of))
 
-    def _mark(self, plate: Plate, met: bool) -> None:
-        """Record whether the task is fulfilled. The task is done when it has been fulfilled for
-        `hold_s`."""
-        if not met or self._spoilt(plate):
-            plate.met_since = None
-            return
-        plate.met_since = plate.time if plate.met_since is None else plate.met_since
-        plate.done = plate.time - plate.met_since >= self.judge.hold_s - ROUNDING_S
+    def _mark(self, rows: Sequence[int], time: np.ndarray, met: np.ndarray) -> None:
+        """Record whether the tasks are fulfilled (n,) at times (n,) [s]. A task is done when it has
+        been fulfilled for `hold_s`."""
+        since = self.met_since[rows]
+        since = np.where(met, np.where(np.isnan(since), time, since), np.nan)
+        held = time - since >= self.judge.hold_s - ROUNDING_S
+        self.met_since[rows], self.done[rows] = since, np.where(met, held, self.done[rows])
 
-    def _spoilt(self, plate: Plate) -> bool:
-        """Whether a lost part ends the episode. In feeding, a lost part does not end the episode,
-        because the hopper adds other parts."""
-        return plate.dropped > 0 and not self.judge.feeds
+    def _lost(self, plates: Sequence[Plate]) -> np.ndarray:
+        """Return the number of parts (n,) that have left each plate unintentionally."""
+        memories = [plate.memory for plate in plates]
+        if self.judge.feeds:
+            return np.array(
+                [memory.made.lost for memory in memories if isinstance(memory, Feeding)]
+            )
+        there = np.array([plate.simulation.state.on_plate for plate in plates])
+        return np.count_nonzero(~there, axis=1)
 
     def _labels(self) -> tuple[str, ...]:
         """Return the classes of the parts (M,) by row. If parts come and go, all rows have one
@@ -370,8 +389,7 @@ class Plates:
             return (task.picks[0].label,) * rows_of(task)
         return self.scenario.labels
 
-    def _score(self, rows: Sequence[int]) -> Score:
-        plates = [self.plates[row] for row in rows]
+    def _score(self, plates: Sequence[Plate]) -> Score:
         return self.judge.score([p.memory for p in plates], [p.simulation.state for p in plates])
 
     def _info(self, rows: Sequence[int], score: Score) -> dict[str, np.ndarray]:
@@ -381,10 +399,10 @@ class Plates:
             "turn_error": score.turn_error,
             "there": score.there.sum(axis=1),
             "time_s": np.array([p.time for p in plates]),
-            "dropped": np.array([p.dropped for p in plates]),
-            "success": np.array([p.done for p in plates]),
-            "limit_share": np.array([p.limit_share for p in plates]),
-            "scaled": np.array([p.scaled for p in plates]),
+            "dropped": self.dropped[rows],
+            "success": self.done[rows],
+            "limit_share": self.limit_share[rows],
+            "scaled": self.scaled[rows],
         }
         if not self.judge.feeds:
             info["to_go_m"] = score.to_go

@@ -111,6 +111,37 @@ def test_many_plates_do_as_one(gym, task, settings, steps):
             equal(one, of_plate(all_, k))
 
 
+@pytest.mark.parametrize(
+    ("task", "world"),
+    [("Sort4-v1", "held_out"), ("Sort10-v1", "nominal"), ("Follow2-v1", "misses")],
+)
+def test_many_plates_that_end_and_restart_do_as_one(gym, task, world):
+    """To the last bit. On all plates but the first, a part begins at a corner and falls off."""
+    many = gym.PlateVectorEnv(task, 3, world=world, threads=2)
+    alone = [gym.PlateEnv(task, world=world) for _ in range(3)]
+    many.reset(seed=11)
+    for k, env in enumerate(alone):
+        env.reset(seed=11 + k)
+        if k > 0:
+            corner = env.plates.rig.plate.half - 1e-4
+            for simulation in (env.plates.plates[0].simulation, many.plates.plates[k].simulation):
+                simulation.place(simulation.state.ids[0], "", corner)
+    ended, lost, restarts = [False] * 3, 0, 0
+    for action in np.random.default_rng(3).uniform(-1, 1, (15, *many.action_space.shape)):
+        together = many.step(action)
+        for k, env in enumerate(alone):
+            if ended[k]:
+                seen, info = env.reset()
+                one, restarts = (seen, 0.0, False, False, info), restarts + 1
+            else:
+                one = env.step(action[k])
+            equal(one, of_plate(together, k))
+            ended[k] = one[2] or one[3]
+            lost += int(one[-1]["dropped"]) if ended[k] else 0
+    assert lost >= 2
+    assert restarts >= 2
+
+
 def test_a_plate_that_has_ended_begins_anew(gym):
     """In the world that `reset` without a seed gives one plate alone."""
     many, one = gym.PlateVectorEnv("Sort4-v1", 2), gym.PlateEnv("Sort4-v1")

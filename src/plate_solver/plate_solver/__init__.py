@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 from .controller import DRIFT_TOLERANCE, EFFORT, EXACT_MISS, METHODS, Answer, Controller
 from .goal import Goal, Solution, Status
-from .limits import EQUAL_WEIGHT, Limits, limit_use
+from .limits import EQUAL_WEIGHT, Limits, limit_use, limit_uses
 
 if TYPE_CHECKING:
     from .averages import RotationSolver, SinusoidSolver, average_force
@@ -32,6 +32,7 @@ __all__ = [
     "average_force",
     "library_force",
     "limit_use",
+    "limit_uses",
     "manipulability",
 ]
 

@@ -118,6 +118,14 @@ def limit_use(
         Duration represented by each sample, for the motors' heat. The weights repeat after m
         samples. The motion is assumed to repeat continuously.
     """
+    return float(limit_uses(pose[None], twist[None], accel[None], weight, limits, linear)[0])
+
+
+def limit_uses(
+    pose: np.ndarray, twist: np.ndarray, accel: np.ndarray, weight: np.ndarray, limits: Limits,
+    linear: bool,
+) -> np.ndarray:  # fmt: skip
+    """Return `limit_use` (N,) of the samples (N, n, 3) of N motions."""
     return _kernels.limit_use(pose, twist, accel, weight, limits, linear)
 
 

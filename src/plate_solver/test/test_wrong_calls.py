@@ -40,7 +40,7 @@ SETTLING = (
     *(random(*BASIS.looks[0].shape[:1], 3) for _ in range(3)),
 )
 CALLS = {
-    "limit_use": (*MOTION, random(STEPS, 3), random(2), LIMITS, True),
+    "limit_use": (*(random(2, STEPS, 3) for _ in range(3)), random(2), LIMITS, True),
     "least_norm_step": (random(3, 4), random(3), 0.1),
     "end_state": (*POINTS, *MOTION, random(STEPS), random(PARTS)),
     "end_state_gradient": (*POINTS, *MOTION, random(STEPS), random(PARTS), 0.1),

@@ -134,14 +134,20 @@ class Sorter(TaskRules):
     def to_go(self, parts: Parts) -> np.ndarray:
         """Return the distance of each part (M,) from its region [m]. The distance is 0 inside, and
         NaN for a class without a region."""
-        sign, goal = self._signs(parts), self.task.goal_fraction * self.rig.plate.half
-        short = np.where(sign != 0, np.maximum(goal - parts.position * sign, 0), 0)
+        return self.distances(parts.ids, parts.position)
+
+    def distances(self, ids: tuple[str, ...], position: np.ndarray) -> np.ndarray:
+        """Return the distances (..., M) of parts from their regions [m], as in `to_go`, for one or
+        several sets of positions (..., M, 2) [m]."""
+        sign, goal = self._signs(ids), self.task.goal_fraction * self.rig.plate.half
+        short = np.where(sign != 0, np.maximum(goal - position * sign, 0), 0)
         # A part on the goal line is not in its region yet.
-        on_line = np.any((sign != 0) & (parts.position * sign <= goal), axis=1)
-        result = np.maximum(np.hypot(*short.T), np.where(on_line, np.finfo(float).tiny, 0))
-        result[~np.any(sign, axis=1)] = np.nan
-        for rows, region, _ in self._binned(parts):
-            result[rows] = shapely.distance(region, shapely.points(parts.position[rows]))
+        on_line = np.any((sign != 0) & (position * sign <= goal), axis=-1)
+        away = np.hypot(short[..., 0], short[..., 1])
+        result = np.maximum(away, np.where(on_line, np.finfo(float).tiny, 0))
+        result[..., ~np.any(sign, axis=1)] = np.nan
+        for rows, region, _ in self._binned(ids):
+            result[..., rows] = shapely.distance(region, shapely.points(position[..., rows, :]))
         return result
 
     def hand(self, before: float | None, parts: Parts) -> float:
@@ -149,7 +155,7 @@ class Sorter(TaskRules):
         parts to the left, and -1 if they pass below. If the regions are opposite corners, they
         determine the direction. Otherwise the direction changes only if the other one is much
         closer to the present positions."""
-        sign = self._signs(parts)
+        sign = self._signs(parts.ids)
         if diagonal := _diagonal(sign):
             return diagonal
         along = self._displacements(parts, sign)[:, 0] * sign[:, 0]
@@ -162,11 +168,11 @@ class Sorter(TaskRules):
 
     def request(self, parts: Parts, hand: float) -> Targets:
         """Return the targets of M parts, for a direction of the swirl."""
-        sign, half = self._signs(parts), self.rig.plate.half
+        sign, half = self._signs(parts.ids), self.rig.plate.half
         line = (self.task.goal_fraction + MARGIN) * half
         displacement = self._displacements(parts, sign)
         low, high = np.where(sign > 0, line, -half), np.where(sign < 0, -line, half)
-        for rows, region, slot in self._binned(parts):
+        for rows, region, slot in self._binned(parts.ids):
             mine = parts.take(rows)
             label = part_class(mine.ids[0])
             place = slot[assign((label,) * len(slot), slot, mine)]
@@ -200,16 +206,16 @@ class Sorter(TaskRules):
         line = (self.task.goal_fraction + MARGIN) * self.rig.plate.half
         return np.where(sign != 0, np.maximum(line - parts.position * sign, 0), 0)
 
-    def _signs(self, parts: Parts) -> np.ndarray:
+    def _signs(self, ids: tuple[str, ...]) -> np.ndarray:
         """Return the signs (M, 2) of the parts' sides along x and y. A sign is 0 if the coordinate
         is free."""
         sides = {k: v for k, v in self.task.regions.items() if isinstance(v, Side)}
-        signs = [(s.x, s.y) if (s := sides.get(part_class(i))) else (0, 0) for i in parts.ids]
+        signs = [(s.x, s.y) if (s := sides.get(part_class(i))) else (0, 0) for i in ids]
         return np.array(signs, dtype=float).reshape(-1, 2)
 
-    def _binned(self, parts: Parts) -> list[tuple[np.ndarray, shapely.Polygon, np.ndarray]]:
+    def _binned(self, ids: tuple[str, ...]) -> list[tuple[np.ndarray, shapely.Polygon, np.ndarray]]:
         """Return for each bin the indices of its parts, its outline, and its slots (k, 2)."""
-        label = np.array([part_class(i) for i in parts.ids])
+        label = np.array([part_class(i) for i in ids])
         found = [(np.flatnonzero(label == name), *bin_) for name, bin_ in self._bins.items()]
         return [(rows, region, slot) for rows, region, slot in found if len(rows)]
 

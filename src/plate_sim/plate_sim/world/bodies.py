@@ -297,10 +297,12 @@ def columns(starts: Sequence[tuple[Any, Any, Any, Any]]) -> np.ndarray:
     """Check and combine position, angle, velocity and spin of the parts on N plates. The arguments
     are given as in `simulate_bodies`. Return states (N, M, 6)."""
     count = len(starts[0][0])
-    if {tuple(map(np.shape, s)) for s in starts} == {((count, 2), (count,), (count, 2), (count,))}:
+    shapes = (count, 2), (count,), (count, 2), (count,)
+    fields = [np.asarray(each) for each in zip(*starts, strict=True)]
+    if all(field.shape[1:] == shape for field, shape in zip(fields, shapes, strict=True)):
         states = np.empty((len(starts), count, 6))
-        for own, each in zip(COLUMNS, zip(*starts, strict=True), strict=True):
-            states[..., own] = each
+        for own, field in zip(COLUMNS, fields, strict=True):
+            states[..., own] = field
         if np.abs(states).max(initial=0.0) <= LARGEST:
             return states
     return np.stack([_columns(*start) for start in starts])  # `_columns` raises a detailed error

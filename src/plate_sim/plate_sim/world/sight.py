@@ -8,6 +8,7 @@ import zlib
 from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import cached_property
+from typing import NamedTuple
 
 import numpy as np
 
@@ -47,8 +48,7 @@ class Shot:
     delivered: float
 
 
-@dataclass(frozen=True)
-class Sight:
+class Sight(NamedTuple):
     """Exact content of an image.
 
     - positions (M, 2) [m, plate_home] and angles (M,) [rad] of the parts
@@ -83,6 +83,8 @@ class CameraView:
     ----------
     history : History
         Past motion of parts and plate. The history covers the time that an image may show.
+    past : float
+        Maximum age of the state that an image may show [s].
     """
 
     def __init__(
@@ -105,8 +107,11 @@ class CameraView:
         self.history = History()
 
     def know(self, ids: tuple[str, ...], types: list[PartType]) -> None:
-        """Set the appearance of the current parts."""
-        world = self._disturbances
+        """Set the appearance of the current parts, and `past`."""
+        world, camera = self._disturbances, self._rig.camera
+        anytime = world.image_rate > 0 or camera.trigger is not None
+        needed = anytime or camera.readout_s > 0
+        self.past = world.latency + (camera.exposure_s + camera.readout_s if needed else 0.0)
         self._types = types
         self._grey = part_colours(types, self._rig.camera.colour, world.greys)
         height = np.array([world.part_height_m or part.height_m for part in types])
@@ -116,6 +121,7 @@ class CameraView:
             units = [_own_number(self._seed, name) for name in ids]
             self._size = 1 + world.size_spread * np.array(units)
         self._typed = any(part_class(name) in self._rig.types for name in ids)
+        self._nothing = np.zeros(len(ids), bool), np.zeros((0, 2)), np.zeros(0, np.int64)
 
     def change(self, disturbances: Disturbances, noise: float) -> None:
         """Apply new disturbances. The caller must call `know` afterwards."""
@@ -133,15 +139,6 @@ class CameraView:
             self._rig, self._noise, plate=world.plate_grey, room=world.room_grey,
             defocus_px=world.defocus_px,
         )  # fmt: skip
-
-    @property
-    def past(self) -> float:
-        """Maximum age of the state that an image may show [s]."""
-        camera = self._rig.camera
-        shown = camera.exposure_s + camera.readout_s
-        anytime = self._disturbances.image_rate > 0 or camera.trigger is not None
-        needed = anytime or camera.readout_s > 0
-        return self._disturbances.latency + (shown if needed else 0.0)
 
     def shots(self, begin: float) -> Iterator[Shot]:
         """Yield the images of a free-running camera from `begin` [s] on. The sequence has no
@@ -195,8 +192,12 @@ class CameraView:
         if shown is None:
             return None
         hidden, place, _ = shown
-        path, angle, seen, _ = self._view(state, plate, age)
-        return Sight(path[len(path) // 2], angle, seen & ~hidden, place)
+        if self._shows_past:
+            path, angle, seen, _ = self._view(state, plate, age)
+            return Sight(path[len(path) // 2], angle, seen & ~hidden, place)
+        position = state.position + self._exposure * state.velocity
+        seen = state.on_plate if shown is self._nothing else state.on_plate & ~hidden
+        return Sight(position, state.angle, seen, place)
 
     def capture_bare(self, now: float) -> np.ndarray:
         """Return an image of the bare plate at home at `now` [s]."""
@@ -211,7 +212,7 @@ class CameraView:
         appearance. Return None if the image is missing."""
         count, world = len(self._types), self._disturbances
         if not (world.missed_images or world.missed_parts or world.false_parts):
-            return np.zeros(count, bool), np.zeros((0, 2)), np.zeros(0, np.int64)
+            return self._nothing
         missed = self._image_rng.random() < self._disturbances.missed_images
         hidden = self._part_rng.random(count) < self._disturbances.missed_parts
         false = self._part_rng.binomial(count, self._disturbances.false_parts)
@@ -219,15 +220,24 @@ class CameraView:
         like = self._part_rng.choice(count, false)
         return None if missed else (hidden, place, like)
 
+    @property
+    def _shows_past(self) -> bool:
+        """Whether an image shows an earlier state."""
+        return bool(self.past and self.history.passages)
+
+    @property
+    def _exposure(self) -> float:
+        """Exposure time in which parts move [s]."""
+        return self._rig.camera.exposure_s if self._disturbances.blur else 0.0
+
     def _view(
         self, state: WorldState, plate: PlateState, age: float | None
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray | None]:
         """Return the positions over the exposure (s, M, 2), the angles (M,), whether each part is
         on the plate, and the poses of the plate. The poses are (s, 3), or (b, s, 3) for bands of
         rows, or None if the plate is at home."""
-        camera = self._rig.camera
-        exposure = camera.exposure_s if self._disturbances.blur else 0.0
-        if self.past and self.history.passages:
+        camera, exposure = self._rig.camera, self._exposure
+        if self._shows_past:
             shown = exposure + camera.readout_s
             first = self._disturbances.latency if age is None else age + shown / 2
             return self._past_view(state, first, exposure, shown)

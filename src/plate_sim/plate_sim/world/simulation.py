@@ -122,6 +122,7 @@ class Simulation:
 
     def _know_types(self) -> None:
         """Set shapes, friction and appearance of the current parts."""
+        self._even_limit: np.ndarray | None = None  # `_limit`, if it does not depend on the places
         types = [self._rig.part_type(part_class(name)) for name in self.state.ids]
         self._shapes = Shapes.of([footprint_of(part) for part in types])
         self._mu = np.array([part.mu for part in types], dtype=float)
@@ -136,7 +137,11 @@ class Simulation:
     @property
     def _limit(self) -> np.ndarray:
         """Current maximum acceleration of each part by friction (M,) [m/s2]."""
-        return self.mu * self._rig.friction.gravity
+        if self._field.share:
+            return self.mu * self._rig.friction.gravity
+        if self._even_limit is None:
+            self._even_limit = self.mu * self._rig.friction.gravity
+        return self._even_limit
 
     def change(self, disturbances: Disturbances, noise: float, mu_scale: float) -> None:
         """Apply new disturbances. `latency` and `image_rate`, which determine the times of images,
@@ -154,10 +159,10 @@ class Simulation:
         check_height(self._rig, disturbances)
         self.disturbances, self._mu_scale = disturbances, mu_scale
         self._view.change(disturbances, noise)
-        self._know_types()
         self._field = replace(
             self._field, spread=disturbances.friction_spread, share=disturbances.friction_patches
         )
+        self._know_types()
 
     def place(self, part_id: str, label: str, position: np.ndarray, angle: float = 0.0) -> str:
         """Place a part at rest, as if by hand.
