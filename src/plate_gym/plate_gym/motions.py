@@ -16,10 +16,6 @@ HARMONICS = 4
 PERIOD_S = 0.1
 """Period of each motion [s]."""
 
-BLOCK = 64
-"""Number of motions that are computed together, in arrays that are kept. New arrays would take
-longer than the computation, because the system clears their memory."""
-
 CERTAIN = 0.999
 """Maximum fraction of the limits that a motion uses. The fraction is computed from upper bounds of
 the peaks."""
@@ -44,11 +40,10 @@ class Motions:
         self._limits = Limits.of(rig, 1.0)
         spline = self.basis.spline.reshape(len(self.basis.times) - 1, 6, -1)
         self._bounds = [control_points(self.basis.times, spline, order, 1) for order in range(3)]
-        self._points = np.empty((3, BLOCK, len(self._bounds[0]), 3))
         self.size = 3 * self.basis.size
         self.scale = np.ones((self.basis.size, 3))
-        alone = [self._use(one.reshape(1, -1, 3)) for one in np.eye(self.size)]
-        self.scale = CERTAIN / np.reshape(alone, (-1, 3))
+        alone = self._use(np.eye(self.size).reshape(self.size, -1, 3))
+        self.scale = CERTAIN / alone.reshape(-1, 3)
 
     def cycle(self, action: np.ndarray) -> tuple[PlateCycle, float]:
         """Return the motion of one action (size,), and the fraction of the limits that it uses."""
@@ -66,11 +61,6 @@ class Motions:
             single value of 1 uses a limit completely. If the values together exceed the limits, all
             values are scaled down.
         """
-        blocks = [actions[k : k + BLOCK] for k in range(0, len(actions), BLOCK)]
-        cycles, used = zip(*map(self._block, blocks), strict=True)
-        return [cycle for block in cycles for cycle in block], np.concatenate(used)
-
-    def _block(self, actions: np.ndarray) -> tuple[list[PlateCycle], np.ndarray]:
         own = self.scale * actions.reshape(len(actions), -1, 3)
         used = self._use(own)
         # Two rounds are usual, because rotations have a quadratic effect.
@@ -82,7 +72,5 @@ class Motions:
     def _use(self, own: np.ndarray) -> np.ndarray:
         """Return upper bounds (N,) of the largest fraction of a limit that coefficients (N, h, 3)
         use."""
-        points = self._points[:, : len(own)]
-        for bound, space in zip(self._bounds, points, strict=True):
-            np.matmul(bound, own, out=space)
-        return limit_uses(*points, EQUAL_WEIGHT, self._limits, False)
+        pose, twist, accel = (bound @ own for bound in self._bounds)
+        return limit_uses(pose, twist, accel, EQUAL_WEIGHT, self._limits, False)
