@@ -105,6 +105,16 @@ def test_mu_of_each_part_and_the_static_ratio(static):
     assert found.between_parts == pytest.approx(np.std(values, ddof=1) / np.mean(values), rel=0.1)
     assert found.over_plate < 0.01
     assert found.static_ratio == pytest.approx(static, abs=0.04)
+    assert found.notes == ()
+
+
+@pytest.mark.parametrize(("grey", "told"), [(0.25, True), (0.295, False)])
+def test_mu_that_differs_between_types_is_told(grey, told):
+    places = PLACES | {"grey_2": (0.2, -0.05)}
+    true = {"black_1": 0.3, "black_2": 0.302, "grey_1": grey, "grey_2": grey + 0.002}
+    found = measured(true, places=places)
+    assert len(found.notes) == told
+    assert not told or f"black 0.301, grey {grey + 0.001:.3f}" in found.notes[0]
 
 
 def test_the_standard_error_is_that_of_repeated_measurements():

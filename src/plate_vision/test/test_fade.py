@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from plate_vision import _kernels
-from plate_vision.shapes.shadows import LIGHTER, find_sides
+from plate_vision.shapes.shadows import LIGHTER, find_sides, take_out_shadows
 
 HALFWAY, MIN_SEEN, DARKEST, MIN_UNIFORM, DARKER = (0.3, 0.7), 4, 0.45, 12, 0.3
 """As in shadows.hpp."""
@@ -115,3 +115,34 @@ def test_light_and_dark_sides_are_those_of_otsu(seed):
         assert (bound[k], light[k]) == pytest.approx((border, low))
         assert np.sum(level > dark[k]) >= DARKER * len(level) > np.sum(level > dark[k] + 1)
     assert (bound[1:] > 0).tolist() == [True, False, True, False, True]
+
+
+@pytest.mark.parametrize("face", [None, 1, 2])
+def test_a_patch_of_which_side_faces_are_seen_has_no_shadow(face):
+    """Two dark parts, each with a lighter side whose edge is soft."""
+    light = np.full((60, 120), 200.0)
+    for x in (20, 80):
+        ramp = np.clip((np.arange(120) - x - 6) / 6, 0, 1) * np.clip(
+            (x + 26 - np.arange(120)) / 8, 0, 1
+        )
+        light[20:40] -= 60 * ramp
+        light[20:40, x - 8 : x + 12] = 40
+    labels = np.zeros(light.shape, np.int32)
+    labels[20:40, 10:48], labels[20:40, 70:108] = 1, 2
+    away = np.where(labels > 0, 200 - light, 0).astype(np.uint8)
+    labels[away == 0] = 0
+    lab = light.astype(np.uint8)[..., None]
+    sides = find_sides(
+        lab, np.full_like(lab, 200), 0.0, np.full(light.shape, 5, np.uint8), labels, 3
+    )
+    faces = None if face is None else np.arange(3) == face
+    left = away.copy()
+    cut = take_out_shadows(sides, left, labels, faces=faces)
+    assert cut.tolist() == [False, face != 1, face != 2]
+    for k in (1, 2):
+        shade = (labels == k) & (away < 100)
+        assert (
+            np.mean(left[shade] == 0) > 0.9
+            if face != k
+            else np.array_equal(left[labels == k], away[labels == k])
+        )
