@@ -7,7 +7,7 @@ from scipy.integrate import solve_ivp
 
 from plate_core import PlateCycle, PlateError
 from plate_core.rig import surface_velocity, to_plate
-from plate_sim import PlateMotion, simulate, simulate_bodies
+from plate_sim import PlateMotion, _kernels, simulate, simulate_bodies
 from plate_sim.friction import disc
 
 
@@ -176,3 +176,17 @@ def test_a_cycle_that_does_not_close_is_refused():
     states[0, 2, 0] = 1e-3
     with pytest.raises(PlateError, match=r"not closed: end and start differ by 0\.001 m"):
         PlateCycle.from_knots(np.array([0, 0.1, 0.2]), *states)
+
+
+@pytest.mark.parametrize("w", [0.05, 0.2, 0.4, 0.4999, 0.5001, 0.7])
+def test_force_and_torque_on_a_disc_are_the_integrals_over_its_area(w):
+    """By Gauss and the trapezoidal rule. No point of the disc is at rest, so both are exact."""
+    r, weight = np.polynomial.legendre.leggauss(60)
+    r, weight = 0.5 * (r + 1)[:, None], weight[:, None] / 2 / 240
+    angle = 2 * np.pi * np.arange(240) / 240
+    x, y = r * np.cos(angle), r * np.sin(angle)
+    u, v = 1 - w * y, w * x
+    speed = np.hypot(u, v)
+    force = np.sum(2 * r * weight * u / speed)
+    torque = np.sum(2 * r * weight * (x * v - y * u) / speed)
+    assert _kernels.disc_force(1.0, w) == pytest.approx((force, torque), abs=1e-9)
