@@ -107,6 +107,19 @@ def test_a_bar_that_meets_another_flat_stops_without_turning():
     assert w == pytest.approx(0, abs=1e-6)
 
 
+def test_squares_that_overlap_flat_are_parted_by_no_more_than_the_overlap():
+    square = polygon([[-0.01, -0.01], [0.01, -0.01], [0.01, 0.01], [-0.01, 0.01]])
+    place = np.array([[0, 0], [0.02 - 1e-4, 0]])
+    run = simulate_bodies(
+        PlateCycle.rest(0.02), [square] * 2, place, 0, np.zeros((2, 2)), 0, 0,
+        contacts=Contacts(), samples=20,
+    )  # fmt: skip
+    overlap = 0.02 - np.diff(run.position[-1, :, 0])[0]
+    assert 0 <= overlap <= 1e-5
+    assert np.mean(run.position[-1], axis=0) == pytest.approx(np.mean(place, axis=0), abs=1e-12)
+    assert not np.any(run.velocity)
+
+
 def test_an_inner_corner_holds_a_disc():
     # A disc pushed into the notch of an L touches both arms, and carries it along.
     notch = np.array([0.01, 0.01]) - np.array([0.011, 0.011])
