@@ -366,6 +366,7 @@ class CanBench:
     stop: int = 0
     cut: bool = False  # the firmware's wire is cut
     plate: Plate | None = None  # plate that all drives move
+    home_ms: int = 600  # maximum duration of the motion to home
 
     def __post_init__(self) -> None:
         self.network = self.network or SteppedNetwork(Wire(self.channel))

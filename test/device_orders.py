@@ -295,6 +295,31 @@ def enable(bench, sequence=101, ms=600):
     live(bench, ms)
 
 
+def boot(bench):
+    """Switch the drives on, and wait until the firmware has set them up."""
+    bench.run(5)
+    for drive in bench.drives:
+        drive.boot()
+    bench.run(300)
+    tell(bench, HELLO)
+    bench.run(5)
+
+
+def ready(bench):
+    boot(bench)
+    enable(bench, ms=bench.home_ms)
+    assert (bench.state, bench.faults) == (State.READY, 0)
+
+
+def playing(bench, plate, size=0.004):
+    ready(bench)
+    bench.plate = plate
+    for data in uploaded(7, plate.wave(size), 200, 90):
+        tell(bench, data)
+    live(bench, 150)
+    assert bench.state == State.PLAYING
+
+
 def said_by(bench, kind):
     packets = Reader().fed(bench.said)[1]
     return [m for m in (parse(p).message for p in packets) if isinstance(m, kind)]

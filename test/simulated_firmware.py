@@ -3,6 +3,7 @@ and the driver's serial transport on it."""
 
 import shutil
 import subprocess
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -12,6 +13,7 @@ from shaking import PERIOD, from_rest
 from shaking import shaking as shaking_cycle
 
 from plate_core import PlateError, load_rig
+from plate_core.rig import Drive
 from plate_core.serial_protocol import (
     Acknowledgement,
     Message,
@@ -27,6 +29,7 @@ from plate_driver.transports import (
     Order,
     SerialTransport,
 )  # fmt: skip
+from plate_sim.device import DeviceLimits, c_header
 
 FIRMWARE = Path(__file__).resolve().parents[1] / "firmware"
 STRICT = [
@@ -52,6 +55,14 @@ def compiled(folder: Path, *patterns: str) -> Path:
         if built.returncode == 0:
             return program
     pytest.fail(built.stderr)
+
+
+def compiled_leader(folder: Path, drives: Sequence[Drive], program: str) -> Path:
+    """Compile the firmware that leads drives over the bus of this machine."""
+    header = c_header(DeviceLimits.of_rig(RIG), "rig.yaml", drives)
+    (folder / "limits_rig.h").write_text(header, encoding="utf-8")
+    sources = ("*.c", "drives/axes.c", f"drives/{program}.c", "host/host.c", "host/can.c")
+    return compiled(folder, *sources)
 
 
 def shaking(amplitude: float, turns: int = 2) -> MotorTable:

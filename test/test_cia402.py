@@ -8,8 +8,11 @@ import numpy as np
 import pytest
 from device_orders import (
     HELLO,
+    boot,
     enable,
     live,
+    playing,
+    ready,
     said_by,
     say,
     spline,
@@ -18,7 +21,7 @@ from device_orders import (
 )
 from drive_troubles import SYNC
 from rigid_plate import Plate
-from simulated_firmware import compiled
+from simulated_firmware import compiled_leader
 
 from plate_core import load_rig
 from plate_core.driver_status import DriverReason
@@ -36,7 +39,6 @@ from plate_core.serial_protocol import (
     Trouble,
 )
 from plate_driver.transports import Condition, SerialTransport
-from plate_sim.device import DeviceLimits, c_header
 
 pytestmark = pytest.mark.needs("can", "canopen")
 
@@ -55,11 +57,7 @@ FOLLOWED_MS = 12
 
 @pytest.fixture(name="leader", scope="module")
 def _leader(tmp_path_factory):
-    """The firmware for drives, built for this machine."""
-    folder = tmp_path_factory.mktemp("leader")
-    header = c_header(DeviceLimits.of_rig(RIG), "rig.yaml", DRIVES)
-    (folder / "limits_rig.h").write_text(header, encoding="utf-8")
-    return compiled(folder, "*.c", "drives/axes.c", "drives/cia402.c", "host/host.c", "host/can.c")
+    return compiled_leader(tmp_path_factory.mktemp("leader"), DRIVES, "cia402")
 
 
 @pytest.fixture(name="bench")
@@ -73,31 +71,6 @@ def _bench(leader, request):
         drive.position = float(home)
     yield bench
     bench.end()
-
-
-def boot(bench):
-    """Switch the drives on, and wait until the firmware has set them up."""
-    bench.run(5)
-    for drive in bench.drives:
-        drive.boot()
-    bench.run(300)
-    tell(bench, HELLO)
-    bench.run(5)
-
-
-def ready(bench):
-    boot(bench)
-    enable(bench)
-    assert (bench.state, bench.faults) == (State.READY, 0)
-
-
-def playing(bench, size=0.004, plate=PLATE):
-    ready(bench)
-    bench.plate = plate
-    for data in uploaded(7, PLATE.wave(size), 200, 90):
-        tell(bench, data)
-    live(bench, 150)
-    assert bench.state == State.PLAYING
 
 
 def led(bench, since=0):
@@ -232,7 +205,7 @@ def test_drives_that_are_not_there_are_named(bench):
 
 
 def test_the_drives_are_told_the_table_and_follow(bench):
-    playing(bench)
+    playing(bench, PLATE)
     live(bench, 500)
     check_bus(bench)
     rows = led(bench)
@@ -259,7 +232,7 @@ def test_the_drives_are_told_the_table_and_follow(bench):
 
 
 def test_a_host_that_falls_silent_stops_the_drives_at_home(bench):
-    playing(bench)
+    playing(bench, PLATE)
     bench.run(1200)
     assert (bench.state, Fault(bench.faults)) == (State.OFF, Fault.HOST_SILENT)
     assert [drive.state for drive in bench.drives] == ["switch on disabled"] * 4
@@ -269,7 +242,7 @@ def test_a_host_that_falls_silent_stops_the_drives_at_home(bench):
 
 
 def test_a_power_cut_reaches_the_bus_in_the_same_tick(bench):
-    playing(bench)
+    playing(bench, PLATE)
     tell(bench, say(300, Stop(1)))
     before = bench.network.now
     bench.run(1)
@@ -281,7 +254,7 @@ def test_a_power_cut_reaches_the_bus_in_the_same_tick(bench):
 
 
 def test_a_silent_board_is_stopped_by_the_drives_themselves(bench):
-    playing(bench)
+    playing(bench, PLATE)
     bench.cut = True
     bench.run(200)
     assert all(drive.state == "quick stop" for drive in bench.drives)
@@ -319,7 +292,7 @@ def test_home_is_not_taken_in_a_swing(bench):
 
 
 def test_a_reset_board_sends_no_target_before_it_knows_one(bench):
-    playing(bench, 0.008)
+    playing(bench, PLATE, 0.008)
     since = bench.network.now
     bench.order("reset")
     bench.run(20)
@@ -361,7 +334,7 @@ DELAYS_MS = {troubles.lose_heartbeat: 203, troubles.jam: 40, troubles.bus_off: 6
 
 @pytest.mark.parametrize(("trouble", "kind", "code", "fault"), FAULTS)
 def test_a_fault_takes_the_current_of_all_and_is_told(bench, trouble, kind, code, fault):
-    playing(bench, 0.008)
+    playing(bench, PLATE, 0.008)
     drive, stop, since = bench.drives[1], bench.stop, bench.network.now
     trouble(bench, drive)
     live(bench, 250)
@@ -381,7 +354,7 @@ def test_a_fault_takes_the_current_of_all_and_is_told(bench, trouble, kind, code
 
 
 def test_a_plate_that_jams_keeps_its_home(bench):
-    playing(bench, 0.008)
+    playing(bench, PLATE, 0.008)
     for drive in bench.drives:
         drive.jammed = True
     live(bench, 250)
@@ -390,14 +363,14 @@ def test_a_plate_that_jams_keeps_its_home(bench):
 
 
 def test_a_drive_that_is_stopped_by_nmt_loses_its_current_at_once(bench):
-    playing(bench, 0.008)
+    playing(bench, PLATE, 0.008)
     troubles.stopped(bench, bench.drives[1])
     live(bench, 20)
     assert all(drive.state == "switch on disabled" for drive in bench.drives)
 
 
 def test_a_drive_that_boots_with_current_is_cut(bench):
-    playing(bench, 0.008)
+    playing(bench, PLATE, 0.008)
     drive = bench.drives[1]
     drive.nmt.state = "INITIALISING"
     drive.nmt.state = "PRE-OPERATIONAL"  # it obeys no PDO, and holds on
@@ -407,7 +380,7 @@ def test_a_drive_that_boots_with_current_is_cut(bench):
 
 @pytest.mark.parametrize("trouble", [troubles.emergency, troubles.bus_off])
 def test_once_it_is_over_a_person_enables_again(bench, trouble):
-    playing(bench)
+    playing(bench, PLATE)
     trouble(bench, bench.drives[1])
     live(bench, 2600)
     assert all(drive.enables == 1 for drive in bench.drives)  # nothing moves unasked
@@ -425,7 +398,7 @@ def test_once_it_is_over_a_person_enables_again(bench, trouble):
     [troubles.reset, troubles.lose_heartbeat, troubles.stopped, troubles.moved_in_bus_off],
 )
 def test_where_home_may_be_lost_it_takes_a_person_to_say_where_it_is(bench, trouble):
-    playing(bench)
+    playing(bench, PLATE)
     trouble(bench, bench.drives[1])
     live(bench, 2600)
     enable(bench, 400)
@@ -483,7 +456,7 @@ def test_stops_in_each_tick_do_not_silence_our_heartbeat(bench):
 
 
 def test_a_drive_whose_fault_stays_is_not_enabled(bench):
-    playing(bench)
+    playing(bench, PLATE)
     bench.drives[2].holds = "fault"
     bench.drives[2].fail(0x4210)
     live(bench, 2500)
@@ -703,7 +676,7 @@ def test_nothing_undoes_a_stop(bench):
 
 
 def test_100_000_frames_of_noise_enable_nobody(bench):
-    playing(bench, 0.008)
+    playing(bench, PLATE, 0.008)
     since = bench.network.now
     kinds = [0, SYNC, 0x180, RPDO, 0x580, 0x600, 0x700]
     bench.disturb(100_000, np.add.outer(kinds, NODES).ravel())
@@ -776,7 +749,7 @@ def test_crc_of_a_frame_is_that_of_the_catalogue():
 def test_four_axes_fill_half_of_the_bus(bench):
     from can_drives import frame_bits
 
-    playing(bench, 0.009)
+    playing(bench, PLATE, 0.009)
     live(bench, 500)
     bits: dict[int, int] = {}
     for at, identifier, data in bench.both:

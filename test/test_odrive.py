@@ -6,9 +6,11 @@ import struct
 import numpy as np
 import pytest
 from device_orders import (
-    HELLO,
+    boot,
     enable,
     live,
+    playing,
+    ready,
     said_by,
     say,
     spline,
@@ -16,7 +18,7 @@ from device_orders import (
     uploaded,
 )
 from rigid_plate import Plate
-from simulated_firmware import compiled
+from simulated_firmware import compiled_leader
 
 from plate_core import load_rig
 from plate_core.rig import Drive as RigDrive
@@ -32,7 +34,7 @@ from plate_core.serial_protocol import (
     Telemetry,
     Trouble,
 )
-from plate_sim.device import DeviceLimits, c_header
+from plate_sim.device import DeviceLimits
 
 pytestmark = pytest.mark.needs("can", "canopen", "cantools", "odrive_can")
 
@@ -54,11 +56,7 @@ FINE = 1e-5
 
 @pytest.fixture(name="leader", scope="module")
 def _leader(tmp_path_factory):
-    folder = tmp_path_factory.mktemp("leader")
-    header = c_header(LIMITS, "rig.yaml", DRIVES)
-    (folder / "limits_rig.h").write_text(header, encoding="utf-8")
-    sources = ("*.c", "drives/axes.c", "drives/odrive.c", "host/host.c", "host/can.c")
-    return compiled(folder, *sources)
+    return compiled_leader(tmp_path_factory.mktemp("leader"), DRIVES, "odrive")
 
 
 @pytest.fixture(name="dbc", scope="module")
@@ -74,36 +72,12 @@ def _bench(leader, dbc, request):
     from can_drives import CanBench
     from can_odrives import Bus, ODrive
 
-    bench = CanBench(leader, request.node.name, Bus(request.node.name))
+    bench = CanBench(leader, request.node.name, Bus(request.node.name), home_ms=900)
     bench.drives = [ODrive(bench.network, node, dbc) for node in NODES]
     for drive, home in zip(bench.drives, HOMES, strict=True):
         drive.position = home
     yield bench
     bench.end()
-
-
-def boot(bench):
-    bench.run(5)
-    for drive in bench.drives:
-        drive.boot()
-    bench.run(300)
-    tell(bench, HELLO)
-    bench.run(5)
-
-
-def ready(bench):
-    boot(bench)
-    enable(bench, ms=900)
-    assert (bench.state, bench.faults) == (State.READY, 0)
-
-
-def playing(bench, size=0.004):
-    ready(bench)
-    bench.plate = PLATE
-    for data in uploaded(7, PLATE.wave(size), 200, 90):
-        tell(bench, data)
-    live(bench, 150)
-    assert bench.state == State.PLAYING
 
 
 def led(bench, since=0):
@@ -184,7 +158,7 @@ def test_a_drive_without_a_watchdog_is_named_and_none_is_led(bench):
 
 
 def test_the_drives_are_told_the_table_with_its_speed_and_torque(bench):
-    playing(bench)
+    playing(bench, PLATE)
     live(bench, 500)
     check_bus(bench)
     rows, curve = led(bench), spline(PLATE.wave(0.004))
@@ -209,7 +183,7 @@ def test_the_drives_are_told_the_table_with_its_speed_and_torque(bench):
 
 
 def test_a_power_cut_reaches_the_bus_in_the_same_tick(bench):
-    playing(bench)
+    playing(bench, PLATE)
     tell(bench, say(300, Stop(1)))
     before = bench.network.now
     bench.run(1)
@@ -220,7 +194,7 @@ def test_a_power_cut_reaches_the_bus_in_the_same_tick(bench):
 
 
 def test_a_silent_board_is_stopped_by_the_drives_themselves(bench):
-    playing(bench)
+    playing(bench, PLATE)
     bench.cut = True
     bench.run(110)
     assert all(drive.state == 1 and drive.reason == 0x1000000 for drive in bench.drives)
@@ -332,7 +306,7 @@ FAULTS = [  # fault; the report about motor 2, or 0 for the bus; maximum time [m
 def test_a_fault_takes_the_current_of_all_and_is_told(
     bench, trouble, motor, kind, code, fault, most_ms
 ):
-    playing(bench, 0.008)
+    playing(bench, PLATE, 0.008)
     stop, since = bench.stop, bench.network.now
     trouble(bench, bench.drives[1])
     live(bench, 250)
@@ -351,7 +325,7 @@ def test_a_fault_takes_the_current_of_all_and_is_told(
 
 @pytest.mark.parametrize("trouble", [low_voltage, bus_off])
 def test_once_it_is_over_a_person_enables_again(bench, trouble):
-    playing(bench)
+    playing(bench, PLATE)
     before = [drive.enables for drive in bench.drives]
     trouble(bench, bench.drives[1])
     live(bench, 2600)
@@ -388,7 +362,7 @@ def test_a_reset_while_it_is_off_loses_home(bench):
 
 
 def test_its_own_words_are_told(bench):
-    playing(bench)
+    playing(bench, PLATE)
     bench.drives[1].disarm("low voltage")
     live(bench, 100)
     words = said_by(bench, DriveTrouble)[-1].words
@@ -483,7 +457,7 @@ def test_nothing_undoes_a_stop(bench):
 
 
 def test_30_000_frames_of_noise_enable_nobody(bench):
-    playing(bench, 0.008)
+    playing(bench, PLATE, 0.008)
     since, enables = bench.network.now, [drive.enables for drive in bench.drives]
     bench.disturb(30_000, np.add.outer(np.array(NODES) << 5, range(32)).ravel())
     assert {state for *_, state in states(bench, since)} == {1}
@@ -498,7 +472,7 @@ def test_30_000_frames_of_noise_enable_nobody(bench):
 def test_four_axes_leave_room_on_the_bus(bench):
     from can_drives import frame_bits
 
-    playing(bench, 0.009)
+    playing(bench, PLATE, 0.009)
     live(bench, 500)
     bits: dict[int, int] = {}
     for at, identifier, data in bench.both:
