@@ -16,7 +16,9 @@ training. It takes about 20 minutes on one core:
 
 The final plate time is twice that of Method B. A decision takes 0.1 ms instead of 30 ms. In the
 disturbed worlds, which it has not seen in training, it takes at most 5 % longer. With ten parts
-(`--task Sort10-v1`) it sorted none after 1,000 updates; longer was not tried.
+(`--task Sort10-v1`) it sorted none after 1,000 updates. A network that averages features of the
+parts sorted none of 30 plates after 2,353 updates (6 minutes of one core). Longer training was not
+tried.
 """
 
 from __future__ import annotations
