@@ -408,9 +408,7 @@ def test_after_a_person_has_ended_the_task_a_person_has_to_let_it_go_on(graph, e
     planner.silent, planner.ready = False, {"black_4": (0.1, 0.0)}
     for deed in ("get_part", "prepare_part", "get_part black 5"):
         assert graph.say(robot, deed) == answer
-    for name, goal in (("get_part", GetPart.Goal()), ("purge_plate", PurgePlate.Goal())):
-        result = graph.result(graph.send(name, goal))[1]
-        assert (result.success, result.message) == (False, STOPPED)
+    assert not graph.result(graph.send("get_part", GetPart.Goal()))[1].success
     assert not graph.call(PreparePart, "prepare_part").success
     assert graph.say(robot, "resume_feeding").startswith("404 ")
     assert "state=stopped" in (state := graph.say(robot, "state"))
@@ -516,7 +514,9 @@ def test_what_waits_is_answered_when_it_is_deactivated(graph):
     graph.feeder.trigger_deactivate()
     assert graph.hear(robot) == f"503 {STOPPED}\r\n"
     graph.until(lambda: graph.planner.goal is None)
-    assert not graph.result(graph.send("get_part", GetPart.Goal()))[1].success
+    for name, goal in (("get_part", GetPart.Goal()), ("purge_plate", PurgePlate.Goal())):
+        result = graph.result(graph.send(name, goal))[1]
+        assert (result.success, result.message) == (False, STOPPED)
     assert graph.call(PartQuantity, "part_quantity").taken == 0
     assert not graph.call(PartTaken, "part_taken").success
     graph.feeder.trigger_activate()
