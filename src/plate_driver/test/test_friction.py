@@ -105,6 +105,7 @@ def test_mu_of_each_part_and_the_static_ratio(static):
     assert found.between_parts == pytest.approx(np.std(values, ddof=1) / np.mean(values), rel=0.1)
     assert found.over_plate < 0.01
     assert found.static_ratio == pytest.approx(static, abs=0.04)
+    assert abs(found.static_ratio - static) < 3 * found.static_error < 0.15
     assert found.notes == ()
 
 
