@@ -127,12 +127,12 @@ def done(graph):
 def test_friction_is_written_only_if_the_user_agrees(monkeypatch, write, terminal, typed, written):
     questions = []
 
-    def asked(question):
+    def answer(question):
         questions.append(question)
         return typed
 
     monkeypatch.setattr("sys.stdin", SimpleNamespace(isatty=lambda: terminal))
-    monkeypatch.setattr("builtins.input", asked)
+    monkeypatch.setattr("builtins.input", answer)
     graph = Measured()
     text = graph._friction(write=write)
     assert text == "written" if written else "not written" in text

@@ -456,10 +456,10 @@ def test_a_stop_while_nothing_runs_counts_and_one_that_is_told_again_does_not(gr
     tell(ended)
     graph.until(lambda: graph.feeder._feeder.stopped)
     assert graph.call(Trigger, "resume_feeding").success
-    heard = []
-    graph.feeder._task.on_task_status = heard.append
+    received = []
+    graph.feeder._task.on_task_status = received.append
     tell(ended)  # as the planner does with each image
-    graph.until(lambda: heard)
+    graph.until(lambda: received)
     assert graph.say(robot, "get_part").startswith("200 ")
 
 

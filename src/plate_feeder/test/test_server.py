@@ -25,12 +25,12 @@ class Stub:
     """Replies at once, except to commands that wait: to those when a test releases them."""
 
     def __init__(self):
-        self.asked, self.waiting, self.gone = [], [], set()
+        self.commands, self.waiting, self.disconnected = [], [], set()
         self.robots, self.mute, self.prompt = [], False, False
-        self.server = RobotServer("127.0.0.1", 0, self.ask, self.gone.add)
+        self.server = RobotServer("127.0.0.1", 0, self.ask, self.disconnected.add)
 
     def ask(self, client, command, answer):
-        self.asked.append(command.name)
+        self.commands.append(command.name)
         if command.name in WAITING and not self.prompt:
             self.waiting.append((client, answer))
         elif not self.mute:
@@ -131,7 +131,7 @@ def test_commands_wait_for_the_one_before_and_too_many_are_refused(stub, robot):
     other = stub.connect()
     assert other.say("state") == b"200 state\r\n"  # others need not wait
     time.sleep(0.1)
-    assert stub.asked == ["get_part", "state"]
+    assert stub.commands == ["get_part", "state"]
     stub.waiting.pop()[1](Code.DONE, "a part")
     got = [robot.line() for _ in range(MAX_WAITING + 3)]
     assert got[0] == b"200 a part\r\n"
@@ -145,8 +145,8 @@ def test_a_client_that_dies_while_it_waits_is_told_of(stub):
     until(lambda: stub.waiting)
     client, answer = stub.waiting.pop()
     robot.close()
-    until(lambda: stub.gone)
-    assert stub.gone == {client}
+    until(lambda: stub.disconnected)
+    assert stub.disconnected == {client}
     answer(Code.DONE, "too late")
 
 
@@ -185,10 +185,10 @@ def test_a_client_that_takes_no_answers_is_let_go(stub, monkeypatch):
     robot.socket.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 2048)
     end = time.monotonic() + LONG_S
     robot.socket.settimeout(0.1)
-    while not stub.gone and time.monotonic() < end:
+    while not stub.disconnected and time.monotonic() < end:
         with contextlib.suppress(OSError):
             robot.socket.sendall(b"help\n")
-    assert stub.gone
+    assert stub.disconnected
 
 
 def test_no_answer_of_the_feeder_is_an_answer_too(stub, robot, monkeypatch):
@@ -200,7 +200,7 @@ def test_no_answer_of_the_feeder_is_an_answer_too(stub, robot, monkeypatch):
 def test_a_web_page_cannot_command(stub, robot):
     robot.send(b"POST / HTTP/1.1\r\nHost: localhost:7171\r\n\r\nget_part\n")
     assert robot.lines() == []
-    assert stub.asked == []
+    assert stub.commands == []
 
 
 def test_there_is_an_end_to_clients(stub):
@@ -262,7 +262,7 @@ def test_a_flood_of_lines_does_not_grow(stub, robot):
     robot.send(b"get_part\n")
     until(lambda: stub.waiting)
     robot.send(b"state\n" * 100_000)
-    until(lambda: stub.gone)
+    until(lambda: stub.disconnected)
     got = robot.lines()
     assert len(got) <= MAX_ANSWERS + 2
 
@@ -282,6 +282,6 @@ def test_what_waits_is_answered_before_it_closes():
 
 def test_a_port_that_is_taken_is_refused(stub):
     with pytest.raises(PlateError, match=str(stub.server.port)):
-        RobotServer("127.0.0.1", stub.server.port, stub.ask, stub.gone.add)
+        RobotServer("127.0.0.1", stub.server.port, stub.ask, stub.disconnected.add)
     with pytest.raises(PlateError, match=r"192\.0\.2\.1"):
-        RobotServer("192.0.2.1", 0, stub.ask, stub.gone.add)
+        RobotServer("192.0.2.1", 0, stub.ask, stub.disconnected.add)

@@ -100,8 +100,8 @@ class FakeCamera:
         return next(sizes for form, sizes in self.formats.items() if v4l2.fourcc(form) == code)
 
     def _control(self, data):
-        (asked,) = struct.unpack_from("I", data)
-        later = sorted(number for number in self.controls if number > asked & ~v4l2.NEXT)
+        (requested,) = struct.unpack_from("I", data)
+        later = sorted(number for number in self.controls if number > requested & ~v4l2.NEXT)
         number = self._nth(later, 0)
         name, kind, low, high, step, default, _ = self.controls[number]
         struct.pack_into("II32s4i", data, 0, number, kind, name.encode(), low, high, step, default)

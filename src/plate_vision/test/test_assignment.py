@@ -185,11 +185,11 @@ def test_wrong_measurements_are_refused(name, value):
 
 def test_ids_that_were_given_up_are_told():
     tracker = update(Tracker(TrackerOptions(max_missed=1)), 0.0, ROW[:2], ["grey"] * 2)
-    told = []
+    reported = []
     for k in range(1, 4):
         tracker = update(tracker, k * T, ROW[:1], ["grey"])
-        told.append(tracker.given_up)
-    assert told == [(), ("grey_2",), ()]
+        reported.append(tracker.given_up)
+    assert reported == [(), ("grey_2",), ()]
 
 
 def swarm(rng, count, frames, missed, false, misread):
@@ -239,7 +239,7 @@ SIGHTINGS = st.lists(
 @given(SIGHTINGS, st.integers(1, 3), st.integers(0, 2), st.integers(0, 2**32 - 1))
 def test_ids_are_unique_and_never_given_again(images, confirm, most, seed):
     rng = np.random.default_rng(seed)
-    tracker, gone = Tracker(TrackerOptions(confirm=confirm, max_missed=most)), set()
+    tracker, missing = Tracker(TrackerOptions(confirm=confirm, max_missed=most)), set()
     for k, image in enumerate(images):
         place = np.array([each[:2] for each in image]).reshape(-1, 2)
         quality = np.array([SURE if each[3] else (np.nan,) * 3 for each in image]).reshape(-1, 3)
@@ -251,9 +251,9 @@ def test_ids_are_unique_and_never_given_again(images, confirm, most, seed):
         ids = [track.id for track in tracker.tracks if track.number]
         assert len({*ids}) == len(ids)
         assert len(tracker.found) == len(image)
-        gone |= before - {*ids}
-        assert not gone & {*ids}
-        told = {*tracker.given_up, *(old for old, _ in tracker.renamed)}
-        assert told == before - {*ids}
+        missing |= before - {*ids}
+        assert not missing & {*ids}
+        reported = {*tracker.given_up, *(old for old, _ in tracker.renamed)}
+        assert reported == before - {*ids}
         last = tracker.last_number
         assert all(track.number <= last.get(track.label, 0) for track in tracker.tracks)

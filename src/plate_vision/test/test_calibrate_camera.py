@@ -42,10 +42,10 @@ def test_from_pictures_to_a_camera_file(make_scene, rng, tmp_path, capsys):
     drawn = cv2.imread(str(errors))
     assert drawn.shape == (480, 640, 3)
     assert np.count_nonzero(drawn < 255) > 1000
-    told = capsys.readouterr().out
-    assert "nothing.png: 0 of 48 corners" in told
-    assert "px rms over 8 pictures" in told
-    assert "focal_px: [6" in told
+    output = capsys.readouterr().out
+    assert "nothing.png: 0 of 48 corners" in output
+    assert "px rms over 8 pictures" in output
+    assert "focal_px: [6" in output
 
 
 def test_a_long_film_is_done_by_forty_frames(make_scene, rng, tmp_path, capsys, monkeypatch):
@@ -69,12 +69,12 @@ def test_a_long_film_is_done_by_forty_frames(make_scene, rng, tmp_path, capsys, 
     out = tmp_path / "camera.yaml"
     files = ["--out", str(out), "--errors", str(tmp_path / "errors.png")]
     main(["lens", str(path), "--board", "8x6", "--square", "0.03", "--marker", "0.022", *files])
-    told = capsys.readouterr().out
+    output = capsys.readouterr().out
     frames = r"^100 of 100 frames read, 6[2-5] searched, board detected in [56]\d$"
-    assert re.search(frames, told, re.M)
-    assert "first square is white" in told
-    assert "fitted to the 40 pictures that differ most" in told
-    assert "px rms over 40 pictures" in told
+    assert re.search(frames, output, re.M)
+    assert "first square is white" in output
+    assert "fitted to the 40 pictures that differ most" in output
+    assert "px rms over 40 pictures" in output
     assert np.allclose(np.diag(load_lens(out).matrix)[:2], [620, 610], rtol=0.02)
 
 
@@ -84,10 +84,10 @@ def test_a_large_folder_is_searched_in_part(rng, tmp_path, capsys, monkeypatch):
     monkeypatch.setattr(calibrate_camera, "PICTURES_SEARCHED", 4)
     with pytest.raises(SystemExit):
         main(["lens", str(tmp_path), *BOARD])
-    told = capsys.readouterr().out.splitlines()
-    names = [line.split(".")[0] for line in told[:-1]]
+    output = capsys.readouterr().out.splitlines()
+    names = [line.split(".")[0] for line in output[:-1]]
     assert names == ["00", "01", "02", "03", "05", "07", "09", "11"]
-    assert told[-1] == "12 of 12 pictures read, 8 searched, board detected in 0"
+    assert output[-1] == "12 of 12 pictures read, 8 searched, board detected in 0"
 
 
 def test_progress_on_a_terminal(monkeypatch, capsys):
@@ -97,10 +97,10 @@ def test_progress_on_a_terminal(monkeypatch, capsys):
     progress.searched("film: 6", 40, 48)
     progress.searched("film: 7", 0, 48)
     progress.end()
-    told = capsys.readouterr()
-    assert told.out == ""
+    output = capsys.readouterr()
+    assert output.out == ""
     line = "7 of 50 frames read, {} searched, board detected in 1"
-    assert told.err == f"\r{line.format(1)}\r{line.format(2)}\n"
+    assert output.err == f"\r{line.format(1)}\r{line.format(2)}\n"
 
 
 @pytest.mark.parametrize("model", ["rational_polynomial", "equidistant"])

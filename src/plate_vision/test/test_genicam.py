@@ -44,7 +44,7 @@ class Maker:
             TriggerMode=Node("Off", symbolics=("Off", "On")), AcquisitionFrameRate=Node(1, 1, 100),
         )  # fmt: skip
         self.remote_device = SimpleNamespace(node_map=self.nodes)
-        self.buffers, self.started, self.gone = [], False, False
+        self.buffers, self.started, self.unplugged = [], False, False
         self.held = 1  # the library, and the camera once it is created
 
     def create(self, key):
@@ -59,7 +59,7 @@ class Maker:
         self.started = True
 
     def update(self):
-        if self.gone:
+        if self.unplugged:
             self.device_info_list = []
 
     def try_fetch(self, timeout):
@@ -154,7 +154,7 @@ def test_a_camera_that_goes_and_one_of_another_format():
     maker.buffers.append((np.zeros((48, 64), np.uint8), "YUV8", 0.0))
     with pytest.raises(ImageError, match="format is YUV8, allowed: Mono8"):
         source.read(Event())
-    maker.gone = True
+    maker.unplugged = True
     with pytest.raises(CameraError, match="the camera is unplugged"):
         source.read(Event())
 

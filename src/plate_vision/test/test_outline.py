@@ -103,9 +103,9 @@ def test_a_published_barrel_lens_left_out_is_named(focal, tilt, rng):
     # The size of the error: where a part in the middle of an edge seems to be.
     edge = np.column_stack([np.linspace(-0.3, 0.3, 41), np.full(41, 0.15)])
     truth = float(np.abs(make_vision(rig).calibration.to_home(view.see(edge)) - edge).max())
-    told = float(found.message.rsplit("up to ", 1)[1].split()[0])
-    assert told == pytest.approx(1e3 * truth, rel=0.25)
-    assert (found.level == Level.ERROR) == (told > 8)  # more than a part's radius
+    stated_mm = float(found.message.rsplit("up to ", 1)[1].split()[0])
+    assert stated_mm == pytest.approx(1e3 * truth, rel=0.25)
+    assert (found.level == Level.ERROR) == (stated_mm > 8)  # more than a part's radius
 
 
 def test_a_lens_applied_to_straightened_images_is_named():

@@ -25,7 +25,8 @@ MIN_AREA_PX2 = 100.0
 detected."""
 
 SLENDER = 1e-4
-"""Minimum area of the quadrilateral of four plate points, relative to their squared extent [-]."""
+"""Minimum area of the quadrilateral of four plate points, relative to the square of its size [-]. A
+smaller quadrilateral is almost a line."""
 
 SLOPE_STEP = 1e-4
 """Step of the finite differences with which the image scale is computed if there is a lens [m]."""

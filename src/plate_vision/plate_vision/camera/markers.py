@@ -208,8 +208,8 @@ def _crossings(value: np.ndarray, across: np.ndarray) -> np.ndarray:
 
 
 def _lines(at: np.ndarray, crossing: np.ndarray) -> np.ndarray:
-    """Fit a + b t to crossings (n, 4, s) at t = `at`, without outliers. Return a, b (n, 4, 2). They
-    are NaN if there are too few crossings."""
+    """Fit a line a + b t to the crossings (n, 4, s) of each edge at t = `at`, without outliers.
+    Return the coefficients a, b (n, 4, 2). They are NaN if there are too few crossings."""
     middle = np.nanmedian(np.where(np.isnan(crossing).all(axis=2, keepdims=True), 0, crossing), 2)
     weight = np.isfinite(crossing) & (np.abs(crossing - middle[..., None]) < 4 * OUTLIER_PX)
     line = _fit(at, crossing, weight)

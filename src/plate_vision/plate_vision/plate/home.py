@@ -29,9 +29,9 @@ WORST_FIT_M = 1e-3
 It is ten times the deviation of a good print in a sharp picture."""
 
 FOLLOWED_FIT_M = 3e-4
-"""Maximum root mean square deviation of the markers' corners from their places in the rig file if
-only the markers' edges are searched, and their patterns are not read [m]. It is smaller than
-`WORST_FIT_M`, so that other objects are not mistaken for markers."""
+"""Maximum root mean square deviation of the markers' corners from their places in the rig file [m].
+This limit applies if the patterns of the markers are not read. It is smaller than `WORST_FIT_M`, so
+that other objects are not mistaken for markers."""
 
 QUIET = 0.2
 """Width of the border around a marker that is painted over together with the marker, relative to
