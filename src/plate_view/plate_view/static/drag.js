@@ -9,7 +9,7 @@ const UNANSWERED = 3; // maximum number of moves without a reply
 const STEP_M = 0.004; // distance between the points of a drawn path
 const REFUSED_MS = 5000; // time for which a refusal is shown at its target
 const BY_HAND = "by hand"; // used instead of a part's id, because the simulator uses other names
-const WISH_MS = 2000; // time for which a request is shown if the confirmed target differs from it
+const REQUEST_MS = 2000; // time for which a request is shown if the confirmed target differs from it
 
 const HINTS = {
   target: "Drag a part or a target. Shift-click selects several. The round knob rotates the target.",
@@ -19,9 +19,9 @@ const HINTS = {
 };
 
 export class Drag {
-  /** `ask(command, output)` sends a command and shows its reply in the output. */
-  constructor(view, connection, ask) {
-    Object.assign(this, { view, connection, ask, grip: null, due: new Set(), open: 0, mode: "target" });
+  /** `execute(command, output)` sends a command and shows its reply in the output. */
+  constructor(view, connection, execute) {
+    Object.assign(this, { view, connection, execute, grip: null, due: new Set(), open: 0, mode: "target" });
     this.answer = byId("plate-answer");
     const { canvas } = view;
     canvas.addEventListener("pointerdown", (event) => this.#down(event));
@@ -37,7 +37,7 @@ export class Drag {
     byId("path-follow").addEventListener("click", () => this.#follow());
     byId("path-drop").addEventListener("click", () => this.drop());
     byId("path-closed").addEventListener("change", () => this.#closePath());
-    this.checkSoon = seldom(WISH_MS + 50, () => this.#confirmed());
+    this.checkSoon = seldom(REQUEST_MS + 50, () => this.#confirmed());
     on("targets", () => this.#confirmed());
     on("task", ({ state }) => state === "running" || this.#forget());
     on("hello", ({ simulator }) => (byId("mode-hand").hidden = !simulator));
@@ -237,7 +237,7 @@ export class Drag {
   #follow() {
     const { id, points, closed } = this.view.drawn;
     const speed = byId("path-speed").valueAsNumber / 1000;
-    this.ask({ do: "follow", id, points, speed, closed }, this.answer).then(({ ok }) => ok && this.drop());
+    this.execute({ do: "follow", id, points, speed, closed }, this.answer).then(({ ok }) => ok && this.drop());
   }
 
   /** In the simulator: place a part at the pointer, once per frame. */
@@ -285,7 +285,7 @@ export class Drag {
 
   #count(command, then) {
     this.open += 1;
-    this.ask(command, this.answer, true).then((answer) => {
+    this.execute(command, this.answer, true).then((answer) => {
       this.open -= 1;
       then(answer);
     });
@@ -309,7 +309,7 @@ export class Drag {
   /** No task runs: discard older unconfirmed requests. */
   #forget() {
     for (const [id, { requestTime, refused }] of this.view.ghosts) {
-      if (!refused && !this.grip?.ids?.includes(id) && performance.now() - requestTime > WISH_MS) this.view.ghosts.delete(id);
+      if (!refused && !this.grip?.ids?.includes(id) && performance.now() - requestTime > REQUEST_MS) this.view.ghosts.delete(id);
     }
     this.view.draw();
   }
@@ -321,7 +321,7 @@ export class Drag {
       const ghost = this.view.ghosts.get(id);
       if (!ghost || held.has(id) || this.due.has(id) || ghost.refused) continue;
       const turned = ghost.angle === null || angle === null || Math.cos(ghost.angle - angle) > 0.9998;
-      const old = performance.now() - ghost.requestTime > WISH_MS;
+      const old = performance.now() - ghost.requestTime > REQUEST_MS;
       if (old || (Math.hypot(ghost.x - x, ghost.y - y) < 5e-4 && turned)) this.view.ghosts.delete(id);
     }
     this.view.draw();

@@ -10,7 +10,7 @@ const RIM = "#6b6d6a";
 const GRID = "rgb(0 0 0 / 0.10)";
 const TARGET = "#0059a0";
 const GHOST = "#b34700";
-const WISH = "#8a2f6b";
+const REQUEST_COLOUR = "#8a2f6b";
 export const DRIFT = "#6d3f92";
 export const FORCE = "#3d525f";
 const SENSE = { 1: "#a85a00", [-1]: "#0b5f96" };
@@ -227,24 +227,24 @@ export function knob(context, view, knob) {
 }
 
 /** The planner's request for a part: the target interval, and the force. */
-export function wanted(context, view, wish) {
-  const part = view.part(wish.id);
+export function wanted(context, view, request) {
+  const part = view.part(request.id);
   if (!part) return;
   const { x, y } = view.area;
   const inside = (interval, bounds, middle) =>
     interval
       ? [clamp(interval[0] ?? bounds[0], ...bounds), clamp(interval[1] ?? bounds[1], ...bounds)]
       : [middle - 0.006, middle + 0.006];
-  if (wish.x || wish.y) {
-    const [x0, x1] = inside(wish.x, x, part.x);
-    const [y0, y1] = inside(wish.y, y, part.y);
+  if (request.x || request.y) {
+    const [x0, x1] = inside(request.x, x, part.x);
+    const [y0, y1] = inside(request.y, y, part.y);
     const [left, top] = view.toPixel(x0, y1);
     const [right, bottom] = view.toPixel(x1, y0);
     context.beginPath();
     context.rect(left - 2, top - 2, right - left + 4, bottom - top + 4);
-    line(context, WISH, 1.25, [6, 2]);
+    line(context, REQUEST_COLOUR, 1.25, [6, 2]);
   }
-  if (wish.force) arrow(context, ...view.toPixel(part.x, part.y), 40 * wish.force[0], -40 * wish.force[1], WISH, 2);
+  if (request.force) arrow(context, ...view.toPixel(part.x, part.y), 40 * request.force[0], -40 * request.force[1], REQUEST_COLOUR, 2);
 }
 
 function arrow(context, x, y, dx, dy, colour, width) {

@@ -44,7 +44,7 @@ function onMessage(message) {
 }
 
 /** Send a command and show its reply at its control; `quiet`: show only a refusal. */
-async function ask(command, output, quiet = false) {
+async function execute(command, output, quiet = false) {
   if (output && !quiet) setText(output, "\u2026");
   const answer = await connection.send(command);
   if (!answer.ok) noteRefusal(JSON.stringify(command), answer.text);
@@ -61,11 +61,11 @@ async function ask(command, output, quiet = false) {
 function allow() {
   const { role, replay: recorded } = known.hello ?? {};
   const connected = connection.state === "connected" || connection.state === "silent";
-  const looks = role === "viewer" || recorded;
-  for (const controls of document.querySelectorAll(".controls")) controls.disabled = !connected || looks;
+  const readOnly = role === "viewer" || recorded;
+  for (const controls of document.querySelectorAll(".controls")) controls.disabled = !connected || readOnly;
   byId("replay").disabled = !connected;
-  byId("emergency-stop").disabled = looks;
-  if (looks) stop.say(recorded ? "a recorded run: nothing to stop" : "read only: use an operator\u2019s page or the emergency stop switch");
+  byId("emergency-stop").disabled = readOnly;
+  if (readOnly) stop.say(recorded ? "a recorded run: nothing to stop" : "read only: use an operator\u2019s page or the emergency stop switch");
   if (!connected) drag.drop();
 }
 
@@ -173,23 +173,23 @@ function leaveFocus() {
   });
 }
 
-const drag = new Drag(view, connection, ask);
-status(ask);
+const drag = new Drag(view, connection, execute);
+status(execute);
 motors();
-replay(ask, view);
+replay(execute, view);
 new CycleView();
 const aim = new AimView();
 layers();
 tabs([
-  ["Task", (panel) => tasks(panel, ask)],
+  ["Task", (panel) => tasks(panel, execute)],
   ["Parts", (panel) => {
     const refresh = parts(panel, view, drag);
-    friction(panel, ask);
+    friction(panel, execute);
     return refresh;
   }],
-  ["Settings", (panel) => parameters(panel, ask)],
-  ["Simulator", (panel) => simulator(panel, ask, view)],
-  ["Camera", (panel) => camera(panel, ask, aim)],
+  ["Settings", (panel) => parameters(panel, execute)],
+  ["Simulator", (panel) => simulator(panel, execute, view)],
+  ["Camera", (panel) => camera(panel, execute, aim)],
   ["Nodes", (panel) => nodes(panel)],
   ["Log", (panel) => (noteRefusal = log(panel)) && undefined],
 ]);

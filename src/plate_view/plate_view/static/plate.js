@@ -28,11 +28,11 @@ export const LAYERS = [
 ];
 
 export class PlateView {
-  /** `wish()` is called when the visible layers change. */
-  constructor(wish) {
+  /** `layersChanged()` is called when the visible layers change. */
+  constructor(layersChanged) {
     this.canvas = byId("plate");
     this.shown = Object.fromEntries(LAYERS.map(([key, , shown]) => [key, shown]));
-    this.wish = wish;
+    this.layersChanged = layersChanged;
     this.trails = new Trails();
     this.still = document.createElement("canvas"); // plate and grid
     this.field = document.createElement("canvas"); // arrows of the running cycle
@@ -109,7 +109,7 @@ export class PlateView {
   show(layer, shown) {
     this.shown[layer] = shown;
     this.#drawField();
-    this.wish();
+    this.layersChanged();
     this.draw();
   }
 
@@ -224,7 +224,7 @@ export class PlateView {
       if (shown.outline) marks.part(context, this, part, { filled, chosen: this.chosen.has(part.id) });
       if (shown.spread && part.sd) marks.spread(context, this, part, 10);
     }
-    if (shown.wanted && known.wanted) for (const wish of known.wanted.parts) marks.wanted(context, this, wish);
+    if (shown.wanted && known.wanted) for (const request of known.wanted.parts) marks.wanted(context, this, request);
     if (shown.target) {
       for (const target of known.targets?.targets ?? []) {
         marks.target(context, this, target, this.part(target.id), this.reach(this.part(target.id)?.type));

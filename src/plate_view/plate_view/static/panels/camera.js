@@ -6,12 +6,12 @@ import { byId, el, setText } from "../dom.js";
 const SIGNS = { ok: ["\u2713", "good"], wait: ["\u25cb", ""], warn: ["!", "warn"], error: ["\u2715", "bad"] };
 const RISES = 0.04; // minimum change that is shown as a trend; smaller changes are noise
 
-export function camera(panel, ask, aim) {
+export function camera(panel, execute, aim) {
   const output = () => el("output", { className: "answer" });
   const answers = { home: output(), lens: output(), plate: output(), part: output() };
   const button = (words, command, answer, className = "") => {
     const node = el("button", { type: "button", className }, words);
-    node.addEventListener("click", () => ask(command(), answer));
+    node.addEventListener("click", () => execute(command(), answer));
     return node;
   };
   const state = el("p", { className: "said", id: "camera-state" }, "No message from the detector yet.");
@@ -45,7 +45,7 @@ export function camera(panel, ask, aim) {
   const teach = el("form", { className: "row" }, el("label", { htmlFor: "teach-name" }, "Type ", name), el("button", { type: "submit" }, "Teach this part"));
   teach.addEventListener("submit", (event) => {
     event.preventDefault();
-    ask({ do: "teach", name: name.value.trim() }, answers.part);
+    execute({ do: "teach", name: name.value.trim() }, answers.part);
   });
   const step = (words, text, ...content) =>
     el("fieldset", { className: "controls stack" }, el("legend", {}, words), el("p", { className: "small" }, text), ...content);

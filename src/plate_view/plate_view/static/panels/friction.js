@@ -4,11 +4,11 @@
 import { on } from "../bus.js";
 import { el, setText } from "../dom.js";
 
-export function friction(panel, ask) {
+export function friction(panel, execute) {
   const answer = el("output", { className: "answer" });
   const button = (words, command, className = "") => {
     const node = el("button", { type: "button", className }, words);
-    node.addEventListener("click", () => ask(command, answer));
+    node.addEventListener("click", () => execute(command, answer));
     return node;
   };
   const measure = button("Measure friction", { do: "measure_friction", start: true });

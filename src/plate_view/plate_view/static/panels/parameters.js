@@ -7,7 +7,7 @@ const WIDEST = 1000; // maximum range with a slider
 const NODES = ["solver", "planner", "driver", "detector"];
 
 /** A control for one parameter; `set(value)` returns a promise of the reply. */
-function control(node, parameter, ask) {
+function control(node, parameter, execute) {
   const { name, value, description, low, high, choices, live } = parameter;
   const id = `${node}.${name}`;
   const answer = el("output", { className: "answer" });
@@ -29,7 +29,7 @@ function control(node, parameter, ask) {
   show(value);
   let last = value;
   const set = async (to) => {
-    const { ok } = await ask({ do: "set", node, name, value: to }, answer);
+    const { ok } = await execute({ do: "set", node, name, value: to }, answer);
     if (ok) last = to;
     else {
       input[input.type === "checkbox" ? "checked" : "value"] = last;
@@ -58,7 +58,7 @@ function step(low, high, value) {
 const rare = ({ name, value, choices, live }) => live === false || name === "use_sim_time" || (typeof value === "string" && !choices?.length);
 
 /** The controls of a node in a box: created once, then updated. */
-export function parameterBox(node, ask, keep = () => true) {
+export function parameterBox(node, execute, keep = () => true) {
   const box = el("fieldset", { className: "controls parameters" }, el("legend", {}, `Parameters of the ${node}`), el("p", { className: "empty" }, "not received yet"));
   const more = el("details", {}, el("summary", {}, "Names, files and parameters that are read only at start"));
   let rows = new Map();
@@ -66,7 +66,7 @@ export function parameterBox(node, ask, keep = () => true) {
     if (message.node.replace(/^.*\//, "") !== node) return;
     const shown = message.parameters.filter(keep);
     if (shown.some(({ name }) => !rows.has(name))) {
-      rows = new Map(shown.map((parameter) => [parameter.name, control(node, parameter, ask)]));
+      rows = new Map(shown.map((parameter) => [parameter.name, control(node, parameter, execute)]));
       box.querySelector(".empty")?.remove();
       for (const old of box.querySelectorAll(".parameter")) old.remove();
       for (const parameter of shown) (rare(parameter) ? more : box).append(rows.get(parameter.name).row);
@@ -79,13 +79,13 @@ export function parameterBox(node, ask, keep = () => true) {
 }
 
 /** The panel: one node at a time. */
-export function parameters(panel, ask) {
+export function parameters(panel, execute) {
   const choose = el("select", { id: "node" }, ...NODES.map((node) => el("option", {}, node)));
-  const boxes = NODES.map((node) => parameterBox(node, ask));
+  const boxes = NODES.map((node) => parameterBox(node, execute));
   const answer = el("output", { className: "answer" });
   const show = () => {
     boxes.forEach((box, i) => (box.hidden = NODES[i] !== choose.value));
-    if (!panel.hidden && known.hello) ask({ do: "parameters", node: choose.value }, answer, true);
+    if (!panel.hidden && known.hello) execute({ do: "parameters", node: choose.value }, answer, true);
   };
   choose.addEventListener("change", show);
   on("hello", () => panel.hidden || show());

@@ -3,7 +3,7 @@
 import { known, on } from "../bus.js";
 import { byId, setText } from "../dom.js";
 
-export function replay(ask, view) {
+export function replay(execute, view) {
   const [bar, seek, play, rate, answer] = ["replay", "replay-seek", "replay-play", "replay-rate", "replay-answer"].map(byId);
   on("hello", (hello) => (bar.hidden = !hello.replay));
   on("replay", ({ begin, end, now, playing, rate: at, problem }) => {
@@ -14,10 +14,10 @@ export function replay(ask, view) {
     if (document.activeElement !== rate) rate.value = String(at);
     setText(byId("replay-time"), `${(now - begin).toFixed(1)} of ${(end - begin).toFixed(1)} s${problem && `: ${problem}`}`);
   });
-  play.addEventListener("click", () => ask({ do: "replay", playing: !known.replay?.playing }, answer));
+  play.addEventListener("click", () => execute({ do: "replay", playing: !known.replay?.playing }, answer));
   seek.addEventListener("input", () => {
     view.trails.clear();
-    ask({ do: "replay", seek: seek.valueAsNumber }, answer, true);
+    execute({ do: "replay", seek: seek.valueAsNumber }, answer, true);
   });
-  rate.addEventListener("change", () => ask({ do: "replay", rate: Number(rate.value) }, answer));
+  rate.addEventListener("change", () => execute({ do: "replay", rate: Number(rate.value) }, answer));
 }

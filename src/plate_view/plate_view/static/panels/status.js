@@ -29,7 +29,7 @@ export function silent() {
 
 const rate = (value) => (Number.isFinite(value) ? `${value.toFixed(1)} /s` : "\u2013");
 
-export function status(ask) {
+export function status(execute) {
   on("hello", ({ rig, role, replay }) => {
     setText(byId("rig-name"), rig.name);
     document.title = `Plate: ${rig.name}`;
@@ -62,6 +62,6 @@ export function status(ask) {
     setText(byId("reading-cycles"), rate(cycle_rate));
   });
   const answer = byId("plate-answer");
-  byId("enable").addEventListener("click", () => ask({ do: "enable", on: known.driver?.state !== "ready" }, answer));
-  byId("cut-power").addEventListener("click", () => ask({ do: "cut_power" }, answer));
+  byId("enable").addEventListener("click", () => execute({ do: "enable", on: known.driver?.state !== "ready" }, answer));
+  byId("cut-power").addEventListener("click", () => execute({ do: "cut_power" }, answer));
 }

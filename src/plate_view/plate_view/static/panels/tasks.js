@@ -15,7 +15,7 @@ const PROGRESS = [
   ["pace", ({ pace }) => (Number.isFinite(pace) ? pace.toFixed(2) : null)],
 ];
 
-export function tasks(panel, ask) {
+export function tasks(panel, execute) {
   const answer = el("output", { className: "answer" });
   const choose = el("select", { id: "scenario" });
   const about = el("p", { className: "small" });
@@ -31,7 +31,7 @@ export function tasks(panel, ask) {
   let paused = null; // command that restarts the task
   let last = null;
   const send = async (command) => {
-    const result = await ask(command, answer);
+    const result = await execute(command, answer);
     if (result.ok) rest(null, command);
   };
   const rest = (command, begun = last) => {
@@ -42,12 +42,12 @@ export function tasks(panel, ask) {
   const pause = button("Pause", async () => {
     if (paused) return send(paused);
     if (!last || known.task?.state !== "running") return setText(answer, "\u2715 refused: this page has started no running task");
-    if ((await ask({ do: "cancel" }, answer)).ok) rest(last);
+    if ((await execute({ do: "cancel" }, answer)).ok) rest(last);
   });
   panel.append(el("h2", {}, "Task"),
     el("fieldset", { className: "controls stack" }, el("legend", {}, "Start a task"),
       el("label", { htmlFor: "scenario" }, "Scenario ", choose), about, edit,
-      el("div", { className: "row" }, button("Start", start, "main"), pause, button("Cancel", () => ask({ do: "cancel" }, answer).then(() => rest(null))), button("Stop", () => ask({ do: "stop" }, answer))),
+      el("div", { className: "row" }, button("Start", start, "main"), pause, button("Cancel", () => execute({ do: "cancel" }, answer).then(() => rest(null))), button("Stop", () => execute({ do: "stop" }, answer))),
       el("p", { className: "small" }, "Pause and Cancel cancel the task's goal. Resume starts the task again from the parts' current places. Stop ends any task."), answer));
 
   const describe = () => {
