@@ -73,7 +73,7 @@ def test_parts_of_another_size_than_the_rig_says(draw, rng):
         assert image_notes(graph) == ["image 1: no parts; 4 unknown", "image 2: no parts"]
         size, refused = graph.warnings
         found = re.match(
-            r"image 1: no part .* 4 too large \(radius ([0-9.]+) mm, .* 8 mm\)",
+            r"image 1: no part .* 4 too large \(radius is ([0-9.]+) mm, .* 8 mm\)",
             size,
         )
         assert found, size
