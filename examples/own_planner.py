@@ -12,7 +12,7 @@ then:
 
 import numpy as np
 
-from plate_core import Parts, Rig, Wanted, load_rig, part_class
+from plate_core import CycleRequest, Parts, Rig, load_rig, part_class
 
 RATE, FASTEST = 0.5, 0.020
 """Requested drift velocity per metre of distance to the goal [1/s], and its maximum [m/s]."""
@@ -29,7 +29,7 @@ class OwnPlanner:
     def __init__(self, rig: Rig) -> None:
         self._rig, self._seen_at = rig, -np.inf
 
-    def plan(self, parts: Parts, t: float) -> Wanted:
+    def plan(self, parts: Parts, t: float) -> CycleRequest:
         """Return the requested mean force on each part [N] for a cycle that begins at `t` [s].
 
         Per axis, drift = clip(RATE (goal - position), -FASTEST, FASTEST), and
@@ -53,14 +53,14 @@ class OwnPlanner:
         in_lane = goal[:, 1] == parts.position[:, 1]
         # Within the lane, any force along y is accepted.
         tolerance[in_lane, 1] = self._rig.force_unit
-        return Wanted.make(parts, force, tolerance, period=period)
+        return CycleRequest.make(parts, force, tolerance, period=period)
 
 
 if __name__ == "__main__":
     from rclpy.node import Node
     from trajectory_msgs.msg import JointTrajectory
 
-    from plate_core.ros import DATA, msg_to_parts, run_node, seconds, wanted_to_msg
+    from plate_core.ros import DATA, msg_to_parts, request_to_msg, run_node, seconds
     from plate_interfaces.msg import PartForces
     from plate_interfaces.msg import Parts as PartsMsg
 
@@ -107,7 +107,7 @@ if __name__ == "__main__":
             if off[-1] == 0 or (off[-1] > 0 and start != self._answered):
                 parts = msg_to_parts(self._images[int(np.argmin(np.abs(off)))])
                 self._answered = start
-                wanted = self._planner.plan(parts, seconds(start))
-                self._forces.publish(wanted_to_msg(wanted, start))
+                request = self._planner.plan(parts, seconds(start))
+                self._forces.publish(request_to_msg(request, start))
 
     run_node(OwnPlannerNode)

@@ -96,7 +96,7 @@ def test_what_calibrate_has_learned_is_used_from_the_next_configure_on(monkeypat
         run(0.3)
         order = driver.transports.current.enable(driver.latch.number)
         for _ in range(20):
-            run(0.0 if order.settled else 0.2)
+            run(0.0 if order.completed else 0.2)
         assert order.done, order.failure
         run(0.1)
         assert driver.status.state is DriverState.READY

@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 from harness.result import WORDS
-from plate_bringup.loop import Setup, seen_by, with_settings
+from plate_bringup.loop import Setup, with_settings, with_setup_camera
 from plate_core import load_rig
 from plate_core.rig import camera_place, camera_pose, to_image
 from plate_core.tasks import load_scenario
@@ -98,4 +98,4 @@ def test_unknown_heights_are_in_the_image_alone():
 @pytest.mark.parametrize("view", SCENES)
 def test_settings_of_the_tasks_are_allowed(name, view):
     rig = load_rig(load_scenario(name).rig)
-    seen_by(with_settings(Setup(name, 1), SCENES[view]), rig)
+    with_setup_camera(with_settings(Setup(name, 1), SCENES[view]), rig)

@@ -94,17 +94,29 @@ def test_the_control_law_of_ones_own_needs_no_ros(monkeypatch, tmp_path):
 @pytest.mark.parametrize(
     ("answer", "message"),
     [
-        ("None", "plan returned NoneType, allowed: a plate_core.Wanted"),
-        ("Wanted.make(parts, np.full((n, 2), np.nan))", "force of black_1 is nan, allowed: -"),
-        ("Wanted.make(parts, torque=np.full(n, np.inf))", "torque of black_1 is inf, allowed: -"),
-        ("Wanted.make(parts, tolerance=-np.ones((n, 2)))", "black_1 is -1, allowed: 0 to inf"),
-        ("Wanted.make(parts, np.zeros((2, n)))", r"force has shape \(2, 4\), allowed: \(4, 2\)"),
+        ("None", "plan returned NoneType, allowed: a plate_core.CycleRequest"),
+        (
+            "CycleRequest.make(parts, np.full((n, 2), np.nan))",
+            "force of black_1 is nan, allowed",
+        ),
+        (
+            "CycleRequest.make(parts, torque=np.full(n, np.inf))",
+            "torque of black_1 is inf",
+        ),
+        (
+            "CycleRequest.make(parts, tolerance=-np.ones((n, 2)))",
+            "black_1 is -1, allowed: 0",
+        ),
+        (
+            "CycleRequest.make(parts, np.zeros((2, n)))",
+            r"force has shape \(2, 4\), allowed:",
+        ),
     ],
 )
 def test_a_planner_of_ones_own_that_asks_for_nonsense_is_refused(tmp_path, answer, message):
     own = tmp_path / "own.py"
     own.write_text(
-        "import numpy as np\nfrom plate_core import Wanted\n\n\nclass OwnPlanner:\n"
+        "import numpy as np\nfrom plate_core import CycleRequest\n\n\nclass OwnPlanner:\n"
         "    def __init__(self, rig):\n        pass\n\n"
         f"    def plan(self, parts, t):\n        n = len(parts)\n        return {answer}\n"
     )

@@ -21,8 +21,8 @@ EXPECTED = {
         "the detector no longer publishes diagnostics; ",
         "solver",
     ),
-    ("kill", "driver"): ("no driver_status for", "does the driver run?", "simulator"),
-    ("freeze", "simulator"): ("no image for", "does the camera run?", "detector"),
+    ("kill", "driver"): ("no driver_status for", "check that the driver runs", "simulator"),
+    ("freeze", "simulator"): ("no image for", "check that the camera runs", "detector"),
     ("freeze", "planner"): ("the planner was stalled for", "", "solver"),
     ("freeze", "solver"): (
         "no plate_cycle for",

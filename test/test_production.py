@@ -46,7 +46,7 @@ def acts(robot, until, answer_at, step=0.05):
             found.append((act, due))
             asked = asked or act is Act.ASK
         if asked and now >= answer_at - 1e-9:
-            robot, asked = robot.told(PLACE, now), False
+            robot, asked = robot.after_reply(PLACE, now), False
     return robot, found
 
 
@@ -67,7 +67,7 @@ def test_a_robot_waits_outside_the_view_for_its_answer():
     before = Robot(2.0, 0.0, Act.COME)
     assert before.waited(1.6) == 0
     assert before.waited(2.2) == pytest.approx(0.5)
-    assert before.told(PLACE, 2.5).waited(9.0) == pytest.approx(0.8)
+    assert before.after_reply(PLACE, 2.5).waited(9.0) == pytest.approx(0.8)
 
 
 def test_a_robot_that_is_refused_asks_again_later():
@@ -80,12 +80,12 @@ def test_a_robot_that_is_refused_asks_again_later():
 def test_what_is_counted_begins_with_the_first_pick(monkeypatch):
     rig = load_rig()
     simulation = Simulation(rig, load_scenario("feed"))
-    tally, robot = Tally(), Robot.ready(2.0).told(PLACE, 7.0)
+    tally, robot = Tally(), Robot.ready(2.0).after_reply(PLACE, 7.0)
     robot = replace(robot, next=Act.GRIP)
     tally.gripped(robot, Grip(False, error_m=math.inf))
     tally.gripped(robot, Grip(True, error_m=1e-4, error_rad=-0.1))
     first = robot.due
-    late = replace(Robot(2.0, first), next=Act.GRIP).told(PLACE, first + 2.2)
+    late = replace(Robot(2.0, first), next=Act.GRIP).after_reply(PLACE, first + 2.2)
     tally.gripped(late, Grip(True, error_m=3e-4, error_rad=0.1))
     tally.time_s = late.due
     task = load_scenario("feed").task

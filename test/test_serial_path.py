@@ -278,7 +278,7 @@ def test_telemetry_shows_a_stop_whose_acknowledgement_is_withheld(firmware, cut)
         if tick % 5 == 0:
             thread.poll()
     assert thread.stopped(order, cut, firmware.now)
-    assert not order.settled
+    assert not order.completed
     assert thread.stopping  # it goes on being tried
     firmware.withholds = False
     for tick in range(500):
@@ -306,7 +306,7 @@ def test_an_enable_is_dropped_by_a_stop(firmware):
     wish = transport.enable()
     pass_time(firmware, transport, 0.1)
     stop = transport.stop()
-    assert (wish.settled, wish.failure[:26]) == (True, "another stop has come sinc")
+    assert (wish.completed, wish.failure[:26]) == (True, "another stop has come sinc")
     firmware.loss = 0.0
     since = firmware.now
     assert settled(firmware, transport, stop).done
@@ -321,7 +321,7 @@ def test_an_enable_that_does_not_arrive_is_not_kept_for_later(firmware):
     firmware.loss = 1.0
     wish = transport.enable()
     pass_time(firmware, transport, 3.0)  # the link fails
-    assert wish.settled
+    assert wish.completed
     assert not wish.done
     firmware.loss = 0.0
     since = firmware.now
@@ -365,7 +365,7 @@ def test_a_stop_nobody_answers_is_not_told_as_done_and_comes_through_later(firmw
     play(firmware, transport, 1.0)
     firmware.loss = 1.0
     order = settled(firmware, transport, transport.stop(cut=True))
-    assert not order.settled
+    assert not order.completed
     firmware.loss = 0.0
     pass_time(firmware, transport, 2.0)
     assert order.done

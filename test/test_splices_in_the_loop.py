@@ -101,8 +101,8 @@ class Line:
     def answer(self, drawn):
         world = self.simulation.state
         parts = Parts.make(world.ids, world.position, world.velocity)
-        self.state, wanted, self.progress = self.planner.plan(self.state, parts, self.now)
-        cycle = self.controller.answer(wanted, self.running).cycle
+        self.state, request, self.progress = self.planner.plan(self.state, parts, self.now)
+        cycle = self.controller.answer(request, self.running).cycle
         if drawn["lost"]:
             return
         late = drawn["late"]

@@ -46,7 +46,7 @@ class Bench:
         while self.transport.report().condition is not Condition.OFF and self.emulator.now < end:
             self.run(0.1)
         order = self.transport.enable()
-        while not order.settled and self.emulator.now < end:
+        while not order.completed and self.emulator.now < end:
             self.run(0.1)
         assert order.done, order.failure
 

@@ -140,7 +140,7 @@ def test_a_stop_brakes_along_the_path_and_latches(rig):
     for moment in (0.113, 0.137, 0.151):
         rig.run(moment)
         order = rig.relay.stop()
-        assert not order.settled
+        assert not order.completed
         assert rig.relay.enable().failure == "the motors are braking"
         rig.run(1.0)
         assert order.done
@@ -166,5 +166,5 @@ def test_it_does_not_promise_what_it_cannot_do(rig):
     assert "no joint_states" in rig.relay.enable().failure
     order = rig.relay.stop()
     rig.run(1.5)
-    assert order.settled
+    assert order.completed
     assert not order.done

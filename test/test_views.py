@@ -4,7 +4,7 @@ import cv2
 import numpy as np
 import pytest
 
-from plate_bringup.loop import Setup, seen_by, with_settings
+from plate_bringup.loop import Setup, with_settings, with_setup_camera
 from plate_bringup.views import MARGIN_PX, view_from, with_height
 from plate_core import PlateError, load_rig
 from plate_core.rig import camera_place, doubts
@@ -50,10 +50,10 @@ def test_a_camera_beside_the_plate_is_refused():
 def test_settings_of_the_loop():
     rig = load_rig("shapes")
     settings = {"camera_tilt_deg": "25", "camera_focal_px": "500", "rig_height_m": "0.01"}
-    seen = seen_by(with_settings(Setup("sort_shapes"), settings), rig)
+    seen = with_setup_camera(with_settings(Setup("sort_shapes"), settings), rig)
     expected = with_height(view_from(rig, tilt_deg=25, focal_px=500), 0.01)
     assert seen == expected
     assert seen.part_type("nut").height_m == seen.parts.height_m == 0.01
-    assert seen_by(Setup("sort_shapes"), rig) is rig
+    assert with_setup_camera(Setup("sort_shapes"), rig) is rig
     with pytest.raises(PlateError, match="camera_tilt_deg is 70, allowed: 0 to 60"):
         with_settings(Setup("sort_10"), {"camera_tilt_deg": "70"})

@@ -102,7 +102,7 @@ class Operator:
         if self.transport.report().condition is not Condition.OFF:
             self._since = None
             return
-        waiting = self._order is not None and not self._order.settled
+        waiting = self._order is not None and not self._order.completed
         self._since = now if self._since is None else self._since
         if not waiting and now - self._since >= (LOOK_S if self.enables else 0.0):
             self._order, self._since = self.transport.enable(), now

@@ -64,7 +64,7 @@ def stages_row(rig: Rig, scenario: Scenario, moments: list[Moment]) -> dict[str,
         run_stage("camera", camera.render, world.position, grey, rng, world.velocity)
         tracker = run_stage("vision", observe, vision, tracker, moment.image, moment.time)
         state, _, _ = run_stage("planner", planner.plan, state, tracker.parts, moment.time)
-        answer = run_stage("solver", controller.answer, moment.wanted, running)
+        answer = run_stage("solver", controller.answer, moment.request, running)
         run_stage("driver", prepare, rig, answer.cycle, now, before=(running,))
         run_stage("simulator", run_cycle, world, running, rig)
         # The next moment's inputs belong to the cycle that the loop played.

@@ -14,7 +14,7 @@ import numpy as np
 
 from harness import Cache, Result, Table, by_case
 from plate_bringup.loop import Setup
-from plate_bringup.rehearsal import judge_task
+from plate_bringup.rehearsal import rehearse_task
 from plate_core import Rig, load_rig
 from plate_core.tasks import load_scenario
 from tasks.runs import UNEVEN, runs_of, summed
@@ -81,7 +81,7 @@ def rigs() -> dict[str, Rig]:
 
 def judged(rig: Rig, scenario: str) -> dict[str, Any]:
     """Return the prediction of `feasible` for a task."""
-    verdict = judge_task(rig, load_scenario(scenario))
+    verdict = rehearse_task(rig, load_scenario(scenario))
     return {
         "feasible": "likely" if verdict.likely else "not likely",
         "feasible_s": verdict.time_s if np.isfinite(verdict.time_s) else None,

@@ -113,8 +113,8 @@ def trace(scenario: str, seed: int) -> list[str]:
 
 def made(moment: Moment) -> Iterator[list[np.ndarray]]:
     """Yield the output of each of `PIECES`."""
-    world, parts, wanted, cycle = moment.world, moment.parts, moment.wanted, moment.answer.cycle
-    forces, start = wanted.forces, [] if wanted.start is None else [wanted.start]
+    world, parts, request, cycle = moment.world, moment.parts, moment.request, moment.answer.cycle
+    forces, start = request.forces, [] if request.start is None else [request.start]
     yield [world.position, world.angle]
     yield [moment.image]
     yield [parts.position, parts.angle]

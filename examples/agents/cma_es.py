@@ -16,7 +16,7 @@ import numpy as np
 
 from plate_core import PlateCycle
 from plate_gym.agent import Brief
-from plate_gym.judge import Judge, Memory
+from plate_gym.evaluation import Memory, TaskEvaluator
 from plate_sim.world import Simulation, WorldState
 
 TRIED, ROUNDS, SPREAD = 12, 8, 0.4
@@ -42,7 +42,7 @@ class CmaEs:
     def __init__(self, brief: Brief, seed: int) -> None:
         self._motions, self._rng = brief.motions, np.random.default_rng(seed)
         self._inner = brief.rig.plate.half - EDGE_M
-        self._judge = Judge(brief.scenario.task, brief.rig)
+        self._evaluator = TaskEvaluator(brief.scenario.task, brief.rig)
         self._worlds = [Simulation(brief.rig, brief.scenario) for _ in range(TRIED)]
         self._now = self._worlds[0].state
         self._memory: Memory = None
@@ -55,7 +55,7 @@ class CmaEs:
         at[seen], turned[seen] = observation[seen, :2], observation[seen, 4]
         self._now = replace(self._now, position=at, angle=turned)
         self._worlds[0].state = self._now
-        self._memory = self._memory or self._judge.begin(self._worlds[0], self._running)
+        self._memory = self._memory or self._evaluator.begin(self._worlds[0], self._running)
         self._goal = observation[:, 8:10]
         self._now = self._after([self._running])[0]
         chance = {"randn": lambda *shape: self._rng.standard_normal(shape), "seed": np.nan}
@@ -84,8 +84,8 @@ class CmaEs:
         states = [replace(s, position=s.position + COAST_S * s.velocity) for s in states]
         place = np.array([s.position for s in states])
         beyond = np.maximum(np.abs(place) - self._inner, 0).sum(axis=(1, 2))
-        if self._judge.follows:
+        if self._evaluator.follows:
             left = np.linalg.norm(place - self._goal, axis=2).sum(axis=1)
         else:
-            left = self._judge.score([self._memory] * len(states), states).to_go
+            left = self._evaluator.score([self._memory] * len(states), states).to_go
         return list(left + EDGE_COST * beyond)

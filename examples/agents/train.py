@@ -178,7 +178,7 @@ class Model:
         signs = tensor(list(itertools.product((1, -1), repeat=2)))
         (right, up), flat = (signs * self.half).T, torch.zeros(4)
         self._corners = torch.stack([flat + 1, flat, -up]), torch.stack([flat, flat + 1, right])
-        pose, twist, self._accel = map(tensor, basis.looks)
+        pose, twist, self._accel = map(tensor, basis.checks)
         self._most_accel = limits.accel
         self._looks = [
             (pose, levers.T, limits.stroke_m),

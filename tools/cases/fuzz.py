@@ -33,17 +33,17 @@ from trajectory_msgs.msg import JointTrajectory
 
 from cases import Outcome, chosen
 from plate_bringup import RunOptions, load_graph
-from plate_core import Parts, PlateCycle, Rig, Wanted, load_rig
+from plate_core import CycleRequest, Parts, PlateCycle, Rig, load_rig
 from plate_core.ros import (
     SafeLifecycleNode,
     array_to_image,
     cycle_to_msg,
     motors_to_msg,
     msg_to_motors,
+    request_to_msg,
     start_nodes,
     targets_to_msg,
     to_time,
-    wanted_to_msg,
 )
 from plate_core.tasks import PartTarget
 from plate_interfaces.srv import PlacePart, RemovePart
@@ -100,7 +100,7 @@ def templates(rig: Rig, rng: np.random.Generator) -> dict[type, bytes]:
     place = rng.uniform(-1.1, 1.1, (count, 2)) * rig.plate.half
     force = rng.choice([0.003, 0.03], p=[0.95, 0.05]) * rng.normal(size=(count, 2))
     parts = Parts.make(ids, place, 0.01 * rng.normal(size=(count, 2)))
-    wanted = Wanted.make(parts, force)
+    request = CycleRequest.make(parts, force)
     size_px = (rig.camera.height_px, rig.camera.width_px)
     if rng.random() < 0.9:  # a full-size image takes 20 ms to change
         size_px = (int(rng.integers(1, 64)), int(rng.integers(1, 64)))
@@ -110,7 +110,7 @@ def templates(rig: Rig, rng: np.random.Generator) -> dict[type, bytes]:
         message = motors_to_msg(rig, cycle, stamp)
     name, (x, y) = str(rng.choice(["", "black_1", "grey_2"])), rng.uniform(-0.3, 0.3, 2).tolist()
     right = (
-        message, wanted_to_msg(wanted, stamp), array_to_image(pixels, stamp),
+        message, request_to_msg(request, stamp), array_to_image(pixels, stamp),
         targets_to_msg([PartTarget(i, tuple(at)) for i, at in zip(ids, place, strict=True)], stamp),
         PlacePart.Request(id=name, type="black", x=x, y=y), RemovePart.Request(id=name),
     )  # fmt: skip

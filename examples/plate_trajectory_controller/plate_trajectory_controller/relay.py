@@ -146,7 +146,7 @@ class Relay:
             self._command(brake(self._rig, playing, along))
             self._rests_at = now + min(playing.cycle.period, BRAKE_S) + HOMEWARD_S
         if cut:
-            return order.settle(CANNOT_CUT)
+            return order.complete(CANNOT_CUT)
         self._stop = order, now
         return order
 
@@ -155,20 +155,20 @@ class Relay:
         braking."""
         now, order = self._clock(), Order()
         if not self._states or now - self._states[-1][0] > SILENCE_S:
-            return order.settle(
+            return order.complete(
                 "no joint_states are received; check that joint_state_broadcaster runs"
             )
         if now < self._rests_at:
-            return order.settle("the motors are braking")
+            return order.complete("the motors are braking")
         off = float(np.max(np.abs(self._states[-1][1])))
         if off > AT_HOME_M:
-            return order.settle(f"a motor is {1e3 * off:.2g} mm from home, allowed: 1 mm")
+            return order.complete(f"a motor is {1e3 * off:.2g} mm from home, allowed: 1 mm")
         self._enabled = True
-        return order.settle()
+        return order.complete()
 
     def home(self) -> Order:
         """Refuse, because the drives do their own homing."""
-        return Order().settle("homing is the drives' own")
+        return Order().complete("homing is the drives' own")
 
     def troubles(self) -> list[str]:
         """Return no troubles, because the report contains all of them."""
@@ -194,10 +194,10 @@ class Relay:
         order, asked = self._stop
         recent = [p for t, p in self._states if now - t <= STILL_S and t >= self._rests_at]
         if len(recent) > 1 and np.max(np.ptp(recent, axis=0)) < STILL_M:
-            order.settle()
+            order.complete()
         elif now - asked > STOP_S:
-            order.settle("joint_states do not show that the motors rest")
-        if order.settled:
+            order.complete("joint_states do not show that the motors rest")
+        if order.completed:
             self._stop = None
 
 

@@ -1,7 +1,7 @@
-"""The complete closed loop: its nodes, their parameters for one run, and the launch files.
+"""Closed loop of all stages: the nodes, their parameters for a run, and the launch files.
 
-The module `loop` runs the same loop in one process without ROS. This package combines the stages.
-Only `plate_gym` imports it; the other packages do not.
+The module `loop` runs the same loop in one process without ROS. This package imports the packages
+of the stages. Only `plate_gym` imports this package.
 """
 
 from .graph import GraphError, GraphNode, RunOptions, Value, load_graph

@@ -1,4 +1,4 @@
-"""Actions of the launch files. The actions start the nodes of config/graph.yaml and, on request, a
+"""Actions of the launch files. They start the nodes of config/graph.yaml and, if requested, a
 recorder."""
 
 from __future__ import annotations
@@ -34,7 +34,7 @@ from plate_core.tasks import load_scenario
 from .graph import GraphError, RunOptions, load_graph
 
 LEVELS = {"*": "/[^/]+", "**": "(/[^/]+)*"}
-"""Regular expressions for the wildcards in section names of parameter files."""
+"""Regular expressions of the wildcards in the section names of parameter files."""
 
 COMMON = {
     "method": "method of the solver: rotations or sinusoids",
@@ -75,15 +75,16 @@ OPTIONS: Mapping[str, Callable[[str], Any]] = {
     "lockstep": "true".__eq__, "view": "true".__eq__, "rate": float, "image_rate": float,
     "port": str, "camera": str, "recipe": str,
 }  # fmt: skip
-"""Arguments that are options of a run, with the functions that convert their texts."""
+"""Arguments of the launch files that are fields of `RunOptions`, with the functions that convert
+their texts."""
 
 PACKAGE = "plate_bringup"
 
 
 def describe(hardware: bool, file: str) -> LaunchDescription:
-    """Return the launch description of the launch file `file`. The file is for hardware or for
+    """Return the launch description of the launch file `file`, which is for hardware or for
     simulation."""
-    # On hardware, users may add transports.
+    # On hardware, other names of transports are allowed too, because users can install transports.
     choices = {name: CHOICES[name] for name in CHOICES if not (hardware and name == "transport")}
     arguments = [
         DeclareLaunchArgument(
@@ -98,15 +99,16 @@ def describe(hardware: bool, file: str) -> LaunchDescription:
 
 
 def arguments_of(hardware: bool) -> dict[str, str]:
-    """Return the arguments of a launch file: their meanings by name."""
+    """Return the descriptions of a launch file's arguments, by name."""
     return (HARDWARE if hardware else SIMULATED) | COMMON
 
 
 def check_words(hardware: bool, words: Sequence[str], file: str) -> None:
-    """Check the arguments on the command line if the command starts this launch file directly.
+    """Check the arguments of the command line, if the command line starts this launch file
+    directly.
 
-    If another launch file includes this one, it may have additional arguments. The launch system
-    passes them on.
+    If another launch file includes this one, unknown arguments are not errors. They can belong to
+    the other file.
 
     Parameters
     ----------
@@ -136,22 +138,23 @@ def check_words(hardware: bool, words: Sequence[str], file: str) -> None:
 
 
 def _names(file: str, before: str, word: str) -> bool:
-    """Whether a word names a launch file, either alone or together with a package before it."""
+    """Return whether a word of the command line is the path of a launch file, or its name after the
+    name of this package."""
     if Path(word).name != Path(file).name:
         return False
     return before == PACKAGE or (Path(word).exists() and Path(word).samefile(file))
 
 
 def namespace_of(pushed: str, own: str) -> str:
-    """Return the namespace of the nodes, without slashes at its ends. Empty if there is none.
+    """Return the namespace of the nodes, without slashes at its ends. If there is no namespace, the
+    text is empty.
 
     Parameters
     ----------
     pushed : str
-        Namespace pushed by actions PushRosNamespace around this launch file.
+        Namespace that actions PushRosNamespace of outer launch files set.
     own : str
-        Argument `namespace`. The namespace is relative to the pushed namespace, unless it begins
-        with a slash.
+        Argument `namespace`. It is relative to `pushed`, unless it begins with a slash.
     """
     return (own if own.startswith("/") else f"{pushed}/{own}").strip("/").replace("//", "/")
 
@@ -162,8 +165,8 @@ def start(hardware: bool, file: str, context: Any) -> list[Any]:
     Raises
     ------
     GraphError
-        If an argument is unknown, or if the parameter file does not exist. ROS would start the
-        nodes without the file.
+        If an argument is unknown, or if the parameter file does not exist. Without this check, ROS
+        would start the nodes without the file.
     """
     check_words(hardware, sys.argv, file)
     known = arguments_of(hardware)
@@ -184,7 +187,7 @@ def start(hardware: bool, file: str, context: Any) -> list[Any]:
     if "scenario" in given and not rigs:
         rigs = [load_scenario(given["scenario"]).rig]
         values["rig_file"] = rigs[0]
-    if space:  # two plates need two simulated devices
+    if space:  # if two plates run, each needs a simulated device of its own
         values["link"] = RunOptions.link + "_" + space.replace("/", "_")
     options = RunOptions(
         **{"transport": "serial" if hardware else "sim", "hardware": hardware} | values
@@ -216,13 +219,13 @@ def start(hardware: bool, file: str, context: Any) -> list[Any]:
 
 
 def rigs_in(parameters: Sequence[Any], space: str, names: Sequence[str]) -> list[str]:
-    """Return the values of `rig_file` that ROS parameters set for the nodes, each once.
+    """Return the different values of `rig_file` that ROS parameters set for the nodes.
 
     Parameters
     ----------
     parameters : sequence
-        Parameters as launch_ros keeps them: paths of parameter files, and pairs of name and value.
-        A file that cannot be read has no values here. The nodes report the error.
+        Parameters in the form of launch_ros: paths of parameter files, and pairs of name and value.
+        Files that cannot be read are ignored here, because the nodes report them.
     space : str
         Namespace of the nodes, without slashes at its ends.
     names : sequence of str
@@ -246,9 +249,9 @@ def rigs_in(parameters: Sequence[Any], space: str, names: Sequence[str]) -> list
 
 
 def _sections(data: Any, above: str = "") -> Iterator[tuple[str, dict[Any, Any]]]:
-    """Yield each section of a parameter file's content: a regular expression for the full names of
-    its nodes, and its parameters. In section names, `*` stands for one level of a name, and `**`
-    for any number of levels."""
+    """Yield each section of a parameter file: a regular expression that the full names of its nodes
+    match, and its parameters. In the names of sections, `*` stands for one level of a node's name,
+    and `**` for any number of levels."""
     for key, value in data.items() if isinstance(data, dict) else ():
         if key == "ros__parameters" and isinstance(value, dict):
             yield above, value
@@ -259,8 +262,8 @@ def _sections(data: Any, above: str = "") -> Iterator[tuple[str, dict[Any, Any]]
 
 
 def default_files(hardware: bool, space: str, names: Sequence[str]) -> list[str]:
-    """Return the files with the nodes' default parameters. If there is a namespace, one of the
-    files sets the prefix of the frames."""
+    """Return the files with the default parameters of the nodes. If there is a namespace, one of
+    the files sets `frame_prefix`."""
     files = [str(config_path("nodes.yaml"))]
     if hardware:
         files.append(str(config_path("hardware.yaml")))
@@ -271,12 +274,12 @@ def default_files(hardware: bool, space: str, names: Sequence[str]) -> list[str]
 
 
 def _put_first(defaults: Sequence[str], context: Any) -> None:
-    """Set the default parameter files before all other parameters.
+    """Place the default parameter files before all other parameters.
 
-    ROS merges the values of all files by the names of the sections. If two sections match a node,
-    the section whose name first occurs later has priority. Therefore `/**/solver` must occur before
-    `/left/solver`. launch_ros puts parameters of outer actions, such as SetParametersFromFile,
-    before the parameters of the node.
+    ROS merges all files by the names of their sections. If two sections match a node, the section
+    whose name occurs first at a later place has priority. Therefore `/**/solver` in the default
+    files must occur before a section such as `/left/solver` in a user's file. launch_ros passes the
+    parameters of outer actions, such as SetParametersFromFile, before the parameters of the node.
     """
     outer = context.launch_configurations.get("global_params", [])
     context.launch_configurations["global_params"] = [*defaults, *outer]
@@ -291,8 +294,8 @@ def _written(text: str) -> str:
 def programs(
     options: RunOptions, given: Mapping[str, str], space: str
 ) -> dict[str, dict[str, Any]]:
-    """Return the programs to start, by name: package, executable, and the parameters that override
-    the parameter files."""
+    """Return the programs to start, by name. Each value consists of the package, the executable,
+    and the parameters that override the parameter files."""
     nodes = options.nodes(load_graph())
     if given.get("one_process") != "true":
         return {
@@ -316,7 +319,7 @@ def _remember(last_words: list[str], event: Any) -> None:
 
 
 def _end(name: str, last_words: list[str], event: Any, context: Any) -> list[Any] | None:
-    """Shut down all nodes after one of them has ended, and log the reason."""
+    """Shut down all nodes because a node has ended, and log the reason."""
     if context.is_shutdown:
         return None
     why = f"{name} ended with exit code {event.returncode}: {last_words[0]}"

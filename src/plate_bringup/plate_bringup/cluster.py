@@ -1,7 +1,7 @@
-"""Parallel runs on many machines. A Dask scheduler distributes the runs to its workers.
+"""Parallel runs on several computers. A Dask scheduler distributes the runs to its workers.
 
-`Cluster` has the interface of a pool of processes. Before a worker receives runs, it is compared
-with this process. The worker must give the same results to the last bit.
+`Cluster` has the interface of a pool of processes. A worker receives runs only if its code,
+libraries and processor give the same results as this process, to the last bit.
 """
 
 from __future__ import annotations
@@ -30,27 +30,27 @@ INSTALL = "pip install 'distributed==2026.8.0'"
 """Command that installs Dask, in the version of requirements-test.txt."""
 
 CONNECT_S = 5.0
-"""Maximum time for the connection to the scheduler [s]."""
+"""Maximum time in which the scheduler must answer [s]."""
 
 RETURN_S = 60.0
-"""Maximum time for the return of a lost scheduler [s]."""
+"""Maximum time for which the connection to the scheduler may be lost [s]."""
 
 POLL_S = 0.5
 """Interval between two searches for new workers [s]."""
 
 FIRST_S = 60.0
-"""Maximum time for the comparison of the first workers [s]."""
+"""Maximum time in which the first worker must be accepted [s]."""
 
 STOP_S = 5.0
-"""Maximum time for each step when the cluster is closed [s]."""
+"""Maximum time of each step of `shutdown` [s]."""
 
 
 class Cluster(Executor):
     """Executor that runs functions on the workers of a Dask scheduler.
 
-    Each worker process executes one run at a time. If a worker dies, other workers repeat its runs.
-    If the scheduler restarts within `RETURN_S`, unfinished runs are sent to it again. Workers can
-    join at any time.
+    Each worker executes one run at a time. If a worker dies, other workers repeat its runs. If the
+    scheduler restarts within `RETURN_S`, it receives the unfinished runs again. Workers can join at
+    any time.
 
     Parameters
     ----------
@@ -58,17 +58,18 @@ class Cluster(Executor):
         Address of the scheduler, such as `tcp://192.168.0.10:8786`.
     bench : bool
         Whether the functions are in `bench` or `tools` of the clone. If so, each worker must have a
-        clone with the same code. The place of the clone does not matter, unless arguments contain
+        clone with the same code. The path of the clone can differ, unless arguments contain
         absolute paths.
     modules : sequence of str
-        Further packages of the project that each worker must have with the same code.
+        Further packages of the project. Each worker must have the same code of them.
     agent : str
-        Module of others that each worker must have with the same files and libraries.
+        Module of another person. Each worker must have the same files and libraries of it.
     tell : callable
-        Function that receives lines of text about the cluster: its dashboard, and refused workers.
+        Function that is called with lines of text: the address of the dashboard, and refused
+        workers.
     end : callable, optional
-        Called by `shutdown` on each worker that has a run, to end this run. By default, an
-        exception is raised in the thread of the run.
+        Function that `shutdown` calls on each worker that executes a run, to end this run. By
+        default, an exception is raised in the thread of the run.
 
     Raises
     ------
@@ -92,7 +93,8 @@ class Cluster(Executor):
             _make_bench_importable()
         terms = bench, tuple(modules), agent
         self._terms = facts(*terms), terms
-        # Only workers with this resource receive runs. Each worker has the resource once.
+        # Only workers with this resource receive runs. An accepted worker has it once, so it
+        # executes one run at a time.
         self._key = f"plate-{hashlib.sha256(repr(self._terms).encode()).hexdigest()[:16]}"
         self._pool = self._client.get_executor(pure=False, resources={self._key: 1})
         self._token = uuid.uuid4().hex
@@ -112,11 +114,11 @@ class Cluster(Executor):
         threading.Thread(target=self._watch, daemon=True).start()
 
     def submit(self, fn: Callable[..., Any], /, *args: Any, **kwargs: Any) -> Future[Any]:
-        """Submit a run, see `Executor`. A run that has begun can also be canceled. Its result is
-        then dropped, but it continues on its worker until it ends or `shutdown` ends it."""
+        """Submit a run, see `Executor`. A run that has begun can also be canceled. Then its result
+        is dropped, but it continues on its worker until it ends or `shutdown` ends it."""
         result: Future[Any] = Future()
-        # The run is sent as bytes, because the scheduler also reads arguments and cannot import
-        # modules of bench.
+        # The run is sent as bytes. Otherwise the scheduler would read the arguments, and it cannot
+        # import the modules of `bench`.
         from distributed.protocol.pickle import dumps
 
         self._calls[result] = (_work, self._token, dumps((fn, args, kwargs)))
@@ -125,7 +127,7 @@ class Cluster(Executor):
         return result
 
     def shutdown(self, wait: bool = True, *, cancel_futures: bool = True) -> None:
-        """Cancel all unfinished runs, end the runs that workers have begun, and disconnect."""
+        """Cancel all unfinished runs, end the runs on the workers, and disconnect."""
         if self._ending.is_set():
             return
         self._ending.set()
@@ -157,21 +159,23 @@ class Cluster(Executor):
             self._release(result)
 
     def _take(self, result: Future[Any], sent: Future[Any]) -> None:
-        """Pass on the outcome of a run. If the run was lost with the scheduler, do nothing."""
+        """Pass the result or the exception of a run to the caller. If the run was lost together
+        with the scheduler, do nothing."""
         if sent.cancelled():
             self._lose(result)
             return
         problem = sent.exception()
         if type(problem).__name__ == "KilledWorker":
             problem = PlateError(f"a run has ended several workers: {problem}")
-        with suppress(InvalidStateError):  # raised if the run was canceled in the meantime
+        # Raised if the caller has canceled the run in the meantime.
+        with suppress(InvalidStateError):
             if problem is None:
                 result.set_result(sent.result())
             else:
                 result.set_exception(problem)
 
     def _lose(self, result: Future[Any]) -> bool:
-        """Record that a run must be sent again. Return whether this is possible."""
+        """Record that a lost run must be sent again. Return whether this is possible."""
         if self._client.status == "closed":
             return False
         if not result.done():
@@ -186,13 +190,13 @@ class Cluster(Executor):
             result.set_running_or_notify_cancel()
 
     def _release(self, result: Future[Any]) -> None:
-        """Cancel a run, if it has not ended, and let the cluster forget its outcome. A worker that
-        dies would otherwise cause its repetition."""
+        """Cancel a run if it has not ended, and delete its result in the cluster. Otherwise the
+        cluster would repeat the run if its worker died."""
         if (sent := self._sent.pop(result, None)) is not None:
             sent.cancel()
 
     def _watch(self) -> None:
-        """Compare each new worker with this process, and send lost runs again."""
+        """Check each new worker, and send lost runs again."""
         while not self._ending.wait(POLL_S):
             if self._client.status == "closed":
                 away = f"cluster {self._address}: the scheduler was away for {RETURN_S:g} s"
@@ -208,7 +212,7 @@ class Cluster(Executor):
                         self._send(result)
 
     def _await_workers(self) -> None:
-        """Wait until the first worker is accepted. Return also if there are no workers.
+        """Wait until the first worker is accepted, but at most `FIRST_S`.
 
         Raises
         ------
@@ -226,7 +230,7 @@ class Cluster(Executor):
             self._ending.wait(POLL_S)
 
     def _ask_new(self) -> int:
-        """Start the comparison of each new worker. Report if no worker is left. Return the number
+        """Start the check of each new worker. If no worker is left, report this. Return the number
         of workers."""
         workers = self._identity()["workers"]
         self._admitted = [name for name, one in workers.items() if self._key in one["resources"]]
@@ -243,13 +247,13 @@ class Cluster(Executor):
         return len(workers)
 
     def _identity(self) -> Any:
-        """Return facts about the scheduler and its workers. `Client.scheduler_info` sometimes lists
-        no workers, because Dask's own periodic query replaces its result."""
+        """Return information about the scheduler and its workers. `Client.scheduler_info` is not
+        used, because it sometimes lists no workers: a periodic query of Dask replaces its
+        result."""
         return self._client.sync(self._client.scheduler.identity, n_workers=-1)
 
     def _ask(self, name: str) -> None:
-        """Compare a worker with this process. Afterwards the worker has the resource, or it is
-        refused."""
+        """Compare a worker with this process, and then accept or refuse it."""
         try:
             call = (_admit, self._key, *self._terms)
             found = self._client.run(*call, workers=[name], on_error="return")[name]
@@ -295,13 +299,14 @@ def _connect(address: str) -> Any:
             f"allowed: {distributed.__version__} (the version on this computer)"
         )
     with warnings.catch_warnings():
-        warnings.simplefilter("ignore")  # Dask warns of other versions; they are refused elsewhere
+        # Dask warns of different versions, but these are refused elsewhere.
+        warnings.simplefilter("ignore")
         return distributed.Client(address, timeout=RETURN_S, set_as_default=False)
 
 
 async def _ask_server(address: str) -> tuple[str, str]:
     """Return the kind of a Dask server, and the version of its package `distributed`. Dask's client
-    cannot ask this, because it waits without end for other servers than Dask's."""
+    is not used for this, because it waits without end if the server is no Dask server."""
     from distributed import Security
     from distributed.comm import connect
     from distributed.core import send_recv
@@ -324,15 +329,15 @@ def _text(problem: BaseException) -> str:
 
 
 _RUNNING: dict[str, int] = {}
-"""Threads of the present runs of this worker, by the token of their `Cluster`."""
+"""Thread of the present run on this worker, by the token of its `Cluster`."""
 
 
 class _Stopped(Exception):
-    """Raised in a run that `shutdown` ends."""
+    """Exception that ends a run on a worker when the cluster is shut down."""
 
 
 def _work(token: str, call: bytes) -> Any:
-    """Run a function so that `_stop` can end it, which `shutdown` calls."""
+    """Run a function on a worker in such a way that `_stop` can end it."""
     _RUNNING[token] = threading.get_ident()
     try:
         function, args, kwargs = pickle.loads(call)
@@ -342,7 +347,7 @@ def _work(token: str, call: bytes) -> Any:
 
 
 def _stop(token: str, end: Callable[[], object] | None) -> None:
-    """End the present run of a `Cluster` on this worker."""
+    """End the present run of a `Cluster` on this worker. `shutdown` calls this function."""
     if (thread := _RUNNING.get(token)) is None:
         return
     if end is not None:
@@ -358,8 +363,9 @@ async def _admit(
     terms: tuple[bool, tuple[str, ...], str],
     dask_worker: Any,
 ) -> list[str]:
-    """Compare this worker with another process. If it would give the same results, give it the
-    resource `key`. `terms` are the arguments of `facts`. Return the differences."""
+    """Compare the facts of this worker with those of the process that asks (`expected`). If they
+    are equal, give this worker the resource `key`. `terms` are the arguments of `facts`. Return the
+    differences."""
     if terms[0]:
         _make_bench_importable()
     found = differences(expected, await asyncio.to_thread(facts, *terms))
@@ -369,13 +375,14 @@ async def _admit(
         if running:
             dask_worker.status = status.paused
         await dask_worker.set_resources(**{key: 1})
-        if running:  # the scheduler then sends waiting runs to this worker
+        if running:  # this makes the scheduler send waiting runs to this worker
             dask_worker.status = status.running
     return found
 
 
 def _make_bench_importable() -> None:
-    """Add `bench` of the clone, if there is one, to the folders from which modules are imported."""
+    """Add the folder `bench` of the clone to the folders from which Python imports modules. Without
+    a clone, do nothing."""
     folder = clone()
     if folder is not None and str(folder / "bench") not in sys.path:
         sys.path.append(str(folder / "bench"))

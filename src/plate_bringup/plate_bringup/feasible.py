@@ -1,6 +1,6 @@
-"""Prediction whether a rig can perform a task: `ros2 run plate_bringup feasible`.
+"""Command that predicts whether a rig can perform a task: `ros2 run plate_bringup feasible`.
 
-The task is rehearsed with the prediction of the solver (`rehearsal`). Without ROS, `python -m
+The prediction is a rehearsal of the task (see `rehearsal`). Without ROS, `python -m
 plate_bringup.feasible` does the same.
 """
 
@@ -28,20 +28,20 @@ from plate_core.tasks import (
 from plate_planner.supervision import weak_plate_text
 
 from .bounds import rest_to_rest_s, speed_bounds
-from .rehearsal import STILL, Verdict, judge_task
+from .rehearsal import STILL, Verdict, rehearse_task
 
 NOT_REHEARSED = {
     PoseTask: "tasks of kind pose are not rehearsed; run the demo",
     MoveTask: "tasks of kind move are not rehearsed; run the demo",
     FeedTask: "tasks of kind feed are not rehearsed; run `ros2 run plate_bringup qualify`",
 }
-"""Tasks that cannot be rehearsed, and the reasons."""
+"""Kinds of tasks that cannot be rehearsed, and what to do instead."""
 
 COUNTS = (1, 2, 4, 10)
 """Numbers of parts that are rehearsed if no scenario is given."""
 
 DISTANCE_M = 0.1
-"""Distance for which the report states the minimum time [m]."""
+"""Distance from rest to rest for which the report states the minimum time [m]."""
 
 PERIOD_S = 0.2
 """Longest cycle of the solver [s]."""
@@ -84,8 +84,8 @@ def main() -> None:
 
 
 def report(rig: Rig, name: str, scenario: Scenario | None) -> tuple[str, bool]:
-    """Return the report as lines for a terminal, and whether the task is likely to succeed. If
-    there is no task, return whether one part can be moved."""
+    """Return the lines of the report, and whether the task is likely to succeed. Without a task,
+    return whether one part can be moved."""
     lines = [
         f"{name}: Gamma = {rig.gamma:.1f}, limited by {rig.reach.limit}; parts slide above 1",
         one_part(rig),
@@ -96,7 +96,7 @@ def report(rig: Rig, name: str, scenario: Scenario | None) -> tuple[str, bool]:
 
 
 def one_part(rig: Rig) -> str:
-    """Return a line that states the maximum speed of one part."""
+    """Return a line about the maximum speed of one part."""
     bounds = speed_bounds(rig, PERIOD_S)
     return (
         f"one part: at most {1e3 * bounds.least:.0f} mm/s along a line by any steady motion of "
@@ -106,12 +106,12 @@ def one_part(rig: Rig) -> str:
 
 
 def of_task(rig: Rig, scenario: Scenario) -> tuple[list[str], bool]:
-    """Return lines that describe a scenario, and whether it is likely to succeed."""
+    """Return the lines about a scenario, and whether the task is likely to succeed."""
     for kind, what in NOT_REHEARSED.items():
         if isinstance(scenario.task, kind):
             return [f"{scenario.name}: unknown: {what}"], False
     try:
-        verdict = judge_task(rig, scenario)
+        verdict = rehearse_task(rig, scenario)
     except PlateError as error:
         return [f"{scenario.name}: impossible: {error}"], False
     likely, count = verdict.likely, len(verdict.rehearsals)
@@ -135,13 +135,13 @@ def of_task(rig: Rig, scenario: Scenario) -> tuple[list[str], bool]:
 
 
 def of_counts(rig: Rig) -> tuple[list[str], bool]:
-    """Return a table of the speeds for several numbers of parts. Half of the parts move to the
-    left, and half to the right."""
+    """Return a table of the speeds for several numbers of parts, of which half move to the left and
+    half to the right. Also return whether the parts move."""
     lines = ["random starts, to two sides  mean speed [mm/s]   most used limit"]
     moved = False
     for count in COUNTS:
         try:
-            verdict = judge_task(rig, sides(count), 1)
+            verdict = rehearse_task(rig, sides(count), 1)
         except PlateError:
             lines.append(f"  {count:2d} part{'s' * (count > 1)}: do not fit on this plate")
             continue
@@ -158,8 +158,8 @@ def of_counts(rig: Rig) -> tuple[list[str], bool]:
 
 
 def sides(count: int) -> Scenario:
-    """Return a sort task with `count` parts. Black parts move to the left, grey parts to the
-    right."""
+    """Return a sort task with `count` parts, in which black parts move to the left and grey parts
+    to the right."""
     groups = {"black": Side(-1, 0), "grey": Side(1, 0)}
     numbers = zip(groups, (count - count // 2, count // 2), strict=True)
     return Scenario(
@@ -176,14 +176,14 @@ def _time(seconds: float) -> str:
 
 
 def _used(verdict: Verdict) -> str:
-    """Return a line that states the used fractions of the rig's limits."""
+    """Return a line about the used fractions of the rig's limits."""
     share = verdict.share
     used = ", ".join(f"{name} {100 * value:.0f} %" for name, value in share._asdict().items())
     return f"used fractions of the rig's limits: {used}; {KEYS[share.binds]} is used most"
 
 
 def advice_for(rig: Rig, verdict: Verdict) -> str:
-    """Return advice about changes that would help."""
+    """Return advice: the changes that would make the task likely to succeed."""
     binds = verdict.share.binds
     advice = f"the most used limit is {binds} ({KEYS[binds]}); fewer parts may help"
     if rig.gamma < MIN_GAMMA:

@@ -1,4 +1,4 @@
-"""The list of nodes that make up the closed loop, and the parameters of one run."""
+"""List of the nodes of the closed loop, and their parameters for a run."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from plate_core.yaml_fields import Fields, read_yaml
 
 Value = str | int | float | bool
 
-JUDGING = ("simulator", "detector", "planner", "solver")
+NODES_WITH_TIMEOUT = ("simulator", "detector", "planner", "solver")
 """Nodes that have the parameter input_timeout_s."""
 
 OWN = {
@@ -25,45 +25,45 @@ OWN = {
     "driver": ("transport", "autostart"),
     "page": ("scenario",),
 }
-"""Options of a run, for each node. An option sets the parameter with the same name of this node."""
+"""Options of a run that set a parameter with the same name, by node."""
 
 UNTIMED_S = 30.0
-"""Input timeout of the nodes in `JUDGING` if time is simulated [s, wall time]. The timeout is long,
-because a step of simulated time may take any wall time."""
+"""Value of `input_timeout_s` of these nodes if time is simulated [s, wall]. It is long, because a
+cycle of simulated time can take a long wall time."""
 
 
 SERIAL_ANSWER_S = 0.14
-"""Value of the planner's parameter `answer_s` if the board is connected by a serial line [s]. It
-includes the transmission time of a table."""
+"""Value of the planner's parameter `answer_s` with the transport serial [s]. It includes the time
+in which a table is transmitted."""
 
 SERIAL_HANDOVER_S = 0.08
-"""Value of the solver's parameter `handover_s` if the board is connected by a serial line [s]. It
-includes the transmission time of a table."""
+"""Value of the solver's parameter `handover_s` with the transport serial [s]. It includes the time
+in which a table is transmitted."""
 
 
 class GraphError(PlateError):
-    """The list of nodes is wrong, or a node does not work as required."""
+    """Raised if the list of nodes is wrong, or if a node does not work as required."""
 
 
 @dataclass(frozen=True)
 class GraphNode:
-    """A node of the graph.
+    """Node of the graph.
 
     Attributes
     ----------
     name, package, executable : str
-        Name of the node in the graph, and arguments of `ros2 run PACKAGE EXECUTABLE`.
+        `name` is the name of the node in the graph. `ros2 run PACKAGE EXECUTABLE` starts it.
     component : str
         Qualified name of the node's class.
     on_hardware : bool
         Whether the node also runs with hardware. False for a node that simulates hardware.
     transport : str
-        The only transport with which the node runs. Empty if it runs with all transports.
+        Transport with which the node runs. Empty if the node runs with all transports.
     view : bool
-        Whether the node only displays the state of the graph. Such a node is started only if it is
-        requested.
+        Whether the node only displays the state of the graph. Such a node runs only with the option
+        `view`.
     feed : bool
-        Whether the node runs only with a feed task.
+        Whether the node runs only if the task is a feed task.
     camera : bool
         Whether the node runs only if the option `camera` is given.
     """
@@ -80,7 +80,7 @@ class GraphNode:
 
 
 def load_graph(path: str | Path | None = None) -> tuple[GraphNode, ...]:
-    """Read the list of nodes. The nodes are in the order in which they are started.
+    """Read the list of nodes, in the order in which they are started.
 
     Parameters
     ----------
@@ -119,12 +119,12 @@ def _node(fields: Fields) -> GraphNode:
 
 @dataclass(frozen=True)
 class RunOptions:
-    """Options of one run. The options determine the nodes and their parameters.
+    """Options of a run. They determine the nodes and their parameters.
 
     Attributes
     ----------
     scenario : str
-        Name or path of the simulator's scenario.
+        Scenario of the simulator: name or path.
     method : str
         Method of the solver.
     seed : int
@@ -132,38 +132,40 @@ class RunOptions:
     transport, port : str
         Transport and serial port of the driver.
     camera : str
-        Device of the camera node. If it is empty, the images come from the simulator or from
-        another node.
+        Device of the camera node. If it is empty, the simulator or another node publishes the
+        images.
     hardware : bool
-        Whether no hardware is simulated. If a port is given, the option is treated as true. If a
-        camera but no port is given, only the motor controller is simulated.
+        Whether the run is on hardware, without the simulator. A port has the same effect. With a
+        camera but without a port, only the motor controller is simulated.
     link : str
         Serial port of the simulated device.
     firmware : str
-        Firmware program for drives. The simulated device runs it. Empty if there is no drive bus.
+        Firmware program for drives on a CAN bus, which the simulated device runs. Empty if there is
+        no such bus.
     lockstep : bool
-        Whether the simulator waits for each reply. If so, time is simulated.
+        Whether the simulator waits for the reply to each image. If true, time is simulated.
     rate : float
-        Simulated seconds per second of wall time. If it is not 1, time is simulated.
+        Simulated seconds per second. If it is not 1, time is simulated.
     simulated_time : bool
-        Whether time is simulated even at rate 1. If so, the simulator's parameter `rate` may change
-        during the run.
+        Whether time is simulated even at rate 1, so that the simulator's parameter `rate` can be
+        changed during the run.
     image_rate : float
-        Image rate of a free-running simulated camera [1/s]. 0 means one image at each start of a
-        cycle.
+        Image rate of a free-running camera in the simulation [1/s]. 0 means one image at the start
+        of each cycle.
     rig_file : str
         Rig file of all nodes. Empty for the default rig.
     autostart : bool
-        Whether the driver is configured and activated at the start. If False, it waits until
-        another program does this.
+        Whether the driver is configured and activated at the start. If false, another program must
+        do this.
     one_process : bool
-        Whether all nodes run in one process by `plate_bringup one_process`.
+        Whether `plate_bringup one_process` runs all nodes in one process.
     view : bool
         Whether to show the live page.
     recipe : str
-        Name or path of the feeder's scenario. If empty, `scenario` is used if it is a feed task.
+        Scenario of the feeder: name or path. If it is empty and `scenario` is a feed task,
+        `scenario` is used.
     robot_port : int
-        TCP port on which the feeder serves robots. 0 means any free port.
+        TCP port of the feeder, to which robots connect. 0 means any free port.
     """
 
     scenario: str = "sort_10"
@@ -188,7 +190,7 @@ class RunOptions:
 
     @property
     def feeds(self) -> str:
-        """Scenario of the feeder. Empty if there is no feeder."""
+        """Scenario of the feeder. Empty if the run has no feeder."""
         if self.recipe or self.hardware or self.port or self.camera:
             return self.recipe
         return self.scenario if isinstance(load_scenario(self.scenario).task, FeedTask) else ""
@@ -208,13 +210,13 @@ class RunOptions:
 
     @property
     def over_link(self) -> bool:
-        """Whether the driver is connected to the simulated device."""
+        """Whether the driver is connected to the simulated motor controller."""
         return self.transport == "serial" and not (self.hardware or self.port)
 
     def parameter_file(
         self, nodes: Iterable[GraphNode], given: Collection[str] | None = None, space: str = "**"
     ) -> str:
-        """Return `parameters` of several nodes as a file of ROS parameters.
+        """Return the parameters of several nodes as the text of a ROS parameter file.
 
         Parameters
         ----------
@@ -230,13 +232,14 @@ class RunOptions:
         return str(yaml.safe_dump({name: v for name, v in values.items() if v["ros__parameters"]}))
 
     def parameters(self, node: GraphNode, given: Collection[str] | None = None) -> dict[str, Value]:
-        """Return the parameters of a node that override the values in nodes.yaml.
+        """Return the parameters of a node that differ from nodes.yaml, because options of the run
+        set them.
 
         Parameters
         ----------
         given : names, optional
-            Names of the chosen options. The other options keep their values from nodes.yaml.
-            Default: all options are chosen.
+            Names of the options that set parameters. For the other options, the values in
+            nodes.yaml remain. Default: all options.
         """
         chosen = {option.name for option in fields(self)} if given is None else {*given}
         names = [name for name in OWN.get(node.name, ()) if name in chosen]
@@ -255,7 +258,8 @@ class RunOptions:
                 values["firmware"] = self.firmware
         if node.name == "simulator" and self.over_link:
             values["driven_by"] = "device"
-        serial = self.transport == "serial" and not self.hardware  # hardware.yaml sets it
+        # On hardware, hardware.yaml sets these values.
+        serial = self.transport == "serial" and not self.hardware
         if node.name == "planner" and (self.image_rate > 0 or serial):
             values["camera_triggered"] = False
             if self.transport == "serial":
@@ -267,6 +271,6 @@ class RunOptions:
         if self.lockstep or self.rate != 1 or self.simulated_time:
             if node.on_hardware:
                 values["use_sim_time"] = True
-            if node.name in JUDGING:
+            if node.name in NODES_WITH_TIMEOUT:
                 values["input_timeout_s"] = UNTIMED_S
         return values

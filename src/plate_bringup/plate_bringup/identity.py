@@ -1,4 +1,4 @@
-"""Identity of code, libraries and processor. The results of a seed depend on them."""
+"""Identity of the code, the libraries and the processor, on which the results of a seed depend."""
 
 from __future__ import annotations
 
@@ -28,23 +28,24 @@ __all__ = [
 PACKAGES = (
     "bringup", "core", "driver", "feeder", "native", "planner", "sim", "solver", "vision",
 )  # fmt: skip
-"""Packages `plate_*` on which every run depends."""
+"""Packages on which every run depends. Their names begin with `plate_`."""
 
 LIBRARIES = ("numpy", "scipy", "cv2", "shapely")
 """Modules whose versions can change a result."""
 
 MAX_PATH = 200
-"""Maximum length of a path in a text of a module [characters]."""
+"""Longer texts in a module are not taken for paths [characters]."""
 
 TRIAL, TRIAL_CYCLES = "sort_4", 4
-"""Scenario and number of its cycles that each worker runs for the comparison."""
+"""Scenario of the short runs whose results are compared, and their number of cycles."""
 
 REQUIRED = ("avx2", "fma")
-"""Features of a processor. If a processor has them, the variables `ALIKE` give the same results."""
+"""Features of a processor. On all processors with these features, results are identical if the
+environment variables `ALIKE` are set."""
 
 
 def differences(expected: dict[str, str], found: dict[str, str]) -> list[str]:
-    """Return a text for each fact that differs."""
+    """Return a text for each fact that differs between two processes."""
     return [
         f"{name} is {found.get(name)!r}, allowed: {expected.get(name)!r}"
         for name in expected | found
@@ -56,9 +57,9 @@ def differences(expected: dict[str, str], found: dict[str, str]) -> list[str]:
 def facts(bench: bool = False, modules: tuple[str, ...] = (), agent: str = "") -> dict[str, str]:
     """Return facts about this process that determine the results of a seed.
 
-    The facts are those of `machine`, and digests of the code. If `bench`, they include a digest of
-    `bench` and `tools` of the clone. If there is an agent, they include the files and libraries of
-    its module.
+    The facts are those of `machine`, and digests of the code of the packages. If `bench` is true,
+    they include a digest of `bench` and `tools` of the clone. If `agent` is given, they include the
+    files and libraries of this module.
     """
     found = machine() | {"code of the packages": code_of_packages()}
     found |= {f"code of {name}": code_of(name) for name in modules}
@@ -72,9 +73,9 @@ def facts(bench: bool = False, modules: tuple[str, ...] = (), agent: str = "") -
 
 @lru_cache
 def machine() -> dict[str, str]:
-    """Return the facts that do not depend on the code: versions of Python, C library and
-    `LIBRARIES`, environment variables `ALIKE`, and processor. A digest of the first cycles of short
-    runs is added, because compilers and BLAS libraries can also change results."""
+    """Return facts about the computer: the versions of Python, the C library and `LIBRARIES`, the
+    environment variables `ALIKE`, and the processor. A digest of the first cycles of short runs is
+    included, because compilers and BLAS libraries can also change results."""
     found = {
         "Python": ".".join(platform.python_version_tuple()[:2]),
         "C library": " ".join(platform.libc_ver()),
@@ -88,8 +89,8 @@ def machine() -> dict[str, str]:
 
 
 def _processor(alike: bool) -> str:
-    """Return the model of the processor. If only the required features determine the results,
-    return these features."""
+    """Return the model of the processor. If `alike` and the processor has the features `REQUIRED`,
+    return these features instead, because then only they determine the results."""
     lines = [line.partition(":") for line in Path("/proc/cpuinfo").read_text().splitlines()]
     about = {name.strip(): value.strip() for name, _, value in reversed(lines)}
     if alike and set(REQUIRED) <= set(about.get("flags", "").split()):
@@ -100,7 +101,8 @@ def _processor(alike: bool) -> str:
 
 @lru_cache
 def code_of_packages() -> str:
-    """Return a digest of `PACKAGES`, with their kernels and the configuration."""
+    """Return a digest of the sources of `PACKAGES`, including their kernels and the
+    configuration."""
     return code_of(*(f"plate_{name}" for name in PACKAGES))
 
 
@@ -123,11 +125,12 @@ def code_of(*modules: str) -> str:
 
 
 def files_of(module: str) -> dict[str, str]:
-    """Return digests of the files of a module of others, by path. The module is not imported.
+    """Return digests of the files of another person's module, by path. The module is not imported.
 
-    Of a package, these are all files in its folder, except hidden files and bytecode. Of a module
-    in a single file, these are this file and the files in its folder that it names: modules that it
-    imports, and texts in quotes such as "weights.npz". The result is empty if there is no module.
+    For a package, these are all files in its folder, except hidden files and bytecode. For a module
+    in a single file, these are this file and the files in its folder that it names. It can name
+    them by an import, or by a text such as "weights.npz". If the module does not exist, the result
+    is empty.
     """
     files = _files(module)
     if not files:
@@ -142,7 +145,7 @@ def files_of(module: str) -> dict[str, str]:
 
 
 def libraries_of(module: str) -> dict[str, str]:
-    """Return the versions of the installed distributions that the files of a module import."""
+    """Return the versions of the installed libraries that the files of a module import."""
     names = {name for path in _files(module) for name in _named_in(path)[0]}
     among = packages_distributions() if names else {}
     own = {f"plate_{name}" for name in PACKAGES}
@@ -154,7 +157,7 @@ def libraries_of(module: str) -> dict[str, str]:
 
 
 def _files(module: str) -> list[Path]:
-    """Return the files of `files_of`, first that of the module."""
+    """Return the paths of the files of `files_of`. The file of the module is first."""
     spec = _spec(module)
     if spec is None or spec.origin is None or not Path(spec.origin).is_file():
         return []
@@ -167,12 +170,13 @@ def _files(module: str) -> list[Path]:
         path = waiting.pop()
         found.add(path)
         imported, texts = _named_in(path)
-        # In a folder of installed libraries, the neighbours are other libraries.
+        # In a folder of installed libraries, the other files belong to other libraries.
         near = set() if first.parent.name.endswith("-packages") else imported
         places = [first.parent, *(first.parent / text for text in texts)]
         named = {folder / text for folder in places if os.path.isdir(folder) for text in texts}
         named |= {first.parent / f"{name}.py" for name in near}
-        waiting |= {path for path in named if os.path.isfile(path)}  # False if a name is too long
+        # Os.path.isfile is False, not an error, if a name is too long.
+        waiting |= {path for path in named if os.path.isfile(path)}
         for name in near:
             if (first.parent / name / "__init__.py").is_file():
                 waiting |= _all_files(first.parent / name)
@@ -193,8 +197,8 @@ def _all_files(folder: Path) -> set[Path]:
 
 
 def _named_in(path: Path) -> tuple[set[str], set[str]]:
-    """Return the top-level names of the modules that a Python file imports, and its texts that can
-    be paths in its folder. Both are empty if it is no Python file."""
+    """Return the top-level names of the modules that a Python file imports, and the texts in the
+    file that can be paths of files in its folder. For other files, both are empty."""
     imported: set[str] = set()
     texts: set[str] = set()
     try:
@@ -217,12 +221,12 @@ def _named_in(path: Path) -> tuple[set[str], set[str]]:
 def _spec(module: str) -> ModuleSpec | None:
     try:
         return find_spec(module)
-    except ValueError:  # raised for names such as __main__
+    except ValueError:  # find_spec raises it for names such as __main__
         return None
 
 
 def _digest(mark: Any, place: Path, name: str) -> None:
-    """Add the sources in a folder to a digest."""
+    """Add the sources in the folder `place` to the digest `mark`."""
     for path in sorted(place.rglob("*")):
         if path.suffix in (".py", ".hpp", ".cpp", ".yaml"):
             mark.update(f"{name}/{path.relative_to(place).as_posix()}\n".encode())
@@ -241,7 +245,7 @@ def _code_of_bench() -> str:
 
 
 def clone() -> Path | None:
-    """Return the clone from which this package was installed. None if there is none."""
+    """Return the clone from which this package was installed, or None if there is no clone."""
     parents = Path(__file__).resolve().parents
     return next((folder for folder in parents if (folder / "bench/harness").is_dir()), None)
 

@@ -1,9 +1,9 @@
-"""The closed loop without ROS. The loop runs the same cores as the nodes, in one process.
+"""Closed loop without ROS. It runs the same code as the nodes, in one process.
 
-As in the graph, image k is taken at the start of cycle k. The cycle that is computed from this
-image is executed as cycle k + 1. A free-running camera takes images at any time. The loop then
-computes each cycle shortly before the present cycle ends. If no new cycle arrives, the plate
-repeats the present one. An argument selects the transport of cycles to the plate: immediate
+As with the nodes, image k is taken at the start of cycle k, and the cycle that is computed from
+this image is executed as cycle k + 1. With a free-running camera, images are taken at any time, and
+the loop computes each cycle shortly before the present cycle ends. If no new cycle arrives, the
+plate repeats the present cycle. The transport sends the cycles to the plate: immediately
 (`Direct`), or over a serial line (`SerialLine` of `bench/harness/serial.py`).
 """
 
@@ -21,11 +21,11 @@ from typing import Any, Protocol
 import numpy as np
 
 from plate_core import (
+    CycleRequest,
     Parts,
     PlateCycle,
     PlateError,
     Rig,
-    Wanted,
     did_you_mean,
     load_rig,
 )
@@ -72,29 +72,40 @@ from plate_vision.bare_plate import BARE_IMAGES, BarePlate, know_plate
 from .views import view_from, with_height
 
 __all__ = [
-    "ALIKE", "Cell", "Direct", "Moment", "Scene", "Setup",
-    "Transport", "as_asked", "load_planner", "predicted", "run", "seen_by", "summary",
+    "ALIKE",
+    "Cell",
+    "Direct",
+    "Moment",
+    "Scene",
+    "Setup",
+    "Transport",
+    "is_fulfilled",
+    "load_planner",
+    "predicted",
+    "run",
+    "summary",
     "with_settings",
+    "with_setup_camera",
 ]  # fmt: skip
 
 ALIKE = {
     "OPENBLAS_CORETYPE": "Haswell", "NPY_DISABLE_CPU_FEATURES": "X86_V4 AVX512_ICL AVX512_SPR",
 }  # fmt: skip
-"""Environment variables for reproducible runs. With them, the run of a seed is identical to the
-last bit on every processor with AVX2 and FMA. Libraries read these variables when they are
-loaded."""
+"""Environment variables for reproducible runs. With them, the results of a seed are identical on
+all processors with AVX2 and FMA. They must be set before libraries are loaded."""
 
 EFFORT = ("iterations", "restarts")
-"""Options of the solvers. Larger values improve the result and increase the computing time."""
+"""Options of the solvers. Larger values improve the results and increase the computing time."""
 
 MOMENT_S = 1e-6
-"""Minimum time between two events [s]."""
+"""Minimum time by which the loop advances [s]."""
 
 CAMERA = ("exposure_s", "readout_s")
-"""Data of the rig's camera that settings can replace."""
+"""Data of the rig's camera that settings of the command line can replace."""
 
 VIEW = ("tilt_deg", "towards_deg", "focal_px", "distance_m")
-"""Arguments of `view_from` that are settings. The settings have the prefix `camera_`."""
+"""Arguments of `view_from` that settings of the command line can set. The names of these settings
+begin with `camera_`."""
 
 PLANNER_BYTES = 1_000_000
 """Maximum size of a planner's Python file [bytes]."""
@@ -105,17 +116,17 @@ NUMBERS = {
     "camera_focal_px": (50.0, 20000.0), "camera_distance_m": (0.0, 100.0),
     "rig_height_m": (0.0, MAX_HEIGHT_M),
 }  # fmt: skip
-"""Numeric settings, and their allowed ranges."""
+"""Settings of the command line that are numbers, with their allowed ranges."""
 
 
 @dataclass(frozen=True)
 class Setup:
-    """Settings of one run: task, method and simulated world.
+    """Settings of a run: task, method and simulated world.
 
     Attributes
     ----------
     scenario : str or Scenario
-        Scenario, or the name or path of a scenario.
+        Scenario, or its name or path.
     seed : int
         Random seed of the start positions, the image noise and the solver's restarts.
     method : str
@@ -123,29 +134,28 @@ class Setup:
     noise : float
         Standard deviation of the image noise [grey levels].
     mu_scale : float
-        Ratio of the true friction to the friction in the rig [-].
+        True friction divided by the friction in the rig.
     disturbances : Disturbances
         Disturbances of the simulated world.
     planner : PlannerOptions
     exposure_s, readout_s : float or None
-        Values that replace the values of the rig's camera [s]. If None, the values of the rig are
-        used.
+        Values for the rig's camera [s]. None means the values of the rig.
     camera_tilt_deg, camera_towards_deg, camera_focal_px, camera_distance_m : float or None
-        If one of them is given, `view_from` moves the camera. `view_from` uses its defaults for the
-        others.
+        If one of these values is given, the camera is moved as by `view_from`. None means the
+        default of `view_from`.
     rig_height_m : float or None
-        Height of all parts in the rig model that all stages use [m]. If None, the height in the rig
-        file is used.
+        Height of all parts in the rig model that all stages use [m]. None means the height in the
+        rig file.
     image_age_s : float or None
-        Image latency that the planner assumes [s]. If it is None, the planner estimates the
+        Image latency that the planner assumes [s]. None means that the planner estimates the
         latency.
     effort : mapping of str to int
-        Options `iterations` and `restarts` of the solver, if they differ from the defaults of
+        Options `iterations` and `restarts` of the solver that differ from the defaults of
         `Controller`.
     own_planner : str
         Python file with a class `OwnPlanner`, which requests the forces. The project's planner then
-        only supervises the task. The planner decides whether the task is done, stuck or has lost a
-        part, and it requests rest for the image that confirms the result.
+        only supervises the task: it decides whether the task is done or stuck and whether a part is
+        lost, and it requests a cycle at rest for the image that confirms the result.
     """
 
     scenario: str | Scenario
@@ -168,16 +178,17 @@ class Setup:
 
     @property
     def recipe(self) -> Scenario:
-        """The scenario. The scenario is loaded if only its name or path is given."""
+        """Scenario. If a name or path is given, the scenario is loaded."""
         return (
             self.scenario if isinstance(self.scenario, Scenario) else load_scenario(self.scenario)
         )
 
 
 def with_settings(setup: Setup, settings: Mapping[str, str]) -> Setup:
-    """Apply settings `key=value` of the command line to a setup.
+    """Return a setup to which settings `key=value` of the command line are applied.
 
-    Keys are the fields of `Setup`, `Disturbances` and `FollowOptions`, and the options in `EFFORT`.
+    Allowed keys are the fields of `Setup`, `Disturbances` and `FollowOptions`, and the options in
+    `EFFORT`.
 
     Raises
     ------
@@ -247,10 +258,10 @@ class Moment:
         True state of the parts at this time.
     parts : Parts
         Detected parts.
-    wanted : Wanted
+    request : CycleRequest
         Request to the solver.
     answer : Answer
-        Result of the solver. The result contains the cycle that is executed next.
+        Result of the solver, with the cycle that is executed next.
     progress : Progress
     image : (H, W)
         Last camera image.
@@ -259,24 +270,25 @@ class Moment:
     step_s : float
         CPU time from the image to the motors' table [s].
     limit_share, force_share, heat_share : float
-        Used fractions of the limits by the motors' table [-]: maximum over all limits, peak force,
-        and continuous force if the table is repeated continuously.
+        Fractions of the limits that the motors' table uses: the maximum over all limits, the
+        fraction of the peak force, and the fraction of the continuous force if the table is
+        repeated without end.
     scaled : bool
-        Whether the driver had to scale the cycle down to these limits.
+        Whether the driver scaled the cycle down, because it exceeded the limits.
     error_m : (P,)
         True distance of each detected part from its reference or target at the start of the running
-        cycle [m]. Empty in a sort task.
+        cycle [m]. Empty for a sort task.
     turn_error : (P,)
-        True angle error of each part in a pose task [rad].
+        True angle error of each part in a pose task [rad]. Empty for other tasks.
     held : int
-        Number of times that the cycle was repeated since the last image, because no new image
+        Number of times that a cycle was repeated since the last image, because no new cycle had
         arrived.
     """
 
     time: float
     world: WorldState
     parts: Parts
-    wanted: Wanted
+    request: CycleRequest
     answer: Answer
     progress: Progress
     image: np.ndarray
@@ -292,7 +304,7 @@ class Moment:
 
 
 class Transport(Protocol):
-    """Transport of cycles to the plate, and motion of the plate.
+    """Transport of cycles to the plate, which also returns the motion of the plate.
 
     Attributes
     ----------
@@ -308,39 +320,39 @@ class Transport(Protocol):
 
     @property
     def running(self) -> PlateCycle:
-        """The running cycle, or the running tail of a cycle."""
+        """Running cycle, or running tail of a cycle."""
 
     def send(self, table: MotorTable) -> None:
         """Send the table of the next cycle."""
 
     def play(self, until: float) -> Sequence[PlateCycle | PlateMotion]:
         """Advance the time to the start of the next cycle, but at most to `until` [s]. Return the
-        motions of the plate in this time."""
+        motions of the plate during this time."""
 
 
 class Scene(Protocol):
-    """The parts that the loop moves, and the detection of these parts."""
+    """Interface of the parts on the plate, and of their detection."""
 
     @property
     def state(self) -> WorldState:
-        """Present true state of the parts."""
+        """True state of the parts at the present time."""
 
     def shots(self, begin: float) -> Iterator[Shot]:
-        """Return the images of a free-running camera from the time `begin` [s] on."""
+        """Return the times of the images of a free-running camera from the time `begin` [s] on."""
 
     def capture(self, age: float | None = None) -> np.ndarray | None:
-        """Return an image (H, W) of the present, or of the time `age` [s] ago. Return None if there
-        is no image."""
+        """Return an image (H, W) that was taken `age` [s] ago, or None if the image is missing. If
+        `age` is None, the image is taken now."""
 
     def see(self, image: np.ndarray, stamp: float, expected: Prediction | None) -> Parts:
-        """Return the parts detected in an image with this stamp [s]."""
+        """Return the parts that are detected in an image. `stamp` is the stamp of the image [s]."""
 
     def run(self, motion: PlateCycle | PlateMotion) -> None:
-        """Move the plate. The parts move with the plate."""
+        """Move the plate, and simulate the parts during this motion."""
 
 
-class Watched:
-    """The parts of the simulator. Vision detects them in the images of the simulated camera."""
+class SimulatedScene:
+    """Parts of the simulator. Vision detects them in the images of the simulated camera."""
 
     def __init__(self, setup: Setup, scenario: Scenario, rig: Rig) -> None:
         self.simulation = Simulation(
@@ -382,28 +394,29 @@ class Watched:
 
 
 class Cell(Protocol):
-    """The surroundings of the plate in a feed task, for example hopper and robot. The surroundings
-    control the task."""
+    """Interface of the surroundings of the plate in a feed task, for example hopper and robot. They
+    order what the planner must do."""
 
     def act(self, simulation: Simulation, now: float) -> None:
-        """Perform all actions that are due at the time `now` [s]. This is done before an image is
-        taken."""
+        """Perform all actions that are due at the time `now` [s]. The loop calls this method before
+        it takes an image."""
 
     def order(self, report: FeedReport, now: float) -> FeedOrder:
-        """Process the report of the last image. Return the order for the task that applies from
-        `now` [s] on."""
+        """Process the planner's report on the last image. Return the order for the planner that
+        applies from `now` [s] on."""
 
 
 class ControlLaw(Protocol):
-    """A planner that is provided by the user. The planner is created with the rig, and called once
-    per image."""
+    """Interface of a user's planner. The loop creates it with the rig, and calls it once per
+    image."""
 
-    def plan(self, parts: Parts, t: float) -> Wanted:
-        """Return the requested mean force on each part. `t` is the stamp of the image [s]."""
+    def plan(self, parts: Parts, t: float) -> CycleRequest:
+        """Return the request for the mean forces on the parts. `t` is the stamp of the image
+        [s]."""
 
 
 def load_planner(path: str, rig: Rig) -> ControlLaw:
-    """Load the class `OwnPlanner` from a Python file, and return an instance of it.
+    """Load the class `OwnPlanner` from a Python file, and return an instance.
 
     Raises
     ------
@@ -428,8 +441,8 @@ def load_planner(path: str, rig: Rig) -> ControlLaw:
 
 
 class Direct:
-    """Immediate transport to the simulator. If a cycle is sent while another one is running, it is
-    executed after the running one."""
+    """Immediate transport to the simulator. A cycle that is sent is executed after the running
+    cycle."""
 
     def __init__(self) -> None:
         self.now = 0.0
@@ -437,7 +450,7 @@ class Direct:
 
     @property
     def running(self) -> PlateCycle:
-        """The running cycle."""
+        """Running cycle."""
         return self._timeline.cycle
 
     @property
@@ -450,8 +463,8 @@ class Direct:
         self._timeline = self._timeline.send(table.cycle)
 
     def play(self, until: float) -> list[PlateCycle | PlateMotion]:
-        """Advance the running cycle to its end, but at most to `until` [s]. Return the motion in
-        this time."""
+        """Advance the time to the end of the running cycle, but at most to `until` [s]. Return the
+        motion of the plate during this time."""
         played, began, end = self.running, self.began, self._timeline.end
         until = until if until < end - MOMENT_S else end
         begin, stop = self.now - began, min(until - began, played.period)
@@ -470,16 +483,16 @@ def run(
     cell: Cell | None = None,
     scene: Scene | None = None,
 ) -> Iterator[Moment]:
-    """Run the loop until the task has ended. Yield a `Moment` for each computed cycle.
+    """Run the loop until the task has ended. For each computed cycle, yield a `Moment`.
 
-    `drag` is a function of the time [s]. The function returns new targets for a running move task.
-    `cell` is used in a feed task. `scene` provides the parts. By default, these are the parts of
+    `drag` is a function of the time [s] that returns new targets for a running move task. `cell` is
+    the surroundings in a feed task. `scene` provides the parts. By default, these are the parts of
     the simulator.
     """
     line = transport or Direct()
     scenario = setup.recipe
-    rig = seen_by(setup, rig or load_rig(scenario.rig))
-    scene = scene or Watched(setup, scenario, rig)
+    rig = with_setup_camera(setup, rig or load_rig(scenario.rig))
+    scene = scene or SimulatedScene(setup, scenario, rig)
     planner = Planner(rig, scenario, replace(setup.planner, image_age_s=setup.image_age_s))
     state = planner.start(planner.initial())
     own = load_planner(setup.own_planner, rig) if setup.own_planner else None
@@ -496,7 +509,7 @@ def run(
             state = planner.started(state, line.running, began, not free)
         new, stamp = None, now
         if cell is not None:
-            assert isinstance(scene, Watched)
+            assert isinstance(scene, SimulatedScene)
             cell.act(scene.simulation, now)
             world = scene.state
         if shot is None:
@@ -514,19 +527,19 @@ def run(
                 planner, state, _ = planner.retarget(state, drag(now))
             if cell is not None and state.memory is not None:
                 planner = planner.order(state, cell.order(state.memory.report, now))
-            state, wanted, progress = planner.answer(state)
-            expected = predicted(wanted, state)
-            # Before the task is confirmed, the plate must rest for an image. This requirement also
-            # applies to a user's planner.
+            state, request, progress = planner.answer(state)
+            expected = predicted(request, state)
+            # The result of a task is confirmed with an image that is taken at rest. For this image,
+            # the request of a user's planner is ignored.
             if own is not None and not state.task.held(state.estimator.stamp, planner.limits):
-                wanted = own.plan(parts, began)
-                if not isinstance(wanted, Wanted):
+                request = own.plan(parts, began)
+                if not isinstance(request, CycleRequest):
                     raise PlateError(
-                        f"planner {setup.own_planner}: plan returned {type(wanted).__name__}, "
-                        "allowed: a plate_core.Wanted"
+                        f"planner {setup.own_planner}: plan returned {type(request).__name__}, "
+                        "allowed: a plate_core.CycleRequest"
                     )
             solving = cpu_time()
-            answer = controller.answer(wanted, line.running)
+            answer = controller.answer(request, line.running)
             solve_s = cpu_time() - solving
             table, fitted = prepare(rig, answer.cycle, round(began * 1e9), before=(line.running,))
             line.send(table)
@@ -535,7 +548,7 @@ def run(
             error, turned = _true_errors(planner.scenario, rig, state, parts, start, began)
             used = fitted.usage
             yield Moment(
-                began, start, parts, wanted, answer, progress, image, solve_s, step_s,
+                began, start, parts, request, answer, progress, image, solve_s, step_s,
                 used.overall, used.force / rig.limits.force,
                 float(np.sqrt(np.max(used.thermal_load))), fitted.factor < 1, error, turned,
                 max(held, 0),
@@ -549,16 +562,16 @@ def run(
             scene.run(motion)
 
 
-def predicted(wanted: Wanted, state: PlannerState) -> Prediction | None:
-    """Return the positions of the parts that the planner predicts for the next start of a cycle.
-    None if the planner's request contains no prediction."""
-    if wanted.start is None:
+def predicted(request: CycleRequest, state: PlannerState) -> Prediction | None:
+    """Return the positions of the parts that the planner predicts for the start of the next cycle,
+    or None if the planner's request contains no prediction."""
+    if request.start is None:
         return None
-    return Prediction(wanted.parts.ids, state.estimator.next_start, wanted.start[:, :2])
+    return Prediction(request.parts.ids, state.estimator.next_start, request.start[:, :2])
 
 
-def seen_by(setup: Setup, rig: Rig) -> Rig:
-    """Return the rig with the camera and the part heights of the setup."""
+def with_setup_camera(setup: Setup, rig: Rig) -> Rig:
+    """Return the rig with the camera and the part height of the setup."""
     view = {key: getattr(setup, f"camera_{key}") for key in VIEW}
     if any(value is not None for value in view.values()):
         rig = view_from(rig, **{key: value for key, value in view.items() if value is not None})
@@ -576,9 +589,8 @@ def _true_errors(
     world: WorldState,
     t: float,
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Return the true position errors (P,) [m] of the parts relative to their references or
-    targets. In a pose task, also return their angle errors (P,) [rad]. Both arrays are empty if no
-    errors are defined yet."""
+    """Return the true distances of the parts from their references or targets (P,) [m], and in a
+    pose task their angle errors (P,) [rad]. Arrays without defined errors are empty."""
     task, true, none = scenario.task, world.position, np.zeros(0)
     if not len(true):
         return none, none
@@ -595,7 +607,8 @@ def _true_errors(
         place = {target.id: target.place for target in task.targets}
         goal = np.array([place[name] for name in true_parts.ids]).reshape(-1, 2)
         return np.hypot(*(true_parts.position - goal).T), none
-    if not isinstance(task, FollowTask) or state.memory.leading:  # the paths have not begun
+    # Before the references start, there are no errors.
+    if not isinstance(task, FollowTask) or state.memory.leading:
         return none, none
     reference = Follower(task, rig).reference(state.memory, t)
     seen = dict(zip(parts.ids, parts.position, strict=True))
@@ -607,19 +620,21 @@ def _true_errors(
     return np.array(errors), none
 
 
-def _named(parts: Parts, wanted: tuple[str, ...], world: WorldState) -> Parts:
-    """Return the true parts that are nearest to the detected parts with the ids `wanted`. The true
-    parts get these ids."""
-    ids = [name for name in wanted if name in parts.ids]
+def _named(parts: Parts, names: tuple[str, ...], world: WorldState) -> Parts:
+    """Return the true parts that are nearest to the detected parts whose ids are in `names`. The
+    true parts have these ids."""
+    ids = [name for name in names if name in parts.ids]
     seen = parts.position[[parts.ids.index(name) for name in ids]]
     rows = [int(np.argmin(np.sum((world.position - place) ** 2, axis=1))) for place in seen]
     return Parts.make(tuple(ids), world.position[rows], angle=world.angle[rows])
 
 
-def as_asked(task: Task, rig: Rig, moment: Moment, error: np.ndarray) -> bool:
-    """Whether the final true state of the parts fulfils the task. All parts must be on the plate.
+def is_fulfilled(task: Task, rig: Rig, moment: Moment, error: np.ndarray) -> bool:
+    """Return whether the task is fulfilled by the final true state of the parts. All parts must be
+    on the plate.
 
-    `error` (n,) [m] are the distances of the parts from their references that count for this task.
+    `error` (n,) contains the distances of the parts from their references that must be within the
+    tolerance [m].
     """
     if moment.world.dropped:
         return False
@@ -638,7 +653,7 @@ def as_asked(task: Task, rig: Rig, moment: Moment, error: np.ndarray) -> bool:
 
 
 def summary(setup: Setup, rig: Rig, transport: Transport | None = None) -> dict[str, object]:
-    """Run the loop. Return the row that `bench/closed_loop.py` prints."""
+    """Run the loop until the task has ended. Return the row that `bench/closed_loop.py` prints."""
     solve_s, step_s, errors, misses, requests = [], [], [], [], []
     shares, scaled, held, late = [], 0, 0, 0
     task, cycles = setup.recipe.task, hashlib.blake2b(digest_size=8)
@@ -658,10 +673,11 @@ def summary(setup: Setup, rig: Rig, transport: Transport | None = None) -> dict[
         errors.append(moment.error_m)
     stay = isinstance(task, PoseTask) and all(pose.place is None for pose in task.poses)
     all_along = stay or isinstance(task, FollowTask)
-    # In other tasks, only the error at the end counts.
+    # In tasks other than these, only the error at the end counts.
     error = np.concatenate(errors) if all_along else errors[-1]
     turned = np.degrees(np.max(moment.turn_error, initial=0.0))
-    milliseconds = 1e3 * np.array(solve_s[1:] or [0.0])  # omit the first cycle, which makes tables
+    # The first cycle is omitted, because tables are computed in it.
+    milliseconds = 1e3 * np.array(solve_s[1:] or [0.0])
     steps = 1e3 * np.array(step_s[1:] or [0.0])
     most = np.max(shares, axis=0).tolist()
     return {
@@ -669,7 +685,7 @@ def summary(setup: Setup, rig: Rig, transport: Transport | None = None) -> dict[
         "seed": setup.seed,
         "method": setup.method,
         "cycles": cycles.hexdigest(),
-        "success": moment.progress.phase == "done" and as_asked(task, rig, moment, error),
+        "success": moment.progress.phase == "done" and is_fulfilled(task, rig, moment, error),
         "message": moment.progress.text,
         "time_s": round(moment.progress.time_s, 3),
         "dropped": moment.world.dropped,

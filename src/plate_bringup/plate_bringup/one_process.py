@@ -1,4 +1,4 @@
-"""Runs all nodes of the loop in one process and one executor. One process is useful on small
+"""Program that runs all nodes of the loop in one process and one executor. This is useful on small
 computers and for debugging."""
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ from .graph import RunOptions, load_graph
 
 
 def main() -> None:
-    """Run the nodes that are named on the command line."""
+    """Run the nodes that the command line names."""
     graph = {node.name: node for node in load_graph()}
     default = [node.name for node in RunOptions().nodes(graph.values())]
     parser = argparse.ArgumentParser(

@@ -1,10 +1,9 @@
-"""Simulated production with a feeder and a robot that picks parts. The simulation runs in simulated
-time and without ROS.
+"""Simulated production, without ROS: a robot picks parts that a feeder presents.
 
-The simulation uses the control loop of `loop`, the rules of the feeder, and the hopper and robot of
-the simulator. At the beginning the plate is almost empty. Therefore production starts with a heap
-of parts from the hopper. The result is a `Production` with the number of parts per minute and the
-robot's waiting time.
+The simulation consists of the control loop of `loop`, the rules of the feeder, and the hopper and
+robot of the simulator. At the beginning, the plate is almost empty, so production starts with a
+heap of parts from the hopper. The result is a `Production`, which contains the number of parts per
+minute and the robot's waiting time.
 """
 
 from __future__ import annotations
@@ -31,16 +30,16 @@ __all__ = [
 ]  # fmt: skip
 
 LEAVES = 0.15
-"""Time from a grip until the robot has left the image [fraction of its cycle]."""
+"""Time from a grip until the robot has left the image, divided by the robot's cycle."""
 
 ASKS = 0.6
-"""Time from a grip until the robot requests the next part [fraction of its cycle]."""
+"""Time from a grip until the robot requests the next part, divided by the robot's cycle."""
 
 COMES = 0.85
-"""Time from a grip until the robot enters the image again [fraction of its cycle]."""
+"""Time from a grip until the robot enters the image again, divided by the robot's cycle."""
 
 AGAIN = 0.1
-"""Time after a refusal until the robot requests a part again [fraction of its cycle]."""
+"""Time from a refusal until the robot requests a part again, divided by the robot's cycle."""
 
 SHORT_S = 1e-9
 """Tolerance for rounding errors of times [s]."""
@@ -59,13 +58,14 @@ class Act(Enum):
 
 @dataclass(frozen=True)
 class Robot:
-    """A robot that picks one part per cycle. The length of the cycle is C.
+    """Robot that picks one part per cycle of the length C.
 
-    The robot grips at time 0. The robot detects immediately whether it has the part. The robot
-    hides a part of the image until 0.15 C. Then it reports the result. At 0.6 C it requests the
-    next part. If the reply arrives in time, the robot enters the image at 0.85 C and grips at C.
-    Otherwise it waits outside the image for the reply, and grips 0.15 C after the reply. This wait
-    is the measured waiting time. A failed grip takes as long as a successful one.
+    The times are measured from a grip. At 0, the robot detects whether it holds the part. Until
+    0.15 C, it hides a region of the image. Then it reports to the feeder whether it has the part.
+    At 0.6 C, it requests the next part. If the reply arrives in time, the robot enters the image at
+    0.85 C and grips at C. Otherwise it waits outside the image, enters the image when the reply
+    arrives, and grips 0.15 C later. Only this delay counts as waiting time. A failed grip takes as
+    long as a successful grip.
 
     Attributes
     ----------
@@ -75,9 +75,9 @@ class Robot:
         Time of the last grip [s].
     next : Act
     place : (x, y, angle) or None
-        Pose of the next grip [m, m, rad, plate_home]. None if it is not known yet.
+        Pose of the next grip [m, m, rad, plate_home]. None until the feeder has replied.
     answered : float
-        Time of the reply that contains this pose [s].
+        Time of the reply that contains the pose of the next grip [s].
     refused : float
         Time of the last refusal [s].
     """
@@ -94,9 +94,9 @@ class Robot:
         """Return a robot that requests its first part at time 0."""
         return cls(cycle_s, -ASKS * cycle_s, Act.ASK)
 
-    def told(self, place: tuple[float, float, float] | None, now: float) -> Robot:
+    def after_reply(self, place: tuple[float, float, float] | None, now: float) -> Robot:
         """Return the robot after it has received a reply at the time `now` [s]. `place` is the pose
-        of the part [m, m, rad, plate_home], or None if there is no part."""
+        of the part [m, m, rad, plate_home], or None if the reply contains no part."""
         if place is None:
             return replace(self, next=Act.ASK, refused=now)
         return replace(self, place=place, answered=now)
@@ -114,8 +114,8 @@ class Robot:
         return comes if self.next is Act.COME else comes + (1 - COMES) * self.cycle_s
 
     def step(self, now: float) -> tuple[Robot, Act | None]:
-        """Return the robot after the first action that is due at `now` [s], and return this action.
-        The action is None if no action is due."""
+        """Perform the first action that is due at `now` [s]. Return the robot after this action,
+        and the action. If no action is due, the action is None."""
         if self.due > now + SHORT_S:
             return self, None
         act = self.next
@@ -125,7 +125,7 @@ class Robot:
         return replace(self, next=follows[act]), act
 
     def waited(self, now: float) -> float:
-        """Return the robot's waiting time for its next part until `now` [s]."""
+        """Return how long the robot has waited for its next part until `now` [s]."""
         until = now if self.place is None else self.answered
         return max(0.0, until - self.since - COMES * self.cycle_s)
 
@@ -139,14 +139,13 @@ class Tally:
     time_s : float
         Elapsed time [s].
     first_s : float
-        Time of the first successful grip [s]. NaN if there was none.
+        Time of the first successful grip [s]. NaN before the first successful grip.
     picks, failed : int
         Number of successful grips and number of failed grips.
     waited_s : float
-        Total time after the first pick for which the robot waited [s].
+        Total time for which the robot waited since the first pick [s].
     error_m, error_rad : list of float
-        Differences between the reported and the true position [m] and angle [rad] of each part at
-        the grip.
+        Errors of the position [m] and the angle [rad] that the feeder reported, one for each grip.
     refused : list of str
         Code and text of each reply to the robot's requests that contained no part.
     cpu_s : float
@@ -182,23 +181,23 @@ class Production:
     Attributes
     ----------
     parts_per_min : float
-        Number of parts that were picked after the first one, divided by the time since the first
-        pick [1/min]. If only one part was picked, this part is divided by the whole time.
+        Number of picks after the first pick, divided by the time since the first pick [1/min]. If
+        there was only one pick: 1 divided by the whole time.
     waiting : float
-        Fraction of the time since the first pick in which the robot waited for a part [-]. 1 if
-        there was no second pick.
+        Time for which the robot waited, divided by the time since the first pick. 1 if there was no
+        second pick.
     first_s : float
         Time until the first pick [s].
     picks, failed : int
         Number of successful grips and number of failed grips.
     lost, discharged : int
-        Number of lost parts and number of discharged parts. A part is lost if it fell over an edge
-        without the chute, or if it was requested and fell over the chute's edge. Discharged parts
-        are all other parts that fell over the chute's edge.
+        Numbers of parts that left the plate. A part is lost if it left over an edge without the
+        chute, or if it is of a requested class and left over the edge with the chute. Other parts
+        that left over the edge with the chute are discharged.
     error_mm, error_deg : (median, 95th percentile, maximum)
         Errors of the reported positions and angles of the parts at the grip.
     cpu : float
-        CPU time per simulated second, without the CPU time of the simulator [-].
+        CPU time per simulated second, without the CPU time of the simulator.
     refused : tuple of str
         Code and text of each reply to the robot's requests that contained no part.
     """
@@ -217,7 +216,7 @@ class Production:
 
     @classmethod
     def of(cls, tally: Tally, robot: Robot, simulation: Simulation, task: FeedTask) -> Production:
-        """Return the result of the production until now, computed from the counters."""
+        """Return the result of a production until now."""
         astray = sum(simulation.chuted_classes[pick.label] for pick in task.picks)
         counts = tally.picks >= 2
         since = tally.time_s - tally.first_s if counts else max(tally.time_s, SHORT_S)
@@ -238,13 +237,13 @@ class Production:
 
     @property
     def row(self) -> dict[str, Any]:
-        """The result as a dictionary that can be converted to JSON."""
+        """Result as a dictionary that can be converted to JSON."""
         return asdict(self)
 
 
 def percentiles(values: Sequence[float], unit: float) -> tuple[float, float, float]:
-    """Return median, 95th percentile and maximum of the finite values, multiplied by `unit`. NaN if
-    there are none."""
+    """Return the median, the 95th percentile and the maximum of the finite values, multiplied by
+    `unit`. Without finite values, return NaN."""
     there = unit * np.array([value for value in values if np.isfinite(value)])
     if not len(there):
         return (np.nan, np.nan, np.nan)
@@ -252,7 +251,7 @@ def percentiles(values: Sequence[float], unit: float) -> tuple[float, float, flo
 
 
 class FeederCell:
-    """The surroundings of the plate: the rules of the feeder, the hopper and a robot.
+    """Surroundings of the plate in production: the rules of the feeder, the hopper and a robot.
 
     Attributes
     ----------
@@ -266,7 +265,7 @@ class FeederCell:
     def __init__(self, task: FeedTask, rig: Rig, cycle_s: float) -> None:
         self.feeder, self.robot, self.tally = Feeder(task, rig), Robot.ready(cycle_s), Tally()
         self.simulation: Simulation | None = None
-        # Id of the part of the robot, and whether the robot holds this part.
+        # Id of the part that the robot requested, and whether the robot holds this part.
         self._id, self._has = "", False
 
     def act(self, simulation: Simulation, now: float) -> None:
@@ -278,7 +277,7 @@ class FeederCell:
             if act is None:
                 return
             if act is Act.ASK:
-                self._hear(self.feeder.get_part(CLIENT, now=now), now)
+                self._process_reply(self.feeder.get_part(CLIENT, now=now), now)
             elif act is Act.LEAVE:
                 simulation.move_robot(Move.AWAY)
                 self.feeder.part_taken(CLIENT, self._id, self._has)
@@ -294,27 +293,28 @@ class FeederCell:
         self.feeder.receive_status(status_of(report), now)
         output = self.feeder.step(now)
         if output.open_s is not None and self.simulation is not None:
-            with suppress(PlateError):  # raised if the plate is full, as in the node
+            # As in the feeder node, the hopper is not opened if the plate is full.
+            with suppress(PlateError):
                 self.simulation.open_hopper(output.open_s)
         for _, reply in output.replies:
-            self._hear(reply, now)
+            self._process_reply(reply, now)
         return output.order
 
-    def _hear(self, reply: Reply | None, now: float) -> None:
-        """Process the feeder's reply to the robot. If the reply is None, it follows later."""
+    def _process_reply(self, reply: Reply | None, now: float) -> None:
+        """Process the feeder's reply to the robot. None means that the feeder will reply later."""
         if reply is None:
             return
         part = reply.part
         if part is None:
             self.tally.refused.append(f"{int(reply.code)} {reply.text}")
-            self.robot = self.robot.told(None, now)
+            self.robot = self.robot.after_reply(None, now)
             return
         self._id = part.id
-        self.robot = self.robot.told((part.x, part.y, part.angle), now)
+        self.robot = self.robot.after_reply((part.x, part.y, part.angle), now)
 
 
 def status_of(report: FeedReport) -> FeedStatus:
-    """Convert the planner's report on an image to the input of the feeder."""
+    """Convert the planner's report on an image to a status for the feeder."""
     ready = report.ready
     parts = zip(ready.ids, ready.position.tolist(), ready.angle.tolist(), strict=True)
     return FeedStatus(
@@ -329,8 +329,8 @@ def status_of(report: FeedReport) -> FeedStatus:
 
 
 def check_robot(task: FeedTask, cycle_s: float) -> None:
-    """Check that a part stays reserved long enough. The robot has a cycle of the given length [s]
-    and must have left the plate before the reservation ends.
+    """Raise an error if the feeder's reservations end too early for a robot with this cycle. The
+    robot must have left the plate before the reservation of its part ends.
 
     Raises
     ------
@@ -347,10 +347,10 @@ def check_robot(task: FeedTask, cycle_s: float) -> None:
 
 
 def filled(recipe: Scenario, fill: int) -> Scenario:
-    """Return a recipe whose hopper keeps `fill` parts on the plate.
+    """Return the recipe with a hopper that keeps `fill` parts on the plate.
 
-    At the start, the plate has one part of the first requested class, and all parts of the classes
-    that are not requested.
+    At the start, the plate has one part of the first requested class, and the recipe's parts of all
+    classes that are not requested.
 
     Raises
     ------
@@ -394,9 +394,9 @@ def produce(
     Parameters
     ----------
     setup : Setup
-        Setup whose scenario is a feed task.
+        Setup of a feed task.
     cycle_s, time_s : float
-        Cycle of the robot and duration of the production [s].
+        Cycle of the robot, and duration of the production [s].
     rig : Rig, optional
         Rig. Default: the rig of the recipe.
     note : callable

@@ -1,7 +1,7 @@
-"""Prediction of a feeder's parts per minute before a rig is built: `ros2 run plate_bringup
-qualify`.
+"""Command that predicts how many parts per minute a feeder will present, before the rig is built:
+`ros2 run plate_bringup qualify`.
 
-The program simulates production with several numbers of parts on the plate. Without ROS, `python -m
+The command simulates production with several numbers of parts on the plate. Without ROS, `python -m
 plate_bringup.qualify` does the same.
 """
 
@@ -28,8 +28,8 @@ from .production import FeederCell, Production, filled, percentiles, produce
 __all__ = ["Row", "page", "qualified"]
 
 AS_GOOD = 0.99
-"""Fraction of the maximum parts per minute that the best fill must reach. The best fill is the
-smallest number of parts on the plate that reaches this fraction."""
+"""The best fill is the smallest number of parts on the plate that reaches this fraction of the
+maximum number of parts per minute."""
 
 CYCLE_S = (0.2, 60.0)
 """Allowed range of the robot's cycle [s]."""
@@ -47,7 +47,7 @@ HEADINGS = (
 
 @dataclass(frozen=True)
 class Row:
-    """Results for one fill, which is a number of parts on the plate.
+    """Results for one fill. A fill is the number of parts that the hopper keeps on the plate.
 
     Attributes
     ----------
@@ -72,7 +72,7 @@ class Row:
 
     @property
     def cells(self) -> tuple[str, ...]:
-        """The results as texts, in the order of `HEADINGS`."""
+        """Results as texts, in the order of `HEADINGS`."""
         runs = self.runs
         first = percentiles([run.first_s for run in runs], 1.0)[0]
         error = percentiles([run.error_mm[1] for run in runs], 1.0)[2]
@@ -92,8 +92,7 @@ def _shown(value: float, unit: str, digits: int) -> str:
 
 
 def best(rows: Sequence[Row]) -> Row | None:
-    """Return the smallest fill that reaches the fraction `AS_GOOD` of the maximum parts per minute.
-    None if no part was picked."""
+    """Return the row of the best fill (see `AS_GOOD`), or None if no part was picked."""
     most = max(row.parts_per_min for row in rows)
     good = [row for row in rows if row.parts_per_min >= AS_GOOD * most]
     return min(good, key=lambda row: row.fill) if most > 0 else None
@@ -108,7 +107,7 @@ def qualified(
     seeds: Sequence[int],
     note: Callable[[int, FeederCell], None],
 ) -> Row:
-    """Simulate a recipe with one fill.
+    """Simulate production with one fill.
 
     Parameters
     ----------
@@ -117,10 +116,10 @@ def qualified(
     rig : Rig
     fill : int
     cycle_s, time_s : float
-        Cycle of the robot and duration of one production [s].
+        Cycle of the robot, and duration of each run [s].
     seeds : sequence of int
     note : callable
-        Function that is called after each computed cycle, with the seed.
+        Function that is called with the seed after each computed cycle.
 
     Raises
     ------
@@ -136,7 +135,7 @@ def qualified(
 
 
 def table(rows: Sequence[Row]) -> str:
-    """Return the rows as a table for a terminal. The best fill is marked."""
+    """Return the rows as a text table, in which the best fill is marked."""
     chosen = best(rows)
     cells = [HEADINGS, *(row.cells for row in rows)]
     widths = [max(len(line[i]) for line in cells) for i in range(len(HEADINGS))]
@@ -148,7 +147,7 @@ def table(rows: Sequence[Row]) -> str:
 
 
 def page(path: Path, title: str, about: str, rows: Sequence[Row]) -> None:
-    """Write a web page with the chart and the table.
+    """Write a web page with a chart and a table.
 
     Raises
     ------
@@ -196,7 +195,7 @@ fraction of one core of this machine for vision, planner, solver and driver.</p>
 
 
 def chart(rows: Sequence[Row]) -> str:
-    """Return a chart of parts per minute and waiting time over the fill, in SVG format. Each dot is
+    """Return a chart (SVG) of the parts per minute and the waiting time over the fill. Each dot is
     one run."""
     from matplotlib import rc_context
     from matplotlib.figure import Figure
@@ -260,8 +259,8 @@ def main() -> None:
 
 
 class Progress:
-    """Reports the progress of the runs of a fill on stderr. If stderr is a terminal, the progress
-    uses one line."""
+    """Reports the progress of the runs of a fill on stderr. In a terminal, it overwrites one
+    line."""
 
     def __init__(self, fill: int, seeds: int, time_s: float) -> None:
         self._fill, self._seeds, self._time_s = fill, seeds, time_s
@@ -270,7 +269,7 @@ class Progress:
         self._begin, self._end, self._each = ("\r\033[K", "", 1) if terminal else ("", "\n", 10)
 
     def __call__(self, seed: int, cell: FeederCell) -> None:
-        """Update the progress after a computed cycle."""
+        """Report the progress after a computed cycle."""
         tally = cell.tally
         done = int(100 * (seed + min(tally.time_s / self._time_s, 1.0)) / self._seeds)
         if done < self._told + self._each:

@@ -1,9 +1,9 @@
-"""Rehearsal of a task by prediction. The rehearsal shows whether a rig can perform the task.
+"""Rehearsal of a task, which predicts whether a rig can perform it.
 
-A rehearsal runs the loop with the real planner and solver, and with the limits of the rig. The
-cycle map of the solver replaces plate and camera. Parts are observed without error, they never
-collide, and their friction coefficients differ. The results are the predicted time and speed, and
-the used fractions of the limits of the rig.
+A rehearsal runs the loop with planner, solver and the limits of the rig. The cycle map of the
+solver replaces the plate and the camera. The positions of the parts are known without error, the
+parts never collide, and their friction coefficients differ. The result contains the predicted time
+and speed, and the used fractions of the limits of the rig.
 """
 
 from __future__ import annotations
@@ -26,35 +26,35 @@ from plate_vision import Prediction
 
 from .loop import Setup, run
 
-__all__ = ["REHEARSALS", "STILL", "Rehearsal", "Share", "Verdict", "judge_task", "rehearse"]
+__all__ = ["REHEARSALS", "STILL", "Rehearsal", "Share", "Verdict", "rehearse", "rehearse_task"]
 
 REHEARSALS = 3
-"""Number of rehearsals of a task. Each has different random start positions."""
+"""Number of rehearsals of a task. Each rehearsal has random start positions of its own."""
 
 MAX_CYCLES = 150
-"""Maximum number of cycles per rehearsal. The remaining time is extrapolated from the speed in the
-second half of the rehearsal."""
+"""Maximum number of cycles of a rehearsal. If the task is not done by then, the remaining time is
+extrapolated from the speed in the second half of the rehearsal."""
 
 UNEVEN = 0.1
-"""Standard deviation of the friction of the parts, relative to the friction in the rig [-]."""
+"""Relative standard deviation of the parts' friction."""
 
 STILL = 0.5e-3
-"""Minimum speed towards the targets [m/s]. If parts are slower, they count as not approaching their
-targets."""
+"""If the parts approach their targets more slowly than this, the rehearsal counts as failed
+[m/s]."""
 
 REHEARSED = SortTask, FollowTask, AssembleTask
 """Kinds of tasks in which parts can be modelled as points."""
 
 ENDLESS_S = 1e5
-"""Time limit of a rehearsal [s]. The limit is long, because the rehearsal measures the required
-time."""
+"""Time limit of the task in a rehearsal [s]. It is long, because the rehearsal measures the
+required time."""
 
 NOTHING_SEEN = np.zeros((0, 0))
-"""Image of a scene that has no camera."""
+"""Image of `Predicted`, which has no camera."""
 
 
 class Share(NamedTuple):
-    """Used fractions of the limits of the rig [-]. The fractions are medians over the cycles."""
+    """Used fractions of the limits of the rig (medians over the cycles)."""
 
     stroke: float = 0.0
     speed: float = 0.0
@@ -75,8 +75,9 @@ class Rehearsal:
     Attributes
     ----------
     time_s : float
-        Time until the task succeeded [s]. If it was not finished after `MAX_CYCLES`, the time is
-        extrapolated. Infinite if the task failed, or if the parts did not approach their targets.
+        Time until the task succeeded [s]. If the task was not done after `MAX_CYCLES`, the time is
+        extrapolated. If the task failed, or if the parts did not approach their targets, the time
+        is infinite.
     speed : float
         Mean speed of the parts until half of the distance remained [m/s].
     lost : bool
@@ -92,14 +93,14 @@ class Rehearsal:
 
 
 class Verdict(NamedTuple):
-    """Rehearsals of a task from several starts, and the time limit of the task [s]."""
+    """Rehearsals of a task from several start positions, and the time limit of the task [s]."""
 
     rehearsals: tuple[Rehearsal, ...]
     time_limit_s: float
 
     @property
     def in_time(self) -> int:
-        """Number of rehearsals that succeeded within the time limit without losing a part."""
+        """Number of rehearsals that succeeded within the time limit and lost no part."""
         return sum(one.time_s <= self.time_limit_s and not one.lost for one in self.rehearsals)
 
     @property
@@ -123,8 +124,8 @@ class Verdict(NamedTuple):
         return Share(*np.median([one.share for one in self.rehearsals], axis=0))
 
 
-def judge_task(rig: Rig, scenario: Scenario, rehearsals: int = REHEARSALS) -> Verdict:
-    """Rehearse a task from several starts.
+def rehearse_task(rig: Rig, scenario: Scenario, rehearsals: int = REHEARSALS) -> Verdict:
+    """Rehearse a task from several start positions.
 
     Raises
     ------
@@ -136,8 +137,8 @@ def judge_task(rig: Rig, scenario: Scenario, rehearsals: int = REHEARSALS) -> Ve
 
 
 class Predicted:
-    """A `Scene` that moves the parts by the cycle map of the solver. The parts start at rest. The
-    parts are observed without error.
+    """`Scene` whose parts move by the cycle map of the solver. The parts start at rest. Their
+    positions are known without error.
 
     Parameters
     ----------
@@ -173,7 +174,7 @@ class Predicted:
         return Parts.make(state.ids, state.position, angle=state.angle)
 
     def run(self, motion: PlateCycle | PlateMotion) -> None:
-        """Move the parts by the cycle map. Parts are points and do not collide."""
+        """Move the parts by the cycle map, as points that do not collide."""
         state = self.state
         position, velocity = after(motion, state.position, state.velocity, self._friction)
         on_plate = state.on_plate & np.all(np.abs(position) <= self._half, axis=1)
@@ -200,8 +201,8 @@ def rehearse(rig: Rig, scenario: Scenario, seed: int) -> Rehearsal:
     times = np.array([progress.time_s for progress in progresses])
     begin = int(np.argmax(left))
     left, times, first = left[begin:], times[begin:], progresses[begin]
-    # A follow task reports the largest remaining distance. All other tasks report the sum over the
-    # parts.
+    # A follow task reports the remaining length of one path, the longest. Other tasks report the
+    # sum of the remaining distances of all parts.
     going = 1 if isinstance(scenario.task, FollowTask) else first.parts_total - first.parts_sorted
     half = int(np.argmax(left <= left[0] / 2)) if np.any(left <= left[0] / 2) else -1
     speed = (left[0] - left[half]) / max(going, 1) / max(times[half] - times[0], IDLE_S)
@@ -218,7 +219,7 @@ def rehearse(rig: Rig, scenario: Scenario, seed: int) -> Rehearsal:
 
 
 def share_of(rig: Rig, cycle: PlateCycle) -> Share:
-    """Return the fractions of the rig's limits that a motion uses."""
+    """Return the fractions of the rig's limits that a cycle uses."""
     used, limits = usage(rig, cycle), rig.limits
     return Share(
         used.stroke_m / limits.stroke_m,

@@ -1,4 +1,4 @@
-"""Variants of a rig with a different camera: tilted, nearer, or with another lens."""
+"""Variants of a rig with a different camera, for example tilted, nearer, or with another lens."""
 
 from __future__ import annotations
 
@@ -13,8 +13,8 @@ from plate_core.rig import Lens
 __all__ = ["MARGIN_PX", "view_from", "with_height"]
 
 MARGIN_PX = 12.0
-"""Minimum distance between the corners of the plate and the edges of the image [px]. If no distance
-of the camera is given, this margin determines it."""
+"""If no distance of the camera is given, the corners of the plate are at least this far inside the
+image [px]."""
 
 NEAREST_M = 0.05
 """Lower end of the search for the camera's distance [m]."""
@@ -23,8 +23,8 @@ FARTHEST_M = 100.0
 """Upper end of the search for the camera's distance [m]."""
 
 HALVINGS = 60
-"""Number of bisections in the search for the camera's distance. The result is exact, except for
-rounding."""
+"""Number of bisections in the search for the camera's distance. With this number, the result is
+exact except for rounding."""
 
 
 def view_from(
@@ -36,28 +36,29 @@ def view_from(
     distance_m: float = 0.0,
     distortion: Sequence[float] = (),
 ) -> Rig:
-    """Return a rig whose camera is directed at the middle of the plate. The top of the image is
-    towards +y.
+    """Return a rig whose camera points to the middle of the plate. The top of the image is towards
+    +y.
 
     Parameters
     ----------
     rig : Rig
-        Rig from which all other data are taken, for example the size of the image.
+        Rig with all other data, for example the size of the image.
     tilt_deg, towards_deg : float
-        Tilt of the camera from the vertical [degrees], and direction from the middle of the plate
-        to the camera, counter-clockwise from x [degrees].
+        `tilt_deg` is the angle between the camera's axis and the vertical [degrees]. `towards_deg`
+        is the horizontal direction from the middle of the plate to the camera, counter-clockwise
+        from x [degrees].
     focal_px : float
         Focal length of the lens [px]. The principal point is the middle of the image.
     distance_m : float
         Distance between the camera and the middle of the plate [m]. 0 selects the smallest distance
         at which all corners of the plate are at least `MARGIN_PX` inside the image.
     distortion : sequence of float
-        Distortion of the lens, k1, k2, p1, p2, k3. Empty if there is no distortion.
+        Distortion coefficients k1, k2, p1, p2, k3 of the lens. Empty if there is no distortion.
 
     Raises
     ------
     PlateError
-        If a corner of the plate is not in front of the camera at this distance.
+        If a corner of the plate is not in front of the camera.
     """
     size = np.array([rig.camera.width_px, rig.camera.height_px])
     middle = (float(size[0] - 1) / 2, float(size[1] - 1) / 2)
@@ -89,7 +90,8 @@ def view_from(
 
 
 def with_height(rig: Rig, height_m: float) -> Rig:
-    """Return a rig in which all parts have this height [m], including parts with a type."""
+    """Return a rig in which all parts have the height `height_m` [m], including those with a
+    type."""
     types = {name: replace(part, height_m=height_m) for name, part in rig.types.items()}
     return replace(rig, parts=replace(rig.parts, height_m=height_m), types=types)
 

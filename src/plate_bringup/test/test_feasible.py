@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from plate_bringup.feasible import main
-from plate_bringup.rehearsal import judge_task, rehearse
+from plate_bringup.rehearsal import rehearse, rehearse_task
 from plate_core import PlateCycle, config_path, load_rig
 from plate_core.tasks import load_scenario
 from plate_planner import Phase
@@ -57,7 +57,7 @@ def test_a_path_takes_as_long_as_it_is_long(monkeypatch):
 def test_a_plate_that_hardly_shakes_is_not(monkeypatch):
     """No part goes 40 mm/s where the bound is 10: mu g T/16 (G - 1/G), T being 0.1 s."""
     monkeypatch.setattr("plate_bringup.rehearsal.MAX_CYCLES", 40)
-    verdict = judge_task(shaken(1.2), load_scenario("follow_2"), 1)
+    verdict = rehearse_task(shaken(1.2), load_scenario("follow_2"), 1)
     assert not verdict.likely
     assert verdict.speed < RIG.friction.accel * 0.1 / 16 * (1.2 - 1 / 1.2)
     assert verdict.share.binds == "acceleration"
@@ -198,7 +198,7 @@ def test_places_as_near_as_a_scenario_may_have_them():
     near = 2.5 * RIG.parts.radius_m * np.array([[-1, 0], [1, 0], [0, 1], [0, -1], [0, 0]])
     task = replace(scenario.task, labels=("black",) * 5, place=tuple(map(tuple, near)))
     parts = (replace(scenario.parts[0], label="black", count=5),)
-    assert judge_task(RIG, replace(scenario, parts=parts, task=task), 1).likely
+    assert rehearse_task(RIG, replace(scenario, parts=parts, task=task), 1).likely
 
 
 def test_command_says_the_time_that_would_do(command, tmp_path):

@@ -1,9 +1,10 @@
 """Code that two or more stages share: rig data, plate motions, tasks, messages, serial protocol.
 
-This package exports the most common names. The modules `rig`, `motion`, `tasks`, `ros`,
-`serial_protocol`, `colours`, `driver_status`, `status` and `yaml_fields` export the others.
+This package exports the most common names. Its modules `rig`, `motion`, `tasks`, `ros`,
+`serial_protocol`, `colours`, `driver_status`, `status` and `yaml_fields` export further names.
 """
 
+from .cycle_request import AngleTargets, CycleRequest, Forces, Targets
 from .ending import ends, piped
 from .errors import CycleError, FrameError, PlateError, RigError, ScenarioError, did_you_mean
 from .motion import PlateCycle
@@ -19,7 +20,6 @@ from .parts import (
     part_class,
 )
 from .rig import Rig, load_rig
-from .wanted import AngleTargets, Forces, Targets, Wanted
 from .yaml_fields import config_path
 
 __all__ = [
@@ -30,6 +30,7 @@ __all__ = [
     "UNKNOWN",
     "AngleTargets",
     "CycleError",
+    "CycleRequest",
     "Forces",
     "FrameError",
     "OverlookedThing",
@@ -40,7 +41,6 @@ __all__ = [
     "RigError",
     "ScenarioError",
     "Targets",
-    "Wanted",
     "choose_network",
     "config_path",
     "did_you_mean",

@@ -1,9 +1,9 @@
 """Detection of steps of the clock that stamps messages.
 
-A clock that is synchronised over a network may step. If it steps back while a message is on its
-way, the message seems younger than it is. The steady clock never steps, so the difference between
-the two clocks shows the steps. This module uses neither ROS nor a clock of its own, so
-times and clocks are arguments.
+A clock that is synchronised over a network may step. If it steps back while a message is in
+transit, the message seems younger than it is. The steady clock never steps, so the difference
+between the two clocks shows the steps. This module uses neither ROS nor a clock of its own: times
+and clocks are arguments.
 """
 
 from __future__ import annotations
@@ -19,21 +19,22 @@ STEP_NS = 20_000_000
 occur if the process is interrupted between reading the two clocks."""
 
 TOGETHER_S = 0.002
-"""Maximum duration of a reading of both clocks [s]. If the process is interrupted for longer, the
-reading is repeated. Otherwise it could look like a step."""
+"""Maximum duration of a reading of both clocks [s]. A longer reading was interrupted and is
+repeated, because its result could look like a step."""
 
 READINGS = 5
-"""Maximum number of readings. If all are interrupted, the one with the shortest duration counts."""
+"""Maximum number of readings. If all readings are interrupted, the reading with the shortest
+duration counts."""
 
 KEPT_S = 60.0
-"""Time for which a step is considered [s]. No message is on its way for longer. After a step back,
+"""Time for which a step is considered [s]. No message is in transit for longer. After a step back,
 the clock shows some times twice. A stamp with such a time may be older than it seems, so it counts
-as made before the step. The plate therefore rests until the clock has passed these times, or until
-`KEPT_S` is over."""
+as made before the step. Therefore the plate rests until the clock has passed these times, but at
+most for `KEPT_S`."""
 
 MAX_STEPS = 20
-"""Maximum number of steps in `KEPT_S`. If there are more, the clock is not usable, so each stamp
-counts as `KEPT_S` older than it seems."""
+"""Maximum number of steps in `KEPT_S`. With more steps, the clock is not usable. In this case each
+stamp counts as `KEPT_S` older than it seems."""
 
 
 class Step(NamedTuple):
@@ -42,11 +43,11 @@ class Step(NamedTuple):
     Attributes
     ----------
     at : float
-        Time at which it was noticed [s, steady clock].
+        Time at which the step was detected [s, steady clock].
     before_ns : int
-        Time that the clock would have shown then without the step [ns].
+        Time that the clock would have shown at the time `at` without the step [ns].
     by_ns : int
-        Size of the step [ns]. It is negative if the clock was set back.
+        Size of the step [ns]. Negative if the clock was set back.
     """
 
     at: float
@@ -64,7 +65,7 @@ class ClockSteps:
         Last difference between the clock and the steady clock [ns]. It is None before the first
         reading.
     steps : tuple of Step
-        The newest steps, at most `MAX_STEPS` + 1, the oldest first.
+        The newest steps, at most `MAX_STEPS` + 1, in order of time.
     """
 
     offset_ns: int | None = None
@@ -72,21 +73,22 @@ class ClockSteps:
 
     def with_reading(self, now: float, clock_ns: int) -> ClockSteps:
         """Record one reading of both clocks. The exact time of a step is unknown, so the time of
-        the reading that detects it is used. Frequent readings keep the difference short.
+        the reading that detects the step is used instead. Frequent readings keep this error small.
 
         Parameters
         ----------
         now : float
             Time on the steady clock [s].
         clock_ns : int
-            The same time on the clock [ns].
+            The same time on the clock that stamps messages [ns].
         """
         offset_ns = clock_ns - round(1e9 * now)
         by_ns = 0 if self.offset_ns is None else offset_ns - self.offset_ns
         steps = tuple(step for step in self.steps if now - step.at < KEPT_S)
         if abs(by_ns) > STEP_NS:
             steps += (Step(now, clock_ns - by_ns, by_ns),)
-        # One more than the maximum shows that the clock is not usable.
+        # Keep one step more than the maximum, because this number shows that the clock is not
+        # usable.
         return replace(self, offset_ns=offset_ns, steps=steps[-MAX_STEPS - 1 :])
 
     @property
@@ -95,8 +97,9 @@ class ClockSteps:
         return len(self.steps) <= MAX_STEPS
 
     def earliest_ns(self, stamp_ns: int) -> int:
-        """Return the earliest time at which a stamp may have been made, converted to the present
-        clock [ns]. It is the stamp itself unless the clock was set back, or is not `usable`."""
+        """Return the earliest time at which a stamp may have been made, on the clock as it runs now
+        [ns]. It is earlier than the stamp if the clock was set back, or if the clock is not
+        `usable`."""
         if not self.usable:
             return stamp_ns - round(1e9 * KEPT_S)
         earliest_ns, by_ns = stamp_ns, 0

@@ -1,4 +1,4 @@
-"""Status of the motors, as the driver reports it: a state, a reason, and a text for people.
+"""Status of the motors, as the driver reports it: a state, a reason, and a text for the user.
 
 The values of state and reason are those of plate_interfaces/DriverStatus. `ros.convert` converts
 between `DriverStatus` and the message.

@@ -2,8 +2,9 @@
 
 The Fast DDS version in the wheels can block forever in `DomainParticipant::set_listener`. This
 happens if another participant is discovered while this one is destroyed, because the default
-timeout overflows. rclpy holds Python's global interpreter lock during this call, so Python signal
-handlers, threads and timers do not run. `ends` therefore uses a POSIX timer that calls `_exit`.
+timeout overflows. rclpy holds Python's global interpreter lock during this call, so that Python's
+signal handlers, threads and timers do not run. Therefore `ends` uses a POSIX timer that calls
+`_exit`.
 """
 
 from __future__ import annotations
@@ -18,7 +19,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 
 DESTROYED_S = 2.0
-"""Maximum time for destroying the ROS nodes of a process [s]. It normally takes about 10 ms."""
+"""Maximum time for destroying the ROS nodes of a process [s]. Usually this takes about 10 ms."""
 
 SIGEV_THREAD = 2
 
@@ -47,8 +48,8 @@ def piped() -> Iterator[None]:
     """Exit without a traceback if the reader of the program's output closes the pipe, as in
     `check_rig | head -1`.
 
-    Use it as a decorator of `main` or in a `with` statement. Clean-up code inside still runs. The
-    exit code is 141, the code that shells report for SIGPIPE.
+    Use it as a decorator of `main` or in a `with` statement. Clean-up code in the decorated
+    function still runs. The exit code is 141, the code that shells report for SIGPIPE.
     """
     try:
         try:
@@ -59,7 +60,7 @@ def piped() -> Iterator[None]:
         _flush()
     except BrokenPipeError:
         if not _unread():
-            raise  # the error comes from another pipe or a socket, so it is a defect
+            raise  # an error of another pipe or of a socket is a defect
         # discard the output that Python still buffers
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         sys.exit(128 + signal.SIGPIPE)
@@ -83,8 +84,8 @@ def _unread() -> bool:
 def ends(code: int, within_s: float = DESTROYED_S) -> Iterator[None]:
     """Limit the time for destroying nodes inside this context.
 
-    If the time limit `within_s` [s] passes, the process exits immediately with the exit code
-    `code`. Python's own clean-up is then skipped, so enter this context as the last step.
+    If the time limit `within_s` [s] is exceeded, the process exits immediately with the exit code
+    `code`, without Python's own clean-up. Therefore enter this context as the last step.
     """
     libc = ctypes.CDLL(None, use_errno=True)
     function = ctypes.cast(libc._exit, ctypes.c_void_p).value

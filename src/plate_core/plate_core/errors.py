@@ -19,8 +19,8 @@ class ScenarioError(PlateError):
 
 
 class CycleError(PlateError):
-    """A plate motion does not end in its initial state or at rest, is not finite, or is
-    impossible."""
+    """A plate motion is invalid: it ends neither in its initial state nor at rest, is not finite,
+    or cannot be executed."""
 
 
 class FrameError(PlateError):

@@ -45,10 +45,11 @@ def read_file(path: str | Path, most_bytes: int, error: type[PlateError] = Plate
     Raises
     ------
     PlateError
-        If the file is missing, is not a regular file, or is too large. The function does not block
-        in these cases. The message states the path, the kind or size, and the allowed kind or size.
+        If the file is missing, is not a regular file, or is too large. In these cases the function
+        does not block. The message states the path, the kind or size, and what is allowed.
     """
-    check_file(path, most_bytes, error)  # check before opening: opening a device may start it
+    # Check before opening, because opening a device may start it.
+    check_file(path, most_bytes, error)
     with (
         _explained(path, error),
         open(os.open(path, os.O_RDONLY | os.O_NONBLOCK), "rb") as file,
@@ -73,7 +74,8 @@ def kind_of(path: str | Path) -> str:
 
 
 def check_file(path: str | Path, most_bytes: int, error: type[PlateError] = PlateError) -> None:
-    """Raise the same errors as `read_file`. Use it if a library opens the file itself."""
+    """Raise the same errors as `read_file`. Use this function if a library opens the file
+    itself."""
     with _explained(path, error):
         _check(path, os.stat(path), most_bytes, error)
 
@@ -86,7 +88,7 @@ def _explained(path: str | Path, error: type[PlateError]) -> Iterator[None]:
         raise
     except FileNotFoundError:
         raise error(f"{path}: no such file") from None
-    except (OSError, ValueError) as problem:  # a ValueError means that the text is not a valid path
+    except (OSError, ValueError) as problem:  # ValueError: the text is not a valid path
         raise error(f"{path}: cannot be read ({problem})") from None
 
 
@@ -109,8 +111,8 @@ def _allowed(most_bytes: int) -> str:
 def draft(path: str | Path, what: str, keeps: bool = True) -> Iterator[BinaryIO]:
     """Open a temporary file in the folder of `path` for writing.
 
-    When the context ends, the data are flushed to the disk. If `keeps` is true, the temporary file
-    then replaces `path`. If `keeps` is false or an error occurs, it is removed.
+    When the context ends, the data are flushed to the disk. If `keeps` is True, the temporary file
+    then replaces `path`. If `keeps` is False or an error occurs, the temporary file is removed.
 
     Raises
     ------

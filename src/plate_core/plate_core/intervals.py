@@ -11,20 +11,20 @@ __all__ = ["of_median", "of_share", "share"]
 
 def of_share(good: int, runs: int) -> tuple[float, float]:
     """Return the Wilson interval of the fraction of successful runs, 0 to 1."""
-    from scipy.stats import binomtest  # imported here because loading it takes half a second
+    from scipy.stats import binomtest  # imported here, because loading scipy takes half a second
 
     found = binomtest(good, runs).proportion_ci(method="wilson")
     return float(found.low), float(found.high)
 
 
 def of_median(values: Sequence[float]) -> tuple[float, float]:
-    """Return the bootstrap interval of a median (2000 resamples, fixed seed)."""
+    """Return the bootstrap interval of a median, from 2000 resamples with a fixed seed."""
     drawn = np.random.default_rng(0).choice(values, (2000, len(values)))
     low, high = np.percentile(np.median(drawn, axis=1), (2.5, 97.5))
     return float(low), float(high)
 
 
 def share(good: int, runs: int) -> str:
-    """Return the number of successful runs and the interval of their fraction as text."""
+    """Return a text with the number of successful runs and the interval of their fraction."""
     low, high = of_share(good, runs)
     return f"{good} of {runs} ({100 * low:.0f} to {100 * high:.0f} %)"

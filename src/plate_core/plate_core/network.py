@@ -17,7 +17,7 @@ SKIP_OTHERS = "SKIP_DEFAULT_XML_FILE"
 """If 1, Fast DDS does not read DEFAULT_FASTRTPS_PROFILES.xml from the current folder."""
 
 OWN, NETWORK = "fastdds.xml", "fastdds_network.xml"
-"""Profiles in config/. The first restricts DDS to this machine, the second allows the network."""
+"""Profiles in config/. `OWN` restricts DDS to this machine, `NETWORK` allows the network."""
 
 LAST_DOMAIN = 232
 """Highest ROS domain. Higher numbers would give invalid ports."""
@@ -28,8 +28,9 @@ RANGE, PEERS = "ROS_AUTOMATIC_DISCOVERY_RANGE", "ROS_STATIC_PEERS"
 def choose_network(environ: MutableMapping[str, str]) -> str:
     """Restrict DDS to this machine, unless the environment names peers or a wider range.
 
-    Call it before the process creates its first node. If the environment names a profile that is
-    not one of this project's, it is kept. A profile in the current folder is not read.
+    Call this function before the process creates its first node. If the environment names a profile
+    that does not belong to this project, this profile is kept. A profile in the current folder is
+    not read.
 
     Parameters
     ----------
@@ -39,8 +40,8 @@ def choose_network(environ: MutableMapping[str, str]) -> str:
     Returns
     -------
     str
-        Warning that states why the nodes are reachable over the network. It is empty if they are
-        not.
+        Warning that states why the nodes are reachable over the network. Empty if they are not
+        reachable.
     """
     reach, peers = environ.setdefault(RANGE, "LOCALHOST") or "SUBNET", environ.get(PEERS, "")
     is_open = bool(peers) or reach not in ("LOCALHOST", "OFF")

@@ -1,4 +1,4 @@
-"""The state of the parts on the plate, as the stages exchange it, and the special part classes.
+"""The state of the parts on the plate, which the stages exchange, and the special part classes.
 
 `Parts` contains ids, positions, velocities and angles at one instant, in plate_home. The id of a
 part consists of its class and a number (`part_class`).
@@ -27,14 +27,14 @@ NAMELESS = (UNKNOWN, GROUP)
 """Reserved class names. No part type is allowed to have one of them."""
 
 PLAUSIBLE_AREA = 0.3, 3.0
-"""Range of plausible areas of a part: from the first factor times the area of the smallest part to
-the second factor times the area of the largest part [-]. Smaller objects are dust or reflections.
-Larger objects are tools or hands."""
+"""Factors of the range of plausible areas of a part [-]. The minimum is the first factor times the
+area of the smallest part. The maximum is the second factor times the area of the largest part.
+Smaller objects are dust or reflections, larger objects are tools or hands."""
 
 
 class OverlookedThing(NamedTuple):
-    """An object that vision detects and rejects as a part: centre x, y [m, plate_home], radius of
-    a disc of equal area [m], and the reason as text."""
+    """An object that vision detects but does not accept as a part: its centre x, y [m, plate_home],
+    the radius of a disc of equal area [m], and the reason as text."""
 
     x: float
     y: float
@@ -59,8 +59,8 @@ class Parts:
     spin : (M,)
         Mean angular velocity over the last cycles [rad/s].
     friction_limit : (M,)
-        Maximum friction force on the part, mu m g [N]. 0 if there is no estimate beyond the values
-        of the rig file.
+        Maximum friction force on the part, mu m g [N]. 0 if it was not estimated, so that the rig
+        file applies.
     """
 
     ids: tuple[str, ...]
@@ -80,7 +80,7 @@ class Parts:
         spin: np.ndarray | None = None,
         friction_limit: np.ndarray | None = None,
     ) -> Parts:
-        """Build the parts. Missing arrays are zero.
+        """Build the parts. Omitted arrays are zero.
 
         Raises
         ------
@@ -113,7 +113,8 @@ def part_class(part_id: str) -> str:
 
 
 def filled(name: str, array: np.ndarray | None, shape: tuple[int, ...]) -> np.ndarray:
-    """Return the array in this shape, with one row per part. None gives zeros.
+    """Return an array with this shape, which has one row per part. If `array` is None, the result
+    contains zeros.
 
     Raises
     ------

@@ -1,8 +1,8 @@
 """Detection of process stalls.
 
 A process that was frozen, swapped out or blocked finds old requests in its queues when it resumes.
-Their senders may have given up, so these requests must be refused. A stall is detected when two
-successive calls of `Standstill.is_late` are too far apart in time.
+Their senders may have given up, so these requests must be refused. A stall is detected when the
+time between two successive calls of `Standstill.is_late` is too long.
 """
 
 from __future__ import annotations
@@ -10,8 +10,8 @@ from __future__ import annotations
 __all__ = ["Standstill"]
 
 AFTER_S = 0.5
-"""Time after a stall [s]. A request that is received within this time may have been sent during the
-stall."""
+"""A request that is received within this time after a stall may have been sent during the stall
+[s]."""
 
 
 class Standstill:
@@ -20,7 +20,7 @@ class Standstill:
     Parameters
     ----------
     longest_s : float
-        Maximum time between two calls [s]. A longer time is a stall.
+        Maximum time between two calls of `is_late` [s]. A longer time counts as a stall.
     now : float
         Current time of the steady clock [s].
     """
@@ -30,8 +30,8 @@ class Standstill:
         self._checked, self._until = now, now
 
     def is_late(self, now: float) -> bool:
-        """Update the detector. Return whether a request received at `now` [s] may be an old one
-        that waited during a stall."""
+        """Update the detector. Return whether a request that is received at `now` [s] may have
+        waited during a stall."""
         if now - self._checked > self.longest_s:
             self._until = now + AFTER_S
         self._checked = now

@@ -1,10 +1,10 @@
 """Diagnostics of a node: levels, and input timeouts.
 
-These rules hold for all nodes. All times are times of the steady clock. The age of a message is
-measured from its arrival, never from its stamp.
+The following levels apply to all nodes. All times are times of the steady clock. The age of a
+message is measured from its arrival, never from its stamp.
 
-- OK: the node works.
-- WARN: the node works with a fault: some messages refused, poor light, or late cycles.
+- OK: the node works without faults.
+- WARN: the node works with a fault, for example poor light, late cycles, or some refused messages.
 - STALE: an input has timed out, so the node's output is old.
 - ERROR: the node receives input but cannot use it, or the task failed.
 """
@@ -27,12 +27,13 @@ __all__ = [
 ]
 
 INPUT_TIMEOUT_S = 1.5
-"""Default input timeout [s]. It equals three times the longest usual cycle, and is short enough to
-end a task within 2 s after a fault."""
+"""Default input timeout [s]. It is three times the longest usual cycle, and short enough to end a
+task within 2 s after a fault."""
 
-LATENCY_S, MAX_AGE_S = 0.2, 0.6
-"""Parameters of `age_limit`: the maximum computation time of vision, planner and solver on a slow
-computer [s], and the maximum age of an image for short cycles [s]."""
+LATENCY_S = 0.2
+"""Maximum computation time of vision, planner and solver on a slow computer [s]."""
+MAX_AGE_S = 0.6
+"""Maximum age of an image for short cycles [s], see `age_limit`."""
 
 
 class Level(IntEnum):
@@ -64,14 +65,15 @@ def age_limit(period: float) -> float:
 
 
 def worst(findings: Iterable[Finding | None], otherwise: str) -> Finding:
-    """Combine findings into one: the most severe level, and all messages, most severe first.
+    """Combine findings into one: the most severe level, and all messages, the most severe message
+    first.
 
     Parameters
     ----------
     findings : iterable of Finding or None
         Elements that are None are ignored.
     otherwise : str
-        Message if there are no findings. The level is then OK.
+        Message if there are no findings. In this case the level is OK.
     """
     found = sorted((f for f in findings if f is not None), key=lambda f: -f.level.rank)
     if not found:
@@ -87,45 +89,46 @@ class Input:
     ----------
     what, topic : str
         Name of the data and its topic, such as `image` and `image_raw`.
-    question : str
-        Hint for the user if no message arrives, such as `does the camera run?`
+    advice : str
+        Advice for the user if no message arrives, such as `check that the camera runs`.
     timeout_s : float
         Maximum time without a message [s].
     since : float
         Time of the subscription [s, steady clock].
-    came : float or None
-        Arrival time of the last message [s, steady clock]. It is None if no message has arrived.
+    arrival : float or None
+        Arrival time of the last message [s, steady clock]. None if no message has arrived.
     """
 
     what: str
     topic: str
-    question: str
+    advice: str
     timeout_s: float
     since: float
-    came: float | None = None
+    arrival: float | None = None
 
-    def heard(self, now: float) -> Input:
+    def received(self, now: float) -> Input:
         """Return the input after a message that arrived at `now` [s]."""
-        return replace(self, came=now)
+        return replace(self, arrival=now)
 
-    def silence(self, now: float) -> float:
+    def age(self, now: float) -> float:
         """Time since the last message, or since the subscription if no message has arrived [s]."""
-        return now - (self.since if self.came is None else self.came)
+        return now - (self.since if self.arrival is None else self.arrival)
 
-    def gone(self, now: float) -> Finding | None:
+    def timed_out(self, now: float) -> Finding | None:
         """Return a STALE finding if the input has timed out, otherwise None."""
-        silence = self.silence(now)
+        silence = self.age(now)
         if silence <= self.timeout_s:
             return None
-        how_long = f"for {silence:.1f} s" if self.came is not None else "yet"
-        message = f"no {self.what} {how_long} on {self.topic}: {self.question}"
+        how_long = f"for {silence:.1f} s" if self.arrival is not None else "yet"
+        message = f"no {self.what} {how_long} on {self.topic}; {self.advice}"
         return Finding(Level.STALE, message)
 
 
 def used(what: str, count: int, refused: int, why: str) -> Finding | None:
-    """Return a finding for `refused` of `count` messages, and the reason `why` of the last refusal.
+    """Return a finding on refused messages: `refused` of `count` messages were refused, the last
+    one for the reason `why`.
 
-    The level is ERROR if all messages were refused, otherwise WARN. Returns None if no message was
+    The level is ERROR if all messages were refused, otherwise WARN. Return None if no message was
     refused.
     """
     if not refused:

@@ -1,7 +1,7 @@
-"""Reading of YAML files in config/, with a precise error message for each wrong value.
+"""Reader of YAML files in config/, with a precise error message for each wrong value.
 
-A `Key` defines the name, kind, meaning and default of one value. Both the reader of the file and
-the generated reference (docs/reference.md) use this definition. `Fields` wraps one mapping of a
+A `Key` defines the name, kind, meaning and default of one value. The reader of the file and the
+generated reference (docs/reference.md) use the same definitions. `Fields` wraps one mapping of a
 file and checks type and range at each access. `read_yaml` returns the `Fields` of a whole file.
 """
 
@@ -46,11 +46,11 @@ __all__ = [
 Data = TypeVar("Data")
 
 REQUIRED: Any = object()
-"""Value of `Key.default` for a key without a default: the file must contain it."""
+"""Value of `Key.default` for a key without a default. The file must contain such a key."""
 
 FAST_LENGTH = 20_000
-"""Maximum length of a text that libyaml parses [characters]. libyaml is recursive, so the nesting
-of a longer text could exhaust the stack."""
+"""Maximum length of a text that libyaml parses [characters]. libyaml is recursive, so deep nesting
+in a longer text could exhaust the stack."""
 
 UNITS = {
     "m": "m", "kg": "kg", "s": "s", "mps": "m/s", "mps2": "m/s^2", "n": "N", "k": "K", "px": "px",
@@ -73,7 +73,7 @@ class Kind(Protocol):
         ...
 
     def read(self, value: Any) -> Any:
-        """Return the checked value. Raises a ValueError if it is not allowed."""
+        """Return the checked value. Raise a ValueError if it is not allowed."""
         ...
 
 
@@ -298,8 +298,8 @@ class Section:
 
 
 def measured(name: str, low: float, high: float, meaning: str, default: Any = REQUIRED) -> Any:
-    """Return a dataclass field for `Fields.read`. Its value is a number in [low, high], read from
-    the key `name`."""
+    """Return a dataclass field for `Fields.read`. The value of the field is a number in [low, high]
+    from the key `name`."""
     key = Key(name, Number(low, high), meaning, default)
     missing = dataclasses.MISSING if key.required else default
     return dataclasses.field(default=missing, metadata={"key": key})
@@ -356,12 +356,12 @@ class Fields:
         return self._data[key]
 
     def one_of(self, *keys: str) -> str:
-        """Return the one key of `keys` that is present, and mark all of them as known.
+        """Return the only key of `keys` that is present, and mark all of `keys` as known.
 
         Raises
         ------
         PlateError
-            If none of the keys or more than one is present. If none is present, the message
+            If none of the keys, or more than one, is present. If none is present, the message
             suggests a similar key of the file.
         """
         given = [key for key in keys if self.has(key)]
@@ -486,7 +486,7 @@ def parse_yaml(content: bytes, path: str | Path, error: type[PlateError]) -> Fie
         raise error(f"{path}: broken YAML{line}: {reason}") from None
     except RecursionError:
         raise error(f"{path}: broken YAML: nested too deeply") from None
-    except ValueError as problem:  # PyYAML's scanner raises it for an escape beyond Unicode
+    except ValueError as problem:  # PyYAML's scanner raises ValueError for an escape beyond Unicode
         raise error(f"{path}: broken YAML: {problem}") from None
     if mistake:
         raise error(f"{path.name}: {mistake}")
@@ -496,9 +496,9 @@ def parse_yaml(content: bytes, path: str | Path, error: type[PlateError]) -> Fie
 def _load(text: str) -> tuple[Any, str]:
     """Return the content of a YAML text, and the message of `_mistake`.
 
-    libyaml reads the content, because it is ten times as fast. If it fails, or if the text is long,
-    PyYAML's own parser reads it. This parser gives the error messages and accepts any depth of
-    nesting.
+    libyaml reads the content, because it is ten times as fast as PyYAML's own parser. If libyaml
+    fails, or if the text is long, PyYAML's own parser reads the content. It gives the error
+    messages and accepts any depth of nesting.
     """
     if len(text) <= FAST_LENGTH:
         with contextlib.suppress(yaml.YAMLError, ValueError):
@@ -548,9 +548,9 @@ reads the number 0 and a key 3 without a value."""
 
 
 def _mistake(node: yaml.Node | None, seen: set[yaml.Node]) -> str:
-    """Return a message about the first decimal comma, or the first key that occurs twice in one
-    mapping, at any depth. The result is empty if there is none. PyYAML accepts both without an
-    error.
+    """Return a message about the first decimal comma, or about the first key that occurs twice in
+    one mapping, at any depth. The message is empty if there is neither. PyYAML accepts both
+    mistakes without an error.
 
     A node with several references (YAML aliases) is examined only once, even if it contains itself.
     """

@@ -9,12 +9,12 @@ import pytest
 from plate_core import (
     AngleTargets,
     CycleError,
+    CycleRequest,
     OverlookedThing,
     Parts,
     PlateCycle,
     PlateError,
     Targets,
-    Wanted,
     load_rig,
 )
 from plate_core.driver_status import DriverReason, DriverState, DriverStatus
@@ -46,12 +46,12 @@ def cycle() -> PlateCycle:
     return PlateCycle.from_knots(np.linspace(0, 0.1, 9), *knots)
 
 
-def wanted() -> Wanted:
+def some_request() -> CycleRequest:
     position, velocity, force, tolerance = np.random.default_rng(1).uniform(-0.2, 0.2, (4, 3, 2))
     spin, friction, torque = np.random.default_rng(2).uniform(0, 1, (3, 3))
     ids, angle = ("black_1", "white_1", "white_2"), np.array([-3.0, 0, 3])
     parts = Parts.make(ids, position, velocity, angle, spin, friction)
-    return Wanted.make(parts, force, np.abs(tolerance), torque, 0.2)
+    return CycleRequest.make(parts, force, np.abs(tolerance), torque, 0.2)
 
 
 def test_stamps():
@@ -79,8 +79,8 @@ def test_motors_there_and_back():
 
 
 def test_parts_there_and_back():
-    sent = wanted()
-    back = convert.msg_to_wanted(over_the_wire(convert.wanted_to_msg(sent, STAMP)))
+    sent = some_request()
+    back = convert.msg_to_request(over_the_wire(convert.request_to_msg(sent, STAMP)))
     assert back.parts.ids == sent.parts.ids
     for name in ("position", "velocity", "angle", "spin", "friction_limit"):
         found, right = getattr(back.parts, name), getattr(sent.parts, name)
@@ -89,7 +89,7 @@ def test_parts_there_and_back():
         found, right = getattr(back.forces, name), getattr(sent.forces, name)
         np.testing.assert_allclose(found, right, atol=1e-12)
     assert back.forces.period == sent.forces.period
-    assert back.request is back.forces
+    assert back.forces_or_targets is back.forces
 
 
 def test_how_well_parts_were_seen_is_told():
@@ -115,12 +115,12 @@ def test_overlooked_things_there_and_back():
 
 
 def test_forces_with_the_state_at_the_start():
-    sent = wanted()
+    sent = some_request()
     state = np.arange(4.0 * len(sent.parts)).reshape(-1, 4)
     start = Time(sec=5)
-    msg = over_the_wire(convert.wanted_to_msg(replace(sent, start=state), STAMP, start))
+    msg = over_the_wire(convert.request_to_msg(replace(sent, start=state), STAMP, start))
     assert (msg.at_start, msg.start) == (True, start)
-    back = convert.msg_to_wanted(msg)
+    back = convert.msg_to_request(msg)
     np.testing.assert_array_equal(back.start, state)
     np.testing.assert_array_equal(back.parts.position, state[:, :2])
     np.testing.assert_allclose(back.parts.velocity, sent.parts.velocity, atol=1e-12)
@@ -128,12 +128,12 @@ def test_forces_with_the_state_at_the_start():
 
 def test_targets_there_and_back():
     low, width, weight = np.random.default_rng(3).uniform(0, 0.2, (3, 3, 2))
-    sent = replace(wanted(), targets=Targets(low, low + width, weight, 0.02))
-    back = convert.msg_to_wanted(over_the_wire(convert.wanted_to_msg(sent, STAMP))).targets
+    sent = replace(some_request(), targets=Targets(low, low + width, weight, 0.02))
+    back = convert.msg_to_request(over_the_wire(convert.request_to_msg(sent, STAMP))).targets
     for name in ("low", "high", "weight"):
         np.testing.assert_array_equal(getattr(back, name), getattr(sent.targets, name))
     assert (back.gap_m, back.angles) == (0.02, None)
-    assert convert.msg_to_wanted(convert.wanted_to_msg(wanted(), STAMP)).targets is None
+    assert convert.msg_to_request(convert.request_to_msg(some_request(), STAMP)).targets is None
 
 
 def test_angles_there_and_back():
@@ -141,8 +141,8 @@ def test_angles_there_and_back():
         np.zeros((3, 2)),
         AngleTargets(*np.array([[-1.0, 0, 2], [-1, 0.1, 3], [0, 1, 2]])),
     )
-    sent = replace(wanted(), targets=Targets(free, free, free, 0.004, angles))
-    back = convert.msg_to_wanted(over_the_wire(convert.wanted_to_msg(sent, STAMP))).targets.angles
+    sent = replace(some_request(), targets=Targets(free, free, free, 0.004, angles))
+    back = convert.msg_to_request(over_the_wire(convert.request_to_msg(sent, STAMP))).targets.angles
     for name in ("low", "high", "weight"):
         np.testing.assert_array_equal(getattr(back, name), getattr(angles, name))
 
@@ -160,14 +160,14 @@ def test_angles_there_and_back():
 )
 def test_wrong_targets(name, value, message):
     targets = Targets(np.zeros((3, 2)), np.ones((3, 2)), np.ones((3, 2)))
-    msg = convert.wanted_to_msg(replace(wanted(), targets=targets), STAMP)
+    msg = convert.request_to_msg(replace(some_request(), targets=targets), STAMP)
     setattr(msg.forces[0], name, value)
     with pytest.raises(PlateError, match=message):
-        convert.msg_to_wanted(msg)
-    msg = convert.wanted_to_msg(replace(wanted(), targets=targets), STAMP)
+        convert.msg_to_request(msg)
+    msg = convert.request_to_msg(replace(some_request(), targets=targets), STAMP)
     msg.gap_m = -1.0
     with pytest.raises(PlateError, match=r"gap_m is -1, allowed: 0 to 1e\+09"):
-        convert.msg_to_wanted(msg)
+        convert.msg_to_request(msg)
 
 
 def test_driver_status_there_and_back():
@@ -194,7 +194,7 @@ def test_codes_of_the_driver_are_those_of_the_message():
 
 
 def test_seen_parts_there_and_back():
-    sent = wanted().parts
+    sent = some_request().parts
     msg = over_the_wire(convert.parts_to_msg(sent, STAMP, Part.SIMULATED))
     assert [part.type for part in msg.parts] == ["black", "white", "white"]
     assert {part.source for part in msg.parts} == {Part.SIMULATED}
@@ -204,14 +204,14 @@ def test_seen_parts_there_and_back():
 
 
 def test_an_interval_without_an_end():
-    msg = convert.wanted_to_msg(wanted(), STAMP)
+    msg = convert.request_to_msg(some_request(), STAMP)
     msg.forces[0].force_x_min, msg.forces[0].force_x_max = -float("inf"), 0.01
     msg.forces[1].torque_min = -float("inf")
-    back = convert.msg_to_wanted(over_the_wire(msg)).forces
+    back = convert.msg_to_request(over_the_wire(msg)).forces
     assert back.force[0, 0] + back.tolerance[0, 0] == pytest.approx(0.01, abs=1e-6)
     assert back.force[0, 0] - back.tolerance[0, 0] < -1e8
     assert back.torque[1] == 0
-    assert back.torque[0] == pytest.approx(wanted().forces.torque[0])
+    assert back.torque[0] == pytest.approx(some_request().forces.torque[0])
 
 
 def test_no_parts():
@@ -303,10 +303,10 @@ def test_wrong_cycles(change, message):
     ],
 )
 def test_wrong_parts(change, message):
-    msg = convert.wanted_to_msg(wanted(), STAMP)
+    msg = convert.request_to_msg(some_request(), STAMP)
     change(msg)
     with pytest.raises(PlateError, match=message):
-        convert.msg_to_wanted(msg)
+        convert.msg_to_request(msg)
 
 
 def test_camera_info_tells_where_points_are_seen():

@@ -186,7 +186,7 @@ def test_who_has_no_name_yet_is_no_second_node(peer, monkeypatch):
         found = [SimpleNamespace(node_namespace="/lifecycle_test", node_name=n) for n in names]
         monkeypatch.setattr(peer.echo, "count_publishers", lambda topic: len(found))
         monkeypatch.setattr(peer.echo, "get_publishers_info_by_topic", lambda topic: found)
-        return peer.echo.rivals("word")
+        return peer.echo.second_publisher("word")
 
     assert publishers("peer", "_NODE_NAME_UNKNOWN_") == publishers("peer", "peer") == ""
     told = "2 nodes publish word (other, peer), allowed: one"

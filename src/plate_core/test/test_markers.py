@@ -8,7 +8,7 @@ pytest.importorskip("rclpy")
 from rclpy.serialization import deserialize_message, serialize_message
 from visualization_msgs.msg import Marker, MarkerArray
 
-from plate_core import Parts, PlateCycle, Wanted, load_rig
+from plate_core import CycleRequest, Parts, PlateCycle, load_rig
 from plate_core.ros import centres_to_msg, forces_to_msg, scene_to_msg, to_time
 
 STAMP = to_time(7)
@@ -41,7 +41,7 @@ def test_scene_over_the_wire():
 def test_nothing_to_draw():
     rig, nothing = load_rig(), Parts.make((), np.empty((0, 2)))
     assert len(scene_to_msg(rig, nothing, {}, np.zeros(3), STAMP).markers) == 1
-    assert forces_to_msg(rig, Wanted.make(nothing), STAMP).markers == []
+    assert forces_to_msg(rig, CycleRequest.make(nothing), STAMP).markers == []
 
 
 def test_centres_of_a_plate_that_swings_about_a_point():

@@ -26,16 +26,16 @@ def test_of_several_findings_the_worst_counts_and_all_are_told():
 
 
 def test_an_input_is_gone_after_its_timeout_whether_it_ever_came_or_not():
-    topic = Input("image", "image_raw", "does the camera run?", 1.5, since=10.0)
-    assert topic.gone(11.5) is None
-    assert topic.gone(11.6) == Finding(
-        Level.STALE, "no image yet on image_raw: does the camera run?"
+    topic = Input("image", "image_raw", "check that the camera runs", 1.5, since=10.0)
+    assert topic.timed_out(11.5) is None
+    assert topic.timed_out(11.6) == Finding(
+        Level.STALE, "no image yet on image_raw; check that the camera runs"
     )
-    topic = topic.heard(20.0)
-    assert topic.gone(21.5) is None
-    assert topic.silence(21.0) == 1.0
-    assert topic.gone(22.1) == Finding(
-        Level.STALE, "no image for 2.1 s on image_raw: does the camera run?"
+    topic = topic.received(20.0)
+    assert topic.timed_out(21.5) is None
+    assert topic.age(21.0) == 1.0
+    assert topic.timed_out(22.1) == Finding(
+        Level.STALE, "no image for 2.1 s on image_raw; check that the camera runs"
     )
 
 

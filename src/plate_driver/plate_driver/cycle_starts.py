@@ -1,5 +1,5 @@
 """Start times of the plate's cycles, derived from the device's telemetry. This module uses neither
-ROS nor a clock, so all times are arguments. Each telemetry message is checked against the device's
+ROS nor a clock: all times are arguments. Each telemetry message is checked against the device's
 clock, the table's period and the host's time. The starts in inconsistent messages are not reported,
 because the planner would predict wrong part positions from them. `transports.device_clock` checks
 the device's clock itself.
@@ -19,16 +19,17 @@ __all__ = ["CycleStarts", "StartReporter"]
 
 SAME_START = 0.5
 """Maximum difference between two measured start times of the same play of a table, as a fraction of
-its cycle. They differ because the host and device clocks differ slightly."""
+its cycle. The start times differ slightly, because the conversion between the clocks of host and
+device varies."""
 
 MARGIN_S = 3e-3
-"""Tolerance within which two times count as equal [s]. It is shorter than the interval between two
-telemetry messages. It is longer than the delay that arises because tables start at a tick of the
-device."""
+"""Two times with a smaller difference count as equal [s]. This tolerance is shorter than the
+interval between two telemetry messages. It is longer than the delay of table starts, which occur
+only at ticks of the device."""
 
 AHEAD_S = 0.1
-"""Maximum time by which telemetry may be ahead of the host's time [s]. It can be ahead, because the
-clock offset is estimated from round-trip times."""
+"""Maximum time by which telemetry may be ahead of the host's time [s]. Telemetry can be ahead,
+because the offset between the clocks is estimated from round-trip times."""
 
 REST_CYCLE_S = 0.1
 """Period of the reported cycle while the motors rest [s]."""
@@ -48,7 +49,7 @@ class CycleStarts:
     began : float
         Start of the last reported cycle. Initially minus infinity.
     table : int
-        Number of the table of that cycle. 0 if the motors rest.
+        Number of the table of the last reported cycle. 0 if the motors rest.
     last : Measured or None
         Previous telemetry, or None if it was rejected.
     slip : float
@@ -79,9 +80,9 @@ class CycleStarts:
         -------
         starts : CycleStarts
         began : float or None
-            Start of a cycle that was not reported before. It is None if there is no new cycle.
+            Start of a cycle that was not reported before. None if there is no new cycle.
         problem : str
-            Reason why the telemetry is inconsistent. It is empty if it is consistent.
+            Reason why the telemetry is inconsistent. Empty if it is consistent.
         """
         if new.clock_problem:
             return replace(self, last=None, slip=0.0), None, new.clock_problem
@@ -130,7 +131,7 @@ class CycleStarts:
         if last.table != new.table:
             if later < before - MARGIN_S:
                 return 0.0, f"began {later:.3g} s after the last table, allowed: {before:.3g} s"
-            # The plate rested between the tables, so no delay can be computed.
+            # The plate rested between the tables, so the delay of this table is unknown.
             if abs(off) > MARGIN_S:
                 return 0.0, ""
         slip = self.slip + off
@@ -163,7 +164,7 @@ class StartReporter:
         cycle : PlateCycle
             The plate's motion in the current cycle.
         began : float or None
-            Start of this cycle on the steady clock [s] if it was not reported before.
+            Start of this cycle on the steady clock [s]. None if the start was reported before.
         problem : str
             Warning if the telemetry is inconsistent, otherwise an empty text.
         """

@@ -1,4 +1,4 @@
-"""Content of the driver's diagnostics. It is collected from the driver's other objects."""
+"""Content of the driver's diagnostics, from the states of the driver's other objects."""
 
 from __future__ import annotations
 
@@ -51,7 +51,7 @@ class DriverDiagnostics:
 
     def record_ready(self, ready: bool, now: float) -> None:
         """Record at `now` [s, playback] whether cycles are accepted or a calibration runs."""
-        # `min` is needed because a clock may be set back.
+        # `min`: the clock may have been set back.
         self._ready_since = min(self._ready_since, now) if ready else now
 
     def finding(self, status: DriverStatus, failure: Exception | None) -> Finding:

@@ -1,9 +1,9 @@
 """Decision whether a cycle is recent enough to move the plate.
 
 The driver checks this immediately before it sends a cycle to the motors. Each message of the
-control loop carries the stamp of the image, or of the cycle start, from which it is derived. The
-age is therefore known even if a message was delayed, lost, repeated or reordered. This module uses
-neither ROS nor a clock, so all times are arguments.
+control loop carries the stamp of the image, or of the cycle start, from which it is derived.
+Therefore the age is known even if a message was delayed, lost, repeated or reordered. This module
+uses neither ROS nor a clock: all times are arguments.
 """
 
 from __future__ import annotations
@@ -17,32 +17,33 @@ from plate_core.status import age_limit
 __all__ = ["AHEAD_S", "ALONE_S", "STALL_S", "Freshness"]
 
 SEND_S = 0.02
-"""Maximum time to send a cycle on a busy computer [s]. It is subtracted from the age limit, so that
-no cycle reaches the device after the limit."""
+"""Maximum time to send a cycle on a busy computer [s]. This time is subtracted from the age limit,
+so that no cycle reaches the device after the limit."""
 
 AHEAD_S = 0.1
 """Maximum time by which another computer's clock may be ahead of this computer's clock [s]."""
 
 CLOCKS_S = 3.0
 """Maximum image age that a slow computer can cause [s]. If the age is larger or negative, the
-message suggests that the clocks disagree."""
+message advises to check the synchronisation of the clocks."""
 
 STALL_S = 0.25
-"""Time between two calls of `Freshness.with_state` after which the driver counts as stalled [s]. It
-is about one cycle."""
+"""If the time between two calls of `Freshness.with_state` is longer than this value, the driver
+counts as stalled [s]. The value is about one cycle."""
 
 ALONE_S = 1.0
 """If cycles of two publishers arrive within this time [s], both are refused, even if the publishers
 have equal names. A restart of the solver takes longer."""
 
 RESTART_NS = 1_000_000_000
-"""Maximum time between a stamp and a later event for which the two are compared [ns]. If the time
-is longer, the stamp is too old in any case, or a simulator was restarted after the stamp."""
+"""Maximum time between a stamp and a later event for which both are compared [ns]. If the time is
+longer, the stamp is too old without this comparison, or a simulator was restarted after the
+stamp."""
 
 
 @dataclass(frozen=True)
 class Freshness:
-    """Record of what makes a cycle invalid: its age, events after its image, a second publisher.
+    """Record of what makes a cycle invalid: its age, events after its image, or a second publisher.
 
     Stamps are in ns.
 
@@ -52,17 +53,17 @@ class Freshness:
         Time at which the motors became ready or the driver resumed after a stall, on the clock that
         stamps images. The later of these events counts.
     why : str
-        Text that names this event.
+        Text that names the event at `since_ns`.
     ended_ns : int
         Stamp of the last request of a task that has ended.
     number : int or None
-        Number of stops before the motors became ready. It is None if they are not ready. A changed
-        number shows a stop and a new enable between two calls of `with_state`.
+        Number of stops before the motors became ready. None if they are not ready. If the number
+        has changed since the last call of `with_state`, the motors were stopped and enabled again.
     updated_at : float
         Time of the last call of `with_state` [s, steady clock].
     last_cycles : dict of bytes to float
-        Time of the last cycle of each publisher [s, steady clock]. The key identifies the
-        publisher.
+        Time of the last cycle of each publisher [s, steady clock]. The keys identify the
+        publishers.
     clock : ClockSteps
         Steps of the clock that stamps images.
     """
@@ -77,14 +78,14 @@ class Freshness:
 
     def with_clocks(self, now: float, clock_ns: int) -> Freshness:
         """Record one reading of the steady clock [s] and of the clock that stamps images [ns]. Call
-        this before each other method, but not in simulated time, which has no relation to the
-        steady clock."""
+        this method before each call of another method, except in simulated time, which has no
+        relation to the steady clock."""
         clock = self.clock.with_reading(now, clock_ns)
         by_ns = sum(step.by_ns for step in clock.steps if step not in self.clock.steps)
         return replace(self, clock=clock, since_ns=self.since_ns + by_ns)
 
     def with_state(self, number: int | None, now: float, clock_ns: int) -> Freshness:
-        """Record whether the motors are ready. Call this about every 20 ms.
+        """Record whether the motors are ready. Call this method about every 20 ms.
 
         Parameters
         ----------
@@ -93,7 +94,7 @@ class Freshness:
         now : float
             Time on the steady clock [s].
         clock_ns : int
-            The same time on the clock that stamps images.
+            The same time on the clock that stamps images [ns].
         """
         away, why = now - self.updated_at, ""
         if number is not None and number != self.number:
@@ -104,7 +105,7 @@ class Freshness:
         return replace(new, since_ns=clock_ns, why=why) if why else new
 
     def ended(self, stamp_ns: int) -> Freshness:
-        """Record that a task has ended, or that no task runs.
+        """Record that a task has ended or that no task runs.
 
         `stamp_ns` is the image stamp of the planner's last request. It is ignored if it is 0 (no
         request yet) or less than `RESTART_NS` older than the last recorded stamp.
@@ -124,7 +125,7 @@ class Freshness:
         Raises
         ------
         CycleError
-            If it must not be sent. The message gives the reason.
+            If the cycle must not be sent. The message gives the reason.
         """
         if not self.clock.usable:
             raise CycleError(

@@ -35,8 +35,8 @@ class CycleIntake:
     status : callable
         Returns the state of the motors.
     decode : callable
-        Converts a serialized plate_cycle to the cycle and its stamp [ns]. Raises a PlateError if it
-        is invalid.
+        Converts a serialized plate_cycle to the cycle and its stamp [ns]. Raises a PlateError if
+        the message or the cycle is invalid.
     second_publisher : callable
         Returns an error message if several nodes publish plate_cycle, otherwise an empty text.
     poll_tasks : callable
@@ -47,7 +47,7 @@ class CycleIntake:
     task_runs : bool
         Whether a task runs, according to the planner's last report.
     refusal : str
-        Reason why the last cycle was refused. It is empty if it was accepted.
+        Reason why the last cycle was refused. Empty if it was accepted.
     """
 
     def __init__(
@@ -68,8 +68,8 @@ class CycleIntake:
         self.task_runs, self.refusal = False, ""
 
     def begin(self) -> None:
-        """Discard the records of earlier cycles and of the last refusal. `task_runs` stays
-        unchanged."""
+        """Discard the records of earlier cycles and of the last refusal. `task_runs` does not
+        change."""
         self._freshness, self.refusal = Freshness(clock=self._freshness.clock), ""
 
     def record_task(self, running: bool, stamp_ns: int | None) -> None:
@@ -80,7 +80,7 @@ class CycleIntake:
         running : bool
             Whether a task runs.
         stamp_ns : int or None
-            Stamp of the planner's last request [ns]. It is None if it is unknown.
+            Stamp of the planner's last request [ns]. None if unknown.
         """
         self.task_runs = running
         if stamp_ns is not None and not running:
@@ -88,9 +88,9 @@ class CycleIntake:
 
     def observe(self) -> DriverStatus:
         """Return the status, and record when the motors became ready or this process stalled. Call
-        this about every 20 ms.
+        this method about every 20 ms.
 
-        In simulated time stalls, and steps of the clock, are not recorded.
+        Stalls and steps of the clock are not recorded in simulated time.
         """
         status = self._status()
         number = self._latch.number if status.state is DriverState.READY else None
@@ -109,7 +109,7 @@ class CycleIntake:
         Parameters
         ----------
         data : bytes
-            Beginning of the serialized cycle.
+            First bytes of the serialized cycle.
         size : int
             Size of the whole message [bytes].
         source : bytes
@@ -128,7 +128,7 @@ class CycleIntake:
         """
         number, status = self._latch.number, self.observe()
         self._freshness = self._freshness.with_cycle(source, self._clocks.steady_s())
-        if status.state is not DriverState.READY:  # report this reason before any other
+        if status.state is not DriverState.READY:  # this reason comes first
             self._playback.count_refused()
             raise NotReadyError(f"the driver is {status.text}")
         try:
@@ -145,11 +145,11 @@ class CycleIntake:
         self, cycle: PlateCycle, stamp_ns: int, transport: TransportThread, number: int
     ) -> Fit:
         now = self._clocks.playback_s()
-        if self._clocks.simulated():  # the simulated time may arrive after the cycle
+        if self._clocks.simulated():  # the message with the simulated time may arrive later
             now = max(now, 1e-9 * stamp_ns)
         guard, fit = self._playback.guard_for(transport).accepted(cycle, stamp_ns, now)
         if cycle.moves:
-            # Poll as late as possible, because the task may have ended meanwhile.
+            # Poll as late as possible, because the task may have ended since the last poll.
             self._poll_tasks()
             guard = guard.lasting(self._clocks.steady_s() + self._remaining_s(cycle, stamp_ns))
         self._playback.send(transport, guard, number)
@@ -163,7 +163,7 @@ class CycleIntake:
         if problem := self._second_publisher():
             raise CycleError(problem)
         simulated = self._clocks.simulated()
-        if simulated:  # the simulated time may arrive after the cycle
+        if simulated:  # the message with the simulated time may arrive later
             clock_ns = max(self._clocks.stamp_ns(), stamp_ns)
         else:
             now, clock_ns = read_together(self._clocks.steady_s, self._clocks.stamp_ns)

@@ -2,9 +2,9 @@
 sends the tables to a transport. If cycles are missing, invalid or too old, the plate comes to
 rest.
 
-The node connects topics, services, timers and parameters with the objects that do the work.
-`CycleIntake` accepts or refuses cycles, `Playback` sends their tables, and `TransportOwner` opens
-the transport and stops the motors."""
+The node connects topics, services, timers and parameters with other objects. `CycleIntake` accepts
+or refuses cycles, `Playback` sends their tables, and `TransportOwner` opens the transport and stops
+the motors."""
 
 from __future__ import annotations
 
@@ -73,7 +73,7 @@ CORRECTED = (
 """Message on activation with a calibration."""
 
 MIN_FACTOR = 0.99
-"""Minimum scaling factor of a cycle without a warning."""
+"""If the driver scales a cycle down by a factor below this value, it logs a warning."""
 
 
 @dataclass(frozen=True)
@@ -89,33 +89,36 @@ class Options(NodeOptions):
     streams: bool = parameter(False, "Whether to stream setpoints instead of sending whole cycles.")
     hold_cycles: int = parameter(
         HOLD_CYCLES,
-        "Number of plays of a cycle from rest to rest if no new cycle arrives.",
+        "Number of times that a cycle from rest to rest is executed if no new cycle arrives.",
         1,
         20,
     )
     repeats: int = parameter(
-        1, "Number of plays of a cycle that begins in motion.", 1, 100, live=True
+        1, "Number of times that a cycle that begins in motion is executed.", 1, 100, live=True
     )
     state_rate: float = parameter(
-        10.0, "Publishing rate of motor_states [1/s]; 0 disables it.", 0.0, 200.0
+        10.0, "Rate at which motor_states is published [1/s]. 0 disables it.", 0.0, 200.0
     )
     calibration_file: str = parameter(
-        "", "File of the plate's response. The service calibrate writes it; empty: no correction."
+        "",
+        "File of the plate's response, as the service calibrate writes it. Empty means no "
+        "correction.",
     )
 
 
 class DriverNode(SafeLifecycleNode[Options]):
     """Lifecycle node `driver`: keeps plate cycles within the limits and sends them to the motors.
 
-    Subscribes to plate_cycle and task_status. After the end of a task, the cycles that it requested
-    are refused. Publishes driver_status and diagnostics always. While active, it publishes
-    motor_setpoints and motor_states, and cycle_started if the motors play whole cycles. Services:
-    enable (switches on the motors' current), emergency_stop, cut_power, home, calibrate,
-    measure_friction and write_friction. The last two subscribe to parts and publish friction.
+    The node subscribes to plate_cycle and task_status. After the end of a task, it refuses the
+    cycles of the task. It always publishes driver_status and diagnostics. While active, it also
+    publishes motor_setpoints and motor_states, and cycle_started if the motors play whole cycles.
+    Services: enable (switches on the motors' current), emergency_stop, cut_power, home, calibrate,
+    measure_friction and write_friction. For the two services on friction, the node subscribes to
+    parts and publishes friction.
 
     emergency_stop, cut_power, enable, home and driver_status must work under any message load and
-    in every lifecycle state. They have a separate participant, node (`driver_safety`) and threads.
-    Only `enable` switches on the motors' current.
+    in every lifecycle state. Therefore a separate node (`driver_safety`) with its own participant
+    and threads provides them. Only `enable` switches on the motors' current.
 
     Measured motor_states have position [m] and acceleration [m/s2]. The acceleration is in
     `effort`, because JointState has no field for it."""
@@ -142,7 +145,7 @@ class DriverNode(SafeLifecycleNode[Options]):
             self.clocks,
             status=lambda: self.status,
             decode=bytes_to_cycle,
-            second_publisher=lambda: self.rivals("plate_cycle"),
+            second_publisher=lambda: self.second_publisher("plate_cycle"),
             poll_tasks=lambda: self._inputs.poll_tasks(),
         )
         self._friction = FrictionServer(
@@ -170,7 +173,7 @@ class DriverNode(SafeLifecycleNode[Options]):
         self._diagnostics = Diagnostics(
             self, self._find, self._values, lambda: "plate", self._report.reported
         )
-        with urgent():  # the threads of the node's DDS participant inherit the priority
+        with urgent():  # the threads of the node's DDS participant inherit the high priority
             self._safety = SafetyNode(self, self.transports, self.latch, lambda: self.status)
 
     @property
@@ -208,7 +211,7 @@ class DriverNode(SafeLifecycleNode[Options]):
             self.keep(self.destroy_timer, self.create_timer(t, tick, clock=self._steady))
 
     def begin(self) -> None:
-        """Accept cycles when the motors are ready. A transport without motors is ready at once,
+        """Accept cycles when the motors are ready. A transport without motors is ready immediately,
         unless it was stopped."""
         self._report.begin(self.clocks.playback_s())
         self.intake.begin()
@@ -261,7 +264,8 @@ class DriverNode(SafeLifecycleNode[Options]):
             super().close()
         finally:
             self._safety.close()
-            self.transports.close()  # a stop during `super().close()` may have opened a transport
+            # A stop during `super().close()` may have opened a temporary transport.
+            self.transports.close()
 
     def destroy_node(self) -> None:
         """Destroy this node and the safety node."""
@@ -287,7 +291,7 @@ class DriverNode(SafeLifecycleNode[Options]):
         self._setpoints.publish(table_to_msg(self.playback.rig, table))
 
     def _play(self, table: MotorTable) -> None:
-        """Publish a table for the simulator. A table that is too old by now is refused."""
+        """Publish a table for the simulator, unless the table has become too old."""
         msg = table_to_msg(self.playback.rig, table)
         table.check_age(time.monotonic())
         self._setpoints.publish(msg)
@@ -302,7 +306,7 @@ class DriverNode(SafeLifecycleNode[Options]):
         try:
             msg = deserialized(data, TaskStatus)
         except PlateError as error:
-            # The message is invalid or truncated, so the planner did not send it.
+            # An invalid or truncated message cannot be from the planner.
             self.get_logger().warning(f"task_status: {error}", throttle_duration_sec=WARN_S)
             return
         stamp_ns = nanoseconds(msg.header.stamp) if size <= len(data) else None
@@ -318,7 +322,8 @@ class DriverNode(SafeLifecycleNode[Options]):
             return
         try:
             fit = self.intake.accept(data, size, source, transport)
-        # The two equal lines are necessary, because rclpy limits the rate of each line separately.
+        # The following line occurs twice, because rclpy limits the rate of each line of code
+        # separately.
         except NotReadyError as error:
             self.get_logger().warning(f"cycle refused: {error}", throttle_duration_sec=WARN_S)
         except PlateError as error:
@@ -341,7 +346,7 @@ class DriverNode(SafeLifecycleNode[Options]):
             self._calibration.record(measured)
         self._record_problems(transport)
         self._inputs.poll_tasks()
-        if self.playback.guard.table is None:  # no sent table can play
+        if self.playback.guard.table is None:  # no table was sent that can play
             self._problems.clear_unplayed()
         if self.active:
             self._continue(transport)
@@ -363,7 +368,7 @@ class DriverNode(SafeLifecycleNode[Options]):
         elif text := self.playback.check_end(now):
             if self.intake.task_runs:
                 self.get_logger().warning(text, throttle_duration_sec=WARN_S)
-            else:  # no cycles are expected without a task
+            else:  # without a task, no cycles are expected
                 self.get_logger().debug(text, throttle_duration_sec=WARN_S)
 
     def _record_problems(self, transport: TransportThread) -> None:
@@ -421,8 +426,8 @@ class DriverNode(SafeLifecycleNode[Options]):
             self._states.publish(msg)
 
     def _stamp_ns(self, age_s: float) -> int:
-        """Return the stamp of an event that is `age_s` [s] old. The stamp is not negative, even if
-        a simulated clock is still at 0."""
+        """Return the stamp of an event that is `age_s` [s] old. The stamp is never negative: a
+        simulated clock may still be at 0."""
         return max(0, self.get_clock().now().nanoseconds - max(0, round(1e9 * age_s)))
 
     def _find(self, now: float) -> Finding:

@@ -16,7 +16,7 @@ from .transports import Latch, TransportThread
 __all__ = ["Playback"]
 
 MOTIONS_KEPT = 8
-"""Number of sent cycles that are stored, because they may still play or wait."""
+"""Number of sent cycles whose plate motions are stored. These cycles may still play or wait."""
 
 
 class Playback:
@@ -39,7 +39,7 @@ class Playback:
     def __init__(self, guard: Guard, latch: Latch, publish: Callable[[MotorTable], None]) -> None:
         self.guard, self._latch, self._publish = guard, latch, publish
         self._number = latch.number  # number of stops before the last table was sent
-        # Plate motions of the corrected tables. The keys are the stamps of their cycles [ns].
+        # Plate motions of the corrected tables, by the stamps of their cycles [ns].
         self._motions: dict[int, PlateCycle] = {}
 
     @property
@@ -58,8 +58,8 @@ class Playback:
     def guard_for(self, transport: TransportThread) -> Guard:
         """Return the guard with the transport's present `hold_s`.
 
-        After a stop it has no tables, even if the motors were enabled again before the next call
-        of `rest`.
+        After a stop, this guard has no tables, even if the motors were enabled again before the
+        next call of `rest`.
         """
         stopped = self._number != self._latch.number
         guard = self.guard.without_tables() if stopped else self.guard
@@ -78,7 +78,8 @@ class Playback:
         Raises
         ------
         CycleError
-            If the motors were stopped after that, or if the transport refuses the table.
+            If the motors were stopped after the table was made, or if the transport refuses the
+            table.
         """
         assert guard.table is not None
         transport.send(guard.table, guard.plays, number)
@@ -89,8 +90,8 @@ class Playback:
     def send_push(
         self, transport: TransportThread, cycle: PlateCycle, stamp_ns: int, now: float
     ) -> float:
-        """Play a motion from rest to rest once. It is corrected by the calibrated response. Return
-        the factor that scales it down to the rig's limits.
+        """Play a motion from rest to rest once, corrected by the calibrated response. Return the
+        factor that scales the motion down to the rig's limits.
 
         Raises
         ------
@@ -124,14 +125,15 @@ class Playback:
         self.guard = self.guard.refused()
 
     def check_end(self, now: float) -> str:
-        """Record whether the plate rests because no more cycles arrive. Return a message if it
-        does, otherwise an empty text."""
+        """Record whether the plate rests because cycles no longer arrive. Return a message if it
+        rests for this reason, otherwise an empty text."""
         hold_s = self.guard.lasts_s
         self.guard, over = self.guard.watched(now)
         return f"no plate_cycle for {hold_s:.3g} s: the plate rests" if over else ""
 
     def quiet_s(self, now: float, ready_since: float) -> float | None:
-        """Return the time without cycles [s] if the plate rests for this reason, otherwise None."""
+        """Return the time without cycles [s] if the plate rests because cycles no longer arrive,
+        otherwise None."""
         if self.guard.table is not None:
             return None
         quiet = now - max(self.guard.sent_at, ready_since)

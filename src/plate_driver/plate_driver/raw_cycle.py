@@ -8,7 +8,7 @@ import struct
 from plate_core import CycleError
 
 POINT_BYTES = 256
-"""Maximum size of a point with three joints [bytes]: 3 x (4 + 4 + 24) + 8 + 8, and a margin."""
+"""Maximum size of a point with three joints [bytes]: 3 x (4 + 4 + 24) + 8 + 8, plus a margin."""
 
 HEAD_BYTES = 4096
 """Maximum size of the data before the points [bytes]: the names of a frame and of three joints."""
@@ -42,7 +42,7 @@ def check_length(data: bytes, size: int, most_points: int) -> None:
 
 
 def _points(data: bytes) -> int | None:
-    """Return the number of points. The result is None if the number cannot be read from `data`."""
+    """Return the number of points. None if it cannot be read from `data`."""
     if len(data) < 4 or data[0] != 0 or data[1] not in (0, 1):
         return None
     order = "<" if data[1] == 1 else ">"

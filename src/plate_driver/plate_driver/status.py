@@ -15,7 +15,7 @@ from .transports import Condition, Latch, Report
 __all__ = ["AT_REST", "LOOK", "OFF", "UNANSWERED", "driver_status", "health"]
 
 PERSONS = (DriverReason.EMERGENCY_STOP, DriverReason.POWER_CUT)
-"""Reasons of stops that a person requested because of danger."""
+"""Reasons of stops that a person requests in case of danger."""
 
 LOOK = "look at the rig, then call enable"
 OFF = "disabled: the motors are off; call enable"
@@ -43,7 +43,7 @@ def driver_status(
     latch : Latch
         Latch that blocks cycles after a stop, and stores the reason of the stop.
     report : Report or None
-        Report of the transport. It is None if no transport is open (node not configured).
+        Report of the transport. None if no transport is open, because the node is not configured.
     calibrating : bool
     """
 
@@ -57,8 +57,8 @@ def driver_status(
     if latch.unanswered and condition is Condition.GONE:
         return status(DriverState.ERROR, UNCERTAIN, DriverReason.STOP_UNANSWERED)
     current = Report(condition) if report is None else report
-    # If the motors are ready and the latch is closed, the transport has not processed the stop yet,
-    # or the enable is still in progress.
+    # If the motors are ready although the latch is closed, the transport has not processed the stop
+    # yet, or an enable is still in progress.
     stopping = condition is Condition.READY and bool(requested) and not latch.enabling
     if condition is Condition.BRAKING or (active and stopping):
         why = requested or current.reason
@@ -111,10 +111,9 @@ def health(
     task : bool
         Whether a task runs. If no task runs, a plate at rest is normal.
     lasting : sequence of str
-        Faults that last until somebody corrects them.
+        Faults that persist until a person corrects them.
     unplayed : str
-        Reason why the motors have not played a sent cycle for a long time. It is empty if they
-        play.
+        Reason why the motors have not played a sent cycle for a long time. Empty if they play.
     """
     if status.state in (DriverState.ERROR, DriverState.STOPPED):
         return Finding(Level.ERROR, status.text)

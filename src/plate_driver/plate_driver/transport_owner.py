@@ -1,5 +1,5 @@
 """Owner of the driver's transport. A stop reaches the motors in every lifecycle state: if no
-transport is open, a temporary one is opened for the stop."""
+transport is open, a temporary transport is opened for the stop."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ OFF_PERIOD_S = 0.01
 """Time between checks whether the motors are off [s]."""
 
 REST_S = 3.0
-"""Maximum wait for motors to brake, go home and switch off [s]."""
+"""Maximum time to wait until the motors have braked, gone home and switched off [s]."""
 
 
 class TransportOwner:
@@ -73,8 +73,8 @@ class TransportOwner:
             return self.current
 
     def close(self) -> None:
-        """Stop and close the open transports. If another thread calls `stop` meanwhile, they still
-        execute the stop."""
+        """Stop and close the open transports. They still execute a stop that another thread
+        requests at the same time."""
         if self.current is not None:
             self.current.close()
             self.current = None
@@ -84,8 +84,8 @@ class TransportOwner:
     def stop(self, cut: bool) -> bool:
         """Stop the motors. If `cut` is true, cut their power.
 
-        Return within `ANSWER_S` whether the device has confirmed the stop. If it has not, further
-        attempts follow after the return.
+        Return within `ANSWER_S` whether the device has confirmed the stop. Without a confirmation,
+        the attempts continue after the return.
         """
         end = time.monotonic() + ANSWER_S
         try:
@@ -97,16 +97,17 @@ class TransportOwner:
                     transport, order = self._stop_without_current(cut)
                 done = transport.stopped(order, cut, end)
                 if done or transport in (self.current, self.temporary):
-                    break  # if neither is true, the transport was closed during the wait
+                    break  # otherwise the transport was closed during the wait
         except PlateError as error:
-            done, order = False, Order().settle(str(error))
+            done, order = False, Order().complete(str(error))
         self.latch.late = None if done else order
         return done
 
     def rest(self) -> str:
         """Stop the motors of the current transport, and wait until they are off.
 
-        Return an error message. It is empty if the motors are off or no device was ever connected.
+        Return an error message. The message is empty if the motors are off or no device was ever
+        connected.
         """
         transport = self.current
         assert transport is not None

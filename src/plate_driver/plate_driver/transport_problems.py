@@ -1,13 +1,12 @@
-"""Record of the problems that the transport reports. It determines which problems are logged, and
-whether sent cycles are no longer played."""
+"""Record of the problems that the transport reports. The record determines which problems are
+logged, and whether sent cycles are no longer played."""
 
 from __future__ import annotations
 
 __all__ = ["TransportProblems"]
 
 UNPLAYED_S = 0.5
-"""Maximum time without a played table after a failed table [s]. After a longer time, a problem is
-reported."""
+"""If no table plays for longer than this time after a table failed, a problem is reported [s]."""
 
 
 class TransportProblems:
@@ -38,7 +37,7 @@ class TransportProblems:
         return new
 
     def clear_unplayed(self) -> None:
-        """Record that a table plays, or that none should play."""
+        """Record that a table plays, or that no table should play."""
         self._unplayed = None
 
     def unplayed(self, now: float) -> str:

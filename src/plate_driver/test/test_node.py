@@ -192,11 +192,11 @@ class Player:
 
     def enable(self) -> Order:
         self.condition = Condition.READY
-        return Order().settle()
+        return Order().complete()
 
     def stop(self, cut=False) -> Order:
         self.condition = Condition.OFF
-        return Order().settle()
+        return Order().complete()
 
     def open(self) -> None:
         pass
@@ -375,9 +375,9 @@ def test_what_is_too_old_or_of_a_task_that_has_ended_moves_nothing(driven):
 def test_where_two_nodes_send_cycles_neither_moves_the_plate(driven):
     """Two publishers are two names, or else two that have sent something of late."""
 
-    def wait_for(rivals: str) -> None:
+    def wait_for(second_publisher: str) -> None:
         end = time.monotonic() + 60.0
-        while driven.node.rivals("plate_cycle") != rivals:
+        while driven.node.second_publisher("plate_cycle") != second_publisher:
             assert time.monotonic() < end
             time.sleep(0.01)
 

@@ -120,14 +120,14 @@ def test_a_stop_that_is_not_acknowledged_is_answered_and_goes_on_being_tried(des
     assert (answer.success, answer.message) == (False, UNANSWERED)
     status = desk.node.status
     assert (status.text, status.reason) == (UNCERTAIN, DriverReason.STOP_UNANSWERED)
-    desk.motors.stops[-1].settle()  # the status then has the result
+    desk.motors.stops[-1].complete()  # the status then has the result
     assert desk.node.status.text == "error: no word"
     # Telemetry shows it: an acknowledgement is not needed.
     desk.motors.told, desk.motors.telemetry = Report(Condition.OFF), True
     answer = desk.call("emergency_stop")
     assert answer.success, answer.message
     assert answer.message.startswith("stopped: emergency stop")
-    assert not desk.motors.stops[-1].settled
+    assert not desk.motors.stops[-1].completed
 
 
 def test_an_enable_is_answered_before_the_motors_are_ready(desk):
@@ -140,7 +140,7 @@ def test_an_enable_is_answered_before_the_motors_are_ready(desk):
     desk.pass_time(0.1)
     assert desk.node.status.state is DriverState.ENABLING
     for order in desk.motors.enables:
-        order.settle()
+        order.complete()
     desk.motors.told = Report(Condition.READY)
     desk.pass_time(0.1)
     assert desk.node.status.state is DriverState.READY
@@ -202,7 +202,7 @@ def test_a_stop_of_an_unconfigured_driver_is_tried_until_it_is_acknowledged(desk
     assert (len(motors.stops), motors.closed) == (2, 0)
     assert desk.node.status.reason is DriverReason.STOP_UNANSWERED
     for order in motors.stops:
-        order.settle()
+        order.complete()
     end = time.monotonic() + 60.0
     while not motors.closed and time.monotonic() < end:
         time.sleep(0.01)

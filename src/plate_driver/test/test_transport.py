@@ -45,14 +45,14 @@ class Drives:
     def stop(self, cut=False):
         self.condition = Condition.OFF
         self.log.append("cut" if cut else "stop")
-        return Order().settle()
+        return Order().complete()
 
     def enable(self):
         self.condition = Condition.READY
-        return Order().settle()
+        return Order().complete()
 
     def home(self):
-        return Order().settle("no home here")
+        return Order().complete("no home here")
 
     def troubles(self):
         return []

@@ -27,7 +27,7 @@ class Motors(SimTransport):
         self._stopped = self.settles
         order = Order(WAIT_S)
         self.orders.append((cut, order))
-        return order.settle() if self.settles else order
+        return order.complete() if self.settles else order
 
     def close(self):
         self.closed.set()
@@ -58,7 +58,7 @@ def test_an_unacknowledged_stop_keeps_its_transport_until_another_one_is_opened(
     assert temporary is not None
     assert not owned.stop(cut=False)
     assert owned.temporary is temporary
-    silent.orders[0][1].settle()
+    silent.orders[0][1].complete()
     assert not silent.closed.is_set()  # the second stop is not settled
     owned.open(RIG)
     assert silent.closed.is_set()

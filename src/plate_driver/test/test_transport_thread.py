@@ -113,8 +113,8 @@ def test_an_enable_opens_the_latch_when_the_motors_are_ready_with_or_without_a_c
     latch.close(EMERGENCY)
     order = thread.enable(latch.number)
     thread.poll()
-    assert (order.settled, latch.enabling, latch.reason) == (False, True, EMERGENCY)
-    motors.enabled.settle()
+    assert (order.completed, latch.enabling, latch.reason) == (False, True, EMERGENCY)
+    motors.enabled.complete()
     thread.poll()
     assert (order.done, latch.enabling, latch.reason) == (True, False, NONE)
     assert not motors.stops
@@ -124,7 +124,7 @@ def test_an_enable_that_fails_or_comes_too_late_leaves_the_latch_closed():
     thread, motors, latch = driven()
     latch.close(EMERGENCY)
     order = thread.enable(latch.number)
-    motors.enabled.settle("wrong stop")
+    motors.enabled.complete("wrong stop")
     thread.poll()
     assert (order.failure, latch.enabling, latch.reason) == ("wrong stop", False, EMERGENCY)
     assert not motors.stops
@@ -139,7 +139,7 @@ def test_a_stop_wins_over_an_enable_that_is_under_way():
     latch.close(EMERGENCY)
     order = thread.enable(latch.number)
     latch.close(CUT, over=())
-    motors.enabled.settle()  # the device has accepted it before it received the stop
+    motors.enabled.complete()  # the device has accepted it before it received the stop
     thread.poll()
     assert order.failure == STOPPED_SINCE
     assert (motors.stops, latch.reason, latch.enabling) == ([False], CUT, False)
@@ -165,7 +165,7 @@ def test_a_stop_that_is_not_acknowledged_is_done_if_what_is_measured_shows_it():
     order = thread.stop(True)
     motors.told, motors.measured_at = Condition.OFF, [now]
     thread.poll()
-    order.settle("it cannot be cut from here")
+    order.complete("it cannot be cut from here")
     assert not thread.stopped(order, True, now)  # the transport's report counts
 
 
@@ -173,7 +173,7 @@ def test_a_late_stop_is_forgotten_once_it_is_acknowledged_or_the_motors_are_off(
     thread, motors, latch = driven()
     latch.late = thread.stop()
     assert (latch.unanswered, thread.stopping) == (True, True)
-    motors.last.settle()
+    motors.last.complete()
     assert (latch.unanswered, thread.stopping) == (False, False)
     latch.late = thread.stop()
     thread.poll()
@@ -192,7 +192,7 @@ def test_a_stop_does_not_wait_behind_an_enable():
     thread.stop()
     assert motors.stops == [False]
     assert waiting.is_alive()
-    motors.enabled.settle("stopped")
+    motors.enabled.complete("stopped")
     thread.poll()
     waiting.join(10)
     assert not waiting.is_alive()
@@ -209,7 +209,7 @@ def test_an_enable_that_was_called_before_a_stop_does_not_reach_the_transport():
     latch.close(EMERGENCY)
     assert thread.stop().done
     asked = []
-    thread._transport.enable = lambda: asked.append(1) or Order().settle()
+    thread._transport.enable = lambda: asked.append(1) or Order().complete()
     assert "another stop has come since" in thread.enable(number).failure
     assert not asked
     assert thread.enable(latch.number).done
@@ -239,7 +239,7 @@ def test_a_defect_of_a_transport_stops_the_motors_and_ends_nothing(broken):
     }  # fmt: skip
     answer = calls[broken]()
     if isinstance(answer, Order):
-        assert answer.settled
+        assert answer.completed
         assert not answer.done
     assert [str(error) for error in told] == ["a defect"]
     assert thread.report.condition is Condition.GONE
@@ -261,7 +261,7 @@ def test_a_transport_that_hangs_does_not_hold_up_an_answer():
     thread.start()
     assert hangs.wait(10)
     stops = []
-    thread._transport.stop = lambda cut=False: stops.append(cut) or Order().settle()
+    thread._transport.stop = lambda cut=False: stops.append(cut) or Order().complete()
     order = thread.stop(cut=True)
     assert (order.failure, stops, thread.stopping) == (BUSY, [], True)
     go_on.set()

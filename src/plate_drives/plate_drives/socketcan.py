@@ -245,7 +245,7 @@ class HostTransport(SerialTransport):
         """Request the enabling of the motors. Refuse it if earlier setpoints were too late for the
         rig."""
         if self._late_ms > self.allowed_ms:
-            return Order().settle(self._lateness())
+            return Order().complete(self._lateness())
         self._too_late = ""
         return super().enable()
 

@@ -1,5 +1,4 @@
-"""The plate as a benchmark: Gymnasium environments of one or many plates. The environments do not
-need ROS.
+"""Benchmark of the plate: Gymnasium environments of one or many plates, without ROS.
 
 `import plate_gym` registers `plate/Sort10-v1` and all other tasks in `TASKS`. `plate_gym.bench`
 evaluates agents.

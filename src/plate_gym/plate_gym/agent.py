@@ -1,4 +1,5 @@
-"""Interface of agents: the information that an agent receives, and the method that it must have."""
+"""Interface of agents: the information that an agent receives, and the methods that it must
+have."""
 
 from __future__ import annotations
 
@@ -21,14 +22,14 @@ KNOWN = (
     "time_s", "running", "bare_images", "limit_share", "scaled", "path_s", "pace", "ids", "rests",
     "order",
 )  # fmt: skip
-"""Keys of `info` that an agent receives. All of them are available on a real plate, except the
-references of paths, which are given too."""
+"""Keys of `info` that an agent receives. A real plate provides the same information, except for the
+references of paths."""
 
 
 @dataclass(frozen=True)
 class Brief:
-    """Information about the environment for an agent. The information contains copies, which the
-    agent may change.
+    """Information about the environment for an agent. The objects are copies, so the agent may
+    change them.
 
     Attributes
     ----------
@@ -65,8 +66,8 @@ class Brief:
 
 
 class Agent(Protocol):
-    """Interface of agents for `evaluate`. One agent is made for each episode, from a brief and a
-    random seed. The agent receives only the keys `KNOWN` of `info`.
+    """Interface of agents for `evaluate`. For each episode, `evaluate` creates an agent from a
+    `Brief` and a random seed. Of `info`, the agent receives only the keys `KNOWN`.
 
     Attributes
     ----------

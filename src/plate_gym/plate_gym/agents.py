@@ -1,5 +1,6 @@
-"""Reference agents. The agents of this project are Methods B and A on the cycle map, Method B with
-images, and Method B on the averaged map. The others are the paper's Method A and random motions."""
+"""Reference agents. Four agents use the planner of this project: Method B on the cycle map, Method
+A on the cycle map, Method B with images, and Method B on the averaged map. Two further agents are
+the paper's Method A and random motions."""
 
 from __future__ import annotations
 
@@ -8,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from plate_core import Parts, PlateCycle, Wanted, part_class
+from plate_core import CycleRequest, Parts, PlateCycle, part_class
 from plate_core.motion import IDLE_S
 from plate_planner import Planner
 from plate_planner.tasks import FollowMemory
@@ -52,32 +53,34 @@ class Ours:
         self._ids = tuple(info.get("ids", self._ids))
         self._state = self._planner.started(self._state, running, time, True)
         parts = self._parts(observation, time)
-        if not len(parts):  # there is no observation yet
+        if not len(parts):  # no part has been detected yet
             return running if running.closes else PlateCycle.rest(IDLE_S)
         self._state = self._planner.see(self._state, parts, time)
-        if "order" in info and self._state.memory is not None:  # pass on the feeder's order
+        # The planner receives the feeder's order.
+        if "order" in info and self._state.memory is not None:
             self._planner = self._planner.order(self._state, info["order"])
         follow = self._state.memory
-        if isinstance(follow, FollowMemory):  # use the references of the evaluation
+        # The evaluation's references replace those of the planner.
+        if isinstance(follow, FollowMemory):
             before, after = map(float, info["pace"])
             start, path_s = time + running.period, float(info["path_s"])
             follow = replace(
                 follow, anchor=start, progress=path_s, scaling=(before, after), fixed=True
             )
             self._state = replace(self._state, memory=follow)
-        self._state, wanted, _ = self._planner.answer(self._state)
-        cycle = self._answer(wanted, running)
+        self._state, request, _ = self._planner.answer(self._state)
+        cycle = self._answer(request, running)
         self._state = self._planner.record_cycle(self._state, cycle, time)
         return cycle
 
     def _parts(self, seen: np.ndarray, time: float) -> Parts:
-        """Return the parts of the last image from the rows of `observation_space`."""
+        """Return the parts of the last image, from the rows of an observation."""
         rows = np.flatnonzero(seen[:, 5] == 0)
         names = tuple(self._ids[row] for row in rows)
         return Parts.make(names, seen[rows, :2], seen[rows, 2:4], seen[rows, 4])
 
-    def _answer(self, wanted: Wanted, running: PlateCycle) -> PlateCycle:
-        return self._controller.answer(wanted, running).cycle
+    def _answer(self, request: CycleRequest, running: PlateCycle) -> PlateCycle:
+        return self._controller.answer(request, running).cycle
 
 
 class MethodA(Ours):
@@ -87,7 +90,7 @@ class MethodA(Ours):
 
 
 class ByImage(Ours):
-    """Agent `Ours` with the vision of this project."""
+    """Agent `Ours`, with the positions that this project's vision measures in images."""
 
     observation = "image"
 
@@ -97,8 +100,8 @@ class ByImage(Ours):
         self._expected: Prediction | None = None
 
     def act(self, observation: np.ndarray, info: dict[str, Any]) -> PlateCycle:
-        """Return the cycle that the solver computes for the planner's request. If images of the
-        bare plate are needed, they come together with the first image."""
+        """Return the cycle that the solver computes for the planner's request. Images of the bare
+        plate, if they are needed, are in `info` together with the first image."""
         if "bare_images" in info:
             self._vision = replace(self._vision, background=learn_plate(info["bare_images"]))
         return super().act(observation, info)
@@ -107,31 +110,30 @@ class ByImage(Ours):
         self._tracker = observe(self._vision, self._tracker, seen, time, self._expected)
         return self._tracker.parts
 
-    def _answer(self, wanted: Wanted, running: PlateCycle) -> PlateCycle:
+    def _answer(self, request: CycleRequest, running: PlateCycle) -> PlateCycle:
         self._expected = None
-        if wanted.start is not None:
+        if request.start is not None:
             next_start = self._state.estimator.next_start
-            self._expected = Prediction(wanted.parts.ids, next_start, wanted.start[:, :2])
-        return super()._answer(wanted, running)
+            self._expected = Prediction(request.parts.ids, next_start, request.start[:, :2])
+        return super()._answer(request, running)
 
 
 class Averaged(Ours):
-    """The paper's method: the forces of the planner on the averaged map, which assumes resting
-    parts."""
+    """Method B on the averaged map, as in the paper. The averaged map assumes resting parts."""
 
     def __init__(self, brief: Brief, seed: int) -> None:
         super().__init__(brief, seed)
         self._solver = SinusoidSolver(self._rig, seed=seed, at_rest=True)
 
-    def _answer(self, wanted: Wanted, running: PlateCycle) -> PlateCycle:
-        parts = wanted.parts
+    def _answer(self, request: CycleRequest, running: PlateCycle) -> PlateCycle:
+        parts = request.parts
         if not len(parts):
             return PlateCycle.rest(IDLE_S)
         types = [self._rig.part_type(part_class(name)) for name in parts.ids]
         mu_mass = np.array([[own.mu, own.mass_kg] for own in types], float)
         limit = np.prod(mu_mass, axis=1, keepdims=True) * self._rig.friction.gravity
-        place = parts.position if wanted.start is None else wanted.start[:, :2]
-        force, tolerance = wanted.forces.force / limit, wanted.forces.tolerance / limit
+        place = parts.position if request.start is None else request.start[:, :2]
+        force, tolerance = request.forces.force / limit, request.forces.tolerance / limit
         return self._solver.solve(place, force, tolerance=tolerance).cycle
 
 

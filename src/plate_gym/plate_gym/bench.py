@@ -1,6 +1,6 @@
 """Evaluation of agents: `python -m plate_gym.bench --agent B --task Sort10-v1 --json B.json`. Check
-of the results of others: `python -m plate_gym.bench --check B.json`. Results are equal to the last
-bit on all processors with AVX2 and FMA."""
+of a result from another person: `python -m plate_gym.bench --check B.json`. On all processors with
+AVX2 and FMA, the results are identical."""
 
 from __future__ import annotations
 
@@ -49,25 +49,25 @@ __all__ = [
 ]  # fmt: skip
 
 LIBRARIES = ("vibrating-plate", "plate_gym", "gymnasium")
-"""Libraries whose versions are recorded in a result if they are installed, in addition to those of
-`machine`."""
+"""Libraries whose versions a result contains if they are installed. It also contains the versions
+that `machine` returns."""
 
 PACKAGES = (
     "bringup", "core", "driver", "feeder", "gym", "native", "planner", "sim", "solver", "vision",
 )  # fmt: skip
-"""Packages `plate_*`. A digest of their sources is recorded in a result."""
+"""Packages of whose sources a result contains a digest. Their names begin with `plate_`."""
 
 TIMES = ("start_ms", "decision_ms", "decision_ms_p99", "wall_ms", "wall_ms_p99")
-"""Keys of computing times. Computing times differ between runs."""
+"""Keys of computing times, which differ between runs."""
 
 NUMBERS = ("time_s", "return", "error_mm", "turn_error_deg", "limit_share", *TIMES)
-"""Names of the numbers in a row."""
+"""Keys of the numbers in a row."""
 
 ROW: dict[str, type] = dict.fromkeys(NUMBERS, float) | {
     "seed": int, "steps": int, "there": int, "dropped": int, "success": bool, "places": str
 }  # fmt: skip
-"""Keys and types of a row. If a limit was exceeded in an episode, its row contains zeros and the
-key `failure`, which names the limit."""
+"""Keys and types of a row. If the agent exceeded a limit in the episode, the row contains zeros,
+and the key `failure` names the limit."""
 
 RESULT: dict[str, type] = {
     "agent": str, "world": str, "commit": str, "sources": str, "versions": dict, "tasks": dict
@@ -75,27 +75,27 @@ RESULT: dict[str, type] = {
 """Keys and types of a result."""
 
 LATER: dict[str, type] = {"limits": dict, "files": dict}
-"""Further keys and types of a result. Results of earlier versions of this module lack them."""
+"""Keys and types of a result that results of earlier versions of this module lack."""
 
 SHOWN = 5
 """Maximum number of differences in an error message."""
 
 MAX_NAMES = 10_000
-"""Maximum number of versions, and of files of an agent, in a result."""
+"""Maximum number of versions in a result, and maximum number of an agent's files in a result."""
 
 CHECKED = 10
-"""Number of seeds of each task that a check repeats."""
+"""Maximum number of seeds of each task that a check repeats."""
 
 MAX_SEEDS = 100_000
 
 AGENT = 2
-"""Number that separates the random numbers of an agent from the random numbers of its world."""
+"""Number that makes the seed of an agent different from the seed of its world."""
 
 HUGE = 1e9
-"""Upper bound of the numbers in a result."""
+"""Limit of the absolute values of the numbers in a result."""
 
 KEEP_S = 1.0
-"""Minimum time between two calls of `keep` in a task [s]."""
+"""Minimum time between two calls of `keep` during a task [s]."""
 
 RESULT_BYTES = 64_000_000
 """Maximum size of the file of a result [bytes]. It is sufficient for 100,000 episodes of 500 bytes
@@ -106,8 +106,8 @@ TEXT = 300
 
 
 def agent_class(name: str) -> type[Agent]:
-    """Return an agent class: one of `AGENTS`, or `MODULE:CLASS`, which is imported as any Python
-    module.
+    """Return the agent class for a name: a key of `AGENTS`, or `MODULE:CLASS`. The module is
+    imported like any Python module.
 
     Raises
     ------
@@ -152,33 +152,34 @@ def one_line(problem: BaseException) -> str:
 
 
 def shortened(text: str) -> str:
-    """Return a text from others as one line of at most `TEXT` printable characters. Control
-    characters could hide other lines of a terminal."""
+    """Return a text of an agent or a result as one line of at most `TEXT` printable characters.
+    Control characters are removed, because they could overwrite other lines of a terminal."""
     line = " ".join(text[: 2 * TEXT].split())
     line = line if len(line) <= TEXT else f"{line[:TEXT]}..."
     return "".join(letter if letter.isprintable() else "?" for letter in line)
 
 
 def named(agent: str, task: str, seed: int, step: int) -> str:
-    """Return a text that locates an error of an agent, for messages."""
+    """Return a text for messages that tells where an error of an agent occurred."""
     return f"agent {agent}, {task}, seed {seed}, step {step}"
 
 
 def episode(
     agent: str, world: str, task: str, seed: int, begin: Callable[[], object] = lambda: None
 ) -> dict[str, Any]:
-    """Run one episode in the world of a seed, in this process. `begin` is called before each
-    decision.
+    """Run one episode in the world of a seed, in this process. The function `begin` is called
+    before each decision.
 
     Returns
     -------
     dict
         Row with the keys `seed`, `success`, `time_s` (of the plate), `steps`, `return`, `there`,
         `dropped`, `error_mm` and `turn_error_deg` (of the part with the largest error at the end),
-        `limit_share` (maximum), and `places` (digest of all positions). Computing times: `start_ms`
-        (processor time to make the agent); `decision_ms`, `decision_ms_p99` (processor time of a
-        decision, including this project's solver if the action uses it: median and 99th
-        percentile); `wall_ms`, `wall_ms_p99` (the same as elapsed time).
+        `limit_share` (maximum), and `places` (digest of all positions). The computing times are
+        `start_ms` (processor time to create the agent), `decision_ms` and `decision_ms_p99`
+        (processor time of a decision, median and 99th percentile), and `wall_ms` and `wall_ms_p99`
+        (elapsed time of a decision). If the action needs this project's solver, the times of a
+        decision include the solver.
 
     Raises
     ------
@@ -207,7 +208,8 @@ def episode(
             total, used = total + reward, max(used, float(info["limit_share"]))
             places.update(plate.simulation.state.position.tobytes())
     except KeyboardInterrupt as problem:
-        # Ctrl-C or the agent has raised it. The processes of `isolation` ignore Ctrl-C.
+        # Either Ctrl-C or the agent has raised KeyboardInterrupt. A process of `isolation` ignores
+        # Ctrl-C, so there it was the agent.
         if signal.getsignal(signal.SIGINT) is not signal.SIG_IGN:
             raise
         raise PlateError(f"{named(agent, task, seed, len(spent))}: KeyboardInterrupt") from problem
@@ -236,8 +238,8 @@ def episode(
 
 
 def seed_of_agent(seed: int) -> int:
-    """Return the seed of an agent's random numbers. The agent's seed differs from the seed of the
-    world. Otherwise an agent could compute where the parts are."""
+    """Return the seed of an agent's random numbers. It differs from the seed of the world.
+    Otherwise an agent could compute where the parts are."""
     return drawn(np.random.default_rng((seed, AGENT)))
 
 
@@ -262,30 +264,31 @@ def evaluate(
     tasks, seeds, world
         Names of tasks (or one name); seeds from 0, without repetition; a key of `WORLDS`.
     workers : int
-        Number of episodes that run at once, each in a process of its own; 0: run in this process,
-        without limits.
+        Number of episodes that run at once, each in a process of its own. 0: the episodes run in
+        this process, without limits.
     tell : callable
         Function that is called with a line of text after each task, and after each episode in which
         a limit was exceeded.
     keep : callable
-        Function that is called with the result so far after each task, every
-        `KEEP_S`, and before an error.
+        Function that is called with the result so far: after each task, at most every `KEEP_S`
+        during a task, and before an error is raised.
     limits : Limits
         Limits of the agent. If a limit is exceeded in an episode, the episode counts as failed.
     pool : Executor, optional
-        Runs the episodes in place of `workers`, such as a `plate_bringup.cluster.Cluster`.
+        Executor that runs the episodes in place of `workers`, such as a
+        `plate_bringup.cluster.Cluster`.
     done : dict, optional
-        Result of an earlier call. Its rows are part of the result, and its episodes are not
+        Result of an earlier call. The new result contains its rows, and its episodes are not
         repeated.
 
     Returns
     -------
     dict
-        Result for JSON. The result contains what was run (`agent`, `world`, `commit`, digest of the
-        `sources`, `versions`, `limits`, digests of the agent's `files`), and for each task the
-        `rows` of `episode` with their summary. The summary contains `success`, `time_s` and
-        `decision_ms` (medians; times of successful episodes), each with a 95 % confidence interval
-        (Wilson for `success`, bootstrap for the medians).
+        Result for JSON. It contains `agent`, `world`, `commit`, the digest of the `sources`,
+        `versions`, `limits`, and the digests of the agent's `files`. For each task, it contains the
+        `rows` of `episode` and their summary. The summary contains `success`, and the medians of
+        `time_s` (of the successful episodes) and `decision_ms`. Each of these has a 95 % confidence
+        interval: of Wilson for `success`, by bootstrap for the medians.
 
     Raises
     ------
@@ -311,7 +314,7 @@ def evaluate(
                     result["tasks"][task] = summary([rows[seed] for seed in sorted(rows)])
                     keep(result)
                     kept = time.monotonic()
-        finally:  # also if the agent fails, or on Ctrl-C
+        finally:  # the rows so far are also kept if the agent fails, or on Ctrl-C
             if rows:
                 result["tasks"][task] = summary([rows[seed] for seed in sorted(rows)])
                 keep(result)
@@ -327,7 +330,7 @@ def begun(agent: str, world: str, limits: Limits, done: dict[str, Any] | None) -
     PlateError
         If a name is unknown, or if `done` cannot be continued.
     """
-    if ":" not in agent:  # code of others is loaded only in workers
+    if ":" not in agent:  # other agents are imported only in the workers
         agent_class(agent)
     chosen("world", world, WORLDS)
     result: dict[str, Any] = {
@@ -361,14 +364,14 @@ def episodes(
     limits: Limits = LIMITS,
     pool: Executor | None = None,
 ) -> Iterator[dict[str, Any]]:
-    """Run episodes. `workers` of them run at the same time, or a pool runs them. Yield them in the
-    order of the seeds. Report the failed ones."""
+    """Run episodes and yield their rows in the order of the seeds. `workers` episodes run at the
+    same time, unless a pool runs them. Failed episodes are reported."""
     if pool is None and not workers:
         yield from map(partial(episode, agent, world, task), seeds)
         return
-    # Threads are sufficient, because they only wait for processes.
+    # Threads are sufficient, because they only wait for the processes of the episodes.
     shared = nullcontext(pool) if pool is not None else ThreadPoolExecutor(workers)
-    # Workers of a cluster import the function by this name.
+    # Workers of a cluster import the function under this name.
     run = isolated if pool is None else importlib.import_module("plate_gym.bench").isolated
     with shared as threads:
         found = [threads.submit(run, agent, world, task, seed, limits) for seed in seeds]
@@ -396,8 +399,8 @@ def isolated(agent: str, world: str, task: str, seed: int, limits: Limits) -> di
     Returns
     -------
     dict
-        Row as in `episode`. If the agent exceeds a limit, the row contains zeros and the limit as
-        `failure`.
+        Row as in `episode`. If the agent exceeds a limit, the row contains zeros, and `failure`
+        names the limit.
 
     Raises
     ------
@@ -418,7 +421,7 @@ def isolated(agent: str, world: str, task: str, seed: int, limits: Limits) -> di
 
 
 def show(text: str) -> None:
-    """Overwrite the last line of a terminal."""
+    """Replace the last line in the terminal by `text`."""
     if sys.stderr.isatty():
         print(f"\r\033[K{text}", end="", file=sys.stderr, flush=True)
 
@@ -469,8 +472,8 @@ def check(
     result
         Content of a file from `evaluate`.
     tell : callable
-        Function that is called with lines of text: versions that differ on this machine, and seeds
-        of the result.
+        Function that is called with lines of text: the versions that differ on this machine, and
+        the progress for each task.
     workers : int
         The same as in `evaluate`.
     fresh : int
@@ -478,31 +481,31 @@ def check(
     world : str, optional
         World of the additional seeds. Default: the world of the result.
     trusted : str
-        Agent of the result, if it has the form `MODULE:CLASS`. Its code is imported and run only if
-        this argument is equal to it.
+        Name of an agent `MODULE:CLASS` whose code may be imported and run. If the result is from
+        another agent of this form, an error is raised.
     limits : Limits
         The same as in `evaluate`.
 
     Returns
     -------
     list of str
-        Differences, except in computing times. Empty if there are none. For additional seeds in the
-        same world, the success counts as different if its interval does not overlap the recorded
-        interval. A digest of places also differs between machines if their libraries round
-        differently.
+        Differences, except in computing times. For additional seeds in the world of the result, the
+        success counts as different if both confidence intervals do not overlap. A digest of places
+        also differs if the libraries of both machines round differently.
 
     Raises
     ------
     PlateError
-        If it is not a result of `evaluate`, or if its agent is missing, fails or is not trusted.
+        If `result` is not a result of `evaluate`, or if its agent is missing, fails or is not
+        trusted.
     """
     validate(result)
     agent = result["agent"]
     if agent not in AGENTS and agent != trusted:
-        other = f", not {trusted}" if trusted else ""
+        other = f" (trusted: {trusted})" if trusted else ""
         raise PlateError(
-            f"the check runs the code of agent {agent}{other}: read the code first, then allow it "
-            f"with --trust {agent}"
+            f"agent {agent} is not trusted{other}; read its code, because the check runs it, and "
+            f"trust it with --trust {agent}"
         )
     world = result["world"] if world is None else world
     chosen("world", world, WORLDS)
@@ -513,8 +516,9 @@ def check(
     made, here = terms(result), terms(result | own)
     for name in here | made if "limits" in result else made:
         if made.get(name) != here.get(name):
-            tell(shortened(f"{name}: {made.get(name)} in the result, {here.get(name)} here"))
-    wrong, chance = [], np.random.default_rng()  # the choice of seeds must be unpredictable
+            tell(shortened(f"{name} is {made.get(name)} in the result, and {here.get(name)} here"))
+    # Nobody must be able to predict the seeds that are repeated.
+    wrong, chance = [], np.random.default_rng()
     for task, claimed in result["tasks"].items():
         rows = {row["seed"]: row for row in claimed["rows"]}
         tell(f"{task}: the result has seeds {ranges(sorted(rows))}")
@@ -547,9 +551,9 @@ def check(
 
 
 def differing(claimed: dict[str, Any], true: dict[str, Any]) -> Iterator[tuple[str, Any]]:
-    """Yield the key and the true value of each difference between two rows, except in computing
-    times. If both episodes failed, the rows count as equal, because the step of the failure depends
-    on the computer."""
+    """Yield the key and the value in the row `true` of each difference between two rows, except in
+    computing times. If both rows have the key `failure`, they count as equal, because the step at
+    which a limit is exceeded depends on the computer."""
     keys = ["failure"] if "failure" in true or "failure" in claimed else [*ROW]
     for key in keys:
         same = key in claimed and key in true if key == "failure" else claimed[key] == true[key]
@@ -568,18 +572,20 @@ def read(path: Path) -> Any:
     content = read_file(path, RESULT_BYTES)
     try:
         return json.loads(content.decode())
-    except (ValueError, RecursionError) as problem:  # also raised for huge numbers or deep nesting
+    # Json raises these errors also for huge numbers and deep nesting.
+    except (ValueError, RecursionError) as problem:
         raise PlateError(f"{path} is not JSON: {problem}") from problem
 
 
 def validate(result: Any) -> None:
-    """Check that data is a result of `evaluate`. The keys and types are checked, but not the
-    values.
+    """Check that data has the form of a result of `evaluate`. The keys, the types and the ranges of
+    numbers are checked.
 
     Raises
     ------
     PlateError
-        If the data are not a result. The message contains the place, the value and what is allowed.
+        If the data does not have this form. The message contains the place, the value and the
+        allowed values.
     """
     earlier = isinstance(result, dict) and not set(LATER) & set(result)
     check_fields("result", result, RESULT if earlier else RESULT | LATER)
@@ -606,7 +612,9 @@ def validate(result: Any) -> None:
             failed = isinstance(row, dict) and "failure" in row
             check_fields(where, row, ROW | {"failure": str} if failed else ROW)
             if failed and row["success"]:
-                raise PlateError(f"{where}: success is True, but a failure requires False")
+                raise PlateError(
+                    f"{where}: success is True, allowed in a row with a failure: False"
+                )
             for key in ("seed", *TIMES):
                 if row[key] < 0:
                     raise PlateError(f"{where}: {key} is {row[key]}, allowed: 0 or more")
@@ -615,14 +623,14 @@ def validate(result: Any) -> None:
 
 
 def check_fields(where: str, found: Any, kinds: dict[str, type]) -> None:
-    """Raise an error unless data is a dict of exactly these keys and types, with finite numbers and
-    printable texts."""
+    """Raise an error unless `found` is a dict with exactly the keys and types of `kinds`, with
+    finite numbers and printable texts."""
     if not isinstance(found, dict) or set(found) != set(kinds):
         has = shortened(", ".join(map(str, found))) if isinstance(found, dict) else brief(found)
         raise PlateError(f"{where} has {has}, allowed: {', '.join(kinds)}")
     for key, kind in kinds.items():
         value = found[key]
-        # This condition is False for NaN.
+        # The comparison is False for NaN, so NaN is refused.
         number = type(value) in (int, float) and abs(value) < HUGE
         fits = number if kind is float else type(value) is kind
         allowed = f"a number below {HUGE:g}" if kind is float else kind.__name__
@@ -633,14 +641,15 @@ def check_fields(where: str, found: Any, kinds: dict[str, type]) -> None:
 
 
 def brief(value: Any) -> str:
-    """Return a value from others in the form for a message."""
+    """Return a value of a result as a short text for a message."""
     return shortened(reprlib.repr(value))
 
 
 def ranges(seeds: list[int]) -> str:
-    """Return ascending seeds as ranges `FIRST:END`."""
+    """Return ascending seeds as a text with ranges `FIRST:END`."""
     ends = [k for k in range(1, len(seeds)) if seeds[k] > seeds[k - 1] + 1]
-    runs = np.split(np.array(seeds, object), ends)  # integers of any size
+    # The type object allows the type object allows integers of any size.
+    runs = np.split(np.array(seeds, object), ends)
     return ", ".join(f"{run[0]}:{run[-1] + 1}" if len(run) > 1 else f"{run[0]}" for run in runs)
 
 
@@ -665,25 +674,26 @@ def versions(agent: str = "") -> dict[str, str]:
 
 
 def files(agent: str) -> dict[str, str]:
-    """Return digests of the files of an agent `MODULE:CLASS`. Empty for agents of this package."""
+    """Return digests of the files of an agent `MODULE:CLASS`. For agents of this package, there are
+    none."""
     return files_of(module_of(agent)) if ":" in agent else {}
 
 
 def module_of(agent: str) -> str:
-    """Return the module or package of an agent `MODULE:CLASS`, without the modules in the
-    package: to find one of these would run the package's code."""
+    """Return the first part of the module name of an agent `MODULE:CLASS`. The modules in a package
+    are not searched for, because this search would run the package's code."""
     return agent.partition(":")[0].partition(".")[0]
 
 
 def commit() -> str:
-    """Return the commit of this file. Empty if git does not track the file."""
+    """Return the commit of this project, or an empty text if git does not track this file."""
     here = Path(__file__).resolve()
     git = partial(
         subprocess.run, cwd=here.parent, capture_output=True, text=True, check=True, timeout=60
     )
     try:
         top = Path(git(["git", "rev-parse", "--show-toplevel"]).stdout.strip())
-        kept = top / "src/plate_gym/plate_gym" / here.name  # the set-up copies files to install/
+        kept = top / "src/plate_gym/plate_gym" / here.name  # the build copies this file to install/
         git(["git", "ls-files", "--error-unmatch", str(kept)])
         same = kept.read_bytes() == here.read_bytes()
         return str(git(["git", "describe", "--always", "--dirty"]).stdout.strip()) if same else ""
@@ -726,13 +736,18 @@ def main() -> int:
     parser.add_argument(
         "--cluster", metavar="ADDRESS", help="Dask scheduler whose workers run the episodes"
     )
-    parser.add_argument("--check", type=Path, help="file of a result; repeat some of its seeds")
     parser.add_argument(
-        "--fresh", type=int, metavar="N", help="with --check: also run N random seeds"
+        "--check", type=Path, help="file of a result; some of its seeds are repeated"
+    )
+    parser.add_argument(
+        "--fresh",
+        type=int,
+        metavar="N",
+        help="with --check: run N further, random seeds of each task",
     )
     parser.add_argument(
         "--trust", metavar="MODULE:CLASS",
-        help="with --check: allow to run the code of the result's agent; read it first",
+        help="with --check: agent whose code may run; read its code first",
     )  # fmt: skip
     parser.add_argument(
         "--decision-limit", type=float, metavar="S", default=LIMITS.decision_s,
@@ -747,18 +762,19 @@ def main() -> int:
     given = [f"--{name}" for name in own if getattr(args, name) is not None]
     if args.check and given:
         parser.error(
-            "--check allows only --workers, --trust, limits, --fresh and, with --fresh, --world, "
-            f"not {', '.join(given)}"
+            f"{', '.join(given)} is given with --check, allowed: --workers, --trust, limits, "
+            "--fresh "
+            "and, with --fresh, --world"
         )
     if args.trust and not args.check:
         parser.error("--trust requires --check")
     if args.fresh is not None and not (args.check and 0 < args.fresh <= MAX_SEEDS):
         parser.error(f"--fresh requires --check, allowed: 1 to {MAX_SEEDS}")
     if args.cluster and args.workers is not None:
-        parser.error("--cluster allows no --workers: the workers of the cluster run")
+        parser.error("--workers is given with --cluster, allowed: without --cluster")
     if args.workers is None:
         args.workers = os.cpu_count() or 1
-    if args.workers < 1:  # in this process, an agent could exit or falsify results
+    if args.workers < 1:  # in this process, an agent could end the program or falsify results
         parser.error(f"--workers is {args.workers}, allowed: 1 or more")
     tell = partial(print, flush=True)
     try:
@@ -771,7 +787,8 @@ def main() -> int:
             print("\n".join(wrong) or "the repeated seeds give the same result")
             return bool(wrong)
 
-        # If the file cannot be written, fail now and not after hours.
+        # The file is opened now, so that a file that cannot be written is an error now and not
+        # after hours.
         file = OwnFile(args.json) if args.json else None
         done = None
         if args.json and args.json.is_file() and args.json.stat().st_size:
@@ -805,7 +822,7 @@ def main() -> int:
 
 
 def seed_range(text: str) -> range:
-    """Parse seeds `FIRST:END`, or one seed."""
+    """Return the seeds of a text `FIRST:END`, or of one number."""
     first, colon, end = text.partition(":")
     try:
         seeds = range(int(first), int(end) if colon else int(first) + 1)
@@ -819,9 +836,10 @@ def seed_range(text: str) -> range:
 
 
 if __name__ == "__main__":
-    # Restart this program, because libraries read these variables only at the start of a process.
+    # The program restarts itself, because libraries read these environment variables only at the
+    # start of a process.
     if not ALIKE.items() <= os.environ.items():
         os.execve(sys.executable, [sys.executable, *sys.orig_argv[1:]], os.environ | ALIKE)
-    # On SIGTERM, end the workers in the same way as with Ctrl-C.
+    # SIGTERM has the same effect as Ctrl-C, so that the workers end.
     signal.signal(signal.SIGTERM, signal.default_int_handler)
     sys.exit(main())

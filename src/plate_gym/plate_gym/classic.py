@@ -1,5 +1,5 @@
-"""Method A of the paper (sections 3.1, 4.1). A PD controller requests a force for each part. An SVD
-of the averaged map gives the minimum-norm weights of 24 rotations."""
+"""Method A of the paper (sections 3.1 and 4.1). A PD controller requests a force for each part. The
+weights of 24 rotations have minimum norm, and are computed with an SVD of the averaged map."""
 
 from __future__ import annotations
 
@@ -15,36 +15,36 @@ from plate_solver.library import Library, grid, solve_weights
 from plate_solver.rotations import RotationFamily
 
 from .agent import Brief
-from .judge import AHEAD_S
+from .evaluation import AHEAD_S
 
 GOAL = 0.8
-"""Distance of the goals of sorted parts from the centre [half side]."""
+"""Distance of the goals of sorted parts from the plate's centre, divided by the plate's half
+side."""
 
 GAIN = 1.5
-"""Requested drift per metre of distance to the goal [1/s]."""
+"""Requested drift divided by the distance to the goal [1/s]."""
 
 FASTEST_MPS = 0.03
 """Maximum requested drift [m/s]."""
 
 MAX_GAIN = 3.0
-"""Upper bound of the reciprocal singular values of the matrix of mean forces (section 3.1.5). If
-the reciprocal of a singular value exceeds it, its direction is omitted. Otherwise two close parts
-would cause very large weights."""
+"""If the reciprocal of a singular value of the matrix of mean forces exceeds this bound, its
+direction is omitted (section 3.1.5). Otherwise two parts close to each other would cause very large
+weights."""
 
 PERIOD_S = 0.2
 """Period of a cycle [s]."""
 
 SPEED_MPS = 0.3
-"""Speed of the plate's fastest corner in a return stroke [m/s]."""
+"""Speed of the plate's fastest corner during a return stroke [m/s]."""
 
 RETURN = 2.5
-"""Speed of a return stroke divided by the speed of the stroke before it. Each rotation returns to
-its start. Its mean force results from the difference of both speeds."""
+"""Speed of a return stroke divided by the speed of the stroke before it. Each rotation consists of
+a stroke and its return stroke. The mean force results from the difference of their speeds."""
 
 
 class Classic:
-    """Agent for tasks without angles. The agent sorts parts to sides, assembles them, and moves
-    them along paths."""
+    """Agent for tasks without angles: sort to sides, assemble, and follow paths."""
 
     action, observation = "cycle", "parts"
 
@@ -69,13 +69,15 @@ class Classic:
         weight, _ = solve_weights(matrix, force.T.ravel(), MAX_GAIN)
         share = np.abs(weight) * (RETURN + 1) / (RETURN - 1)
         nearest = self._library.clearance(place)
-        order = np.argsort(-share / nearest, kind="stable")  # priority as in section 3.1.4
+        # Order of the rotations as in section 3.1.4.
+        order = np.argsort(-share / nearest, kind="stable")
         out = np.sign(weight)[order, None] * self._library.twist[order] / RETURN
         share = share[order] / max(1.0, float(np.sum(share)))
         spent = np.outer(share, [RETURN, 1.0]).ravel() / (RETURN + 1)
         twist = np.stack([out, -RETURN * out], axis=1).reshape(-1, 3)
-        # For a resting part, even the smallest motion of the plate causes full friction. Therefore
-        # the rest of the period is filled with a stroke and its return stroke.
+        # The averaged map assumes that the plate always moves, and that even the smallest motion
+        # causes full friction. Therefore the remaining time of the period is filled with a stroke
+        # and its return stroke of equal speeds, whose mean force is 0.
         spent = np.append(spent, np.full(2, (1 - np.sum(share)) / 2))
         twist = np.vstack([twist, out[:1], -out[:1]])
         family = RotationFamily(twist, self._limits, PERIOD_S, SPEED_MPS)

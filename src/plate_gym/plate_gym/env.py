@@ -1,4 +1,4 @@
-"""The environments: one plate (`PlateEnv`), and many plates in parallel (`PlateVectorEnv`)."""
+"""Environments of one plate (`PlateEnv`) and of many plates in parallel (`PlateVectorEnv`)."""
 
 from __future__ import annotations
 
@@ -25,14 +25,14 @@ MANY = METADATA | {"autoreset_mode": AutoresetMode.NEXT_STEP}
 NO_WINDOW = "render_mode is 'human', but no window can be opened: {}"
 
 ROUNDING = 1e-6
-"""Tolerance for float32 at the bounds of actions."""
+"""Tolerance of the bounds of actions, because agents compute in float32."""
 
 
 class PlateEnv(gym.Env):
-    """Environment of one plate with one task.
+    """Environment of one plate with a task.
 
-    A step is one cycle of the plate. As on the real plate, an observation is taken at the start of
-    the running cycle. The action for this observation is executed in the next cycle.
+    A step is one cycle of the plate. As on the real plate, the observation shows the start of the
+    running cycle, and the action is executed in the next cycle.
 
     Parameters
     ----------
@@ -72,7 +72,7 @@ class PlateEnv(gym.Env):
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
     ) -> tuple[np.ndarray, dict[str, Any]]:
-        """Begin an episode in the world of a seed. The world is the same as in
+        """Begin an episode in the world of a seed. For equal seeds, the world is the same as in
         `bench/closed_loop.py`. Default: a random seed."""
         seed = None if seed is None else checked_seed(seed)
         super().reset(seed=seed)
@@ -81,7 +81,7 @@ class PlateEnv(gym.Env):
         return self.plates.observed()[0], first(info)
 
     def step(self, action: Any) -> tuple[np.ndarray, float, bool, bool, dict[str, Any]]:
-        """Complete the running cycle. The action is executed in the next cycle."""
+        """Simulate the running cycle to its end. The action is executed in the next cycle."""
         check_begun(self.plates.plates)
         actions = checked_actions(self.action_space, [action])
         reward, ended, over, info = self.plates.step([0], actions)
@@ -90,8 +90,8 @@ class PlateEnv(gym.Env):
         return seen, float(reward[0]), bool(ended[0]), bool(over[0]), first(info)
 
     def render(self) -> np.ndarray | None:
-        """Return a picture (height, width, 3) of the true parts. Return None if there is a
-        window."""
+        """Return a picture (height, width, 3) of the true parts, or None if the picture is shown in
+        a window."""
         return None if self.render_mode != "rgb_array" else self._picture()
 
     def close(self) -> None:
@@ -100,8 +100,8 @@ class PlateEnv(gym.Env):
             self._film.close()
 
     def __getstate__(self) -> dict[str, Any]:
-        """Return the state for a copy, without the window. The copy opens its own window when it
-        needs one."""
+        """Return the attributes for a copy, without the window. The copy opens a window of its own
+        when it needs one."""
         return vars(self) | ({"_film": None} if self.render_mode == "human" else {})
 
     def _show(self) -> None:
@@ -115,10 +115,11 @@ class PlateEnv(gym.Env):
 
 
 class PlateVectorEnv(VectorEnv):
-    """N plates with one task each. The results of N plates are equal to the results of N
-    `PlateEnv`, to the last bit.
+    """Environment of N plates with the same task. The results are identical to those of N
+    environments `PlateEnv`.
 
-    If the episode of a plate has ended, the next step begins a new episode and ignores the action.
+    If the episode of a plate has ended, the next step begins a new episode on this plate and
+    ignores its action.
 
     Parameters
     ----------
@@ -127,7 +128,7 @@ class PlateVectorEnv(VectorEnv):
     threads : int, optional
         Maximum number of parallel threads. Default: the number of available cores.
     task, world, action, observation, render_mode
-        The same as in `PlateEnv`, but without a window.
+        As in `PlateEnv`. A window is not allowed.
     """
 
     metadata = MANY
@@ -163,8 +164,9 @@ class PlateVectorEnv(VectorEnv):
         seed: int | Sequence[int | None] | None = None,
         options: dict[str, Any] | None = None,
     ) -> tuple[np.ndarray, dict[str, Any]]:
-        """Begin episodes with the seeds `seed`, `seed` + 1, ..., or with the seeds of a list. If
-        `options["reset_mask"]` (N,) bool is given, they begin only on the marked plates."""
+        """Begin an episode on each plate. The seeds are `seed`, `seed` + 1, ..., or those of a
+        list. With the mask `options["reset_mask"]` (N,), episodes begin only on the plates that it
+        marks."""
         count = self.num_envs
         mask = np.asarray((options or {}).get("reset_mask", np.ones(count, bool)))
         if mask.shape != (count,) or mask.dtype != bool or not mask.any():
@@ -186,13 +188,14 @@ class PlateVectorEnv(VectorEnv):
             worlds.append(drawn(self._chance[k]) if own is None else own)
         check_begun([self.plates.plates[k] for k in np.flatnonzero(~mask)])
         self._ended[mask] = False
-        info = self._whole(self.plates.reset(rows, worlds), mask)
+        info = self._for_all_plates(self.plates.reset(rows, worlds), mask)
         return self.plates.observed(), info
 
     def step(
         self, actions: Any
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, dict[str, Any]]:
-        """Complete the running cycle on each plate."""
+        """Simulate the running cycle of each plate to its end. The actions are executed in the next
+        cycles."""
         check_begun(self.plates.plates)
         count = len(actions) if np.iterable(actions) and isinstance(actions, Sized) else 0
         if count != self.num_envs:
@@ -207,11 +210,11 @@ class PlateVectorEnv(VectorEnv):
         ended, over = np.zeros(self.num_envs, bool), np.zeros(self.num_envs, bool)
         if len(restarted):
             worlds = [drawn(self._chance[k]) for k in restarted]
-            info = self._whole(self.plates.reset(restarted, worlds), self._ended)
+            info = self._for_all_plates(self.plates.reset(restarted, worlds), self._ended)
         if len(rows):
             step = self.plates.step(rows, [each[row] for row in rows])
             reward[rows], ended[rows], over[rows] = step.reward, step.ended, step.over
-            info = self._whole(step.info, ~self._ended, info)
+            info = self._for_all_plates(step.info, ~self._ended, info)
         self._ended = ended | over
         return self.plates.observed(), reward, ended, over, info
 
@@ -223,11 +226,12 @@ class PlateVectorEnv(VectorEnv):
         self._film = self._film or Film(self.plates, False)
         return tuple(self._film.picture(row) for row in range(self.num_envs))
 
-    def _whole(
+    def _for_all_plates(
         self, info: dict[str, np.ndarray], rows: np.ndarray, others: dict[str, Any] | None = None
     ) -> dict[str, Any]:
-        """Return the values of the plates in `rows` (N,), combined with `others`, as arrays (N,
-        ...). A mask `_NAME` (N,) marks the plates that have a value."""
+        """Return `info` for all plates. The arrays of `info` contain values for the plates `rows`
+        only; the result has arrays (N, ...), and masks `_NAME` (N,) of the plates that have a
+        value. The result also contains the values of `others`."""
         result = dict(others or {})
         for name, values in info.items():
             there = result.setdefault(f"_{name}", np.zeros(self.num_envs, bool))
@@ -244,8 +248,8 @@ def check_begun(plates: Sequence[Plate]) -> None:
 
 
 def checked_actions(space: gym.Space, actions: Iterable[Any]) -> list[Any]:
-    """Return actions clipped to their bounds. Raise an error if a value exceeds its bound by more
-    than `ROUNDING`."""
+    """Return the actions, clipped to their bounds. Raise an error if a value exceeds a bound by
+    more than `ROUNDING`."""
     if not isinstance(space, gym.spaces.Box):
         cycles = list(actions)
         for action in cycles:
@@ -262,7 +266,7 @@ def checked_actions(space: gym.Space, actions: Iterable[Any]) -> list[Any]:
     for action in actions:
         try:
             given = np.asarray(action)
-        except ValueError:  # raised by NumPy for rows of different lengths
+        except ValueError:  # NumPy raises it for rows of different lengths
             given = np.array(None)
         if fits(given, space.shape):
             close = np.clip(given, low, high)
@@ -278,19 +282,20 @@ def checked_actions(space: gym.Space, actions: Iterable[Any]) -> list[Any]:
 
 
 def fits(given: np.ndarray, shape: tuple[int, ...]) -> bool:
-    """Whether an array holds numbers and has this shape."""
+    """Return whether an array contains numbers and has a shape."""
     return given.shape == shape and np.can_cast(given.dtype, float)
 
 
 def checked_mode(mode: str | None) -> str | None:
-    """Return a render mode after a check."""
+    """Check a render mode and return it."""
     if mode not in (None, *METADATA["render_modes"]):
         raise PlateError(f"render_mode is {mode!r}, allowed: None, rgb_array, human")
     return mode
 
 
 def checked_seed(seed: Any) -> int:
-    """Return a seed as a Python integer. Raise an error for other values."""
+    """Return a seed as a Python integer. Raise an error if the value is not a whole number of at
+    least 0."""
     try:
         number = operator.index(seed)
     except TypeError:
@@ -301,18 +306,18 @@ def checked_seed(seed: Any) -> int:
 
 
 def drawn(chance: np.random.Generator) -> int:
-    """Draw the seed of a world."""
+    """Draw the random seed of a world."""
     return int(chance.integers(SEEDS))
 
 
 def first(info: dict[str, np.ndarray]) -> dict[str, Any]:
-    """Return the values of the only plate."""
+    """Return the values of the plate of an environment with one plate."""
     return {name: values[0] for name, values in info.items()}
 
 
 class Film:
-    """Pictures of plates, taken by a separate camera in a world without disturbances. The pictures
-    are optionally shown in a window."""
+    """Pictures of plates by a separate camera without disturbances. If requested, a window shows
+    the pictures."""
 
     def __init__(self, plates: Plates, window: bool) -> None:
         self._plates = plates
@@ -320,8 +325,8 @@ class Film:
         self._window = Window() if window else None
 
     def picture(self, row: int) -> np.ndarray:
-        """Return the picture (height, width, 3) of the true parts of a plate. Show it in the window
-        if there is one."""
+        """Return the picture (height, width, 3) of the true parts of a plate. If there is a window,
+        it shows the picture."""
         self._scene.show(self._plates.plates[row].simulation.state)
         image = self._scene.capture()
         assert image is not None
@@ -338,12 +343,12 @@ class Film:
 
 
 class Window:
-    """A desktop window. Without a desktop, a warning is printed instead."""
+    """Window for pictures. If there is no desktop, a warning is printed instead."""
 
     def __init__(self) -> None:
         self._root: Any = None
         try:
-            import tkinter  # tkinter is an optional part of Python
+            import tkinter  # imported here because some Python installations lack tkinter
         except ImportError as problem:
             return gym.logger.warn(NO_WINDOW.format(problem))
         try:

@@ -1,9 +1,10 @@
-"""Processes for agents. Each episode runs in a separate process, with limits of time and memory.
+"""Episodes of agents in separate processes, with limits of time and memory.
 
-`play` sends a request to run an episode to a supervisor. A supervisor is a process that runs
-`plate_gym.supervisor`. Idle supervisors are used again. An agent cannot block or stop the process
-that calls `play`, and cannot fill its memory. No processes of the agent remain. This is no security
-sandbox: an agent can do anything that its user is allowed to do.
+`play` requests an episode from a supervisor. A supervisor is a process that runs
+`plate_gym.supervisor`. An idle supervisor is used again for the next episode. An agent cannot block
+or end the process that calls `play`, and cannot fill its memory. When an episode ends, all
+processes of the agent are ended. This is no security sandbox: an agent can do anything that its
+user is allowed to do.
 """
 
 from __future__ import annotations
@@ -28,21 +29,22 @@ from plate_core import PlateError
 __all__ = ["ALIVE", "LIMITS", "REPLY_BYTES", "Limits", "play", "stop"]
 
 REPLY_BYTES = 100_000
-"""Maximum size of a reply [bytes]. A reply that contains a row has about 500 bytes."""
+"""Maximum size of a reply [bytes]. A reply with the row of an episode has about 500 bytes."""
 
 ALIVE = b".\n"
 """Line that a supervisor sends when it begins, and about every second during an episode."""
 
 START_S, SILENT_S = 300.0, 60.0
-"""Maximum time until a supervisor has started, and between two of its lines [s]. On a busy
-computer, loading the libraries takes half a minute."""
+"""`START_S` is the maximum time in which a supervisor must start [s]. It is long, because loading
+the libraries takes half a minute on a busy computer. `SILENT_S` is the maximum time between two
+lines of a supervisor [s]."""
 
 ENDING_S = 15.0
-"""Maximum time in which a supervisor must end its processes and itself [s]."""
+"""Maximum time in which a supervisor must end [s]. It must end all its processes in this time."""
 
 MARK = "PLATE_GYM_SUPERVISOR"
-"""Environment variable with a random text. If the agent has killed the supervisor, its processes
-are found by this text."""
+"""Environment variable of the processes of a supervisor. Its value is a random text. If an agent
+kills the supervisor, the processes are found by this text."""
 
 
 @dataclass(frozen=True)
@@ -52,8 +54,8 @@ class Limits:
     Attributes
     ----------
     decision_s : float
-        Maximum time of a decision, including the simulation of its step; and maximum time of the
-        agent's import and creation [s].
+        Maximum time of a decision, including the simulation of the step [s]. It is also the maximum
+        time in which the agent must be imported and created.
     memory_gb : float
         Maximum memory of the agent's processes, including the simulation [GB].
 
@@ -78,9 +80,9 @@ LIMITS = Limits()
 
 
 class Supervisor:
-    """Process of a supervisor. It is in a session of its own, so that signals of a terminal do not
-    reach it. If this process ends for any reason, the supervisor ends too, because its standard
-    input ends."""
+    """Supervisor in a process of its own. The process has its own session, so that signals of a
+    terminal do not reach it. If the process that created it ends, the standard input of the
+    supervisor ends, and the supervisor ends too."""
 
     def __init__(self) -> None:
         self._mark = secrets.token_hex(16)
@@ -122,8 +124,7 @@ class Supervisor:
         raise OSError("its reply is too long")
 
     def end(self) -> None:
-        """End the supervisor and its processes. If another thread is in a call of `ask`, this call
-        then returns."""
+        """End the supervisor and its processes. A call of `ask` in another thread then returns."""
         process = self._process
         assert process.stdin is not None
         process.stdin.close()
@@ -143,7 +144,8 @@ class Supervisor:
 
 
 def _kill_marked(mark: str) -> None:
-    """End the processes that have inherited a mark. Wait until there are none."""
+    """End the processes whose environment contains the text `mark`, and wait until they have
+    ended."""
     entry = f"{MARK}={mark}".encode()
     found, end = True, time.monotonic() + ENDING_S
     while found and time.monotonic() < end:
@@ -168,7 +170,8 @@ _all: list[Supervisor] = []
 
 
 def play(request: dict[str, Any], limits: Limits) -> dict[str, Any]:
-    """Run an episode in a separate process. Several threads may call this at once.
+    """Run an episode in a separate process. Several threads may call this function at the same
+    time.
 
     Parameters
     ----------
@@ -179,9 +182,9 @@ def play(request: dict[str, Any], limits: Limits) -> dict[str, Any]:
     Returns
     -------
     dict
-        One of three forms. `row` is the row of the episode. `failure` is the limit that was
-        exceeded, with the number of completed `steps`. `error` is a text. An agent can falsify the
-        reply.
+        Reply with one of three keys. `row` is the row of the episode. `failure` names the limit
+        that was exceeded; the key `steps` then contains the number of completed steps. `error`
+        describes another failure. An agent can falsify the reply.
     """
     try:
         supervisor = _idle.pop()

@@ -1,5 +1,5 @@
-"""The action `motion`. The action represents a plate motion within the rig's limits by coefficients
-of sinusoids."""
+"""Action `motion`: coefficients of sinusoids that represent a plate motion within the rig's
+limits."""
 
 from __future__ import annotations
 
@@ -17,22 +17,22 @@ PERIOD_S = 0.1
 """Period of each motion [s]."""
 
 CERTAIN = 0.999
-"""Maximum fraction of the limits that a motion uses. The fraction is computed from upper bounds of
-the peaks."""
+"""Maximum fraction of the limits that a motion uses. It is computed with upper bounds of the
+peaks."""
 
 
 class Motions:
-    """Equation (13) of the paper for motions that begin and end at rest. The equation has 6
-    functions of time for each of x, y and theta.
+    """Conversion of actions to motions that begin and end at rest (equation (13) of the paper). The
+    motion of each of x, y and theta is a weighted sum of 6 functions of time.
 
     Attributes
     ----------
     size : int
         Number of values in an action.
     basis : SinusoidBasis
-        The functions of time.
+        Functions of time.
     scale : (6, 3)
-        Coefficients of the basis for actions with all values 1 [m/s, rad/s].
+        Coefficients of the basis if all values of an action are 1 [m/s, rad/s].
     """
 
     def __init__(self, rig: Rig) -> None:
@@ -46,31 +46,33 @@ class Motions:
         self.scale = CERTAIN / alone.reshape(-1, 3)
 
     def cycle(self, action: np.ndarray) -> tuple[PlateCycle, float]:
-        """Return the motion of one action (size,), and the fraction of the limits that it uses."""
+        """Return the motion of an action (size,), and the fraction of the limits that the motion
+        uses."""
         (cycle,), used = self.cycles(action[None])
         return cycle, float(used[0])
 
     def cycles(self, actions: np.ndarray) -> tuple[list[PlateCycle], np.ndarray]:
-        """Return the motions of actions, and the fractions (N,) of the limits that they use, at
-        most 1.
+        """Return the motions of N actions, and for each motion the fraction of the limits that it
+        uses (N,), at most 1.
 
         Parameters
         ----------
         actions : (N, size)
-            Values from -1 to 1. There is one value for x, y and theta of each function of time. A
-            single value of 1 uses a limit completely. If the values together exceed the limits, all
-            values are scaled down.
+            Values from -1 to 1. Each function of time has three values, for x, y and theta. If one
+            value is 1 and all others are 0, the motion reaches a limit. If the motion of all values
+            exceeds a limit, all values of the action are scaled down.
         """
         own = self.scale * actions.reshape(len(actions), -1, 3)
         used = self._use(own)
-        # Two rounds are usual, because rotations have a quadratic effect.
+        # The peaks are not proportional to the coefficients, because rotations have a quadratic
+        # effect. The scaling is therefore repeated, usually once.
         while (beyond := used > CERTAIN).any():
             own[beyond] *= (CERTAIN**2 / used[beyond])[:, None, None]
             used[beyond] = self._use(own[beyond])
         return self.basis.cycles(own), used
 
     def _use(self, own: np.ndarray) -> np.ndarray:
-        """Return upper bounds (N,) of the largest fraction of a limit that coefficients (N, h, 3)
-        use."""
+        """Return upper bounds of the largest fraction of a limit that a motion uses (N,), for N
+        sets of coefficients (N, h, 3)."""
         pose, twist, accel = (bound @ own for bound in self._bounds)
         return limit_uses(pose, twist, accel, EQUAL_WEIGHT, self._limits, False)

@@ -1,4 +1,4 @@
-"""The spaces of actions and observations: shapes, units and bounds."""
+"""Spaces of actions and observations: shapes, units and bounds."""
 
 from __future__ import annotations
 
@@ -14,23 +14,23 @@ from .plates import Plates
 
 
 class CycleSpace(spaces.Space):
-    """Space of any motion of the plate: a `plate_core.PlateCycle`, which the driver scales to the
-    limits."""
+    """Space of all cycles of the plate (`plate_core.PlateCycle`). If a cycle exceeds the limits, it
+    is scaled to them."""
 
     def __init__(self, motions: Motions) -> None:
         super().__init__()
         self._motions = motions
 
     def sample(self, mask: Any = None, probability: Any = None) -> PlateCycle:
-        """Return a random motion of the space `motion`."""
+        """Return the cycle of a random action `motion`."""
         return self._motions.cycle(self.np_random.uniform(-1, 1, self._motions.size))[0]
 
     def contains(self, x: Any) -> bool:
-        """Return whether `x` is a motion of the plate."""
+        """Return whether `x` is a cycle of the plate."""
         return isinstance(x, PlateCycle)
 
     def __eq__(self, other: object) -> bool:
-        """Return whether the other space is a CycleSpace, because all such spaces are equal."""
+        """Return whether the other space is a CycleSpace too. All CycleSpaces are equal."""
         return isinstance(other, CycleSpace)
 
     def __repr__(self) -> str:
@@ -39,7 +39,7 @@ class CycleSpace(spaces.Space):
 
     @property
     def is_np_flattenable(self) -> bool:
-        """False, because a motion cannot be converted to a row of numbers."""
+        """False, because a cycle cannot be converted to an array of fixed size."""
         return False
 
 
@@ -47,12 +47,13 @@ def action_space(plates: Plates) -> spaces.Space:
     """Return the space of a kind of action, for M parts.
 
     - `motion` (18,): see `Motions`.
-    - `forces` (M, 2): mean force on each part over a cycle along x and y. The range -1 to 1
-      represents -mu m g to mu m g.
-    - `progress` (M, 3): target of each part as a fraction of the plate's half sides, and the weight
-      per metre of its distance. The weight is relative to a weight of 1 for parts too close to an
-      edge or to each other. If parts have angles, there are two more columns, (M, 5): the angle
-      divided by pi, and the weight of the distance that the contour of the part moves.
+    - `forces` (M, 2): mean force on each part over a cycle along x and y, divided by mu m g; -1 to
+      1.
+    - `progress` (M, 3): the target x, y of each part divided by the plate's half sides, and the
+      weight of the part's distance from the target. The distance by which parts are too close to an
+      edge or to each other has the weight 1. If parts have angles, there are two more columns (M,
+      5): the target angle divided by pi, and the weight of the distance that the contour of the
+      part must rotate.
     - `cycle`: a `CycleSpace`.
     """
     count = len(plates.friction_limit)
@@ -69,14 +70,14 @@ def action_space(plates: Plates) -> spaces.Space:
 def observation_space(plates: Plates) -> spaces.Space:
     """Return the space of observations.
 
-    - `parts` (M, 6): one fixed row for each part. A row contains x, y [m, plate_home], drift along
-      x and y [m/s], angle [rad], and the time since the part was last detected [s]. A part that was
-      never detected has the position 0.
-    - `parts` (M, 10) for paths: four more columns contain the references of the part, x and y [m,
-      plate_home], at the start of the next cycle and 0.1 s later.
-    - `parts` (M, 7) if parts are added and removed: the last column is 1 for a part that must be
-      picked, -1 for a part that must not be picked, and 0 for an empty row. The other columns of an
-      empty row are the same as for a part that was never detected.
+    - `parts` (M, 6): one row for each part. A row contains x, y [m, plate_home], the drift along x
+      and y [m/s], the angle [rad], and the time since the part was last detected [s]. A part that
+      was never detected has the position 0.
+    - `parts` (M, 10) for paths: four more columns contain the reference x, y of the part at the
+      start of the next cycle, and its reference x, y 0.1 s later [m, plate_home].
+    - `parts` (M, 7) for feed tasks: the last column is 1 for a part that must be picked, -1 for a
+      part that must not be picked, and 0 for an empty row. The other columns of an empty row have
+      the values of a part that was never detected.
     - `image`: grey levels (height, width), or colours (height, width, 3), of the rig's camera.
     """
     if plates.observation == "image":

@@ -1,5 +1,5 @@
-"""Measurement of the cycles per second of environments with one plate and with many plates: `python
--m plate_gym.speed`."""
+"""Measurement of how many cycles per second the environments simulate, with one plate and with many
+plates: `python -m plate_gym.speed`."""
 
 from __future__ import annotations
 
@@ -28,8 +28,8 @@ IMAGES = 320
 
 
 def measure(task: str, count: int, threads: int, observation: str) -> tuple[float, float]:
-    """Return the cycles per second, and the processor time per cycle [us]. The motions are
-    random."""
+    """Run random motions. Return the number of cycles per second, and the processor time per cycle
+    [us]."""
     env = PlateVectorEnv(task, count, observation=observation, threads=threads)
     env.reset(seed=0)
     cycles = IMAGES if observation == "image" else CYCLES

@@ -1,9 +1,9 @@
-"""Supervisor of agents. `plate_gym.isolation` starts this program.
+"""Program that supervises the episodes of agents. `plate_gym.isolation` starts it.
 
 The supervisor reads requests from its standard input and writes replies to its standard output, as
-one JSON object per line. For each request it forks a process that runs `plate_gym.bench.episode`.
-At the end of the episode, or if a limit is exceeded, it ends this process and all processes that
-the agent has started. The program requires Linux, but no root privileges.
+one JSON object per line. For each request, it forks a process that runs `plate_gym.bench.episode`.
+At the end of the episode, or if a limit is exceeded, the supervisor ends the forked process and all
+processes that the agent has started. The program requires Linux, but no root privileges.
 """
 
 from __future__ import annotations
@@ -35,32 +35,33 @@ MAX_PROCESSES = 256
 """Maximum number of processes of an episode, including the process that simulates."""
 
 MORE_TASKS = 2000
-"""Number of additional processes and threads that the user of an episode may have in total. This
-slows down an agent that starts processes without end. The number is not limited for root."""
+"""Number of processes and threads that the user of an episode may have in addition to the present
+number. The limit slows down an agent that starts processes without end. It does not apply to
+root."""
 
 EPISODE_FACTOR = 240
-"""Maximum time of an episode, as a multiple of the limit of a decision."""
+"""Maximum time of an episode divided by the maximum time of a decision."""
 
 POLL_S = 0.2
-"""Interval between two checks of time, memory and number of processes [s]."""
+"""Interval between two checks of the time, the memory and the number of processes [s]."""
 
 ALIVE_S = 1.0
 """Interval between two lines `ALIVE` [s]."""
 
 ENDING_S = 10.0
-"""Maximum time in which the processes of an agent must end [s]. They are killed
-repeatedly until none is left. Each pass of the loop in `_kill_all` takes some milliseconds."""
+"""Maximum time in which `_kill_all` must end the processes of an agent [s]."""
 
 PR_SET_PDEATHSIG, PR_SET_CHILD_SUBREAPER = 1, 36
-"""Options from linux/prctl.h. The first is the signal that a process receives when its parent ends.
-With the second, orphaned descendants become children of this process."""
+"""Options of prctl, from linux/prctl.h. `PR_SET_PDEATHSIG` sets the signal that a process receives
+when its parent ends. With `PR_SET_CHILD_SUBREAPER`, descendants whose parent has ended become
+children of this process."""
 
 CONTROL = bytes(set(range(32)) - set(b"\t\n\r"))
-"""Control characters except tab, newline and carriage return. An agent could overwrite other
-lines of the terminal with them."""
+"""Control characters except tab, newline and carriage return. They are removed from the output of
+an agent, which could overwrite other lines of the terminal with them."""
 
 BEAT = b"."
-"""Byte that an episode sends before each decision."""
+"""Byte that the forked process sends before each decision."""
 
 
 def main() -> None:
@@ -78,7 +79,7 @@ def main() -> None:
 
 
 class Episode:
-    """An episode in a separate process. The object is mutable, and `run` can be called once.
+    """Episode in a separate process. The object is mutable, and `run` can be called once.
 
     Parameters
     ----------
@@ -86,8 +87,8 @@ class Episode:
         Request as in `plate_gym.isolation.play`, with the additional keys `limits`, `path` (for
         `sys.path`) and `folder` (the working directory).
     requests, replies : int
-        Pipes from and to the process that sends the request. The episode ends if `requests` is
-        closed.
+        Pipes from and to the process that sends the request. If `requests` is closed, the episode
+        ends.
     """
 
     def __init__(self, request: dict[str, Any], requests: int, replies: int) -> None:
@@ -96,7 +97,8 @@ class Episode:
         self._decisions, self._reply, self._printed = 0, b"", 0
 
     def run(self) -> dict[str, Any]:
-        """Return the reply in the form of `plate_gym.isolation.play`."""
+        """Run the episode. Return the reply in the form of
+        `plate_gym.isolation.play`."""
         messages, to_messages = os.pipe()
         output, to_output = os.pipe()
         child = os.fork()
@@ -147,7 +149,8 @@ class Episode:
                     os.closerange(int(name), int(name) + 1)
             size = int(1e9 * self._limits.memory_gb)
             _limit(resource.RLIMIT_DATA, size)
-            _limit(resource.RLIMIT_FSIZE, size)  # files in memory belong to no process
+            # The memory limit of a process does not include files in memory.
+            _limit(resource.RLIMIT_FSIZE, size)
             _limit(resource.RLIMIT_NPROC, _tasks_of_user() + MORE_TASKS)
             _limit(resource.RLIMIT_CORE, 0)
             sys.path[:] = self._request["path"]
@@ -172,8 +175,8 @@ class Episode:
             return {"error": str(problem)}
 
     def _watch(self, child: int, messages: int, output: int) -> str:
-        """Wait until the reply arrives or the process ends. Return the limit that was exceeded.
-        Return an empty text if there is none."""
+        """Wait until the reply arrives, the process ends or a limit is exceeded. Return the
+        exceeded limit, or an empty text."""
         poll = select.poll()
         for file in (messages, output, self._requests):
             poll.register(file, select.POLLIN)
@@ -181,7 +184,8 @@ class Episode:
         total_s = EPISODE_FACTOR * self._limits.decision_s
         while True:
             events = dict(poll.poll(1e3 * POLL_S))
-            # If this process was stopped, the episode was stopped too, so that time does not count.
+            # If this process was suspended, the episode was suspended too. Therefore a pass counts
+            # as at most 2 POLL_S.
             passed = min(time.monotonic() - before, 2 * POLL_S)
             before = time.monotonic()
             waited, checked, sent = waited + passed, checked + passed, sent + passed
@@ -213,15 +217,15 @@ class Episode:
                 os.write(self._replies, ALIVE)
 
     def _receive(self, data: bytes) -> bool:
-        """Record a message from the episode. Return whether more messages are expected."""
+        """Record data from the episode. Return whether more data is expected."""
         beats = 0 if self._reply else len(data) - len(data.lstrip(BEAT))
         self._decisions += beats
         self._reply += data[beats:]
         return bool(data) and b"\n" not in self._reply and len(self._reply) < REPLY_BYTES
 
     def _end_of(self, child: int) -> str:
-        """Return how the process ended, or that its reply was not valid."""
-        for _ in range(10):  # the pipe closes slightly earlier than the process ends
+        """Return a text that tells how the process ended, or that its reply was not valid."""
+        for _ in range(10):  # the pipe closes slightly before the process ends
             if state := _has_ended(child):
                 if state.si_code == os.CLD_EXITED:
                     return f"died: it exited with code {state.si_status} before its last step"
@@ -233,8 +237,7 @@ class Episode:
         return "closed its pipe, or sent no valid reply"
 
     def _excess(self) -> str:
-        """Return the exceeded limit of memory or of the number of processes. Return an empty text
-        if none is exceeded."""
+        """Return the exceeded limit of memory or of the number of processes, or an empty text."""
         processes = list(_descendants())
         if len(processes) > MAX_PROCESSES:
             return f"more than {MAX_PROCESSES} processes"
@@ -247,8 +250,8 @@ class Episode:
         return f"more than {self._limits.memory_gb:g} GB of memory"
 
     def _forward(self, output: int, wait: bool) -> bool:
-        """Copy output of the agent to the standard error, up to `OUTPUT_BYTES`. Return whether more
-        output may come. If `wait` is false, copy only the output that is available."""
+        """Copy output of the agent to the standard error, up to `OUTPUT_BYTES`. If `wait` is false,
+        copy only the output that is available. Return whether more output can follow."""
         os.set_blocking(output, wait)
         while data := _read(output):
             _print(data[: max(0, OUTPUT_BYTES - self._printed)].translate(None, CONTROL))
@@ -273,7 +276,7 @@ def _print(data: bytes) -> None:
 
 
 def _has_ended(child: int) -> os.waitid_result | None:
-    """Return how a child process ended. Return None if it has not ended."""
+    """Return how a child process ended, or None if it has not ended."""
     return os.waitid(os.P_PID, child, os.WEXITED | os.WNOHANG | os.WNOWAIT)
 
 
@@ -303,7 +306,8 @@ def _kill_all() -> set[int]:
     ran: set[int] = set()
     end = time.monotonic() + ENDING_S
     while processes := list(_descendants()):
-        for process in processes:  # a stopped process starts no others
+        # All processes are stopped first, because a stopped process starts no other process.
+        for process in processes:
             with contextlib.suppress(OSError):
                 os.kill(process, signal.SIGSTOP)
         for process in processes:
@@ -320,7 +324,7 @@ def _kill_all() -> set[int]:
 
 
 def _limit(kind: int, most: int) -> None:
-    """Set a limit of this process, unless a lower one is already set."""
+    """Set a resource limit of this process, unless a lower limit is already set."""
     present = resource.getrlimit(kind)[0]
     if present == resource.RLIM_INFINITY or present > most:
         resource.setrlimit(kind, (most, most))
@@ -338,13 +342,13 @@ def _tasks_of_user() -> int:
 
 
 def _resident(process: int) -> int:
-    """Return the memory of a process, including memory that it shares with other processes
-    [bytes]."""
+    """Return the memory of a process [bytes]. Memory that it shares with other processes is
+    included."""
     return 1024 * _number(process, "status", b"VmRSS:")
 
 
 def _proportional(process: int) -> int:
-    """Return the memory of a process [bytes]. Memory that n processes share counts as 1/n."""
+    """Return the memory of a process [bytes]. If n processes share memory, 1/n of it is counted."""
     return 1024 * _number(process, "smaps_rollup", b"Pss:")
 
 
@@ -356,8 +360,8 @@ def _number(process: int, file: str, name: bytes) -> int:
 
 
 def _field(process: int, file: str, name: bytes) -> bytes:
-    """Return the text of a field of a file in /proc. Return an empty text if the file does not
-    contain the field."""
+    """Return the text of a field of a file in /proc, or an empty text if the file does not contain
+    the field."""
     lines = Path(f"/proc/{process}/{file}").read_bytes().splitlines()
     return next((line[len(name) :] for line in lines if line.startswith(name)), b"")
 

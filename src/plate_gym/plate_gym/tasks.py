@@ -1,5 +1,5 @@
-"""Tasks and worlds of the benchmark. Their numbers never change. If a number must change, a new
-version `-v2` is made."""
+"""Tasks and worlds of the benchmark. Their values never change. If a value must change, the task
+gets a new version, `-v2`."""
 
 from __future__ import annotations
 
@@ -19,13 +19,13 @@ Value = TypeVar("Value")
 
 @dataclass(frozen=True)
 class World:
-    """Deviation of the simulated world from the rig file.
+    """Differences between the simulated world and the rig file.
 
     Attributes
     ----------
     disturbances : Disturbances
     mu_scale : float
-        Ratio of the true friction to the friction in the rig file.
+        True friction divided by the friction in the rig file.
     """
 
     disturbances: Disturbances = NONE
@@ -45,8 +45,8 @@ WORLDS = {
         mu_scale=0.9,
     ),
 }  # fmt: skip
-"""The nominal world, which follows the rig file; three disturbed worlds; and one world for the
-evaluation with random seeds."""
+"""Worlds by name. The nominal world agrees with the rig file, three worlds have disturbances, and
+one world serves for evaluations with random seeds."""
 
 TASKS = {
     "Sort4-v1": ("sort_4", "465f434df34c169d"),
@@ -62,12 +62,12 @@ TASKS = {
     "Follow5-v1": ("follow_5", "3057df7c5f244eed"),
     "Feed-v1": ("feed", "5b99341f03a50dbc"),
 }
-"""Name, scenario, and digest of the contents of its scenario file, its rig file, and the file of
-part types that the rig names."""
+"""Scenario of each task, and a digest of the files that define it: the scenario file, the rig file,
+and the file of part types that the rig file names."""
 
 
 FEED_S = 60.0
-"""Duration of a feed task [s]. Such a task does not end by itself."""
+"""Duration of a feed task [s]. A feed task does not end earlier."""
 
 
 def scenario_of(task: str) -> tuple[Scenario, Rig]:
@@ -85,7 +85,7 @@ def scenario_of(task: str) -> tuple[Scenario, Rig]:
 
 
 def chosen(name: str, key: str, among: dict[str, Value]) -> Value:
-    """Return the value of a key.
+    """Return the value of a key of a dict. `name` describes the key in the error message.
 
     Raises
     ------
@@ -101,7 +101,7 @@ def chosen(name: str, key: str, among: dict[str, Value]) -> Value:
 
 def digest(scenario: str) -> str:
     """Return a digest of the contents of a scenario file, its rig file, and the rig's file of part
-    types. Comments do not count."""
+    types. Comments do not change it."""
     path = config_path("scenarios") / f"{scenario}.yaml"
     contents = [yaml.safe_load(path.read_text("utf-8"))]
     path = config_path(f"rigs/{contents[0]['rig']}.yaml" if "rig" in contents[0] else "rig.yaml")

@@ -657,7 +657,7 @@ def ended(main):
         (["--check", "false.json", "--world", "latency"], 2, "not --world"),
         (["--check", "false.json", "--fresh", "1", "--world", "moon"], 2, "world is 'moon'"),
         (["--workers", "0"], 2, "--workers is 0, allowed: 1 or more"),
-        (["--workers", "2", "--cluster", "tcp://x:1"], 2, "--cluster allows no --workers"),
+        (["--workers", "2", "--cluster", "tcp://x:1"], 2, "--workers is given with --cluster"),
         (["--json", "nowhere/x.json"], 2, "error: [Errno 2] No such file"),
         (
             ["--check", "false.json"],

@@ -176,7 +176,7 @@ def test_an_episode_in_which_a_limit_is_exceeded_counts_as_failed(bench, hostile
     assert found["tasks"]["Sort4-v1"]["success"] == 0
     bench.validate(found)
     row["success"] = True
-    with pytest.raises(PlateError, match="success is True, but a failure requires False"):
+    with pytest.raises(PlateError, match="success is True, allowed in a row with a failure: False"):
         bench.validate(found)
 
 

@@ -1,7 +1,7 @@
 """Computes the requested force on each part from a task and the positions of the parts.
 
-Subpackages: `estimation` (state of the parts), `tasks` (motions that a task requests) and
-`supervision` (whether a task can continue).
+The subpackage `estimation` estimates the state of the parts, `tasks` computes the motions that a
+task requests, and `supervision` decides whether a task can continue.
 """
 
 from .planner import NOTHING, Planner, PlannerOptions, PlannerState

@@ -23,7 +23,7 @@ class AnswerSchedule:
     answer_s : float
         Time from a request to the end of the running cycle [s].
     period : float
-        Length of a cycle that is assumed until the first one is reported [s].
+        Length of a cycle [s] that is assumed until a cycle start is reported.
     """
 
     def __init__(self, answer_s: float, period: float) -> None:
@@ -34,9 +34,9 @@ class AnswerSchedule:
     def is_new(self, cycle: PlateCycle, begin: float) -> bool:
         """Record that the plate began a cycle at `begin` [s, the time of the stamps].
 
-        Return False for a repeated report, because a repeated report must not delay the request. A
-        report counts as repeated if it has the same knots and 0 <= begin - last begin < SNAP T. T
-        is the length of the cycle.
+        Return False if the report is repeated, because a repeated report must not delay the
+        request. A report counts as repeated if its cycle has the same knots as the cycle of the
+        last report and 0 <= begin - last begin < SNAP T. T is the length of the cycle.
         """
         repeats = 0 <= begin - self._begin < SNAP * cycle.period
         if repeats and np.array_equal(cycle.knot_pose, self._cycle.knot_pose):
@@ -45,18 +45,17 @@ class AnswerSchedule:
         return True
 
     def wait_s(self, arrival: float) -> float:
-        """Mark a request as due. Return the time until it is due [s]; zero or negative if it is
-        late.
+        """Mark a request as pending. Return the time until it is due [s]. The time is zero or
+        negative if the request is late.
 
-        T is the length of the cycle, and `arrival` is the arrival time of the last start's report
-        [s, the time of the stamps]. The time to wait is max(T - answer_s, 0) - max(arrival - begin,
-        0).
+        `arrival` is the arrival time of the last report [s, the time of the stamps], and T is the
+        length of the cycle. The time to wait is max(T - answer_s, 0) - max(arrival - begin, 0).
         """
         self._due = True
         wait = max(self._cycle.period - self._answer_s, 0.0)
         return wait - max(arrival - self._begin, 0.0)
 
     def take_due(self) -> bool:
-        """Return whether a request is due, and clear this mark."""
+        """Return whether a request is pending, and clear the mark."""
         due, self._due = self._due, False
         return due

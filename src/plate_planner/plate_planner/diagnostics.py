@@ -1,7 +1,7 @@
 """Content of the planner's diagnostics: level, message and values. This module does not use ROS.
 
-The level is the most severe level of the task, its inputs and the estimator. The message joins
-their texts, the most severe one first.
+The level is the most severe level of the task, its inputs and the estimator. The message contains
+their texts, the most severe text first.
 """
 
 from __future__ import annotations
@@ -70,7 +70,7 @@ class PlannerDiagnostics:
             "task": "" if run is None else run.name,
             "task_state": "idle" if run is None else run.task.text,
             "driver_status": "" if driver is None else driver.text,
-            "parts_silent_s": f"{inputs.parts.silence(now):.2f}",
+            "parts_silent_s": f"{inputs.parts.age(now):.2f}",
             "overlooked": str(self._tasks.overlooked.count),
             "image_rate_hz": f"{self._tasks.estimator.image_rate:.1f}",
         }

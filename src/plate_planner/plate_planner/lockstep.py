@@ -1,5 +1,5 @@
-"""Order in which messages are processed if a simulator runs in lockstep. This module does not use
-ROS.
+"""Order in which the planner processes messages if a simulator runs in lockstep. This module does
+not use ROS.
 
 The planner may receive an image before other messages that belong before it: the cycle that led to
 this image, the report of this cycle's start, or a goal. The order of arrival is random. To make
@@ -17,13 +17,12 @@ Image = TypeVar("Image")
 Start = TypeVar("Start")
 
 STARTS_KEPT = 64
-"""Maximum number of reported cycle starts that are kept until the next image is planned. Older ones
-are dropped."""
+"""Maximum number of reported cycle starts that are kept until the next image is planned. Older
+reports are dropped."""
 
 
 class Lockstep(Generic[Image, Start]):
-    """Holds the newest image until it can be planned. Also holds the reported cycle starts until
-    then.
+    """Holds the newest image, and the reported cycle starts, until the image can be planned.
 
     In lockstep, an image waits for the report of the start of the cycle at which it was taken. If a
     request was published before the image, the image also waits for the plate_cycle that results
@@ -42,8 +41,8 @@ class Lockstep(Generic[Image, Start]):
         Whether the plate_cycle for the last request has not arrived yet.
     starts_required : bool
         Whether an image waits for the report of its cycle's start. The value becomes False if no
-        start is reported within the timeout. The value becomes True again when the start of an
-        image's cycle is reported.
+        start is reported within the timeout, and True again when the start of an image's cycle is
+        reported.
     """
 
     def __init__(self, enabled: bool) -> None:
@@ -75,8 +74,8 @@ class Lockstep(Generic[Image, Start]):
         self._start_ns = stamp_ns
 
     def next_image(self) -> tuple[Image, list[Start]] | None:
-        """Return the waiting image, and the cycle starts that must be recorded before it. Both are
-        then removed. Return None if no image waits, or if it must wait longer."""
+        """Return and remove the waiting image, and the cycle starts that must be recorded before
+        it. Return None if no image waits, or if the image must wait longer."""
         if self._image is None:
             return None
         image, stamp_ns = self._image
@@ -110,12 +109,12 @@ class Lockstep(Generic[Image, Start]):
         return answers
 
     def goal_accepted(self) -> None:
-        """Record a goal whose task begins now."""
+        """Record that a goal was accepted and its task begins."""
         self._goal_received, self._request_before_goal_ns = True, self.request_ns
 
     def precedes_goal(self, stamp_ns: int) -> bool:
-        """Whether the last request before the last goal had this stamp [ns]. For this stamp, the
-        driver accepts only a cycle at rest."""
+        """Whether the last request before the last goal had this stamp [ns]. For an image with this
+        stamp, the driver accepts only a cycle at rest."""
         return stamp_ns == self._request_before_goal_ns
 
     def stop_waiting(self, now: float, timeout_s: float, answer_overdue: bool) -> None:

@@ -1,9 +1,9 @@
 """ROS node of the planner.
 
-The node receives the detected parts. The node publishes the mean force that the next cycle should
-exert on each part. Goals of its actions start tasks. The node also receives plate_cycle and
-cycle_started, because the plate moves the parts between images and the next cycle continues this
-motion. `TaskRunner` runs a task. `InputMonitor` ends it if an input is missing. `Lockstep` and
+The node receives the detected parts, and publishes the mean force that the next cycle should exert
+on each part. Goals of its actions start tasks. It also receives plate_cycle and cycle_started,
+because the plate moves the parts between images and the next cycle continues the plate's motion.
+`TaskRunner` runs a task. `InputMonitor` ends it if an input is missing. `Lockstep` and
 `AnswerSchedule` decide when to plan.
 """
 
@@ -23,8 +23,8 @@ from std_srvs.srv import Trigger
 from trajectory_msgs.msg import JointTrajectory
 from visualization_msgs.msg import MarkerArray
 
+from plate_core import CycleRequest, PlateError, load_rig
 from plate_core import Parts as CoreParts
-from plate_core import PlateError, Wanted, load_rig
 from plate_core.clock_steps import ClockSteps, read_together
 from plate_core.driver_status import DriverState
 from plate_core.ros import (
@@ -46,10 +46,10 @@ from plate_core.ros import (
     msg_to_targets,
     nanoseconds,
     parameter,
+    request_to_msg,
     run_node,
     seconds,
     to_time,
-    wanted_to_msg,
 )
 from plate_core.status import INPUT_TIMEOUT_S, age_limit
 from plate_interfaces.msg import DriverStatus, FeedOrder, PartForces, Parts, Targets, TaskStatus
@@ -72,7 +72,7 @@ IDLE_S = 1.0
 """Period of the timer for requests while no request is due [s]."""
 
 SAME_CLOCK_S = 1.0
-"""If a stamp differs from this node's time by more than this, it is from another clock [s]."""
+"""A stamp that differs from this node's time by more than this value is from another clock [s]."""
 
 CANCELED = Failure(Reason.CANCELED, "canceled")
 PREEMPTED = Failure(Reason.PREEMPTED, "preempted by another goal")
@@ -102,7 +102,7 @@ class PlannerParameters(NodeOptions):
     )  # fmt: skip
     input_timeout_s: float = parameter(
         INPUT_TIMEOUT_S,
-        "Maximum time without parts, plate_cycle or driver_status during a task [s, wall time]",
+        "Maximum time without parts, plate_cycle or driver_status during a task [s, wall]",
         0.1,
         3600.0,
     )
@@ -148,10 +148,10 @@ class PlannerNode(SafeLifecycleNode[PlannerParameters]):
 
     Actions: sort_parts, follow_paths, assemble_parts, pose_parts, move_parts, feed_parts. The
     service stop ends the task. The node subscribes to parts, plate_cycle, cycle_started,
-    driver_status, diagnostics, targets (while move_parts runs) and feed_orders (while feed_parts
-    runs). If images are taken at cycle starts, it sends one request per image. Otherwise it sends
-    one request per cycle, shortly before the cycle ends. As long as cycle_started reports the
-    plate's motion, the next cycle starts from this motion. Otherwise it starts from rest. The node
+    driver_status, diagnostics, targets (for move_parts) and feed_orders (for feed_parts). If images
+    are taken at cycle starts, the node sends one request per image. Otherwise it sends one request
+    per cycle, shortly before the cycle ends. As long as cycle_started reports the plate's motion,
+    the next cycle starts from this motion. Otherwise the next cycle starts from rest. The node
     publishes part_forces, task_status, part_targets, feed_status, markers and diagnostics.
     """
 
@@ -177,16 +177,18 @@ class PlannerNode(SafeLifecycleNode[PlannerParameters]):
         self._forces = self.managed_publisher(PartForces, "part_forces", DATA)
         self._markers = self.managed_publisher(MarkerArray, "markers", DATA)
         self._reports = TaskReports(self)
-        # If several messages wait, the executor processes subscriptions in the order of creation. A
-        # request must consider all cycles that were sent and began before its image.
+        # If several messages wait, the executor processes subscriptions in the order of their
+        # creation. The images come last, because a request must consider all cycles that were sent
+        # or began before its image.
         self.managed_subscription(JointTrajectory, "plate_cycle", self._on_cycle, DATA)
         self.managed_subscription(JointTrajectory, "cycle_started", self._on_started, DATA)
         # If the camera is triggered, only the newest image is planned. Otherwise the estimator uses
         # all images.
         newest = NEWEST if options.camera_triggered else DATA
         self.managed_subscription(Parts, "parts", self._on_parts, newest)
-        # The node subscribes to its own topic, because `rivals` detects a second planner by its
-        # messages.
+        # The node subscribes to its own topic, because `second_publisher` detects a second planner
+        # by its
+        # messages on this topic.
         self.managed_subscription(PartForces, "part_forces", lambda msg: None, DATA)
         self._alarm: Timer | None = None
         if not options.camera_triggered:
@@ -194,7 +196,9 @@ class PlannerNode(SafeLifecycleNode[PlannerParameters]):
         self.managed_subscription(DriverStatus, "driver_status", self._on_driver, LATCHED)
         self.managed_subscription(DiagnosticArray, "diagnostics", self._on_diagnostics, DATA)
         self.managed_subscription(Targets, "targets", self._on_targets, DATA)
-        self.managed_subscription(FeedOrder, "feed_orders", self._on_order, DATA, in_turn=True)
+        self.managed_subscription(
+            FeedOrder, "feed_orders", self._on_order, DATA, one_publisher=True
+        )
         self.managed_service(Trigger, "stop", self._on_stop)
         self._friction = self.create_client(MeasureFriction, "measure_friction", qos_profile=CALLS)
         self.keep(self.destroy_client, self._friction)
@@ -215,7 +219,7 @@ class PlannerNode(SafeLifecycleNode[PlannerParameters]):
             max(options.start_timeout_s, options.input_timeout_s),
             now,
             lambda topic: self.count_publishers(self.resolve_topic_name(topic)),
-            self.rivals,
+            self.second_publisher,
         )
         self._health = PlannerDiagnostics(self._tasks, self._monitor, options.camera_triggered)
         self._reports.begin()
@@ -257,7 +261,7 @@ class PlannerNode(SafeLifecycleNode[PlannerParameters]):
         """Request the next cycle for an image that was taken at the start of a cycle."""
         stamp, run = msg.header.stamp, self._tasks.run
         parts = self._record_image(msg)
-        if parts is None:  # after an invalid image, request rest to continue the loop
+        if parts is None:  # an invalid image: request rest, to continue the loop
             self._request(NOTHING, stamp)
             return
         # In lockstep, the same image may arrive twice, before and after a goal. The task begins
@@ -282,8 +286,8 @@ class PlannerNode(SafeLifecycleNode[PlannerParameters]):
         self._tasks.see(parts, seconds(msg.header.stamp))
         idle = self._tasks.run is None
         if idle and self._monitor.inputs.starts_problem(time.monotonic()):
-            # If no cycle starts arrive, `_on_due` does not publish a request. This keeps the loop
-            # running.
+            # Without cycle starts, `_on_due` publishes no request. A request for rest keeps the
+            # loop running.
             self._request(NOTHING, msg.header.stamp)
 
     def _record_image(self, msg: Parts) -> CoreParts | None:
@@ -312,8 +316,8 @@ class PlannerNode(SafeLifecycleNode[PlannerParameters]):
             self._record_start(msg)
 
     def _record_start(self, msg: JointTrajectory) -> None:
-        """Record the motion of the plate. If the camera is free-running, set the timer of the next
-        request."""
+        """Record the cycle that the plate began. If the camera is free-running, set the timer of
+        the next request."""
         begin = seconds(msg.header.stamp)
         try:
             cycle = msg_to_cycle(msg)
@@ -369,28 +373,29 @@ class PlannerNode(SafeLifecycleNode[PlannerParameters]):
 
     # Requests
 
-    def _answer(self, run: Run, stamp: Time, compute: Callable[[Run], Wanted]) -> None:
+    def _answer(self, run: Run, stamp: Time, compute: Callable[[Run], CycleRequest]) -> None:
         """Compute and publish a task's request for the next cycle, and report the progress."""
         sorted_before = -1 if run.progress is None else run.progress.parts_sorted
-        wanted = compute(run)
-        stalled = self._has_stalled()  # this reads the clocks too
-        # A cycle may begin without a new image.
+        request = compute(run)
+        stalled = self._has_stalled()  # also updates the record of clock steps
+        # The cycle may have begun without a new image, so the last image may be old.
         age_ns = nanoseconds(stamp) - self._clock_steps.earliest_ns(nanoseconds(self._stamp))
         old = 1e-9 * age_ns > age_limit(self._tasks.estimator.period)
         if stalled or self._monitor.second_publishers() or old:
-            wanted = NOTHING  # the image is too old for the positions
-        self._request(wanted, stamp, to_time(round(1e9 * run.state.estimator.next_start)))
-        self._reports.publish_feed(run, bool(wanted.parts.ids), self._stamp)
+            request = NOTHING  # no motion: positions may be wrong or outdated
+        self._request(request, stamp, to_time(round(1e9 * run.state.estimator.next_start)))
+        self._reports.publish_feed(run, bool(request.parts.ids), self._stamp)
         if self._markers.get_subscription_count():
-            self._markers.publish(forces_to_msg(self._rig, wanted, stamp))
+            self._markers.publish(forces_to_msg(self._rig, request, stamp))
         self._report_progress()
         assert run.progress is not None
         if run.progress.parts_sorted != sorted_before:
-            # In lockstep, a task may end before the next periodic diagnostics are published.
+            # In lockstep, the task may end before the next periodic diagnostics, so publish the
+            # progress now.
             self._diagnostics.publish()
 
-    def _request(self, wanted: Wanted, stamp: Time, start: Time | None = None) -> None:
-        msg = wanted_to_msg(wanted, stamp, start)
+    def _request(self, request: CycleRequest, stamp: Time, start: Time | None = None) -> None:
+        msg = request_to_msg(request, stamp, start)
         self._lockstep.request_sent(nanoseconds(stamp))
         self._forces.publish(msg)
         self._monitor.inputs = self._monitor.inputs.request_sent(time.monotonic())
@@ -417,7 +422,7 @@ class PlannerNode(SafeLifecycleNode[PlannerParameters]):
         now = self._wake()
         self._check_task(now)
         run = self._tasks.running
-        if run is not None:  # feedback without images shows that the planner runs
+        if run is not None:  # feedback shows that the planner runs, even without images
             self._goals.feed_back(run.goal, run_to_msg(run, self._answered()).progress)
         if self._lockstep.image_waits:
             inputs, period = self._monitor.inputs, self._tasks.estimator.period
@@ -427,7 +432,7 @@ class PlannerNode(SafeLifecycleNode[PlannerParameters]):
 
     def _wake(self) -> float:
         """Record that the planner runs. If its process has stalled, end the task. Return the time
-        [s, steady clock]. Call this first in each callback."""
+        [s, steady clock]. Each callback must call this function first."""
         self._has_stalled()
         return self._monitor.inputs.ran
 
@@ -460,8 +465,8 @@ class PlannerNode(SafeLifecycleNode[PlannerParameters]):
     # Goals
 
     def _on_goal(self, goal: Any) -> None:
-        """Begin the task of a goal. If the task cannot begin, the goal is accepted and aborted at
-        once. The reason is that ROS has no field for the reason of a refusal."""
+        """Begin the task of a goal. If the task cannot begin, accept the goal and abort it at once,
+        because ROS has no field for the reason of a rejection."""
         failure = self._begin_task(goal, self._wake() if self.active else 0.0)
         if failure is not None:
             self.get_logger().warning(f"goal refused: {failure.text}")
@@ -518,8 +523,8 @@ class PlannerNode(SafeLifecycleNode[PlannerParameters]):
             self._publish_status(Reason.STOPPED)
             response.message = "no task runs"
             if before:
-                response.message += f"; the last one: {before}"
-        # The planner does not run a friction measurement, but a stop must end a measurement too.
+                response.message += f"; the last task: {before}"
+        # Another node runs friction measurements, but a stop must also end a measurement.
         if self._friction.service_is_ready():
             self._friction.call_async(MeasureFriction.Request(start=False))
         driver = self._monitor.inputs.driver_status
@@ -552,7 +557,7 @@ class PlannerNode(SafeLifecycleNode[PlannerParameters]):
     # Reports
 
     def _report_progress(self) -> None:
-        """Publish and log the progress of the task or its end."""
+        """Publish and log the progress or the end of the task."""
         run = self._tasks.run
         if run is None:
             return
@@ -560,7 +565,7 @@ class PlannerNode(SafeLifecycleNode[PlannerParameters]):
         self._reports.publish_targets(self._tasks, self._stamp)
         if self._reports.is_new(run.task.text):
             line = f"task {run.name}: {run.task.text}"
-            if run.failed:  # rclpy allows one severity per line of code
+            if run.failed:  # rclpy allows only one severity per line of code
                 self.get_logger().error(line)
             else:
                 self.get_logger().info(line)

@@ -1,8 +1,8 @@
 """Planner of a task. The planner computes the request to the solver once per plate cycle.
 
 The inputs are the parts in the images, the cycles that were sent and started, and the scenario. The
-estimator predicts the parts. The task rules return drifts or targets. The supervision decides
-whether the task continues. All functions are pure; the time is an argument.
+estimator predicts the states of the parts. The task rules return drifts or targets. The supervision
+decides whether the task continues. All functions are pure; the time is an argument.
 """
 
 from __future__ import annotations
@@ -14,7 +14,16 @@ from typing import Any
 
 import numpy as np
 
-from plate_core import NAMELESS, Parts, PlateCycle, PlateError, Rig, Targets, Wanted, part_class
+from plate_core import (
+    NAMELESS,
+    CycleRequest,
+    Parts,
+    PlateCycle,
+    PlateError,
+    Rig,
+    Targets,
+    part_class,
+)
 from plate_core.tasks import (
     FeedMode,
     FeedOrder,
@@ -53,21 +62,21 @@ from .supervision import (
 )
 from .tasks import CROWD, Assessment, DriftInterval, Situation, TaskOptions, TaskRules, rules_for
 
-NOTHING = Wanted.make(Parts.make((), np.zeros((0, 2))))
+NOTHING = CycleRequest.make(Parts.make((), np.zeros((0, 2))))
 """Empty request: the plate rests."""
 
 TAKEN_COAST = Coast(parts=1, unknown=1)
-"""Maximum number of consecutive images that do not show a part. Until then, the state of the part
-is propagated. The number applies to tasks in which parts are added and removed. The number
-is small, because the part may have been picked."""
+"""Value of `MISSED_IMAGES` for tasks in which parts are added and removed. It is small, because a
+part that is not detected may have been picked."""
 
 IN_MOTION_S = 0.1
-"""Length of cycles that start from a moving plate [s]. If the solver takes as long as this, cycles
-start from rest."""
+"""Length of cycles that start from a moving plate [s]. With images that are not taken at cycle
+starts, cycles start from rest if `answer_s` is at least this length."""
 
 MAX_GAP_S = 10.0
-"""Maximum difference between the stamps of two images of a running task [s]. A longer interruption
-of images would end the task. Therefore a larger difference means that the clock was set."""
+"""Maximum difference between the stamps of two images of a running task [s]. An interruption of
+images of this length would end the task. Therefore a larger difference means that the clock was
+set."""
 
 
 @dataclass(frozen=True)
@@ -79,15 +88,15 @@ class PlannerOptions(TaskOptions):
     default_period : float
         Length of a cycle that is assumed until two images determine it [s].
     start_timeout_s : float
-        Maximum time from the start until all parts are detected [s].
+        Maximum time from the start of the task until all parts are detected [s].
     unseen_timeout_s : float
         Maximum time without a detection before a part counts as lost [s].
     stuck_timeout_s : float
         Maximum time without progress before the task counts as stuck [s].
     answer_s : float
-        Time before the next cycle start at which the request is sent [s]. This time is used if
-        images are not taken at cycle starts. This time covers the computing times of solver and
-        driver, and the connection.
+        Time before the next cycle start at which the request is sent [s]. It is used if images are
+        not taken at cycle starts. It covers the computing times of solver and driver, and the
+        connection.
     image_age_s : float or None
         Age of an image at its stamp [s]. If None, the age is estimated from the motion of the
         parts.
@@ -115,8 +124,8 @@ class PlannerState:
         Ids in the last image that showed all parts.
     last : mapping of str to LastSeen
         Last detected position of each part on the plate. Empty if parts are added and removed.
-    answer : (Wanted, Progress) or None
-        The last result. The result is returned again if the same image arrives again.
+    answer : (CycleRequest, Progress) or None
+        The last result. If the same image arrives again, this result is returned again.
     due : float
         Time of the next request [s]. Infinite until a cycle start is reported.
     kept : bool
@@ -128,7 +137,7 @@ class PlannerState:
     memory: Any = None
     known: tuple[str, ...] = ()
     last: Mapping[str, LastSeen] = field(default_factory=dict)
-    answer: tuple[Wanted, Progress] | None = None
+    answer: tuple[CycleRequest, Progress] | None = None
     due: float = np.inf
     kept: bool = False
 
@@ -137,11 +146,12 @@ class PlannerState:
 class Planner:
     """Planner for one scenario on one rig.
 
-    Begin with `state = planner.start(planner.initial())`. If the camera is triggered at cycle
-    starts, call `state, wanted, progress = planner.plan(state, parts, t)` for every image. If the
-    camera is free-running, call `state = planner.see(state, parts, t)` for every image, `state =
-    planner.started(state, cycle, t)` for every cycle that the plate begins, and at the time
-    `state.due` call `state, wanted, progress = planner.answer(state)`.
+    Begin with `state = planner.start(planner.initial())`. The next calls depend on the camera. If
+    the camera is triggered at cycle starts, call `state, request, progress = planner.plan(state,
+    parts, t)` for every image. If the camera is free-running, call `state = planner.see(state,
+    parts, t)` for every image, `state = planner.started(state, cycle, t)` for every cycle that the
+    plate begins, and at the time `state.due` call `state, request, progress =
+    planner.answer(state)`.
     """
 
     rig: Rig
@@ -187,12 +197,13 @@ class Planner:
         return PlannerState(TaskState(), estimator, known=estimator.seen.ids)
 
     def start(self, state: PlannerState) -> PlannerState:
-        """Start or restart the task. Its time begins when two images have shown all parts."""
+        """Start or restart the task. The time of the task begins when two images have shown all
+        parts."""
         return replace(state, task=started(), memory=None, last={})
 
     def stop(self, state: PlannerState, why: Failure = STOP) -> PlannerState:
-        """Stop the task: no motion is requested from the next image on. A running task is aborted
-        with the reason `why`."""
+        """Stop the task. From the next image on, the planner requests no motion. A running task is
+        aborted with the reason `why`."""
         stamp = state.estimator.stamp
         return replace(state, task=stopped(state.task, stamp if np.isfinite(stamp) else None, why))
 
@@ -204,7 +215,7 @@ class Planner:
         Returns
         -------
         planner : Planner
-            Planner with the new targets. The new planner replaces this planner.
+            Planner with the new targets, which replaces this planner.
         state : PlannerState
         refused : tuple of str
             Reasons why targets were refused. The other targets are accepted.
@@ -235,8 +246,8 @@ class Planner:
         return replace(self, scenario=scenario), replace(state, task=task_state), tuple(refused)
 
     def order(self, state: PlannerState, order: FeedOrder) -> Planner:
-        """Return a planner with another order for a running `feed` task. The new planner replaces
-        this planner.
+        """Return a planner with another order for a running `feed` task. The result replaces this
+        planner.
 
         Raises
         ------
@@ -264,8 +275,9 @@ class Planner:
     ) -> PlannerState:
         """Record a cycle that arrived from the solver at `arrival` [s, the time of the stamps].
 
-        `requested` is the start of the cycle for whose image it was computed [s]. Default: the
-        running cycle. If there is no cycle, the planner assumes that the parts follow the requests.
+        `requested` is the start of the cycle at which the image of its request was taken [s].
+        Default: the start of the running cycle. Until a cycle is recorded, the planner assumes that
+        the parts follow the requests.
         """
         return replace(state, estimator=state.estimator.record_cycle(cycle, arrival, requested))
 
@@ -281,8 +293,8 @@ class Planner:
     def see(self, state: PlannerState, parts: Parts, t: float) -> PlannerState:
         """Record the detected parts of an image and its stamp [s].
 
-        If the stamp is earlier than the last one, a running task restarts. If it is more than
-        `MAX_GAP_S` later than the last one, the task ends.
+        If the stamp is earlier than the last stamp, a running task restarts. If it is more than
+        `MAX_GAP_S` later, the task ends.
         """
         clock = state.estimator.clock
         if state.task.phase is not Phase.RUNNING or clock.stamp is None:
@@ -301,7 +313,7 @@ class Planner:
 
     def plan(
         self, state: PlannerState, parts: Parts, t: float
-    ) -> tuple[PlannerState, Wanted, Progress]:
+    ) -> tuple[PlannerState, CycleRequest, Progress]:
         """Return the request for an image that was taken at the start of a cycle.
 
         Parameters
@@ -310,28 +322,28 @@ class Planner:
         parts : Parts
             Detected parts.
         t : float
-            Stamp of the image [s]. If it is the same stamp as before, the same request is returned,
-            or `NOTHING` if the task has ended since. An earlier stamp means that the source of the
-            images was restarted. In this case a running task restarts.
+            Stamp of the image [s]. If it is equal to the last stamp, the last request is returned
+            again, or `NOTHING` if the task has ended since then. An earlier stamp means that the
+            source of the images was restarted. In this case a running task restarts.
 
         Returns
         -------
         state : PlannerState
-        wanted : Wanted
+        request : CycleRequest
             Request for these parts. The request is `NOTHING` if the plate should rest.
         progress : Progress
         """
         if state.answer is not None and t == state.estimator.clock.stamp:
-            wanted, progress = state.answer
-            return state, wanted if state.task.active else NOTHING, progress
+            request, progress = state.answer
+            return state, request if state.task.active else NOTHING, progress
         return self.answer(self.see(state, parts, t))
 
-    def answer(self, state: PlannerState) -> tuple[PlannerState, Wanted, Progress]:
+    def answer(self, state: PlannerState) -> tuple[PlannerState, CycleRequest, Progress]:
         """Return the request for the next cycle from the images recorded so far. The result is the
         same as in `plan`."""
         estimator = state.estimator
         there, last = estimator.parts, state.last
-        if self.rules.open_ended:  # parts can be removed at any time
+        if self.rules.open_ended:  # parts may be removed at any time
             there = self._without_doubles(there, estimator.seen)
         else:
             there = self._without_doubles(there, estimator.seen, NAMELESS)
@@ -339,12 +351,12 @@ class Planner:
         present = without_surplus(self._on_plate(there), self._labels)
         state = replace(state, last=last, due=np.inf)
         state, assessment = self._advance(state, present)
-        wanted = NOTHING
+        request = NOTHING
         going_on = state.task.active and not state.task.held(estimator.stamp, self.limits)
         if going_on and assessment.request is not None and len(present):
-            state, wanted = self._request(state, present, assessment.request)
+            state, request = self._request(state, present, assessment.request)
         progress = self._progress(state, present, assessment)
-        return replace(state, answer=(wanted, progress)), wanted, progress
+        return replace(state, answer=(request, progress)), request, progress
 
     @property
     def _labels(self) -> tuple[str, ...]:
@@ -363,8 +375,9 @@ class Planner:
     def _without_doubles(
         self, parts: Parts, seen: Parts, classes: tuple[str, ...] | None = None
     ) -> Parts:
-        """Remove undetected parts if another part is detected at the same position. The part was
-        hidden, and it is the same part with a new id. `classes` limits this to some classes."""
+        """Return the parts without each undetected part at whose position another part is detected.
+        Both are the same part, which was hidden and has a new id. `classes` limits this to some
+        classes."""
         label = [part_class(name) for name in parts.ids]
         missing = [name not in seen.ids for name in parts.ids]
         if classes is not None:
@@ -381,8 +394,8 @@ class Planner:
     def _last_seen(
         self, before: Mapping[str, LastSeen], parts: Parts, t: float
     ) -> Mapping[str, LastSeen]:
-        """Return each part's last position and stamp. If a part left the plate, its last position
-        is the place at which it left."""
+        """Return the last position and stamp of each part. If a part has left the plate, this is
+        its first position outside the plate."""
         half = self.rig.plate.half
         off = {name for name, at in before.items() if np.any(np.abs(at.position) > half)}
         on = np.all(np.abs(parts.position) <= half, axis=1)
@@ -427,7 +440,7 @@ class Planner:
         return "" if self.rules.open_ended else bystanders_text(parts, self._labels)
 
     def _observe(self, state: PlannerState, parts: Parts, begins: bool) -> Estimator:
-        """Update the drift bias by the prediction error. The drift bias is reset when a task
+        """Update the drift bias by the prediction error. Reset the drift bias when a task
         begins."""
         estimator, rules = state.estimator, self.rules
         if begins:
@@ -452,7 +465,8 @@ class Planner:
             motion_known=estimator.log.known,
             latency_known=estimator.latency_known or not estimator.log.free_running,
             predicted=place + period * estimator.bias.along(axes),
-            shortfall=np.hypot(*(estimator.as_asked(parts) - place).T) / (start - estimator.stamp),
+            shortfall=np.hypot(*(estimator.by_request(parts) - place).T)
+            / (start - estimator.stamp),
             active=active,
             seen=self._on_plate(estimator.seen),
             taken=estimator.taken,
@@ -465,23 +479,25 @@ class Planner:
         self,
         state: PlannerState,
         parts: Parts,
-        request: DriftInterval | Targets,
-    ) -> tuple[PlannerState, Wanted]:
-        """Build the request for the solver. Store the drift that results from it."""
+        content: DriftInterval | Targets,
+    ) -> tuple[PlannerState, CycleRequest]:
+        """Build the request for the solver. Store the drift that it requests in the estimator."""
         estimator, period = state.estimator, state.estimator.period
-        targets = request if isinstance(request, Targets) else None
-        if isinstance(request, Targets):
-            request = DriftInterval.towards(parts.position, request)
+        targets = content if isinstance(content, Targets) else None
+        if isinstance(content, Targets):
+            content = DriftInterval.towards(parts.position, content)
         axes = self.rules.bias_axes(state.memory, parts, estimator.next_start + period / 2)
-        request = request.less(estimator.bias.along(axes))
-        force, tolerance = request.force(parts, self.rig, period)
+        content = content.less(estimator.bias.along(axes))
+        force, tolerance = content.force(parts, self.rig, period)
         mass = np.array([self.rig.part_type(part_class(name)).mass_kg for name in parts.ids], float)
         drift = parts.velocity + force * period / mass[:, None]
         start = estimator.start_of(parts)
         state = replace(state, estimator=estimator.with_request(parts.ids, drift, force))
         in_time = not estimator.log.free_running or self.options.answer_s < IN_MOTION_S
         plate = estimator.next_plate if in_time and len(parts) <= CROWD else None
-        return state, Wanted.make(parts, force, tolerance, None, period, start, targets, plate)
+        return state, CycleRequest.make(
+            parts, force, tolerance, None, period, start, targets, plate
+        )
 
     def _progress(self, state: PlannerState, present: Parts, assessment: Assessment) -> Progress:
         estimator, task = state.estimator, state.task

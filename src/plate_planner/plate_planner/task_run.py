@@ -1,5 +1,5 @@
-"""The running or last task, and the state of the parts. The state is estimated with and without a
-task. This module does not use ROS.
+"""The running or last task, and the state of the parts, which is also estimated without a task.
+This module does not use ROS.
 
 `TaskRunner` passes each event (image, cycle start, cycle, targets, order) to the pure functions of
 `Planner` and keeps the state that they return. If no task runs, it updates only the estimator.
@@ -10,7 +10,7 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 from typing import Any
 
-from plate_core import OverlookedThing, Parts, PlateCycle, PlateError, Rig, Wanted
+from plate_core import CycleRequest, OverlookedThing, Parts, PlateCycle, PlateError, Rig
 from plate_core.tasks import FeedOrder, MoveTask, PartTarget
 
 from .estimation import Estimator
@@ -38,7 +38,7 @@ class Run:
     finished : bool
         Whether the result was sent to the goal's client.
     progress : Progress or None
-        Progress at the time of the last request. None before the first one.
+        Progress at the time of the last request. None before the first request.
     """
 
     planner: Planner
@@ -80,7 +80,8 @@ class TaskRunner:
     Attributes
     ----------
     run : Run or None
-        The running task, or the last task if none runs. None if there was none, or after `forget`.
+        The running task, or the last task if none runs. None if there was no task, or after
+        `forget`.
     overlooked : Overlooked
         Objects in the images that vision does not publish as parts.
     """
@@ -130,8 +131,8 @@ class TaskRunner:
 
     def record_image(self, things: tuple[OverlookedThing, ...], parts: Parts) -> str:
         """Record the objects of an image that vision does not publish as parts. Return a warning if
-        there are objects that do not belong to the task. The warning is returned at most once per
-        task; otherwise "" is returned."""
+        there are objects that do not belong to the task, but at most once per task. Otherwise
+        return ""."""
         self.overlooked.add(things, parts)
         text = "" if self._others_reported else self.others()
         self._others_reported = self._others_reported or bool(text)
@@ -153,8 +154,8 @@ class TaskRunner:
             self.run.state = self.run.planner.started(self.run.state, cycle, begin, triggered)
 
     def record_cycle(self, cycle: PlateCycle, arrival: float, requested: float) -> None:
-        """Record a cycle from the solver that arrived at `arrival`. The cycle results from the
-        request with the stamp `requested` [s]."""
+        """Record a cycle from the solver that arrived at `arrival` [s, the time of the stamps].
+        `requested` [s] is the stamp of the request for this cycle."""
         if self.run is None:
             self._idle = self._idle.record_cycle(cycle, arrival, requested)
         else:
@@ -164,15 +165,15 @@ class TaskRunner:
 
     # Results
 
-    def plan(self, run: Run, parts: Parts, stamp: float) -> Wanted:
+    def plan(self, run: Run, parts: Parts, stamp: float) -> CycleRequest:
         """Return the request for an image that was taken at the start of a cycle."""
-        run.state, wanted, run.progress = run.planner.plan(run.state, parts, stamp)
-        return wanted
+        run.state, request, run.progress = run.planner.plan(run.state, parts, stamp)
+        return request
 
-    def answer(self, run: Run) -> Wanted:
+    def answer(self, run: Run) -> CycleRequest:
         """Return the request for the next cycle, computed from the images recorded so far."""
-        run.state, wanted, run.progress = run.planner.answer(run.state)
-        return wanted
+        run.state, request, run.progress = run.planner.answer(run.state)
+        return request
 
     def retarget(self, targets: tuple[PartTarget, ...]) -> tuple[str, ...]:
         """Change targets of a running `move` task. Return the reasons for refused targets.

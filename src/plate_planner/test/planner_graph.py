@@ -15,7 +15,7 @@ from plate_core.ros import (
     DATA,
     LATCHED,
     cycle_to_msg,
-    msg_to_wanted,
+    msg_to_request,
     parts_to_msg,
     scenario_to_goal,
     start_nodes,
@@ -191,7 +191,7 @@ class Graph:
         self.until(lambda: len(self.forces) > count)
         self.until(lambda: not (self.answering and self.planner._lockstep.unanswered))
         assert self.forces[-1].header.stamp == stamp
-        return msg_to_wanted(self.forces[-1])
+        return msg_to_request(self.forces[-1])
 
     def close(self):
         if self.planner is not None and self.planner.active:

@@ -5,7 +5,7 @@ from collections import Counter
 
 import numpy as np
 
-from plate_core import Parts, Wanted, load_rig
+from plate_core import CycleRequest, Parts, load_rig
 from plate_core.tasks import start_positions
 
 RIG = load_rig()
@@ -36,14 +36,14 @@ class Plant:
     def seen(self) -> Parts:
         return Parts.make(self.ids, self.position, self.drift)
 
-    def step(self, asked: Wanted) -> None:
+    def step(self, asked: CycleRequest) -> None:
         noise = self.disturbance * self.rng.normal(size=self.drift.shape)
         answer = self.answer(asked) + noise
         self.drift, self.coming = self.coming, answer
         self.position = self.position + T * self.drift
 
-    def answer(self, asked: Wanted) -> np.ndarray:
-        """Return the drift wanted, as far as parts are named; parts that are not come to rest."""
+    def answer(self, asked: CycleRequest) -> np.ndarray:
+        """Return the drift request, as far as parts are named; parts that are not come to rest."""
         drift = np.zeros_like(self.position)
         for i, part_id in enumerate(asked.parts.ids):
             row = self.ids.index(part_id)

@@ -5,7 +5,7 @@ import pytest
 from plant import RIG, Plant, T, ready
 from shown_text import says
 
-from plate_core import OverlookedThing, Parts, PlateCycle, Wanted
+from plate_core import CycleRequest, OverlookedThing, Parts, PlateCycle
 from plate_core.tasks import load_scenario
 from plate_planner import Planner
 from plate_planner.supervision import Overlooked, Reason
@@ -39,7 +39,7 @@ def test_a_task_ends_well_beside_unknown_things_and_names_them():
             rows = [asked.parts.ids.index(name) for name in THINGS]
             assert not np.any(asked.targets.weight[rows])  # but they need not move
         rows = np.flatnonzero([name not in THINGS for name in asked.parts.ids])
-        plant.step(Wanted.make(asked.parts.take(rows), asked.forces.force[rows]))
+        plant.step(CycleRequest.make(asked.parts.take(rows), asked.forces.force[rows]))
     things = "2 unknown objects are on the plate (unknown_1 at (0.050, 0.020) m, group_2 at "
     assert progress.phase == "done"
     assert f"4 of 4 parts in their regions; {things}" in progress.text
@@ -67,8 +67,8 @@ def asked_of(planner, images):
     state, asked = ready(planner, images[0]), []
     for k, image in enumerate(images):
         state = planner.started(state, PlateCycle.rest(T), k * T, True)
-        state, wanted, _ = planner.plan(state, image, k * T)
-        asked.append(wanted.parts.ids)
+        state, request, _ = planner.plan(state, image, k * T)
+        asked.append(request.parts.ids)
     return asked
 
 

@@ -413,8 +413,8 @@ def test_angles_are_those_between_cycles():
 def test_it_says_when_images_do_not_come_as_they_should():
     world, none = World(2, 1.0), Estimator.of(RIG, T, 0.0)
     for rate, problem in (
-        (10.0, ""), (5.0, ""), (12.4, ""), (13.7, "13.7 images"),
-        (30.0, "30 images per second for 10 cycles"),
+        (10.0, ""), (5.0, ""), (12.4, ""), (13.7, "image rate is 13.7 per second"),
+        (30.0, "image rate is 30 per second, but"),
     ):  # fmt: skip
         estimator = none
         for k in range(30):
@@ -424,7 +424,8 @@ def test_it_says_when_images_do_not_come_as_they_should():
         assert bool(estimator.image_problem) == bool(problem)
         assert estimator.image_rate == pytest.approx(rate, rel=1e-3)
     *_, (estimator, _) = run_free(7.0, 0.0, 0.0, cycles=20)
-    assert estimator.image_problem == "7 images per second, allowed: 10 or more (one per cycle)"
+    one = "image rate is 7 per second, allowed: 10 or more (one per cycle)"
+    assert estimator.image_problem == one
     for rate, problem in ((9.75, True), (9.85, False), (15.0, False)):
         *_, (estimator, _) = run_free(rate, 0.0, 0.0, cycles=20)
         assert bool(estimator.image_problem) is problem

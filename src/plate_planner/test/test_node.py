@@ -23,7 +23,7 @@ from plate_core.ros import (  # noqa: E402
     DATA,
     LATCHED,
     cycle_to_msg,
-    msg_to_wanted,
+    msg_to_request,
     nanoseconds,
     parts_to_msg,
     scenario_to_goal,
@@ -230,10 +230,10 @@ def test_a_stop_when_no_task_runs_is_told(graph):
 
 def test_why_no_parts_come_is_what_the_detector_says(graph):
     graph = graph(input_timeout_s=0.3)
-    said = DiagnosticStatus(name="/a/detector", message="no image yet: does the camera run?")
+    said = DiagnosticStatus(name="/a/detector", message="no image yet; check that the camera runs")
     graph.others.publish(DiagnosticArray(status=[said]))
     graph.until(lambda: "detector" in graph.planner._monitor.inputs.reports)
-    text = "idle; no parts yet: the detector runs and reports: no image yet: does the camera run?"
+    text = "idle; no parts yet; the detector runs and reports: " + said.message
     assert graph.report() == (DiagnosticStatus.STALE, text)
 
 
@@ -241,14 +241,14 @@ def test_a_goal_is_refused_with_the_reason(graph):
     graph = graph(driver=None)
     refused = graph.refused()
     not_ready = TaskStatus.NOT_READY
-    text = "sort was not started: no driver_status yet: does the driver run?"
+    text = "sort was not started: no driver_status yet; check that the driver runs"
     assert refused == (not_ready, text)
     for status in (*NOT_READY, ERROR, READY):
         graph.driver = status
         graph.until(lambda text=status.text: graph.driver_text() == text)
         if status is not READY:
             assert graph.refused() == (not_ready, f"sort was not started: driver: {status.text}")
-    text = "sort was not started: no parts yet: do the detector and the camera run?"
+    text = "sort was not started: no parts yet; check that the detector and the camera run"
     assert graph.refused() == (not_ready, text)
     name, goal = scenario_to_goal(SORT_4)
     goal.hold_s = float("nan")
@@ -375,7 +375,7 @@ def silenced(clock):
 def test_without_parts_the_task_ends_without_any_image(silenced):
     silenced.until(lambda: silenced.states[-1] != "running")
     assert silenced.states[-1].startswith("aborted after 0.1 s: no parts for ")
-    assert silenced.states[-1].endswith("do the detector and the camera run?")
+    assert silenced.states[-1].endswith("check that the detector and the camera run")
     silenced.until(lambda: silenced.report()[0] == DiagnosticStatus.ERROR)
     # A stop acknowledges the failure. Then diagnostics report only missing inputs.
     silenced.stop()
@@ -501,9 +501,9 @@ LEAVES = PlateCycle.from_knots(np.array([0.0, 0.1, 0.1, 0.15]), *KNOTS)
 
 @pytest.fixture
 def reported(graph):
-    """Function to what is asked (`Wanted`s) for three images, after the first one of which the
-    plate is in motion, and to the node; `order` says which of `cycle`, `start` and `parts` comes
-    first. `at_once`: the node finds all three waiting, as on a busy computer."""
+    """Return a function that sends three images to the node and returns the planner's requests. The
+    plate is in motion after the first image. `order` is the order of the messages `cycle`, `start`
+    and `parts`. `at_once`: all three messages wait, as on a busy computer."""
 
     def ask(order, lockstep=True, at_once=False):
         node = graph(lockstep=lockstep)
@@ -544,7 +544,7 @@ def reported(graph):
                 time.sleep(AT_ONCE_S)
             node.until(lambda count=count: len(node.forces) > count)
             assert node.forces[count].header.stamp == stamp
-            asked.append(msg_to_wanted(node.forces[count]))
+            asked.append(msg_to_request(node.forces[count]))
         return asked
 
     return ask
@@ -617,7 +617,7 @@ def test_in_lockstep_an_image_is_planned_at_once_when_the_last_message_came(grap
     assert len(graph.forces) == count
     publish[last]()
     at_once(graph, lambda: len(graph.forces) > count)
-    assert msg_to_wanted(graph.forces[-1]).parts.ids == IDS
+    assert msg_to_request(graph.forces[-1]).parts.ids == IDS
 
 
 def test_in_lockstep_a_player_that_does_not_report_is_not_waited_for_twice(graph):
@@ -661,7 +661,7 @@ def test_in_lockstep_a_solver_that_does_not_answer_ends_the_task(graph):
     graph.until(lambda: len(graph.forces) > count)  # the loop goes on when the solver does
     graph.until(lambda: graph.states[-1] != "running")
     assert ": no plate_cycle for " in graph.states[-1]
-    assert msg_to_wanted(graph.forces[-1]).parts.ids == ()
+    assert msg_to_request(graph.forces[-1]).parts.ids == ()
 
 
 def test_a_wrong_message_is_answered_with_rest(graph):

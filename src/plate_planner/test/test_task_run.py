@@ -221,7 +221,7 @@ def test_the_reason_for_missing_parts_is_the_nearest_known(loop, publishers, rep
     assert text in inputs.parts_problem(now, lambda topic: publishers)
     failure = inputs.problem(now, 90.0, T, lambda topic: publishers)
     assert failure.reason is Reason.NO_PARTS
-    assert re.search(f"10.0 s: .*{text}", failure.text)
+    assert re.search(f"10.0 s; .*{text}", failure.text)
 
 
 def test_a_stall_of_the_process_is_a_failure_once_and_old_goals_are_refused(loop):

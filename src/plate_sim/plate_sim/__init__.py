@@ -1,7 +1,7 @@
 """Simulation of parts on the vibrating plate, its camera and its motor controller.
 
-Subpackages: `world`, `plate`, `friction`, `contacts`, `camera`, `device`. The most frequently used
-names are exported here."""
+The subpackages are `world`, `plate`, `friction`, `contacts`, `camera` and `device`. This package
+exports their most frequently used names."""
 
 from .camera import Camera, part_greys
 from .contacts import Contacts

@@ -1,6 +1,6 @@
-"""ROS node of the simulator. The simulator simulates the plate and the parts for received motor
-tables, or for the motion of the simulated device. The simulator publishes camera images and the
-ground truth. `world.Simulation` is the model."""
+"""ROS node of the simulator. It simulates the parts on a plate that follows the received motor
+tables or the motion of the simulated device. It publishes camera images and the ground truth.
+`world.Simulation` is the model."""
 
 from __future__ import annotations
 
@@ -55,8 +55,8 @@ CLOCK_PERIOD_S = 0.01
 """Interval between two messages on /clock [s, wall]."""
 
 REPEAT_PERIOD_S = 1.0
-"""In lockstep: interval at which an unanswered image and the start of its cycle are published again
-[s, wall]."""
+"""In lockstep, the simulator waits for the reply to an image. At this interval, it publishes the
+image and the start of its cycle again [s, wall]."""
 
 MIN_NS = 20_000_000
 """Minimum length of a segment of the device's motion for which an image is taken [ns]."""
@@ -65,23 +65,23 @@ GAP_NS = 1_000_000
 """Maximum gap between two consecutive segments of the device's motion [ns]."""
 
 MAX_CLOCK_ERROR_NS = 50_000_000
-"""In real time: maximum difference between stamps and the system's clock [ns]."""
+"""Maximum difference between the stamps and the system's clock in real time [ns]."""
 
-DRAWN = "Effects in the images, see config/nodes.yaml"
-"""Heading of the parameters that affect only images."""
+IMAGE_GROUP = "Effects in the images, see config/nodes.yaml"
+"""Group of the parameters that affect only images."""
 
 NO_USE = CycleUsage(0.0, 0.0, 0.0, 0.0)
 
 
 def _disturbance(name: str, description: str, live: bool = True, group: str = "") -> Any:
-    """Return the parameter for a field of `Disturbances`."""
+    """Return the node's parameter for a field of `Disturbances`."""
     value = getattr(Disturbances, name)
     return parameter(value, description, *RANGES[name], live=live, group=group)
 
 
-def _drawn(name: str, description: str) -> Any:
-    """Return the parameter for a disturbance that affects only images."""
-    return _disturbance(name, description, group=DRAWN)
+def _image_parameter(name: str, description: str) -> Any:
+    """Return the node's parameter for a disturbance that affects only images."""
+    return _disturbance(name, description, group=IMAGE_GROUP)
 
 
 @dataclass(frozen=True)
@@ -90,7 +90,7 @@ class Options(NodeOptions):
 
     scenario: str = parameter("sort_10", "Scenario that defines the parts on the plate.")
     seed: int = parameter(
-        0, "Seed of parts and noise for the next reset.",
+        0, "Random seed of the parts' places and of the image noise, used at the next reset.",
         0, 2**31 - 1, live=True,
     )  # fmt: skip
     driven_by: str = parameter(
@@ -98,14 +98,15 @@ class Options(NodeOptions):
         choices=("setpoints", "device"),
     )  # fmt: skip
     lockstep: bool = parameter(
-        False, "Whether the simulator waits for the result of each image, instead of real time."
+        False,
+        "Whether the simulator waits for the reply to each image. If false, it runs in real time.",
     )
     rate: float = parameter(
-        1.0, "Simulated time per wall time. It can change only in simulated time.", 0.01,
+        1.0, "Simulated seconds per second. It can be changed only if time is simulated.", 0.01,
         100, live=True,
     )  # fmt: skip
     simulated_time: bool = parameter(
-        False, "Whether /clock is published even at rate 1, so that rate can change."
+        False, "Whether time is simulated (/clock) even at rate 1, so that rate can be changed."
     )
     noise: float = parameter(
         NOISE, "Standard deviation of the image noise [grey values].", *WORLD_RANGES["noise"],
@@ -124,63 +125,99 @@ class Options(NodeOptions):
         1000,
     )
     input_timeout_s: float = parameter(
-        INPUT_TIMEOUT_S, "Time without motion until diagnostics are STALE [s].", 0.1, 3600.0
+        INPUT_TIMEOUT_S, "Time without motion until diagnostics are STALE [s, wall].", 0.1, 3600.0
     )
-    idle_period: float = parameter(IDLE_S, "Length of a cycle while at rest [s].", 0.01, 10)
+    idle_period: float = parameter(
+        IDLE_S, "Length of a cycle while the plate is at rest [s].", 0.01, 10
+    )
     friction_spread: float = _disturbance(
-        "friction_spread", "Spread of friction between parts [fraction]."
+        "friction_spread", "Maximum relative deviation of friction between parts."
     )
     friction_patches: float = _disturbance(
-        "friction_patches", "Variation of friction over the plate [fraction]."
+        "friction_patches", "Maximum relative deviation of friction over the plate."
     )
     static_ratio: float = _disturbance(
-        "static_ratio", "Static friction divided by dynamic friction [-]."
+        "static_ratio", "Static friction divided by dynamic friction."
     )
     friction_slope: float = _disturbance(
-        "friction_slope", "Change of friction with slip speed [1/(m/s)]."
+        "friction_slope", "Relative change of friction per slip speed [1/(m/s)]."
     )
-    heave: float = _disturbance("heave", "Upward motion of the plate per motion along x [-].")
-    tilt_x: float = _disturbance("tilt_x", "Tilt of the plate, downwards along +x [rad].")
-    tilt_y: float = _disturbance("tilt_y", "Tilt of the plate, downwards along +y [rad].")
+    heave: float = _disturbance(
+        "heave", "Upward motion of the plate divided by its motion along x."
+    )
+    tilt_x: float = _disturbance(
+        "tilt_x", "Tilt of the plate [rad]. If positive, parts slide towards +x."
+    )
+    tilt_y: float = _disturbance(
+        "tilt_y", "Tilt of the plate [rad]. If positive, parts slide towards +y."
+    )
     latency: float = _disturbance(
         "latency", "Age of an image when it is published and stamped [s].", live=False
     )
     image_rate: float = _disturbance(
-        "image_rate", "Image rate of a free-running camera [1/s]. 0 means one per cycle start.",
+        "image_rate", "Image rate of a free-running camera [1/s]. 0 means one image at the "
+        "start of each cycle.",
         live=False,
     )  # fmt: skip
     stamp_jitter: float = _disturbance(
-        "stamp_jitter", "Noise of a free-running camera's stamps, RMS [s].",
+        "stamp_jitter", "Standard deviation of the stamps of a free-running camera [s].",
         live=False,
     )  # fmt: skip
-    blur: bool = parameter(True, "Whether motion blurs images over the rig's exposure.", live=True)
+    blur: bool = parameter(
+        True, "Whether motion blurs images over the exposure time of the rig.", live=True
+    )
     missed_images: float = _disturbance(
         "missed_images", "Fraction of images that are never published."
     )
-    highlights: float = _drawn("highlights", "Fraction of each part that reflects the light.")
-    shadows: float = _drawn("shadows", "Darkening of the plate in parts' shadows [fraction].")
-    missed_parts: float = _drawn("missed_parts", "Fraction of parts that an image does not show.")
-    false_parts: float = _drawn("false_parts", "Number of false parts per true part in an image.")
-    pick_failure: float = _disturbance("pick_failure", "Fraction of grips in which the part slips.")
+    highlights: float = _image_parameter(
+        "highlights", "Fraction of each part's area that a highlight covers."
+    )
+    shadows: float = _image_parameter(
+        "shadows", "Fraction of the light that is missing in the shadows of parts."
+    )
+    missed_parts: float = _image_parameter(
+        "missed_parts", "Fraction of the parts that an image does not show."
+    )
+    false_parts: float = _image_parameter(
+        "false_parts", "Number of false parts per true part in an image."
+    )
+    pick_failure: float = _disturbance(
+        "pick_failure", "Fraction of the robot's grips in which the part slips."
+    )
 
-    part_height_m: float = _drawn(
+    part_height_m: float = _image_parameter(
         "part_height_m", "Height of parts in images [m]. 0 uses the height in the rig file."
     )
-    side_shade: float = _drawn("side_shade", "Brightness of side faces per brightness of tops.")
-    size_spread: float = _drawn("size_spread", "Spread of the parts' sizes in images [fraction].")
-    gloss: float = _drawn("gloss", "Radius of the lamp's image on a part [radii].")
-    shadow_length_m: float = _drawn("shadow_length_m", "Length of the shadows [m].")
-    shadow_deg: float = _drawn("shadow_deg", "Direction of the shadows from x [degrees].")
-    penumbra_m: float = _drawn("penumbra_m", "Width of the shadows' soft edge [m].")
-    light_step: float = _drawn("light_step", "Change of the light at light_step_s [fraction].")
-    light_step_s: float = _drawn("light_step_s", "Time from the start to the light's change [s].")
-    flicker: float = _drawn("flicker", "Amplitude of the light's flicker [fraction].")
-    flicker_hz: float = _drawn("flicker_hz", "Frequency of the flicker [Hz].")
-    defocus_px: float = _drawn("defocus_px", "Gaussian blur of images [px].")
-    plate_grey: float = _drawn("plate_grey", "Grey value of the plate at full light.")
-    room_grey: float = _drawn("room_grey", "Grey value around the plate.")
-    black_grey: float = _drawn("black_grey", "Grey value of black parts.")
-    grey_grey: float = _drawn("grey_grey", "Grey value of grey parts.")
+    side_shade: float = _image_parameter(
+        "side_shade",
+        "Brightness of the parts' side faces divided by the brightness of their top faces.",
+    )
+    size_spread: float = _image_parameter(
+        "size_spread", "Maximum relative deviation of the parts' sizes in images."
+    )
+    gloss: float = _image_parameter(
+        "gloss", "Radius of the lamp's image on each part divided by the part's radius."
+    )
+    shadow_length_m: float = _image_parameter("shadow_length_m", "Length of the shadows [m].")
+    shadow_deg: float = _image_parameter("shadow_deg", "Direction of the shadows from x [degrees].")
+    penumbra_m: float = _image_parameter("penumbra_m", "Width of the shadows' soft edge [m].")
+    light_step: float = _image_parameter(
+        "light_step", "Relative change of the light at light_step_s."
+    )
+    light_step_s: float = _image_parameter(
+        "light_step_s", "Time from the start of the simulation to the change of the light [s]."
+    )
+    flicker: float = _image_parameter("flicker", "Relative amplitude of the light's flicker.")
+    flicker_hz: float = _image_parameter("flicker_hz", "Frequency of the light's flicker [Hz].")
+    defocus_px: float = _image_parameter(
+        "defocus_px", "Standard deviation of the Gaussian blur of images [px]."
+    )
+    plate_grey: float = _image_parameter("plate_grey", "Grey value of the plate at full light.")
+    room_grey: float = _image_parameter(
+        "room_grey", "Grey value of the surroundings of the plate at full light."
+    )
+    black_grey: float = _image_parameter("black_grey", "Grey value of black parts at full light.")
+    grey_grey: float = _image_parameter("grey_grey", "Grey value of grey parts at full light.")
 
     @property
     def disturbances(self) -> Disturbances:
@@ -192,8 +229,8 @@ class Options(NodeOptions):
 
 @dataclass
 class Tally:
-    """Counts since the last report: tables received, tables refused with the reason of the last
-    refusal, and cycles that started late."""
+    """Counts since the last report: received tables, refused tables, and cycles that started late.
+    `why` is the reason of the last refusal."""
 
     tables: int = 0
     refused: int = 0
@@ -202,26 +239,29 @@ class Tally:
 
 
 class SimulatorNode(SafeLifecycleNode[Options]):
-    """Lifecycle node `simulator`: executes motor tables, simulates the parts, publishes images.
+    """Lifecycle node `simulator`. It executes motor tables, simulates the parts and publishes
+    images.
 
-    The node subscribes to motor_setpoints or, if the device drives the plate, to motor_motion and
-    camera_trigger. The node publishes image_raw, camera_info, cycle_started, diagnostics,
-    ground_truth (only for the evaluation of a run) and, if time is simulated, /clock.
-    Services: ~/reset restarts the scenario with the seed that was set, or else with the next one.
-    ~/place_part, ~/remove_part, hopper/open and ~/move_robot change the parts. After such a change,
-    or a change of a live parameter, a seed no longer reproduces the run.
+    The node subscribes to motor_setpoints. If the device drives the plate, the node subscribes to
+    motor_motion and camera_trigger instead. It publishes image_raw, camera_info, cycle_started,
+    diagnostics and ground_truth, and /clock if time is simulated. ground_truth serves only to
+    evaluate a run. The service ~/reset restarts the scenario with the seed of the parameter `seed`
+    if this was set since the last reset, and with the next seed otherwise. The services
+    ~/place_part, ~/remove_part, hopper/open and ~/move_robot change the parts. After a call of
+    these services, or a change of a live parameter, a seed no longer reproduces the run.
 
     Cycle k begins at t_k with the newest table, and `cycle_started` has the stamp t_k. Then image k
-    is taken, and the parts are simulated until t_k+1. In real time, the next cycle begins on
-    schedule. In lockstep, it begins when a table with the stamp of image k arrives, or at once if
-    image k is missing. Without a new table, the last one is repeated, or its tail is executed. If
-    the device drives the plate, the parts follow each executed segment of `motor_motion`, and an
-    image is taken at its end or at a trigger pulse. An inactive node stops simulated time.
+    is taken, and the parts are simulated until t_k+1. In real time, cycle k+1 begins at t_k+1. In
+    lockstep, cycle k+1 begins when a table with the stamp of image k arrives, or at once if image k
+    is missing. If no new table has arrived, the plate repeats the last table or executes its tail.
+    If the device drives the plate, the parts follow each segment of `motor_motion`, and an image is
+    taken at the end of the segment or at a trigger pulse. While the node is inactive, simulated
+    time does not advance.
     """
 
     def __init__(self) -> None:
         super().__init__("simulator", Options)
-        self._next_seed: int | None = None  # seed of the next reset, if set
+        self._next_seed: int | None = None  # seed of the next reset if the parameter was set
         self.add_post_set_parameters_callback(self._note_seed)
         self.report(
             self._find, self._values, "simulation", self._begin_report,
@@ -258,32 +298,33 @@ class SimulatorNode(SafeLifecycleNode[Options]):
                 f"latency is {options.latency:g}, allowed: 0, because the rig has a trigger_phase"
             )
         self._next_ns = START_NS  # start time of the next cycle [ns]
-        self._simulation = self._scattered()
+        self._simulation = self._new_simulation()
         self._warm_up()
         self._connect()
 
     def begin(self) -> None:
-        """Continue with the plate at rest. In real time, the next cycle begins now."""
+        """Continue with the plate at rest. The next cycle begins now."""
         options = self.options
         self._timeline = Timeline.at_rest(options.idle_period)
         self._tally = Tally()
         what, topic = "motor table", "motor_setpoints"
-        question = "is the driver active, or the computer too slow?"
+        advice = "check that the driver is active and the computer is fast enough"
         if self._driven:
-            what, topic, question = "motion", "motor_motion", "does the device run?"
-        self._input = Input(what, topic, question, options.input_timeout_s, time.monotonic())
+            what, topic, advice = "motion", "motor_motion", "check that the device runs"
+        self._input = Input(what, topic, advice, options.input_timeout_s, time.monotonic())
         if not self._simulated_time:
             self._next_ns = Clock(clock_type=ClockType.SYSTEM_TIME).now().nanoseconds
         self._time_ns = self._moved_ns = self._next_ns
         self._pulse_ns = 0  # time of the last trigger pulse [ns]
         self._due_ns = time.monotonic_ns()  # wall time at `_next_ns`
-        self._aim(self._next_ns)
-        self._ahead: list[np.ndarray | None] = []  # the next image, if it is already rendered
+        self._start_shots(self._next_ns)
+        self._ahead: list[np.ndarray | None] = []  # the next image if it is already rendered
         if not self._driven:
             self._begin_cycle()
 
     def rest(self) -> None:
-        """Let the plate come to rest: simulate the rest of the cycle and the tail of the cycle."""
+        """Bring the plate to rest: simulate the remaining time of the cycle, and then the tail of
+        the cycle."""
         if not self._driven:
             self._move(self._timeline.cycle, self._next_ns)
             if self._timeline.cycle.tail is not None:
@@ -313,12 +354,12 @@ class SimulatorNode(SafeLifecycleNode[Options]):
                 self._wait(self._moved_ns)
 
     def _note_seed(self, parameters: list[Parameter]) -> None:
-        """Store a seed for the next reset, even if it is equal to the present one."""
+        """Store a set seed for the next reset, even if it is equal to the present seed."""
         for item in parameters:
             if item.name == "seed":
                 self._next_seed = int(item.value)
 
-    def _scattered(self) -> Simulation:
+    def _new_simulation(self) -> Simulation:
         """Return a new simulation of the scenario with the current seed."""
         options = self.options
         return Simulation(
@@ -327,8 +368,8 @@ class SimulatorNode(SafeLifecycleNode[Options]):
         )  # fmt: skip
 
     def _warm_up(self) -> None:
-        """Simulate and render once. This loads libraries and computes tables before the first
-        cycle."""
+        """Simulate and render once, so that libraries are loaded and tables are computed before the
+        first cycle."""
         state = self._simulation.state
         angle, rng = np.zeros(len(state.ids)), np.random.default_rng(0)
         run_cycle(state, PlateCycle.rest(self.options.idle_period), self._rig)
@@ -363,13 +404,13 @@ class SimulatorNode(SafeLifecycleNode[Options]):
     # Time
 
     def _begin_cycle(self) -> None:
-        """Start the next cycle. In lockstep, start further cycles until one has an image."""
+        """Start the next cycle. In lockstep, start further cycles until a cycle has an image."""
         while not self._run_cycle() and self.options.lockstep:
             pass
 
     def _run_cycle(self) -> bool:
         """Select the table of the next cycle, take its image, and simulate the parts until the next
-        event. Return whether there was an image.
+        image or the end of the cycle. Return whether the cycle has an image.
         """
         self._time_ns = self._moved_ns = self._next_ns
         options, before = self.options, self._timeline
@@ -382,20 +423,21 @@ class SimulatorNode(SafeLifecycleNode[Options]):
         self._next_ns += period_ns
         self._due_ns += round(period_ns / options.rate)
         self._count["cycles"] += 1
-        # If there is no new table, the last one is repeated, or its tail is executed.
+        # If no new table has arrived, the last table is repeated, or its tail is executed.
         tail_alone = before.waiting is None and cycle is before.cycle.tail
         alone = self._timeline.repeats > 0 or tail_alone
         self._count["held cycles"] += alone
         self._count["missed images"] += self._shot is None and not seen
         self._advance()
         if self._shot is None and not options.lockstep:
-            # Render now, because a real camera does not take this computer's time.
+            # Render the next image now, in the idle time. A real camera would not use time of this
+            # computer.
             self._ahead = [self._simulation.capture()]
         return seen
 
     def _advance(self) -> None:
-        """Simulate the parts until the next image is delivered or the cycle ends. Set the alarm to
-        this time."""
+        """Simulate the parts until the next image is delivered or the cycle ends, and set the timer
+        to this time."""
         cycle, end_ns = self._timeline.cycle, self._next_ns
         if self._shot is not None and self._delivered_ns < end_ns:
             end_ns = self._delivered_ns
@@ -404,13 +446,14 @@ class SimulatorNode(SafeLifecycleNode[Options]):
             self._wait(end_ns)
 
     def _wait(self, until_ns: int) -> None:
-        """Set the alarm to a simulated time in this cycle [ns]."""
+        """Set the timer to a simulated time in this cycle [ns]."""
         ahead_ns = round((self._next_ns - until_ns) / self.options.rate)
         self._alarm.timer_period_ns = max(1, self._due_ns - ahead_ns - time.monotonic_ns())
         self._alarm.reset()
 
     def _move(self, motion: PlateCycle | PlateMotion, end_ns: int) -> None:
-        """Simulate the parts from `_moved_ns` to `end_ns`. Their motion began at `_time_ns`."""
+        """Simulate the parts from `_moved_ns` to `end_ns` on a plate whose `motion` began at
+        `_time_ns`."""
         begin, end = (1e-9 * (t - self._time_ns) for t in (self._moved_ns, end_ns))
         if begin == 0 and end_ns == self._next_ns:
             self._simulation.run(motion)
@@ -420,28 +463,29 @@ class SimulatorNode(SafeLifecycleNode[Options]):
 
     def _on_alarm(self) -> None:
         if self._moved_ns < self._next_ns:
-            self._shoot()
+            self._take_next_image()
             self._advance()
             return
         behind_ns = time.monotonic_ns() - self._due_ns
         now_ns = Clock(clock_type=ClockType.SYSTEM_TIME).now().nanoseconds
         late = behind_ns > (self._next_ns - self._time_ns) / self.options.rate
-        # If the system clock was set or the computer was suspended, correct the stamps.
+        # The stamps are wrong if the system clock was set or the computer was suspended.
         wrong = (
             abs(now_ns - behind_ns - self._next_ns) > MAX_CLOCK_ERROR_NS
             and not self._simulated_time
         )
         if late or wrong:
-            # The plate and the parts did not move during the delay, so continue from now.
+            # During the delay, the plate and the parts did not move. The next cycle therefore
+            # begins now.
             self._due_ns += behind_ns
             if not self._simulated_time:
                 self._next_ns = now_ns
-                self._aim(self._next_ns)
+                self._start_shots(self._next_ns)
             self._count["late cycles"] += 1
             self._tally.late += 1
         self._begin_cycle()
 
-    def _aim(self, begin_ns: int) -> None:
+    def _start_shots(self, begin_ns: int) -> None:
         """Start the sequence of images of a free-running camera at `begin_ns`."""
         self._shot = None
         if self.options.image_rate > 0:
@@ -455,8 +499,8 @@ class SimulatorNode(SafeLifecycleNode[Options]):
         assert self._shot is not None
         return self._shots_ns + round(1e9 * self._shot.delivered)
 
-    def _shoot(self) -> None:
-        """Deliver the image whose delivery time has come."""
+    def _take_next_image(self) -> None:
+        """Publish the next image of a free-running camera."""
         shot = self._shot
         assert shot is not None
         age = 1e-9 * (self._moved_ns - self._shots_ns) - shot.middle
@@ -471,26 +515,26 @@ class SimulatorNode(SafeLifecycleNode[Options]):
 
     # Tables
 
-    def _hear(self) -> None:
-        """Count a received table or motion."""
-        self._input = self._input.heard(time.monotonic())
+    def _record_input(self) -> None:
+        """Count a received table or segment."""
+        self._input = self._input.received(time.monotonic())
         self._tally.tables += 1
 
     def _refuse(self, error: PlateError) -> None:
-        """Count a refused table or motion."""
+        """Count a refused table or segment."""
         self._count["refused tables"] += 1
         self._tally.refused += 1
         self._tally.why = str(error)
 
     def _on_table(self, msg: JointTrajectory) -> None:
         lockstep = self.options.lockstep
-        self._hear()
+        self._record_input()
         if lockstep and nanoseconds(msg.header.stamp) != self._time_ns:
-            return  # the solver repeats an old reply
+            return  # the solver has repeated an old reply
         try:
             cycle = msg_to_motors(self._rig, msg)
-            if cycle.moves and (rivals := self.rivals("motor_setpoints")):
-                raise PlateError(rivals)
+            if cycle.moves and (second_publisher := self.second_publisher("motor_setpoints")):
+                raise PlateError(second_publisher)
             self._usage = check_table(self._rig, cycle, self._timeline.cycle)
             self._timeline = self._timeline.send(cycle)
         except PlateError as error:
@@ -503,9 +547,9 @@ class SimulatorNode(SafeLifecycleNode[Options]):
             self._begin_cycle()
 
     def _on_motion(self, msg: JointTrajectory) -> None:
-        """Simulate the parts during a segment of the device's motion. Take the images that belong
-        to it."""
-        self._hear()
+        """Simulate the parts during a segment of the device's motion, and take the images of this
+        time."""
+        self._record_input()
         try:
             times, *motors = msg_to_knots(msg, [motor.name for motor in self._rig.motors])
             motion = PlateMotion.of_motors(self._rig, times, np.stack(motors, axis=1))
@@ -526,17 +570,17 @@ class SimulatorNode(SafeLifecycleNode[Options]):
                 self._expose(end_ns)
             return
         if abs(begin_ns - self._next_ns) > GAP_NS:
-            self._aim(begin_ns)
+            self._start_shots(begin_ns)
         self._time_ns, self._moved_ns, self._next_ns = begin_ns, begin_ns, end_ns
         self._publish_truth()
         while self._delivered_ns < end_ns:
             self._move(motion, self._delivered_ns)
-            self._shoot()
+            self._take_next_image()
         self._move(motion, end_ns)
 
     def _on_pulse(self, msg: Header) -> None:
-        """Take an image if the parts are already simulated up to the trigger pulse. Otherwise
-        `_on_motion` takes it later."""
+        """If the parts are already simulated up to the trigger pulse, take an image. Otherwise
+        `_on_motion` takes the image later."""
         self._pulse_ns = nanoseconds(msg.stamp)
         if abs(self._moved_ns - self._pulse_ns) <= GAP_NS:
             self._expose(self._pulse_ns)
@@ -549,11 +593,11 @@ class SimulatorNode(SafeLifecycleNode[Options]):
             self._publish_truth()
 
     def _on_reset(self, _: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
-        """Restart the scenario with the seed that was set or, if none was set, with the next
-        seed."""
+        """Restart the scenario. The seed is the parameter `seed` if it was set since the last
+        reset, and the next seed otherwise."""
         self._seed = (self._seed + 1) % 2**31 if self._next_seed is None else self._next_seed
         plate, self._next_seed = self._simulation.plate, None
-        self._simulation, self._ahead = self._scattered(), []
+        self._simulation, self._ahead = self._new_simulation(), []
         self._simulation.plate = plate  # the plate continues its motion
         response.success, response.message = True, f"parts are at new positions, seed {self._seed}"
         return response
@@ -617,8 +661,8 @@ class SimulatorNode(SafeLifecycleNode[Options]):
     # Messages
 
     def _take_image(self, stamp_ns: int, age: float | None = None) -> bool:
-        """Publish the image that `Simulation.capture` returns, if any. Return whether there was an
-        image."""
+        """Publish the image of `Simulation.capture`, unless it is missing. Return whether an image
+        was published."""
         stamp = to_time(stamp_ns)
         pixels = self._ahead.pop() if self._ahead else self._simulation.capture(age)
         if pixels is not None:
@@ -643,7 +687,8 @@ class SimulatorNode(SafeLifecycleNode[Options]):
             self._starts.publish(cycle_to_msg(self._timeline.cycle, to_time(self._time_ns)))
 
     def _repeat_image(self) -> None:
-        """In lockstep, publish the unanswered image and the start of its cycle again."""
+        """Publish the last image and the start of its cycle again. This is done in lockstep, while
+        the reply to the image is missing."""
         self._publish_start()
         self._publish_image()
 
@@ -657,10 +702,13 @@ class SimulatorNode(SafeLifecycleNode[Options]):
             self._repeat.reset()
 
     def _find(self, now: float) -> Finding:
-        """Return the diagnostics of the received tables, the plate and the parts, see
-        `plate_core.status`."""
+        """Return the diagnostics of the received tables, the plate and the parts (see
+        `plate_core.status`)."""
         tally, dropped = self._tally, self._simulation.dropped
-        findings = [used("tables", tally.tables, tally.refused, tally.why), self._input.gone(now)]
+        findings = [
+            used("tables", tally.tables, tally.refused, tally.why),
+            self._input.timed_out(now),
+        ]
         troubles = [f"parts dropped: {dropped}"] if dropped else []
         if tally.late:
             troubles.append(f"late cycles: {tally.late}")
@@ -686,7 +734,7 @@ class SimulatorNode(SafeLifecycleNode[Options]):
             "acceleration used": f"{share.accel / limits.accel:.3f}",
             "true friction": f"{np.min(mu, initial=np.inf):.3g} to {np.max(mu, initial=0):.3g}",
             "disturbances": self._simulation.disturbances.summary,
-            "silent": f"{self._input.silence(time.monotonic()):.2f} s",
+            "silent": f"{self._input.age(time.monotonic()):.2f} s",
         }
 
     def _begin_report(self) -> None:

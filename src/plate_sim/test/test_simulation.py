@@ -61,7 +61,7 @@ def test_a_sight_is_what_an_image_shows():
     for turn in range(6):
         for simulation in (drawn, told):
             simulation.run(shaking(seed=turn))
-        image, sight = drawn.capture(), told.sight()
+        image, sight = drawn.capture(), told.visible_parts()
         places = np.vstack([sight.position[sight.seen], sight.false])
         at = np.rint(to_image(RIG, places)).astype(int)
         bare = drawn.capture_bare().astype(float)

@@ -36,7 +36,8 @@ __all__ = [
     "manipulability",
 ]
 
-if not TYPE_CHECKING:  # hidden, because type checkers would otherwise accept any name
+# Type checkers must not see this function, because they would then accept any attribute name.
+if not TYPE_CHECKING:
 
     def __getattr__(name: str) -> Any:
         """Import `averages` on first use, because the controller does not need it."""

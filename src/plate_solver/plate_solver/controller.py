@@ -19,7 +19,7 @@ from typing import Any
 
 import numpy as np
 
-from plate_core import Parts, PlateCycle, PlateError, Rig, Wanted
+from plate_core import CycleRequest, Parts, PlateCycle, PlateError, Rig
 from plate_core.motion import IDLE_S
 
 from .cycle_map import finely_sampled
@@ -34,14 +34,14 @@ METHODS = {"A": "rotations", "B": "sinusoids", "rotations": "rotations", "sinuso
 """Names of the methods: the letters A and B of the paper, and the names in this project."""
 
 DRIFT_TOLERANCE = 5e-5
-"""Maximum error of a search for forces, divided by the length of the cycle [m/s]. The descent from
-one start ends when its largest single error is below it. The search over several starts ends at
-`GOOD_MISS` or `EXACT_MISS`."""
+"""Error at which a search for forces ends the descent from one start, divided by the length of the
+cycle [m/s]. The descent ends when its largest single error is below this value. The search over
+several starts ends at `GOOD_MISS` or `EXACT_MISS`."""
 
 TARGET_TOLERANCE = 2e-4
-"""Maximum error of a search for targets, divided by the length of the cycle [m/s]. Each descent,
-and the search over several starts, end when the error is below it. Later cycles correct this
-error."""
+"""Error at which a search for targets ends, divided by the length of the cycle [m/s]. Each descent
+ends when its largest single error is below this value. The search over several starts ends when the
+root mean square error is below it. Later cycles correct this error."""
 
 FRACTIONS = (1.0, 0.5, 0.25)
 """Fractions of a goal, tried in this order until no part leaves the plate. If forces are requested,
@@ -53,23 +53,22 @@ GOOD_MISS = 0.15
 error is larger, the solver searches from further starts."""
 
 EXACT_MISS = 0.02
-"""Maximum acceptable error (root mean square), as a fraction of the requested displacement. This
-fraction applies to force requests in which a part has zero tolerance on both axes."""
+"""Value of `GOOD_MISS` for force requests in which at least one part has zero tolerance on both
+axes."""
 
 LOOKAHEAD_S = 0.03
-"""Time by which the parts are extrapolated with their final velocities at the end of a cycle [s].
-The extrapolation rewards a motion after which a part moves towards its target. The extrapolation is
-used only if a part is far from its target. Parts near their targets would otherwise keep
-oscillating. If forces are requested, it is not used."""
+"""Time by which the solver extrapolates the motion of the parts beyond the end of a cycle, at their
+final velocities [s]. The extrapolation rewards a motion after which a part moves towards its
+target. It is used only if targets are requested and a part is far from its target. Near their
+targets, parts would keep oscillating."""
 
 
 EFFORT: dict[str, dict[str, Any]] = {
     "rotations": {"iterations": 20, "restarts": 1},
     "sinusoids": {"iterations": 16, "restarts": 40},
 }
-"""Maximum number of iterations from one start, and maximum number of further starts, in closed-loop
-control. Larger values make the search slower and improve little: see docs/results.md. Motions with
-a free end use half the further starts (`steer.PLAYS`)."""
+"""Options of the solvers in closed-loop control, as in `RotationOptions` and `SinusoidOptions`.
+Larger values make the search slower and improve little: see docs/results.md."""
 
 
 @dataclass(frozen=True)
@@ -79,19 +78,21 @@ class Answer:
     Attributes
     ----------
     cycle : PlateCycle
-        The next cycle. Rotations, and sinusoids without `Wanted.plate` or `Wanted.start`, start and
-        end at rest at home. Other sinusoids start in the state `Wanted.plate`, and have a free end
-        (`Goal.free_end`) while a part is far from its target. The cycle has a tail if it starts in
-        motion or has a free end. A cycle at rest always starts at rest. If the plate moves, it then
-        plays the tail of the running cycle first.
+        The next cycle. Rotations always start and end at rest at home. Sinusoids do the same if
+        `CycleRequest.plate` or `CycleRequest.start` is None. Otherwise sinusoids start in the state
+        `CycleRequest.plate`, and have a free end (`Goal.free_end`) while a part is far from its
+        target. The cycle has a tail if it starts in motion or has a free end. The cycles at rest
+        that replace a search always start at rest. If the plate is in motion, it plays the tail of
+        the running cycle before a cycle at rest.
     solution : Solution or None
-        Solution of the search. None if there are no parts, or if all parts are at their targets.
+        Solution of the search. None without a search, that is, if there are no parts or all parts
+        are at their targets.
     message : str
         Text for the log.
     error_m, requested_m : float
         Displacement error and requested displacement [m]. Both values are root mean squares over
-        parts and axes. Rotations count as arc lengths at the edge of the part. With targets, both
-        values are 0.
+        parts and axes. A rotation counts as the arc length at the edge of the part. Both values are
+        0 if targets are requested.
     fraction : float
         Fraction of the goal that the search used: one of `FRACTIONS`. 0 if the plate rests because
         a part would leave it.
@@ -150,7 +151,7 @@ class Controller:
 
     @property
     def cut_short(self) -> int:
-        """Number of searches that ended at their deadline."""
+        """Number of searches that the deadline `until` of `answer` ended early."""
         return sum(solver.cut_short for solver in self._solvers.values())
 
     def reset(self) -> None:
@@ -160,65 +161,67 @@ class Controller:
             solver.reset()
 
     def warm_up(self) -> None:
-        """Solve test requests with each method. The test requests load the force tables and all
-        libraries, so that the first real request is not delayed. Forget all parts and solutions
-        afterwards."""
+        """Solve test requests with each method, then forget all parts and solutions. The test
+        requests load the force tables and all libraries, so that the first real request is not
+        delayed."""
         rest = PlateCycle.rest(IDLE_S)
         rotated = Parts.make(("part_0",), np.zeros((1, 2)))
-        requests = [Wanted.make(rotated, torque=np.array([1e-6]))]
+        requests = [CycleRequest.make(rotated, torque=np.array([1e-6]))]
         for count in (2, 4, 6):
             angle = 2 * np.pi * np.arange(count) / count
             place = 0.5 * self._rig.plate.half * np.column_stack([np.cos(angle), np.sin(angle)])
             parts = Parts.make(tuple(f"part_{i}" for i in range(count)), place)
-            requests.append(Wanted.make(parts, 1e-4 * np.ones((count, 2))))
-        for wanted in requests:
+            requests.append(CycleRequest.make(parts, 1e-4 * np.ones((count, 2))))
+        for request in requests:
             for method in self._solvers:
-                self._answer(method, wanted, rest, math.inf)
+                self._answer(method, request, rest, math.inf)
         self.reset()
 
-    def answer(self, wanted: Wanted, running: PlateCycle | None, until: float = math.inf) -> Answer:
+    def answer(
+        self, request: CycleRequest, running: PlateCycle | None, until: float = math.inf
+    ) -> Answer:
         """Return the cycle that follows the running cycle.
 
         Parameters
         ----------
-        wanted : Wanted
+        request : CycleRequest
             Request with the parts as detected at the start of the running cycle.
         running : PlateCycle, optional
             The running cycle; None if the plate is at rest.
         until : float
-            As in `MotionSolver.steer`.
+            Deadline of the search [s], as in `MotionSolver.steer`.
 
         Raises
         ------
         PlateError
             If the request cannot be converted to a goal: see `form_goal`.
         """
-        return self._answer(self.method, wanted, running, until)
+        return self._answer(self.method, request, running, until)
 
     def _answer(
-        self, method: str, wanted: Wanted, running: PlateCycle | None, until: float
+        self, method: str, request: CycleRequest, running: PlateCycle | None, until: float
     ) -> Answer:
-        if not len(wanted.parts):
+        if not len(request.parts):
             self._memory = Memory()
             return Answer(PlateCycle.rest(IDLE_S), None, "no parts, plate at rest", 0.0, 0.0)
-        rig, solver, facts = self._rig, self._solvers[method], RequestFacts.of(self._rig, wanted)
-        certain = wanted.plate is not None and wanted.start is not None
+        rig, solver, facts = self._rig, self._solvers[method], RequestFacts.of(self._rig, request)
+        certain = request.plate is not None and request.start is not None
         free_end = method == "sinusoids" and facts.far and certain
         period = solver.steering_period(
-            len(wanted.parts), facts.rotating or 0, facts.lasting, free_end
+            len(request.parts), facts.rotating or 0, facts.lasting, free_end
         )
         start = predict_start(
-            rig, wanted, self._memory, running, facts.rotating is not None, method == "rotations"
+            rig, request, self._memory, running, facts.rotating is not None, method == "rotations"
         )
         self._memory = start.memory
-        goal = form_goal(rig, wanted, start, period, LOOKAHEAD_S if facts.far else 0.0, free_end)
+        goal = form_goal(rig, request, start, period, LOOKAHEAD_S if facts.far else 0.0, free_end)
         rest = PlateCycle.rest(period)
         if goal.lasting and not np.any(goal.error(goal.end(*finely_sampled(rest)))[0]):
             return Answer(rest, None, "all parts are at their targets: plate at rest", 0.0, 0.0)
         for fraction in FRACTIONS:
             miss = EXACT_MISS if facts.exact else GOOD_MISS
             solution = search(solver, goal, fraction, period, miss, until)
-            if not leaves_plate(rig, wanted.parts.ids, goal, np.asarray(solution.predicted)):
+            if not leaves_plate(rig, request.parts.ids, goal, np.asarray(solution.predicted)):
                 return answer_of(goal, solution, fraction, period)
             solver.forget()
         return refusal(goal, solution, rest)
@@ -227,12 +230,12 @@ class Controller:
 def search(
     solver: MotionSolver, goal: Goal, fraction: float, period: float, miss: float, until: float
 ) -> Solution:
-    """Search for a motion that meets a goal reduced by `Goal.times`.
+    """Search for a motion that meets a fraction of a goal (`Goal.times`).
 
     Parameters
     ----------
     solver : MotionSolver
-        The last motion and the random generator of the solver are the state of the search.
+        The search starts from the solver's last motion, and uses its random generator.
     goal : Goal
     fraction : float
         Fraction of the goal, 0 to 1, as in `Goal.times`.
@@ -242,7 +245,7 @@ def search(
         Maximum acceptable error (root mean square), as a fraction of the displacements. If the
         error is larger, the solver searches from further starts. Not used if `goal.lasting`.
     until : float
-        As in `MotionSolver.steer`.
+        Deadline of the search [s], as in `MotionSolver.steer`.
     """
     tolerance = period * (TARGET_TOLERANCE if goal.lasting else DRIFT_TOLERANCE)
     good_enough = 0.0 if goal.lasting else miss * fraction * goal.size
@@ -261,7 +264,7 @@ def leaves_plate(rig: Rig, ids: tuple[str, ...], goal: Goal, predicted: np.ndarr
     rig : Rig
     ids : tuple of M str
     goal : Goal
-        A part may leave the plate at an edge if its goal is beyond that edge.
+        A part is allowed to leave the plate at an edge if its goal is beyond this edge.
     predicted : (C,)
         Predicted end of the cycle, in the order of `Goal.end`.
     """
@@ -269,9 +272,7 @@ def leaves_plate(rig: Rig, ids: tuple[str, ...], goal: Goal, predicted: np.ndarr
     radius = np.sqrt([[kind.area_m2 / np.pi] for kind in part_types(rig, ids)])
     edge = rig.plate.half - 0.5 * radius
     middle = goal.position + goal.displacement
-    goal_outside = (
-        np.abs(middle) - goal.tolerance > edge
-    )  # whether the goal itself is beyond the edge
+    goal_outside = np.abs(middle) - goal.tolerance > edge
     out = (np.abs(end) > edge) & ~(goal_outside & (end * middle > 0))
     return bool(np.any(out & (np.abs(end) > np.abs(goal.position))))
 
@@ -279,7 +280,7 @@ def leaves_plate(rig: Rig, ids: tuple[str, ...], goal: Goal, predicted: np.ndarr
 def answer_of(goal: Goal, solution: Solution, fraction: float, period: float) -> Answer:
     """Return the answer for a solution of a fraction of a goal.
 
-    The error and the residual refer to the whole goal.
+    `Answer.error_m` and the residual of the solution refer to the whole goal, not to the fraction.
     """
     if goal.lasting:
         return Answer(solution.cycle, solution, solution.message, 0.0, 0.0, fraction)

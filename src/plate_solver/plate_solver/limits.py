@@ -33,15 +33,15 @@ search may slightly miss a peak."""
 HEADROOM = 1.1
 """If the motors can accelerate the plate by at least this factor times the acceleration limit in
 the rig file, their force and heat are not checked. The factor covers two errors of `motor_reach`:
-the plate's spin needs up to 2 % more force, and heat needs up to 3 % more (test_motors.py,
-test_weak_motors.py)."""
+it neglects that the plate's spin needs up to 2 % more force, and that the heat limit needs up to 3
+% more (test_motors.py, test_weak_motors.py)."""
 
 CERTAIN: float = _kernels.CERTAIN
 """Largest permitted utilisation of any rig limit by a finished cycle (1: exactly at the limit). It
 is computed from the control points of the cycle."""
 
 EQUAL_WEIGHT = np.ones(1)
-"""Weight of samples at equal steps."""
+"""Argument `weight` of `limit_use` for samples at equal steps."""
 
 
 class Limits(NamedTuple):
@@ -57,8 +57,8 @@ class Limits(NamedTuple):
         Limits of the motors' stroke [m] and speed [m/s], and of the acceleration of any point of
         the plate [m/s2].
     arm_m : float
-        Characteristic length that converts theta to a displacement. The parameters of a motion are
-        scaled by it.
+        Characteristic length that converts theta to a displacement. The searches use it to scale
+        the parameters of a motion.
     levers : (4, 3)
         Derivative of each motor's travel with respect to the pose, at home.
     loads : (3, 4, 3)
@@ -134,9 +134,9 @@ def within_limits(
 ) -> PlateCycle:
     """Return a cycle whose control points are within the full limits.
 
-    If the cycle exceeds the limits, it is interpolated towards the cycle that `resting` returns.
-    That cycle has the same knot times. By default it is the plate at rest, so the cycle is scaled
-    down.
+    If the cycle exceeds the limits, it is interpolated towards the cycle that `resting` returns,
+    which has the same knot times. Without `resting`, the cycle is interpolated towards rest, which
+    scales it down.
     """
     used = _use(cycle, full)
     if used <= CERTAIN:
@@ -145,10 +145,10 @@ def within_limits(
     least = _use(rest, full)
     if not least <= CERTAIN:
         raise CycleError(
-            f"to stop from the cycle's start, the plate needs {least:.3g} times its limits, "
-            f"allowed: {CERTAIN:g}"
+            f"utilisation of the rig's limits to stop from the cycle's start is {least:.3g}, "
+            f"allowed: 0 to {CERTAIN:g}"
         )
-    for _ in range(4):  # few rounds, because utilisation is nearly linear in `share`
+    for _ in range(4):  # four rounds suffice: the utilisation is nearly linear in `share`
         share = max((0.9995 * CERTAIN - least) / (used - least), 0.0)
         times, *states = cycle.knots
         nearer = [b + share * (a - b) for a, b in zip(states, rest.knots[1:], strict=True)]
@@ -164,8 +164,8 @@ def _use(cycle: PlateCycle, full: Limits) -> float:
     cycle is exactly at the limit.
 
     The heat of the motors is computed for the cycle, for the cycle with its tail, and for the tail
-    only. The largest value counts. The tail is computed separately because the next cycle may begin
-    with the tail.
+    only. The largest of the three values counts. The tail has a separate value because the next
+    cycle may begin with the tail.
     """
     used = 0.0
     both = cycle.parts

@@ -1,7 +1,7 @@
 """Base class of the solvers of both methods, and the checks of their options.
 
-`MotionSolver.steer` finds a cycle for a `Goal` on the cycle map. The last solution is the start of
-the next search.
+`MotionSolver.steer` finds a cycle for a `Goal` on the cycle map. Each search starts from the
+solution of the last search.
 """
 
 from __future__ import annotations
@@ -78,16 +78,17 @@ class MotionSolver(ABC):
     def steer(
         self, goal: Goal, tolerance: float, good_enough: float, until: float = math.inf
     ) -> Solution:
-        """Find a motion that moves the parts as requested. The cycle map evaluates it.
+        """Find a motion that moves the parts to the goal, as predicted by the cycle map.
 
         Parameters
         ----------
         goal : Goal
             Initial state and requested displacements of the parts.
         tolerance : float
-            Maximum error at which a descent stops [m].
+            A descent stops when its largest error is at most this value [m].
         good_enough : float
-            Root mean square error [m] above which further starts are tried.
+            The search stops when the root mean square error is at most this value [m]. Otherwise it
+            tries further starts.
         until : float
             Deadline on the clock `time.monotonic` [s]. A finite deadline may end the search early.
             In this case the result depends on the speed of the computer.

@@ -1,5 +1,5 @@
-"""ROS node of the solver. The node replies to each request (part_forces) with the next plate cycle
-(plate_cycle). `controller.Controller` computes it before the cycle must begin."""
+"""ROS node of the solver. For each request (part_forces), the node publishes the next plate cycle
+(plate_cycle). `controller.Controller` computes the cycle before it must begin."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from builtin_interfaces.msg import Time
 from trajectory_msgs.msg import JointTrajectory
 from visualization_msgs.msg import MarkerArray
 
-from plate_core import PlateCycle, PlateError, Wanted, load_rig
+from plate_core import CycleRequest, PlateCycle, PlateError, load_rig
 from plate_core.motion import IDLE_S, in_time, is_rest
 from plate_core.rig import doubts
 from plate_core.ros import (
@@ -27,7 +27,7 @@ from plate_core.ros import (
     SafeLifecycleNode,
     centres_to_msg,
     cycle_to_msg,
-    msg_to_wanted,
+    msg_to_request,
     nanoseconds,
     parameter,
     run_node,
@@ -45,13 +45,15 @@ MAX_S = 1.0
 """Maximum duration of a search in real time, even if the cycle begins later [s]."""
 
 LATER_S = 0.01
-"""Increase of the publishing margin after a cycle that was not executed [s]."""
+"""Increase of the publishing margin after a cycle that was not executed [s]. The publishing margin
+is the time between the end of a search and the start of the cycle. It is at least the parameter
+`handover_s`."""
 
 SOONER_S = 5e-4
 """Decrease of the publishing margin after a cycle that was executed [s]."""
 
 LATEST_S = 0.06
-"""Maximum publishing margin [s]. If `handover_s` is larger, that value is the maximum."""
+"""Maximum publishing margin [s]. A larger `handover_s` replaces this maximum."""
 
 
 @dataclass(frozen=True)
@@ -64,7 +66,7 @@ class Options(NodeOptions):
         choices=tuple(METHODS),
         live=True,
     )
-    seed: int = parameter(0, "Seed of the solver's restarts.", 0, 2**31 - 1)
+    seed: int = parameter(0, "Random seed of the solver's restarts.", 0, 2**31 - 1)
     restarts: int = parameter(
         0, "Maximum number of restarts of each search. 0 means the default of the method (40 for "
         "sinusoids). If the cycle may end in motion, half of this number is used.", 0, 1000,
@@ -74,7 +76,7 @@ class Options(NodeOptions):
         0, 1024,
     )  # fmt: skip
     handover_s: float = parameter(
-        0.02, "Time before the start of the cycle at which a result must be ready [s]. It covers "
+        0.02, "Time before the start of the cycle by which a result must be ready [s]. It covers "
         "driver and line. A serial line needs 0.08. A search makes no further restart that would "
         "end later. After late results, the time is increased temporarily, up to 0.06. 0 means no "
         "time limit, as in simulated time: a seed then gives the same cycles on any computer.",
@@ -82,7 +84,7 @@ class Options(NodeOptions):
     )  # fmt: skip
     input_timeout_s: float = parameter(
         INPUT_TIMEOUT_S,
-        "Time without part_forces until diagnostics are STALE [s].",
+        "Time without part_forces until diagnostics are STALE [s, wall].",
         0.1,
         3600.0,
     )
@@ -90,8 +92,8 @@ class Options(NodeOptions):
 
 @dataclass(frozen=True)
 class Sent:
-    """A published cycle: stamp of the image in the request [ns], time of publication [ns], and the
-    cycle."""
+    """A published cycle. `stamp_ns` is the stamp of the request [ns], and `sent_ns` is the time of
+    publication [ns]."""
 
     stamp_ns: int
     sent_ns: int
@@ -159,7 +161,7 @@ class SolverNode(SafeLifecycleNode[Options]):
         self._parts: np.ndarray = np.empty((0, 2))
         timeout_s = self.options.input_timeout_s
         self._input = Input(
-            "part_forces", "part_forces", "does the planner run?", timeout_s, time.monotonic()
+            "part_forces", "part_forces", "check that the planner runs", timeout_s, time.monotonic()
         )
 
     def retune(self) -> None:
@@ -169,10 +171,10 @@ class SolverNode(SafeLifecycleNode[Options]):
 
     def _on_forces(self, msg: PartForces) -> None:
         stamp_ns = nanoseconds(msg.header.stamp)
-        self._input = self._input.heard(time.monotonic())
+        self._input = self._input.received(time.monotonic())
         self._tally.messages += 1
         try:
-            wanted = msg_to_wanted(msg)
+            request = msg_to_request(msg)
         except PlateError as error:
             self._refuse(f"part_forces refused, no new cycle: {error}")
             return
@@ -183,16 +185,18 @@ class SolverNode(SafeLifecycleNode[Options]):
                 return
             self._sent.clear()
             self._controller.reset()
-        # If the task has ended, the driver may refuse the cycle in motion for this image. In
-        # lockstep, the simulator waits until the driver accepts a cycle for this image. Therefore a
-        # repeated request without parts is answered with a cycle at rest.
-        repeated = newest == stamp_ns and (len(wanted.parts) > 0 or not self._sent[-1].cycle.moves)
-        if rivals := self.rivals("part_forces"):
-            cycle = self._rest(rivals)
+        # A request with the stamp of the last one gets the same cycle again. There is one
+        # exception: if the new request has no parts and the last cycle moves the plate, the result
+        # is a cycle at rest. The planner sends such a request at the end of a task. Then the driver
+        # may refuse the moving cycle, and in lockstep the simulator waits until the driver accepts
+        # a cycle for this image.
+        repeated = newest == stamp_ns and (len(request.parts) > 0 or not self._sent[-1].cycle.moves)
+        if second_publisher := self.second_publisher("part_forces"):
+            cycle = self._rest(second_publisher)
         elif repeated:
             cycle = self._sent[-1].cycle
         else:
-            cycle = self._answer(wanted, stamp_ns, nanoseconds(msg.start))
+            cycle = self._answer(request, stamp_ns, nanoseconds(msg.start))
         self._send(cycle, msg.header.stamp)
         if not repeated:
             if newest == stamp_ns:
@@ -211,28 +215,29 @@ class SolverNode(SafeLifecycleNode[Options]):
         self._tally.why = text
         self.get_logger().warning(text, throttle_duration_sec=WARN_S)
 
-    def _answer(self, wanted: Wanted, stamp_ns: int, start_ns: int) -> PlateCycle:
+    def _answer(self, request: CycleRequest, stamp_ns: int, start_ns: int) -> PlateCycle:
         began, running = time.monotonic(), self._running(stamp_ns)
-        self._adapt(wanted.plate)
+        self._adapt(request.plate)
         if not start_ns:
             start_ns = stamp_ns + round(1e9 * (running.period if running else IDLE_S))
         left_s = min(1e-9 * (start_ns - self._now_ns(stamp_ns)), MAX_S) - self._handover_s
         try:
             until = began + left_s if self._handover_s else math.inf
-            answer = self._controller.answer(wanted, running, until)
+            answer = self._controller.answer(request, running, until)
         except (PlateError, np.linalg.LinAlgError) as error:
             return self._rest(str(error))
         took = time.monotonic() - began
         self._count["answers"] += 1
-        self._last, self._parts = answer, wanted.parts.position
+        self._last, self._parts = answer, request.parts.position
         if answer.solution is not None:
             self._tally.solve_ms.append(1e3 * took)
             self._tally.errors.append((answer.error_m, answer.requested_m))
         return answer.cycle
 
     def _adapt(self, plate: np.ndarray | None) -> None:
-        """Increase the publishing margin if the last cycle was not executed. In this case, the
-        requested state of the plate (3, 3) differs from the end of that cycle."""
+        """Increase the publishing margin if the last cycle was not executed, otherwise decrease it.
+        A cycle was not executed if its final state differs from the plate state (3, 3) in the
+        request."""
         if self._handover_s and plate is not None and self._sent:
             missed = not is_rest(self._sent[-1].cycle.state(-1) - plate)
             self._count["not_played"] += missed
@@ -248,8 +253,8 @@ class SolverNode(SafeLifecycleNode[Options]):
         return PlateCycle.rest(IDLE_S)
 
     def _running(self, stamp_ns: int) -> PlateCycle | None:
-        """Return the cycle that began when the image was taken. This cycle is the last cycle that
-        was published early enough."""
+        """Return the cycle that began when the image was taken: the last cycle that was published
+        early enough. None if there is no such cycle."""
         for number, sent in enumerate(reversed(self._sent)):
             if in_time(1e-9 * sent.sent_ns, 1e-9 * stamp_ns):
                 self._count["late_answers"] += number > 0
@@ -263,16 +268,17 @@ class SolverNode(SafeLifecycleNode[Options]):
         return now_ns if abs(now_ns - stamp_ns) < RESTART_NS else stamp_ns
 
     def _plate_condition(self) -> float:
-        """Return the condition number of the last part positions. The condition number is 0 if
-        there are no parts."""
+        """Return the condition number for the part positions of the last request. It is 0 if there
+        are no parts."""
         return condition_number(self._rig, self._parts, self._library) if len(self._parts) else 0.0
 
     def _find(self, now: float) -> Finding:
-        """Return the diagnostics of the requests received and the solutions found, see
+        """Return the diagnostics of the received requests and of the solutions, see
         `plate_core.status`."""
         tally = self._tally
         findings = [
-            used("part_forces", tally.messages, tally.refused, tally.why), self._input.gone(now)
+            used("part_forces", tally.messages, tally.refused, tally.why),
+            self._input.timed_out(now),
         ]  # fmt: skip
         if tally.failed:
             findings.append(Finding(Level.ERROR, f"no solution, plate rests: {tally.failed}"))
@@ -293,7 +299,7 @@ class SolverNode(SafeLifecycleNode[Options]):
             "fraction": f"{self._last.fraction:g}" if self._last else "0",
             "plate_condition": f"{self._plate_condition():.4g}",
             "iterations": solution.iterations if solution else 0,
-            "silent_s": f"{self._input.silence(time.monotonic()):.2f}",
+            "silent_s": f"{self._input.age(time.monotonic()):.2f}",
             "cut_short": self._controller.cut_short,
             "handover_ms": f"{1e3 * self._handover_s:.1f}",
             **self._count,

@@ -17,11 +17,11 @@ using Box = Array<const double, 3>;
 
 // Throws an error if an array does not have the required shape.
 template <class Any>
-void check(const char* name, const Any& array, std::initializer_list<size_t> wanted) {
+void check(const char* name, const Any& array, std::initializer_list<size_t> expected) {
     std::string found, allowed;
-    bool same = array.ndim() == wanted.size();
+    bool same = array.ndim() == expected.size();
     size_t axis = 0;
-    for (size_t size : wanted) {
+    for (size_t size : expected) {
         same = same && array.shape(axis++) == size;
         allowed += (allowed.empty() ? "" : ", ") + std::to_string(size);
     }

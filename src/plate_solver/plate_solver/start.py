@@ -1,7 +1,7 @@
 """Prediction of the state of parts and plate at the start of the requested cycle.
 
-The inputs are the parts in the image, their velocities from the last prediction (`Memory`), and the
-running cycle. The stick-slip motion is integrated until the running cycle ends.
+The inputs are the part positions in the image, the part velocities from the last prediction
+(`Memory`), and the running cycle. The stick-slip motion is integrated until the running cycle ends.
 """
 
 from __future__ import annotations
@@ -11,7 +11,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from plate_core import PlateCycle, Rig, Wanted, part_class
+from plate_core import CycleRequest, PlateCycle, Rig, part_class
 from plate_core.motion import is_rest
 from plate_core.rig import PartType
 
@@ -23,8 +23,8 @@ from .sinusoids.basis import TAIL_PERIOD_S, TAIL_S
 class Memory:
     """Predicted velocities of parts at the start of the running cycle, by id.
 
-    A part without an entry is at rest. This memory is needed because a camera that takes one image
-    per cycle measures positions, but no instantaneous velocities.
+    A part without an entry is assumed to be at rest. The memory is needed because a camera that
+    takes one image per cycle measures positions, but no instantaneous velocities.
 
     Attributes
     ----------
@@ -52,7 +52,7 @@ class StartState:
     turn : (M,)
         Rotation of each part since the start of the running cycle [rad].
     spin : (M,) or None
-        Spin of each part [rad/s]. None if no rotation is requested, because the parts are then
+        Spin of each part [rad/s]. None if no rotation is requested. In this case the parts are
         modelled as points.
     plate : (3, 3) or None
         State of the plate as in `PlateCycle.state`. None if it rests at home.
@@ -68,14 +68,14 @@ class StartState:
 
     @property
     def memory(self) -> Memory:
-        """Velocities for the next prediction, if this cycle is executed."""
+        """Velocities for the next prediction. They are valid if the requested cycle is executed."""
         spin = {} if self.spin is None else dict(zip(self.ids, self.spin.tolist(), strict=True))
         return Memory(dict(zip(self.ids, self.velocity, strict=True)), spin)
 
 
 def predict_start(
     rig: Rig,
-    wanted: Wanted,
+    request: CycleRequest,
     memory: Memory,
     running: PlateCycle | None,
     rotates: bool,
@@ -85,25 +85,25 @@ def predict_start(
 
     The stick-slip motion of the parts is integrated over the running cycle. The integration starts
     at the positions in the image, with the velocities of `memory`. If the request contains
-    predicted positions and velocities (`Wanted.start`), they are used instead.
+    predicted positions and velocities (`CycleRequest.start`), they are used instead.
 
     Parameters
     ----------
     rig : Rig
-    wanted : Wanted
+    request : CycleRequest
         The request, for M parts.
     memory : Memory
-        Memory of the last prediction.
+        Result of the last prediction (`StartState.memory`).
     running : PlateCycle, optional
         The running cycle; None if the plate is at rest.
     rotates : bool
         Whether a rotation is requested. If False, parts are modelled as points.
     from_rest : bool
-        Whether the method's cycles begin at rest. If True and the plate is in motion, the state
-        after the tail of the running cycle is returned.
+        Whether the method's cycles begin at rest. If True and the running cycle ends in motion, the
+        function predicts the state after its tail.
     """
-    parts, types = wanted.parts, part_types(rig, wanted.parts.ids)
-    friction, turn = friction_accel(rig, wanted), np.zeros(len(parts))
+    parts, types = request.parts, part_types(rig, request.parts.ids)
+    friction, turn = friction_accel(rig, request), np.zeros(len(parts))
     velocity = np.array([memory.velocity.get(name, np.zeros(2)) for name in parts.ids])
     spin = np.array([memory.spin.get(name, 0.0) for name in parts.ids])
     position = parts.position
@@ -114,11 +114,11 @@ def predict_start(
         position, velocity, turn, spin = end_turning(
             position, velocity, spin, spread, *finely_sampled(running), friction
         )
-    elif wanted.start is None:
+    elif request.start is None:
         position, velocity = after(running, position, velocity, friction)
-    if wanted.start is not None:
-        position, velocity = wanted.start.reshape(-1, 2, 2).transpose(1, 0, 2)
-    plate = wanted.plate
+    if request.start is not None:
+        position, velocity = request.start.reshape(-1, 2, 2).transpose(1, 0, 2)
+    plate = request.plate
     if plate is not None and from_rest:
         if not is_rest(plate):
             tail = PlateCycle.stopping(plate, TAIL_S, TAIL_PERIOD_S)
@@ -134,14 +134,14 @@ def part_types(rig: Rig, ids: tuple[str, ...]) -> list[PartType]:
     return [rig.part_type(part_class(name)) for name in ids]
 
 
-def friction_accel(rig: Rig, wanted: Wanted) -> np.ndarray:
+def friction_accel(rig: Rig, request: CycleRequest) -> np.ndarray:
     """Return mu g (M,) [m/s2] of the parts.
 
     mu g is the friction limit divided by the mass. If the friction limit is 0 (unknown), the value
     of the part's type is used.
     """
-    types = part_types(rig, wanted.parts.ids)
-    known = wanted.parts.friction_limit / np.array([t.mass_kg for t in types])
+    types = part_types(rig, request.parts.ids)
+    known = request.parts.friction_limit / np.array([t.mass_kg for t in types])
     own = np.array([t.mu for t in types]) * rig.friction.gravity
     return np.where(known > 0, known, own)
 

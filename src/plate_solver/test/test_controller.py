@@ -5,7 +5,7 @@ import time
 import numpy as np
 import pytest
 
-from plate_core import Parts, PlateCycle, PlateError, Targets, Wanted
+from plate_core import CycleRequest, Parts, PlateCycle, PlateError, Targets
 from plate_core.motion import usage
 from plate_sim import simulate
 from plate_solver import Controller
@@ -34,15 +34,15 @@ class Loop:
         self.answer = None
         self.period = 0.0
 
-    def step(self, wanted, order=None, tolerance=0.0, blind=False):
+    def step(self, request, order=None, tolerance=0.0, blind=False):
         """Ask for a drift (M, 2) [m/s] and let the running cycle pass; return the drift seen."""
         order = np.arange(len(self.ids)) if order is None else order
         # A force F changes the drift by F T/m; T is that of the cycle that will come of it.
         period = self.period or 0.1
-        force = (wanted - self.drift) * self.rig.parts.mass_kg / period
+        force = (request - self.drift) * self.rig.parts.mass_kg / period
         allowed = np.full_like(force, tolerance * self.rig.parts.mass_kg / period)
         parts = Parts.make(self.ids, self.position, self.drift).take(order)
-        asked = Wanted.make(parts, force[order], allowed[order])
+        asked = CycleRequest.make(parts, force[order], allowed[order])
         self.answer = self.controller.answer(asked, None if blind else self.running)
         self.pass_cycle()
         return self.drift
@@ -58,22 +58,22 @@ class Loop:
 
 
 def follow(rig, scene, method, count, seeds=3, cycles=12, **how):
-    """Median over seeds of the drift's error, as a share of the wanted drift of 10 mm/s."""
+    """Median over seeds of the drift's error, as a fraction of the requested drift of 10 mm/s."""
     shares = []
     for seed in range(seeds):
         rng, position = scene(seed, count)
         loop = Loop(rig, Controller(rig, method), position)
-        wanted = rng.uniform(-0.01, 0.01, (count, 2))
+        request = rng.uniform(-0.01, 0.01, (count, 2))
         drift = []
         for k in range(cycles):
             if how.get("shuffled"):
                 how["order"] = np.random.default_rng(k).permutation(count)
             options = {name: how[name] for name in ("order", "blind") if name in how}
-            drift.append(loop.step(wanted, **options).copy())
+            drift.append(loop.step(request, **options).copy())
             assert loop.answer.cycle.starts_at_rest
             assert usage(rig, loop.answer.cycle).worst <= 1
-        error = np.array(drift[4:]) - wanted
-        shares.append(np.sqrt(np.mean(error**2) / np.mean(wanted**2)))
+        error = np.array(drift[4:]) - request
+        shares.append(np.sqrt(np.mean(error**2) / np.mean(request**2)))
     return np.median(shares)
 
 
@@ -106,11 +106,11 @@ def test_velocities_belong_to_ids_whatever_their_order(rig, scene):
 def test_force_times_time_over_mass_is_the_change_of_drift(rig):
     position = np.array([[0.1, 0.04]])
     controller = Controller(rig)
-    period = controller.answer(Wanted.make(Parts.make(("a",), position)), None).cycle.period
+    period = controller.answer(CycleRequest.make(Parts.make(("a",), position)), None).cycle.period
     controller.reset()
     force, drift = np.array([[2.5e-3, -1e-3]]), np.array([[-0.004, -0.004]])
-    wanted = Wanted.make(Parts.make(("a",), position, drift), force)
-    answer = controller.answer(wanted, None)
+    request = CycleRequest.make(Parts.make(("a",), position, drift), force)
+    answer = controller.answer(request, None)
     assert answer.cycle.period == period
     run = simulate(answer.cycle, position, np.zeros((1, 2)), rig.friction.mu)
     moved = (run.position[-1] - position) / period
@@ -128,8 +128,8 @@ def test_what_is_said_to_be_reached_near_the_places_is(rig, scene, method):
         _, position = scene(seed, 4)
         aim = position + [0.002, -0.001]
         zone = Targets(aim - 0.0005, aim + 0.0005, np.ones((4, 2)), 0.0)
-        wanted = Wanted.make(Parts.make(tuple("abcd"), position), targets=zone)
-        answer = controller.answer(wanted, None)
+        request = CycleRequest.make(Parts.make(tuple("abcd"), position), targets=zone)
+        answer = controller.answer(request, None)
         end = simulate(answer.cycle, position, np.zeros((4, 2)), rig.friction.mu).position[-1]
         predicted = answer.solution.predicted.reshape(2, 4).T
         np.testing.assert_allclose(end, predicted, atol=0.15e-3)
@@ -141,7 +141,9 @@ def test_no_parts_no_motion(rig, scene, method):
     _, position = scene(0, 2)
     loop = Loop(rig, Controller(rig, method), position)
     loop.step(np.full((2, 2), 0.005))
-    answer = loop.controller.answer(Wanted.make(Parts.make((), np.zeros((0, 2)))), loop.running)
+    answer = loop.controller.answer(
+        CycleRequest.make(Parts.make((), np.zeros((0, 2)))), loop.running
+    )
     assert np.all(answer.cycle.knot_pose == 0)
     assert answer.cycle.starts_at_rest
     assert answer.solution is None
@@ -159,10 +161,10 @@ def test_parts_that_return_to_an_empty_plate_are_at_rest(rig):
     controller = Controller(rig)
     wave = np.cos(2 * np.pi * np.arange(64) / 64)
     swing = PlateCycle.from_samples(0.2, np.outer(wave, [0.01, 0, 0]))
-    controller.answer(Wanted.make(parts, np.full((2, 2), 1e-3)), swing)
-    controller.answer(Wanted.make(gone), swing)
+    controller.answer(CycleRequest.make(parts, np.full((2, 2), 1e-3)), swing)
+    controller.answer(CycleRequest.make(gone), swing)
     zone = Targets(position + 0.0005, position + 0.0015, np.ones((2, 2)), 0.0)
-    answer = controller.answer(Wanted.make(parts, targets=zone), PlateCycle.rest(0.1))
+    answer = controller.answer(CycleRequest.make(parts, targets=zone), PlateCycle.rest(0.1))
     end = simulate(answer.cycle, position, np.zeros((2, 2)), rig.friction.mu).position[-1]
     predicted = answer.solution.predicted.reshape(2, 2).T
     np.testing.assert_allclose(end, predicted, atol=0.15e-3)
@@ -200,16 +202,16 @@ def test_part_beyond_the_edge_may_come_in(rig):
 
 def test_method_can_change_on_the_way(rig, scene):
     rng, position = scene(2, 2)
-    wanted = rng.uniform(-0.008, 0.008, (2, 2))
+    request = rng.uniform(-0.008, 0.008, (2, 2))
     loop = Loop(rig, Controller(rig, "A"), position)
     errors, uneven = [], []
     for k in range(24):
         loop.controller.method = METHODS["AB"[(k // 6) % 2]]
-        loop.step(wanted)
+        loop.step(request)
         # Knots of Method B are evenly spaced, those of rotations are not.
         uneven.append(np.ptp(np.diff(loop.answer.cycle.times)) > 1e-6)
         if k % 6 >= 3:
-            errors.append(np.max(np.abs(loop.drift - wanted)))
+            errors.append(np.max(np.abs(loop.drift - request)))
     assert [uneven[k] for k in (0, 6, 12, 18)] == [True, False, True, False]
     assert np.median(errors) < 0.3 * 0.008
     assert np.max(errors) < 0.008
@@ -223,16 +225,16 @@ def test_unknown_method_is_named(rig):
 def test_parts_come_and_go(rig, scene):
     rng, position = scene(5, 4)
     loop = Loop(rig, Controller(rig), position)
-    wanted = rng.uniform(-0.006, 0.006, (4, 2))
+    request = rng.uniform(-0.006, 0.006, (4, 2))
     for _ in range(5):
-        loop.step(wanted, order=np.array([0, 1]))
+        loop.step(request, order=np.array([0, 1]))
     for _ in range(5):  # two more, and one has a new name
-        loop.step(wanted)
-    np.testing.assert_allclose(loop.drift, wanted, atol=0.003)
+        loop.step(request)
+    np.testing.assert_allclose(loop.drift, request, atol=0.003)
     loop.ids[1] = "grey_9"
     for _ in range(5):
-        loop.step(wanted, order=np.array([3, 1, 0]))
-    np.testing.assert_allclose(loop.drift[[0, 1, 3]], wanted[[0, 1, 3]], atol=0.003)
+        loop.step(request, order=np.array([3, 1, 0]))
+    np.testing.assert_allclose(loop.drift[[0, 1, 3]], request[[0, 1, 3]], atol=0.003)
 
 
 @METHOD
@@ -257,13 +259,13 @@ def test_tolerance_is_freedom(rig, scene):
     for tolerance in steps:
         for seed in range(3):
             rng, position = scene(seed, 4)
-            wanted = rng.uniform(-0.006, 0.006, (4, 2))
+            request = rng.uniform(-0.006, 0.006, (4, 2))
             loop = Loop(rig, Controller(rig), position)
             for k in range(8):
-                loop.step(wanted, tolerance=tolerance)
+                loop.step(request, tolerance=tolerance)
                 if k >= 4:
                     steps[tolerance] += loop.answer.solution.iterations
-                    assert np.max(np.abs(loop.drift - wanted)) < tolerance + 0.003
+                    assert np.max(np.abs(loop.drift - request)) < tolerance + 0.003
     assert steps[0.002] < 0.8 * steps[0.0]
 
 
@@ -272,10 +274,10 @@ def test_a_state_at_the_start_is_taken_over(rig):
     parts = Parts.make(("a", "b"), np.array([[0.1, 0.04], [-0.1, 0.0]]))
     force = np.full((2, 2), 1e-3)
     controller = Controller(rig)
-    controller.answer(Wanted.make(parts, force), None)
+    controller.answer(CycleRequest.make(parts, force), None)
     state = np.array([[0.05, 0.0, 0.01, 0.0], [-0.15, 0.02, 0.0, -0.01]])
     rows = np.hstack([np.zeros((2, 3)), state])[:, [3, 4, 5, 6]]
-    answer = controller.answer(Wanted.make(parts, force, start=rows), PlateCycle.rest(0.1))
+    answer = controller.answer(CycleRequest.make(parts, force, start=rows), PlateCycle.rest(0.1))
     run = simulate(answer.cycle, state[:, :2].copy(), state[:, 2:].copy(), rig.friction.mu)
     predicted = np.asarray(answer.solution.predicted)[:4].reshape(2, 2).T
     np.testing.assert_allclose(run.position[-1], predicted, atol=2e-4)
@@ -290,9 +292,9 @@ def test_any_number_of_parts_is_answered(rig, method, count):
     parts = Parts.make(tuple(f"a_{i}" for i in range(count)), position)
     aim = position + [0.03, 0.01]
     targets = [Targets(aim, aim, np.full((count, 2), 0.1), clear) for clear in (0.0, 0.019, 0.05)]
-    asked = [Wanted.make(parts, targets=each) for each in targets]
-    for wanted in (*asked, Wanted.make(parts, np.full((count, 2), 1e-3))):
-        answer = controller.answer(wanted, PlateCycle.rest(0.1))
+    asked = [CycleRequest.make(parts, targets=each) for each in targets]
+    for request in (*asked, CycleRequest.make(parts, np.full((count, 2), 1e-3))):
+        answer = controller.answer(request, PlateCycle.rest(0.1))
         assert usage(rig, answer.cycle).worst <= 1
         assert np.all(np.isfinite(answer.solution.residual))
 
@@ -303,9 +305,9 @@ def test_a_deadline_ends_a_hard_search_and_is_told(rig, method):
     position = np.full((100, 2), 0.01)
     parts = Parts.make(tuple(f"a_{i}" for i in range(100)), position)
     aim = np.full((100, 2), 0.1)
-    wanted = Wanted.make(parts, targets=Targets(aim, aim, np.ones((100, 2)), 1.0))
+    request = CycleRequest.make(parts, targets=Targets(aim, aim, np.ones((100, 2)), 1.0))
     controller = Controller(rig, method, restarts=1000)
-    hard = controller.answer(wanted, None, time.monotonic() + 0.01)
+    hard = controller.answer(request, None, time.monotonic() + 0.01)
     assert usage(rig, hard.cycle).worst <= 1
     assert hard.solution.iterations < 16 * 100
     assert controller.cut_short == 1

@@ -104,15 +104,15 @@ def test_condition_grows_as_one_over_distance():
     np.testing.assert_allclose(growth, 2, rtol=0.02)
 
 
-@pytest.mark.parametrize("most_gain", [1, 3, 30])
-def test_bounded_gain_bounds_the_weights_and_keeps_what_can_be_met(most_gain):
+@pytest.mark.parametrize("max_gain", [1, 3, 30])
+def test_bounded_gain_bounds_the_weights_and_keeps_what_can_be_met(max_gain):
     matrix = pair(1e-3)
     together, apart = np.array([0.1, 0.1, 0.0, 0.0]), np.array([0.1, -0.1, 0.0, 0.0])
     free, _ = solve_weights(matrix, apart)
     assert np.linalg.norm(free) > 30 * np.linalg.norm(apart), "not a hard case"
     for wanted in (together, apart, together + apart):
-        weights, _ = solve_weights(matrix, wanted, most_gain)
-        assert np.linalg.norm(weights) <= most_gain * np.linalg.norm(wanted)
+        weights, _ = solve_weights(matrix, wanted, max_gain)
+        assert np.linalg.norm(weights) <= max_gain * np.linalg.norm(wanted)
         # The part that both share is met, the difference is given up.
         force = matrix @ weights
         np.testing.assert_allclose(force[:2].mean(), wanted[:2].mean(), atol=2e-3)

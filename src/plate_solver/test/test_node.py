@@ -5,7 +5,7 @@ import re
 import numpy as np
 import pytest
 
-from plate_core import Parts, PlateCycle, PlateError, Wanted
+from plate_core import CycleRequest, Parts, PlateCycle, PlateError
 from plate_core.motion import usage
 from plate_sim import simulate
 
@@ -17,7 +17,7 @@ from rcl_interfaces.srv import SetParameters  # noqa: E402
 from stepped_clock import SteppedExecutor  # noqa: E402
 from trajectory_msgs.msg import JointTrajectory  # noqa: E402
 
-from plate_core.ros import DATA, msg_to_cycle, nanoseconds, start_nodes, to_time, wanted_to_msg  # noqa: E402
+from plate_core.ros import DATA, msg_to_cycle, nanoseconds, request_to_msg, start_nodes, to_time  # noqa: E402
 from plate_interfaces.msg import PartForces  # noqa: E402
 from plate_solver.node import LATER_S, LATEST_S, SOONER_S, Sent, SolverNode  # noqa: E402
 
@@ -53,8 +53,8 @@ class Peer:
             self.executor.spin_once()
         return bool(done)
 
-    def send(self, wanted: Wanted, stamp_ns: int) -> None:
-        self.forces.publish(wanted_to_msg(wanted, to_time(stamp_ns)))
+    def send(self, request: CycleRequest, stamp_ns: int) -> None:
+        self.forces.publish(request_to_msg(request, to_time(stamp_ns)))
 
     def answers(self, stamp_ns: int) -> list[JointTrajectory]:
         return [m for m in self.cycles if nanoseconds(m.header.stamp) == stamp_ns]
@@ -65,8 +65,8 @@ class Peer:
         assert found, f"no answer to stamp {stamp_ns}"
         return self.answers(stamp_ns)[-1]
 
-    def ask(self, wanted: Wanted, stamp_ns: int) -> PlateCycle:
-        self.send(wanted, stamp_ns)
+    def ask(self, request: CycleRequest, stamp_ns: int) -> PlateCycle:
+        self.send(request, stamp_ns)
         return msg_to_cycle(self.answer(stamp_ns))
 
     def set_method(self, value: str):
@@ -101,8 +101,8 @@ class Peer:
 
         assert self.until(heard), self.reports[-1:]
 
-    def rivals(self) -> str:
-        return self.solver.rivals("part_forces")
+    def second_publisher(self) -> str:
+        return self.solver.second_publisher("part_forces")
 
     def close(self) -> None:
         self.executor.shutdown()
@@ -131,8 +131,8 @@ class Plate:
         """One image, its answer, one cycle of the plate."""
         period = self.running.period if self.running else 0.1
         force = (WANTED - self.drift) * MASS / period
-        wanted = Wanted.make(Parts.make(("a_1", "a_2"), self.position, self.drift), force)
-        answer = self.peer.ask(wanted, self.stamp_ns)
+        request = CycleRequest.make(Parts.make(("a_1", "a_2"), self.position, self.drift), force)
+        answer = self.peer.ask(request, self.stamp_ns)
         if self.running:
             run = simulate(self.running, self.position, self.velocity, MU)
             self.drift = (run.position[-1] - self.position) / self.running.period
@@ -159,13 +159,13 @@ def test_life_of_a_solver(peer, rig, capfd):
     # The same stamp again is answered again, alike: the first answer may have been missed.
     last_ns = nanoseconds(peer.cycles[-1].header.stamp)
     first = msg_to_cycle(peer.answer(last_ns))
-    other = Wanted.make(Parts.make(("a_1",), [[0.0, 0.1]]), [[1e-3, 0.0]])
+    other = CycleRequest.make(Parts.make(("a_1",), [[0.0, 0.1]]), [[1e-3, 0.0]])
     peer.send(other, last_ns)
     again = msg_to_cycle(peer.answer(last_ns, count=2))
     np.testing.assert_array_equal(again.knot_pose, first.knot_pose)
 
     # A request without parts after the end of a task is answered by rest, and this answer stays.
-    nothing = Wanted.make(Parts.make((), np.zeros((0, 2))))
+    nothing = CycleRequest.make(Parts.make((), np.zeros((0, 2))))
     for count, ended in enumerate((nothing, other), start=3):
         peer.send(ended, last_ns)
         assert not msg_to_cycle(peer.answer(last_ns, count)).moves
@@ -192,18 +192,18 @@ def test_life_of_a_solver(peer, rig, capfd):
 
     # Without a request the plate rests.
     stamp_ns = plate.stamp_ns
-    rest = peer.ask(Wanted.make(Parts.make((), np.zeros((0, 2)))), stamp_ns)
+    rest = peer.ask(CycleRequest.make(Parts.make((), np.zeros((0, 2)))), stamp_ns)
     assert np.all(rest.knot_pose == 0)
     assert rest.starts_at_rest
 
     # Messages that make no sense are not answered, and the solver goes on.
     count = len(peer.cycles)
     parts = Parts.make(("a_1", "a_2"), PLACES)
-    whole = Wanted.make(parts, 1e-4 * np.ones((2, 2)))
+    whole = CycleRequest.make(parts, 1e-4 * np.ones((2, 2)))
     refused = [
-        Wanted.make(Parts.make(("a_1", "a_2"), PLACES * [np.nan, 1])),
-        Wanted.make(parts, np.full((2, 2), np.nan)),
-        Wanted.make(Parts.make(("a_1", "a_1"), PLACES)),
+        CycleRequest.make(Parts.make(("a_1", "a_2"), PLACES * [np.nan, 1])),
+        CycleRequest.make(parts, np.full((2, 2), np.nan)),
+        CycleRequest.make(Parts.make(("a_1", "a_1"), PLACES)),
     ]
     peer.executor.spin_for(1.1)  # so that diagnostics report only these
     for number, bad in enumerate(refused, 1):
@@ -232,33 +232,35 @@ def test_life_of_a_solver(peer, rig, capfd):
     np.testing.assert_array_equal(again, first)
 
     # A torque is served: see test_turning.
-    spun = peer.ask(Wanted.make(Parts.make(("z_1",), PLACES[:1]), torque=[2e-6]), fresh.stamp_ns)
+    spun = peer.ask(
+        CycleRequest.make(Parts.make(("z_1",), PLACES[:1]), torque=[2e-6]), fresh.stamp_ns
+    )
     assert np.any(spun.knot_pose != 0)
 
     # Where a second node asks too, the plate rests.
-    force = Wanted.make(Parts.make(("a_1", "a_2"), PLACES), 1e-4 * np.ones((2, 2)))
+    force = CycleRequest.make(Parts.make(("a_1", "a_2"), PLACES), 1e-4 * np.ones((2, 2)))
     rogue = rclpy.create_node("rogue")
     rogue.create_publisher(PartForces, "part_forces", DATA)
-    assert peer.until(lambda: "rogue" in peer.rivals())
+    assert peer.until(lambda: "rogue" in peer.second_publisher())
     assert not np.any(peer.ask(force, fresh.stamp_ns + 100 * MS).knot_pose)
     rogue.destroy_node()
-    assert peer.until(lambda: not peer.rivals())
+    assert peer.until(lambda: not peer.second_publisher())
     assert np.any(peer.ask(force, fresh.stamp_ns + 200 * MS).knot_pose)
 
     # Also where it has the name of the first.
     twin = rclpy.create_node(peer.node.get_name())
     publisher = twin.create_publisher(PartForces, "part_forces", DATA)
     for k in range(300, 340, 10):
-        publisher.publish(wanted_to_msg(force, to_time(fresh.stamp_ns + k * MS)))
+        publisher.publish(request_to_msg(force, to_time(fresh.stamp_ns + k * MS)))
         peer.executor.spin_for(0.1)
         answer = peer.ask(force, fresh.stamp_ns + (k + 5) * MS)
     assert not np.any(answer.knot_pose)
     twin.destroy_node()
-    assert peer.until(lambda: not peer.rivals())
+    assert peer.until(lambda: not peer.second_publisher())
     assert np.any(peer.ask(force, fresh.stamp_ns + 400 * MS).knot_pose)
 
     # Without requests the values are old.
-    peer.told(DiagnosticStatus.STALE, "no part_forces for ", "does the planner run?")
+    peer.told(DiagnosticStatus.STALE, "no part_forces for ", "check that the planner runs")
 
     report = peer.report(lambda r: int(r["answers"]) >= 20)
     assert 0 <= float(report["missed_fraction"]) <= 1

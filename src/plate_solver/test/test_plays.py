@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from plate_core import Parts, PlateCycle, Targets, Wanted
+from plate_core import CycleRequest, Parts, PlateCycle, Targets
 from plate_core.motion import is_rest, usage
 from plate_sim import simulate
 from plate_solver import Controller, Goal
@@ -14,7 +14,7 @@ from plate_solver.cycle_map import end_turning
 from plate_solver.goal import Turns
 from plate_solver.limits import Limits
 from plate_solver.sinusoids import limited_sinusoids, steer
-from plate_solver.sinusoids.basis import TAIL_LOOKS
+from plate_solver.sinusoids.basis import TAIL_CHECKS
 from plate_solver.sinusoids.descent import descend
 from plate_solver.sinusoids.steer import PLAYS, ROUGH, SinusoidSteering
 
@@ -56,13 +56,13 @@ def test_each_play_begins_in_the_state_in_which_the_previous_one_ends(rig, plays
     assert whole.samples(own)[2].sum() == pytest.approx(0.1 * plays)
     coefficients = whole.coefficients(own)
 
-    def looked(family):
-        ways = zip(family.basis.looks, family.basis.settling_looks, strict=True)
+    def checked(family):
+        ways = zip(family.basis.checks, family.basis.settling_checks, strict=True)
         return [look @ coefficients + settling @ family.plate for look, settling in ways]
 
-    for k, found in enumerate(looked(whole)):
-        inner = [looked(family)[k][:-TAIL_LOOKS] for family in single]
-        tail = looked(single[-1])[k][-TAIL_LOOKS:]
+    for k, found in enumerate(checked(whole)):
+        inner = [checked(family)[k][:-TAIL_CHECKS] for family in single]
+        tail = checked(single[-1])[k][-TAIL_CHECKS:]
         np.testing.assert_allclose(found, np.vstack([*inner, tail]), atol=1e-9)
 
 
@@ -184,11 +184,11 @@ def test_a_motion_is_refused_if_a_part_is_off_the_plate_between_two_plays(rig, m
     )
     monkeypatch.setattr(steer, "descend", lambda problem, *_: descend(problem, own, 0.0, 0))
     aim = np.array([[-0.1, 0.0]])
-    wanted = Wanted.make(
+    request = CycleRequest.make(
         Parts.make(("black_0",), place), start=np.hstack([place, velocity]), plate=still,
         targets=Targets(aim, aim, np.ones((1, 2))),
     )  # fmt: skip
-    answer = Controller(rig).answer(wanted, PlateCycle.rest(0.1))
+    answer = Controller(rig).answer(request, PlateCycle.rest(0.1))
     assert is_rest(answer.cycle.state(-1)) == out
     assert ("would leave the plate" in answer.message) == out
     if not out:

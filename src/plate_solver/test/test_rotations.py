@@ -211,7 +211,7 @@ def test_hard_requests_get_true_answers_within_the_limits(rig, seed):
     ("options", "message"),
     [
         ({"speed": 0.0}, "speed is 0.0, allowed: 0.001 to 10"),
-        ({"most_price": 0.5}, "most_price is 0.5, allowed: 1 to "),
+        ({"max_price": 0.5}, "max_price is 0.5, allowed: 1 to "),
     ],
 )
 def test_wrong_options_are_named(rig, options, message):

@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from plate_core import AngleTargets, Parts, PlateCycle, Targets, Wanted, load_rig
+from plate_core import AngleTargets, CycleRequest, Parts, PlateCycle, Targets, load_rig
 from plate_core.motion import usage
 from plate_sim.friction import bar
 from plate_sim.world import WorldState, run_cycle, simulate_bodies
@@ -153,7 +153,7 @@ def test_a_part_turns_in_place(method, place):
         force = RIG.parts.mass_kg * np.clip(drift - now, -0.02, 0.02) / running.period
         torque = INERTIA * (0.6 - spin) / running.period
         parts = Parts.make(world.ids, world.position, now, world.angle, spin)
-        answer = controller.answer(Wanted.make(parts, force, torque=torque), running)
+        answer = controller.answer(CycleRequest.make(parts, force, torque=torque), running)
         assert usage(RIG, answer.cycle).worst <= 1 + 1e-9
         before, world = world, run_cycle(world, running, RIG)
         spin = (world.angle - before.angle) / running.period
@@ -166,15 +166,15 @@ def test_a_part_turns_in_place(method, place):
 def test_without_torque_parts_are_points():
     controller = Controller(RIG)
     parts = Parts.make(("a_1",), np.zeros((1, 2)))
-    plain = Wanted.make(parts, [[1e-3, 0]])
-    turning = Wanted.make(replace(parts, spin=np.array([2.0])), [[1e-3, 0]])
+    plain = CycleRequest.make(parts, [[1e-3, 0]])
+    turning = CycleRequest.make(replace(parts, spin=np.array([2.0])), [[1e-3, 0]])
     cycle = controller.answer(turning, None).cycle
     np.testing.assert_array_equal(
         cycle.knot_pose, Controller(RIG).answer(plain, None).cycle.knot_pose
     )
 
 
-def loop_to_angles(method, ids, place, angle, wanted, cycles):
+def loop_to_angles(method, ids, place, angle, request, cycles):
     """Ask for angles of parts, of any place; returns the true angles at the end."""
     rig = load_rig("shapes")
     controller, running = Controller(rig, method), PlateCycle.rest(0.1)
@@ -182,9 +182,9 @@ def loop_to_angles(method, ids, place, angle, wanted, cycles):
     free = np.full(place.shape, 0.0)
     for _ in range(cycles):
         parts = Parts.make(ids, world.position, angle=world.angle)
-        to = AngleTargets(wanted - 0.01, wanted + 0.01, np.full(len(ids), 0.01))
+        to = AngleTargets(request - 0.01, request + 0.01, np.full(len(ids), 0.01))
         targets = Targets(world.position + free, world.position + free, free, 0.004, to)
-        answer = controller.answer(Wanted.make(parts, targets=targets), running)
+        answer = controller.answer(CycleRequest.make(parts, targets=targets), running)
         assert usage(rig, answer.cycle).worst <= 1 + 1e-9
         world, running = run_cycle(world, running, rig), answer.cycle
     return run_cycle(world, running, rig).angle
@@ -193,6 +193,6 @@ def loop_to_angles(method, ids, place, angle, wanted, cycles):
 @pytest.mark.parametrize(("method", "cycles"), [("sinusoids", 12), ("rotations", 30)])
 def test_bars_turn_opposite_ways_at_once(method, cycles):
     place = np.array([[-0.1, 0.02], [0.05, -0.04]])
-    wanted = np.array([0.5, -0.3])
-    angle = loop_to_angles(method, ("bar_1", "bar_2"), place, [0.0, 0.2], wanted, cycles)
-    np.testing.assert_allclose(angle, wanted, atol=0.05)
+    request = np.array([0.5, -0.3])
+    angle = loop_to_angles(method, ("bar_1", "bar_2"), place, [0.0, 0.2], request, cycles)
+    np.testing.assert_allclose(angle, request, atol=0.05)

@@ -37,7 +37,7 @@ TRACED_TURNING = single(STEPS, 1, TURNING_TRACE), *TRACED[1:]
 ENDS = Ends(*random(5, 2 * PARTS), np.array([[0, 1], [1, 2]]), random(2), PARTS)
 SETTLING = (
     *(random(256, 3) for _ in range(2)),
-    *(random(*BASIS.looks[0].shape[:1], 3) for _ in range(3)),
+    *(random(*BASIS.checks[0].shape[:1], 3) for _ in range(3)),
 )
 CALLS = {
     "limit_use": (*(random(2, STEPS, 3) for _ in range(3)), random(2), LIMITS, True),

@@ -10,7 +10,7 @@ from typing import Any
 import cv2
 import numpy as np
 
-from plate_core import Parts, PlateCycle, Rig, Wanted, part_class
+from plate_core import CycleRequest, Parts, PlateCycle, Rig, part_class
 from plate_core.colours import class_colour, lab_to_srgb
 from plate_core.motion import motor_state, usage
 from plate_core.rig import PartType
@@ -102,9 +102,9 @@ def parts_scene(
     }  # fmt: skip
 
 
-def wanted_scene(rig: Rig, stamp: float, wanted: Wanted) -> Scene:
+def request_scene(rig: Rig, stamp: float, request: CycleRequest) -> Scene:
     """Return the planner's request for each part: its target, and its mean force [mu m g]."""
-    to, count = wanted.targets, len(wanted.parts)
+    to, count = request.targets, len(request.parts)
     unasked: list[list[Any]] = [[None, None, None]] * count
     intervals = unasked
     if to is not None:
@@ -119,8 +119,8 @@ def wanted_scene(rig: Rig, stamp: float, wanted: Wanted) -> Scene:
             ]
             for i in range(count)
         ]
-    force = _rounded(np.clip(wanted.forces.force / rig.force_unit, -9, 9), 3)
-    rows = zip(wanted.parts.ids, intervals, force, strict=True)
+    force = _rounded(np.clip(request.forces.force / rig.force_unit, -9, 9), 3)
+    rows = zip(request.parts.ids, intervals, force, strict=True)
     return {
         "kind": "wanted",
         "stamp": stamp,

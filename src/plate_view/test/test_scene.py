@@ -7,7 +7,7 @@ import cv2
 import numpy as np
 import pytest
 
-from plate_core import AngleTargets, Parts, PlateCycle, PlateError, Targets, Wanted, load_rig
+from plate_core import AngleTargets, CycleRequest, Parts, PlateCycle, PlateError, Targets, load_rig
 from plate_core.rig import homography
 from plate_view.scene import (
     CAMERA_PX,
@@ -16,9 +16,9 @@ from plate_view.scene import (
     motors_scene,
     nodes_scene,
     parts_scene,
+    request_scene,
     rig_scene,
     type_scene,
-    wanted_scene,
 )
 from plate_view.top_view import TopView
 
@@ -68,12 +68,12 @@ def test_what_is_asked_of_parts():
         AngleTargets(np.array([0.0, 0.5]), np.array([0.1, 0.6]), np.array([0.0, 0.01])),
     )  # fmt: skip
     force = np.full((2, 2), RIG.force_unit)
-    wanted = Wanted.make(PARTS, force, targets=targets)
-    first, second = strict(wanted_scene(RIG, 0.0, wanted))["parts"]
+    request = CycleRequest.make(PARTS, force, targets=targets)
+    first, second = strict(request_scene(RIG, 0.0, request))["parts"]
     assert (first["x"], first["y"], first["angle"]) == ([0.0, 0.01], None, None)
     assert (second["y"], second["angle"]) == ([0.1, 0.2], [0.5, 0.6])
     assert first["force"] == [1.0, 1.0]
-    assert strict(wanted_scene(RIG, 0.0, Wanted.make(PARTS)))["parts"][0]["x"] is None
+    assert strict(request_scene(RIG, 0.0, CycleRequest.make(PARTS)))["parts"][0]["x"] is None
 
 
 def test_a_cycle_and_its_motors():

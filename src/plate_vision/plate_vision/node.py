@@ -33,7 +33,7 @@ from plate_core.ros import (
     SafeLifecycleNode,
     array_to_image,
     camera_to_msg,
-    msg_to_wanted,
+    msg_to_request,
     parameter,
     parts_to_msg,
     plate_to_msg,
@@ -290,7 +290,7 @@ class DetectorNode(SafeLifecycleNode[DetectorParameters]):
         self._topic = "image_raw/compressed" if compressed else "image_raw"
         topic = self.resolve_topic_name(self._topic)
         self._input = Input(
-            "image", topic, "does the camera run?", values.input_timeout_s, time.monotonic()
+            "image", topic, "check that the camera runs", values.input_timeout_s, time.monotonic()
         )
         self._tally, self._reported_at = Tally(), time.monotonic()
         self._images = self._refused = 0
@@ -364,7 +364,7 @@ class DetectorNode(SafeLifecycleNode[DetectorParameters]):
     ) -> None:
         """Find the parts in one image, and publish them. If `wide`, the image has 16-bit values,
         and the parameter `bits` is the number of their used bits."""
-        self._input = self._input.heard(time.monotonic())
+        self._input = self._input.received(time.monotonic())
         self._tally.images += 1
         self._images += 1
         alone = self.options.photographs
@@ -579,13 +579,13 @@ class DetectorNode(SafeLifecycleNode[DetectorParameters]):
     def _on_forces(self, msg: PartForces) -> None:
         """Store the planner's prediction of the parts at the start of a cycle, if there is one."""
         try:
-            wanted = msg_to_wanted(msg)
+            request = msg_to_request(msg)
         except PlateError:
             return  # the solver reports the error
         self._expected = None
-        if wanted.start is not None:
-            place = wanted.start[:, :2]
-            self._expected = Prediction(wanted.parts.ids, seconds(msg.start), place)
+        if request.start is not None:
+            place = request.start[:, :2]
+            self._expected = Prediction(request.parts.ids, seconds(msg.start), place)
 
     def _check_outline(self, image: np.ndarray, stamp: float) -> None:
         """Compare the plate's outline in the first images with the predicted outline."""
@@ -717,8 +717,8 @@ class DetectorNode(SafeLifecycleNode[DetectorParameters]):
         `plate_core.status`)."""
         tally = self._tally
         findings = [used("images", tally.images, tally.refused, tally.why)]
-        if rivals := self.rivals(self._topic):
-            findings.append(Finding(Level.WARN, rivals))
+        if second_publisher := self.second_publisher(self._topic):
+            findings.append(Finding(Level.WARN, second_publisher))
         if self._lens_problem:
             findings.append(Finding(Level.ERROR, self._lens_problem))
         if tally.problem:
@@ -729,8 +729,8 @@ class DetectorNode(SafeLifecycleNode[DetectorParameters]):
             findings.append(self._outline.finding)
         findings.append(self._faint)
         findings.append(tally.overlooked_lately.finding(Expected.of(self._rig)))
-        findings.append(self._input.gone(now))
-        if self._input.came is None:
+        findings.append(self._input.timed_out(now))
+        if self._input.arrival is None:
             return worst(findings, f"waiting for images on {self._input.topic}")
         return worst(findings, "all images used")
 
@@ -741,7 +741,7 @@ class DetectorNode(SafeLifecycleNode[DetectorParameters]):
             "images": self._images,
             "refused": self._refused,
             "rate_hz": f"{tally.images / max(now - self._reported_at, 1e-3):.1f}",
-            "silent_s": f"{self._input.silence(now):.2f}",
+            "silent_s": f"{self._input.age(now):.2f}",
             "parts_seen": len(self._tracker.parts),
             **tally.overlooked_lately.values(),
             "faint_patches": self._faint_count,

@@ -7,8 +7,8 @@ from sensor_msgs.msg import CameraInfo, CompressedImage, Image
 from std_srvs.srv import Trigger
 from stepped_clock import SteppedExecutor
 
-from plate_core import Wanted
-from plate_core.ros import DATA, IMAGE, array_to_image, start_nodes, to_time, wanted_to_msg
+from plate_core import CycleRequest
+from plate_core.ros import DATA, IMAGE, array_to_image, request_to_msg, start_nodes, to_time
 from plate_interfaces.msg import PartForces
 from plate_interfaces.msg import Parts as PartsMsg
 from plate_vision.node import DetectorNode
@@ -98,6 +98,6 @@ def plan(graph, parts, stamp):
     forces = graph.probe.create_publisher(PartForces, "part_forces", DATA)
     graph.until(forces.get_subscription_count)
     known = graph.detector._expected
-    wanted = Wanted.make(parts, start=np.hstack([parts.position, np.zeros((len(parts), 2))]))
-    forces.publish(wanted_to_msg(wanted, to_time(0), to_time(round(1e9 * stamp))))
+    request = CycleRequest.make(parts, start=np.hstack([parts.position, np.zeros((len(parts), 2))]))
+    forces.publish(request_to_msg(request, to_time(0), to_time(round(1e9 * stamp))))
     graph.until(lambda: graph.detector._expected is not known)

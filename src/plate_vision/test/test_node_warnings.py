@@ -46,7 +46,7 @@ def test_diagnostics_report_silence_refusals_and_bad_light(draw, rng):
                     return {item.key: item.value for item in status.values}
             raise AssertionError(f"not reported: {level} {words}, but {reports[-1:]}")
 
-        reported(DiagnosticStatus.STALE, "no image yet on", "image_raw: does the camera run?")
+        reported(DiagnosticStatus.STALE, "no image yet on", "image_raw; check that the camera runs")
         good = image(draw(CENTRE_PX, LABEL, rng, radius=7.9), 1.0)
         values = reported(DiagnosticStatus.OK, "all images used", play=good)
         assert (values["refused"], values["parts_seen"]) == ("0", "2")
@@ -59,7 +59,7 @@ def test_diagnostics_report_silence_refusals_and_bad_light(draw, rng):
         assert int(values["refused"]) > 0
         dark = image(np.zeros((480, 640), np.uint8), 2.0)
         reported(DiagnosticStatus.WARN, "the light is on", play=dark)
-        reported(DiagnosticStatus.STALE, "no image for ", "does the camera run?")
+        reported(DiagnosticStatus.STALE, "no image for ", "check that the camera runs")
     finally:
         graph.close()
 

@@ -2,7 +2,7 @@
 
 A `PlateCycle` consists of knots and quintic splines. `usage` compares a cycle with a rig's limits.
 `motor_state` and `plate_state` convert between plate and motors. A `Timeline` determines which
-cycle runs and which one follows.
+cycle runs and which cycle follows.
 """
 
 from .cycle import (

@@ -16,15 +16,15 @@ import numpy as np
 from ..errors import CycleError
 
 REST_TOLERANCE = np.array([1e-6, 1e-6, 1e-5])
-"""Tolerance of rest at home: pose [m, m, rad]. The tolerances of twist [1/s] and acceleration
-[1/s2] are 100 and 10 000 times as large."""
+"""Tolerance of the pose at rest at home [m, m, rad]. The tolerance of the twist [m/s, m/s, rad/s]
+is 100 times as large, and that of the acceleration [m/s2, m/s2, rad/s2] 10 000 times."""
 
 FACTORS = [np.array([[perm(k, n)] for k in range(n, 6)], dtype=float) for n in range(3)]
 """Factors of a quintic's coefficients in its n-th derivative."""
 
 PIECES = 4
-"""Number of pieces into which a knot interval is cut to bound its peaks. With 6 knots per sine
-wave the bound is 0.2 % too high, with 3 knots 1 %."""
+"""Number of pieces into which a knot interval is cut to bound its peaks. With 6 knots per period of
+a sine wave, the bound is 0.2 % too high, with 3 knots 1 %."""
 
 
 @dataclass(frozen=True)
@@ -32,9 +32,9 @@ class PlateCycle:
     """One motion of the plate in plate_home: knots, and quintic splines between them.
 
     The spline interpolates pose, twist and acceleration at every knot, so its acceleration is
-    continuous. The motion ends in its initial state, at rest at home, or in another state. In the
-    last case, the cycle has a tail, which brings the plate to rest if no cycle follows that begins
-    in this state.
+    continuous. The motion ends in its initial state, at rest at home, or in another state. If it
+    ends in another state, the cycle has a tail: a motion to rest, which is played if no following
+    cycle begins in this state.
 
     Attributes
     ----------
@@ -43,7 +43,7 @@ class PlateCycle:
     knot_pose, knot_twist, knot_accel : (k + 1, 3)
         x, y, theta [m, m, rad], and their first and second time derivatives.
     tail : PlateCycle or None
-        Motion from the state of the last knot to rest at home. It is None if there is no tail.
+        Motion from the state of the last knot to rest at home. None if there is no tail.
     """
 
     times: np.ndarray
@@ -70,7 +70,8 @@ class PlateCycle:
 
     @property
     def knots(self) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-        """Arguments of `from_knots`: times, pose, twist, accel. The knots of the tail follow."""
+        """Arguments of `from_knots`: times, pose, twist and accel of the cycle's knots, followed by
+        those of the tail's knots."""
         if self.tail is None:
             return self.times, self.knot_pose, self.knot_twist, self.knot_accel
         times, *states = self.tail.knots
@@ -104,7 +105,7 @@ class PlateCycle:
 
     @property
     def moves(self) -> bool:
-        """Whether the plate moves. It is False if it stays at rest at home."""
+        """Whether the plate moves. False if it stays at rest at home."""
         return any(np.any(k) for k in (self.knot_pose, self.knot_twist, self.knot_accel))
 
     def pose(self, t: np.ndarray | float) -> np.ndarray:
@@ -137,13 +138,14 @@ class PlateCycle:
     def from_knots(
         cls, times: np.ndarray, pose: np.ndarray, twist: np.ndarray, accel: np.ndarray
     ) -> PlateCycle:
-        """Build a cycle from knots. The last knot must equal the first or be at rest at home.
+        """Build a cycle from knots. The last knot must be equal to the first knot, or be at rest at
+        home.
 
         Parameters
         ----------
         times : (k + 1,)
-            Increasing knot times [s], starting at 0. One time can occur twice. The cycle ends
-            there, and the following knots are the tail.
+            Increasing knot times [s], starting at 0. One time can occur twice: there the cycle
+            ends, and its tail begins.
         pose, twist, accel : (k + 1, 3)
             State of the plate at the knots.
 
@@ -183,8 +185,8 @@ class PlateCycle:
     def _ending(
         cls, times: np.ndarray, states: list[np.ndarray], at_rest: bool = False
     ) -> PlateCycle:
-        """Return a motion whose last state is set exactly to its first state or to rest. If
-        `at_rest` is true, the motion must end at rest."""
+        """Return a motion whose last state is exactly its first state or rest. If `at_rest` is
+        True, the motion must end at rest."""
         gap = [float(np.max(np.abs(state[-1] - state[0]))) for state in states]
         size = [1e-6 + 1e-6 * float(np.max(np.abs(state))) for state in states]
         closes = gap[0] <= size[0] and gap[1] <= 1e2 * size[1] and gap[2] <= 1e4 * size[2]
@@ -268,7 +270,7 @@ class PlateCycle:
         """Return a motion that stops the plate.
 
         A single quintic leads from `state` (3, 3), in the form of `PlateCycle.state`, to rest at
-        home within `way_s` [s]. If `period` [s] is longer, the plate rests until then.
+        home within `way_s` [s]. If `period` [s] is longer, the plate rests until its end.
         """
         times = [0.0, way_s, period][: 2 + (period > way_s)]
         knots = [np.vstack([own, np.zeros((len(times) - 1, 3))]) for own in state]
@@ -307,7 +309,8 @@ def _bezier(pieces: int) -> np.ndarray:
 def control_points(
     times: np.ndarray, coefficients: np.ndarray, order: int, pieces: int = PIECES
 ) -> np.ndarray:
-    """Return Bezier control points of a spline. Their convex hull contains the spline.
+    """Return Bezier control points of a spline. The convex hull of these points contains the
+    spline.
 
     Parameters
     ----------
@@ -318,8 +321,8 @@ def control_points(
     order : int
         0: control points of the spline. 1 and 2: control points of its derivatives.
     pieces : int
-        Number of equal pieces into which every knot interval is cut. The distance of the points
-        from the curve decreases with 1/pieces**2.
+        Number of equal pieces into which every knot interval is cut. The distance between the
+        points and the curve decreases with 1/pieces**2.
 
     Returns
     -------
@@ -341,7 +344,7 @@ def quintic_pieces(
     ends of each knot interval, in ascending powers of the time since its first knot."""
     h = np.diff(times)[:, None]
     p, v, a = pose[:-1], twist[:-1], accel[:-1]
-    # Errors of the left end's Taylor polynomial at the right end, in units of position.
+    # Errors of the Taylor polynomial about the left end, at the right end, in units of position.
     dp = pose[1:] - p - h * v - 0.5 * h**2 * a
     dv = (twist[1:] - v - h * a) * h
     da = (accel[1:] - a) * h**2
@@ -354,7 +357,7 @@ def quintic_pieces(
 def evaluate_pieces(times: np.ndarray, pieces: np.ndarray, t: np.ndarray, order: int) -> np.ndarray:
     """Value or derivative (n, 3) of a piecewise polynomial at times t (n,).
 
-    scipy's PPoly gives bitwise equal results, but every node would have to load large parts of
+    scipy's PPoly gives bitwise equal results, but with it every node would load large parts of
     scipy.
 
     Parameters
@@ -364,9 +367,9 @@ def evaluate_pieces(times: np.ndarray, pieces: np.ndarray, t: np.ndarray, order:
     pieces : (k, 6, 3) array
         See `quintic_pieces`.
     t : (n,) array
-        A time beyond the knots continues the nearest piece.
+        Times [s]. Outside the knots, the nearest piece is continued.
     order : int
-        Order of the derivative. 0: the value itself.
+        Order of the derivative. 0 is the value itself.
     """
     at = np.searchsorted(times[1:-1], t, "right")
     pieces = pieces[at, order:] * FACTORS[order]
@@ -379,11 +382,11 @@ def evaluate_pieces(times: np.ndarray, pieces: np.ndarray, t: np.ndarray, order:
 def _periodic_derivatives(period: float, pose: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """First and second derivative (n, 3) of the periodic quintic spline through n samples.
 
-    At equally spaced knots the quintic B-spline has the values (1, 26, 66, 26, 1)/120, the slopes
+    At equally spaced knots, the quintic B-spline has the values (1, 26, 66, 26, 1)/120, the slopes
     (1, 10, 0, -10, -1)/24 and the curvatures (1, 2, -6, 2, 1)/6 (de Boor, A Practical Guide to
     Splines, chapter IX). The sampled spline and its derivatives are therefore cyclic convolutions
-    of the same coefficients. The Fourier transform turns them into products, so the derivatives
-    follow from the samples by a division.
+    of the same coefficients. The Fourier transform converts convolutions into products, so the
+    derivatives follow from the samples by a division.
     """
     step = period / len(pose)
     w = 2 * np.pi * np.fft.rfftfreq(len(pose))[:, None]

@@ -1,8 +1,9 @@
 """Forward and inverse kinematics of the four motors and the plate.
 
-Motor i pushes the plate at point a_i along d_i. A flexure lets its shaft move freely perpendicular
-to d_i, so its travel is exactly q_i = d_i . (o + (R(theta) - 1) a_i), without linearisation. Four
-motors move three coordinates: one motor is redundant, so the four travels must be consistent.
+Motor i pushes the plate at the point a_i along d_i. A flexure lets the motor's shaft move freely
+perpendicular to d_i. Therefore the travel of the motor is exactly q_i = d_i . (o + (R(theta) - 1)
+a_i), without linearisation. o is the position of the plate. Four motors move three coordinates. One
+motor is redundant, so the four travels must be consistent.
 """
 
 from __future__ import annotations
@@ -25,12 +26,12 @@ def motor_state(
     Parameters
     ----------
     pose, twist, accel : (n, 3)
-        Plate in plate_home: [m, m, rad] and derivatives.
+        Motion of the plate in plate_home [m, m, rad], and its first and second derivative.
 
     Returns
     -------
     q, qd, qdd : (n, 4)
-        Motors: [m], [m/s], [m/s2].
+        Travel [m], speed [m/s] and acceleration [m/s2] of each motor.
     """
     point, direction = _geometry(rig)
     theta, spin, spin_rate = pose[:, 2], twist[:, 2], accel[:, 2]
@@ -53,9 +54,9 @@ def plate_state(
     Parameters
     ----------
     q, qd, qdd : (n, 4)
-        Motors: [m], [m/s], [m/s2].
+        Travel [m], speed [m/s] and acceleration [m/s2] of each motor.
     tolerance : float
-        Maximum inconsistency of the motors [m]. Use inf for sensor measurements.
+        Maximum inconsistency of the motors' travels [m]. Use inf for sensor measurements.
 
     Returns
     -------

@@ -1,8 +1,9 @@
 """Peak values of a plate motion as fractions of the rig's limits.
 
-The peaks are computed on the exact splines, not only at samples. Between two times a distance h
-apart, a curve deviates from its chord by at most h^2 max(c'') / 8, with c'' the magnitude of the
-second derivative. Pieces that may contain a higher peak are cut until the bound is within 1e-6.
+The peaks are computed for the exact splines, not only for samples. Between two times with the
+difference h, a curve deviates from its chord by at most h^2 max(c'') / 8. c'' is the magnitude of
+its second derivative. Pieces that may contain a higher peak are cut until the bound exceeds the
+peak by at most 1e-6.
 """
 
 from __future__ import annotations
@@ -20,12 +21,12 @@ CERTAINTY = 1e-6
 """Maximum relative overestimation of a peak [-]."""
 
 CUTS = 8
-"""Number of parts into which a piece that may contain a peak is cut. This reduces the difference
-between bound and peak to 1/64."""
+"""Number of parts into which a piece that may contain a peak is cut. Each cut reduces the
+difference between bound and peak to 1/64."""
 
 MAX_PIECES = 4000
-"""Maximum number of parts to examine, in addition to the motion's pieces. If more parts would be
-needed, the current bound is returned, which is too high. Only motions far beyond all limits need
+"""Maximum number of parts that are examined, in addition to the motion's pieces. If more parts are
+needed, the present bound is returned, which is too high. Only motions far beyond all limits need
 more parts. Other motions need about 20."""
 
 GAUSS_U, GAUSS_WEIGHT = np.polynomial.legendre.leggauss(6)
@@ -33,8 +34,8 @@ GAUSS_U, GAUSS_WEIGHT = np.polynomial.legendre.leggauss(6)
 degree 11, and therefore for the square of a quintic."""
 
 Curve = Callable[[np.ndarray, np.ndarray], np.ndarray]
-"""Function of piece numbers (n,) and times since the start of the piece (n,) [s]. Returns values
-(n, j)."""
+"""Function that returns values (n, j). Its arguments are the indices (n,) of pieces, and times (n,)
+since the starts of these pieces [s]."""
 
 
 @dataclass(frozen=True)
@@ -55,8 +56,8 @@ class CycleUsage:
     worst : float
         Maximum of stroke, speed and acceleration, each as a fraction of its limit.
     overall : float
-        Maximum of `worst`, the force as a fraction of its limit, and the square root of the thermal
-        load divided by the allowed one.
+        Maximum of three values: `worst`, the force as a fraction of its limit, and the square root
+        of the thermal load divided by its limit.
     """
 
     stroke_m: float = 0.0
@@ -126,7 +127,7 @@ def polynomial_peaks(
 
     The coefficients (k, d, m) are in ascending powers of the time since the start of each piece.
     `steps` (k,) are the lengths of the pieces [s]. Peaks below `enough` are not refined, so a
-    result below it may be too low.
+    result below `enough` may be too low.
     """
     count, powers, columns = coefficients.shape
     each = coefficients.transpose(0, 2, 1).reshape(-1, powers, 1)
@@ -137,7 +138,7 @@ def polynomial_peaks(
 
 
 def mean_square(coefficients: np.ndarray, steps: np.ndarray) -> np.ndarray:
-    """Mean square (m,) over all pieces (k, 6, m), exact up to rounding."""
+    """Return the mean square (m,) over all pieces (k, 6, m). It is exact up to rounding."""
     total = np.zeros(coefficients.shape[2])
     for u, weight in zip(GAUSS_U, GAUSS_WEIGHT, strict=True):
         value = _at(coefficients, steps * (1 + u) / 2)
@@ -160,9 +161,10 @@ def _corner_peak(rig: Rig, pose: np.ndarray, steps: np.ndarray) -> float:
     """Maximum acceleration of the plate's corners [m/s2] for pieces of the plate's pose (k, 6, 3)
     with the lengths `steps` (k,) [s].
 
-    A corner r of the plate has the acceleration A = a + w' J S - w^2 S, with S = R r, w = theta'
-    and J the rotation by 90 degrees. With abs the magnitude, its second derivative is bounded by
-    abs(A'') <= abs(a'') + abs(r) (abs(w''') + 4 abs(w w'') + 3 w'^2 + 6 w^2 abs(w') + w^4).
+    Let r be a corner of the plate, S = R r, w = theta', and J the rotation by 90 degrees. The
+    corner has the acceleration A = a + w' J S - w^2 S. If abs is the magnitude, the second
+    derivative of A is bounded by abs(A'') <= abs(a'') + abs(r) (abs(w''') + 4 abs(w w'') + 3 w'^2 +
+    6 w^2 abs(w') + w^4).
     """
     orders = [derivative(pose, order) for order in range(5)]
     w, w1, w2, w3 = (_largest(order[:, :, 2:], steps)[:, 0] for order in orders[1:])
@@ -181,10 +183,9 @@ def _peaks(
 ) -> np.ndarray:
     """Return the peak of each group of curves. `group` (k,) is the group of each piece.
 
-    `bend` (k,) is an upper limit of the second derivative of the curve's vector. Therefore, a curve
-    deviates from its chord between two times by at most h^2 bend/8, where h is the difference of
-    the times. Pieces that may contain a higher peak are cut into `CUTS` parts. If a bound is not
-    finite, all peaks are infinite.
+    `bend` (k,) is an upper limit of the second derivative of each piece. Between two times with the
+    difference h, a piece deviates from its chord by at most h^2 bend/8. Pieces that may contain a
+    higher peak are cut into `CUTS` parts. If a bound is not finite, all peaks are infinite.
     """
     low = np.zeros(int(np.max(group)) + 1)
     piece, start, length = np.arange(len(steps)), np.zeros(len(steps)), np.asarray(steps, float)

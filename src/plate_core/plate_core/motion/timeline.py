@@ -1,8 +1,9 @@
-"""Rule that determines which cycle the plate runs, which cycle follows, and when it starts.
+"""Rule that determines which cycle the plate plays, which cycle follows, and when the next cycle
+starts.
 
 The simulator, the closed loop without ROS and the Gymnasium environments play cycles by this rule.
-Planner and solver use it to predict the played cycle. The guards of driver and firmware must be
-independent of this rule, so they do not use it.
+Planner and solver predict the played cycle by this rule. The guards of driver and firmware must be
+independent of it, so they do not use this module.
 """
 
 from __future__ import annotations
@@ -17,8 +18,9 @@ HANDOVER_S = 4e-3
 and the computation of the driver."""
 
 HOLD_CYCLES = 1
-"""Default number of plays (executions) of a cycle without a tail if no other cycle follows. A cycle
-moves each part to a target. A second play would move it further, possibly over the edge."""
+"""Default number of plays (executions) of a cycle without a tail, if no other cycle follows. A
+cycle moves each part to a target. A second play would move the part further, possibly over the
+edge."""
 
 IDLE_S = 0.1
 """Default length of a cycle at rest [s]: a typical cycle of the solver."""
@@ -26,18 +28,21 @@ IDLE_S = 0.1
 
 def in_time(arrival: float, begin: float) -> bool:
     """Whether a cycle that was published at `arrival` [s] reaches the device before `begin` [s].
-    Both are times of the same clock."""
+    Both times are from the same clock."""
     return arrival + HANDOVER_S <= begin
 
 
 def next_cycle(
     running: PlateCycle, sent: Sequence[PlateCycle], repeat: bool = False, idle_s: float = IDLE_S
 ) -> PlateCycle:
-    """Return the cycle that the plate runs after another one.
+    """Return the cycle that the plate plays after the running cycle.
 
-    This is the first available of: the newest cycle sent that begins in the final state of the
-    running one; the tail of the running one; the running one again, if it ends in its initial
-    state; rest.
+    The result is the first cycle of this list that exists:
+
+    - the newest sent cycle that begins in the final state of the running cycle
+    - the tail of the running cycle
+    - the running cycle again, if `repeat` is True and it ends in its initial state
+    - rest
 
     Parameters
     ----------
@@ -59,20 +64,20 @@ def next_cycle(
 
 @dataclass(frozen=True)
 class Timeline:
-    """The cycle that a player runs, and the next one that it has received.
+    """The cycle that the plate plays, and the next cycle that it has received.
 
     Attributes
     ----------
     cycle : PlateCycle
-        The running cycle, or the tail of one.
+        The running cycle, which can be a tail.
     begin : float
-        Start time of the running cycle on the player's clock [s].
+        Start time of the running cycle [s].
     repeats : int
         Number of repetitions of the running cycle so far.
     filling : bool
         Whether the running cycle is a tail or rest, which only fills the time until the next cycle.
     waiting : PlateCycle or None
-        The cycle to run next, if it begins in the final state of the running one. It is None if no
+        The cycle that follows, if it begins in the final state of the running cycle. None if no
         cycle has been received.
     """
 
@@ -93,11 +98,11 @@ class Timeline:
         return self.begin + self.cycle.period
 
     def send(self, cycle: PlateCycle) -> Timeline:
-        """Return the timeline after the player has received a cycle.
+        """Return the timeline after the plate has received a cycle.
 
-        Normally the new cycle becomes the waiting one. The present waiting cycle is kept if it
-        begins in the final state of the running one and the new cycle does not. A new cycle at rest
-        always replaces it, because it may be a stop.
+        The new cycle replaces the waiting cycle. There is one exception: a waiting cycle that
+        begins in the final state of the running cycle is kept if the new cycle does not begin in
+        this state. A new cycle at rest always replaces the waiting cycle, because it may be a stop.
         """
         kept = self.waiting is not None and self.waiting.follows(self.cycle)
         if kept and cycle.moves and not cycle.follows(self.cycle):
@@ -107,9 +112,9 @@ class Timeline:
     def next(self, hold_cycles: int = HOLD_CYCLES, idle_s: float = IDLE_S) -> Timeline:
         """Return the timeline after the end of the running cycle.
 
-        If no other cycle follows, the running one is played `hold_cycles` times in total. A
-        waiting cycle that begins at rest is kept during a tail. `idle_s` [s] is the length of a
-        cycle at rest.
+        If no other cycle follows, the running cycle is played `hold_cycles` times in total. During
+        a tail, a waiting cycle that begins at rest is kept. `idle_s` [s] is the length of a cycle
+        at rest.
         """
         waiting = () if self.waiting is None else (self.waiting,)
         repeat = not self.filling and self.repeats + 1 < hold_cycles

@@ -1,8 +1,8 @@
 """Measured data of one rig: plate, friction, motors, limits, suspension, camera, lens, fiducials,
 part types and their polygons.
 
-The package also converts between the frames: world-fixed (`plate_home`), moving plate, and image.
-`load_rig` reads a rig file. `SECTIONS` defines its keys.
+The package also converts between three frames: world-fixed (`plate_home`), moving plate, and image.
+`load_rig` reads a rig file, and `SECTIONS` defines the keys of the file.
 """
 
 from .consistency import CYCLE_HZ, MIN_GAMMA, PART_PX, Doubt, doubts

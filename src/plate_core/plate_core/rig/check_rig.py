@@ -23,16 +23,17 @@ from .rig import Rig
 from .rig_file import read_rig, rig_names, rig_path
 
 EXAMPLE_M = 0.005
-"""Height of the example part for the reported parallax [m], such as a nut or a low cap."""
+"""Height of the example part for the reported parallax [m]. A nut or a low cap has such a
+height."""
 
 FREQUENCIES_HZ = (5.0, 10.0, 20.0, 40.0)
-"""Frequencies of the table [Hz]. They cover the range of the solvers' cycles,
+"""Frequencies in the table of the report [Hz]. They cover the range of the solvers' cycles,
 `consistency.CYCLE_HZ`."""
 
 
 class Shake(NamedTuple):
-    """The largest allowed sinusoid of the plate: amplitude [m], speed [m/s] and acceleration [m/s2]
-    of its fastest point, and the limit that determines it."""
+    """The largest allowed sinusoidal motion of the plate: amplitude [m], speed [m/s] and
+    acceleration [m/s2] of its fastest point, and the limit that it reaches."""
 
     travel: float
     speed: float
@@ -64,7 +65,7 @@ def main() -> None:
         print(f"error: {error}", file=sys.stderr)
         sys.exit(2)
     found = doubts(rig)
-    # Print before the drawing starts, because it takes longer.
+    # Print the report first, because the drawing takes longer.
     print(report(rig, path.name, found), flush=True)
     drawing = args.drawing or Path(f"{path.stem if args.rig else 'default'}_rig.svg")
     try:
@@ -114,7 +115,8 @@ def report(rig: Rig, name: str, found: list[Doubt]) -> str:
 
 
 def _drives(rig: Rig) -> Iterator[str]:
-    """Yield the number of drive counts or turns for 1 mm along each motor's direction."""
+    """Yield one line per motor with a drive: the number of its counts or turns for 1 mm along its
+    direction."""
     for motor in rig.motors:
         if drive := motor.drive:
             odrive = drive.kind == "odrive"
@@ -126,7 +128,8 @@ def _drives(rig: Rig) -> Iterator[str]:
 
 
 def _view(rig: Rig) -> Iterator[str]:
-    """Yield the camera's position, and the parallax of parts without a height in the rig file."""
+    """Yield lines on the camera's position, and on the parallax of parts without a height in the
+    rig file."""
     flat = ", ".join(name for name, part in rig.types.items() if part.height_m == 0)
     if not rig.types and rig.parts.height_m == 0:
         flat = "parts"
@@ -157,7 +160,7 @@ def shake(rig: Rig, way: str, hz: float) -> Shake:
     """
     omega, limits = 2 * np.pi * hz, rig.limits
     pose = np.array([way == "x", way == "y", way == "theta"], dtype=float)
-    # Lever arm [m] of a corner.
+    # The coordinate theta is multiplied by the lever arm [m] of a corner.
     radius = float(np.hypot(*rig.plate.half)) if way == "theta" else 1.0
     travel = float(np.max(np.abs(rig.motor_levers @ pose)))
     if travel < 1e-9:

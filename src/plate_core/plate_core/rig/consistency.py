@@ -1,7 +1,8 @@
 """Consistency checks of a rig's data: errors for impossible values, warnings for unlikely ones.
 
-The checks find wrong decimal points and values copied from another rig. Examples are a motor beside
-the plate, image corners of a plate with another shape, and parts that are one pixel wide.
+The checks find wrong decimal points and values copied from another rig. Examples of such mistakes
+are a motor beside the plate, image corners of a plate with another shape, and parts that are one
+pixel wide.
 """
 
 from __future__ import annotations
@@ -26,43 +27,47 @@ MIN_GAMMA = 5.0
 """Shaking ratio below which tasks take long or fail [-]. docs/hardware.md has measured values."""
 
 CYCLE_HZ = (5.0, 40.0)
-"""Lowest and highest frequency in the solvers' cycles [Hz]: one wave in 0.2 s, four in 0.1 s."""
+"""Lowest and highest frequency in the solvers' cycles [Hz]: one period in 0.2 s, and four periods
+in 0.1 s."""
 
 MIN_FOLLOWING_M = 1e-5
 """Minimum limit of the following error [m]. No drive is more accurate, so a smaller limit would
 make every motor fail."""
 
 COARSEST_M = 1e-5
-"""Maximum resolution of a drive's position without a warning [m per count]."""
+"""Maximum distance per count of a drive's position without a warning [m]."""
 
 MAX_COUNTS = 2**24
-"""Maximum number of counts per stroke. Single precision cannot represent more."""
+"""Maximum number of counts per stroke. Single precision cannot represent more counts exactly."""
 
-ODRIVE_NODES, ODRIVE_SPEED = 62, 32.767
-"""Maximum node number of an ODrive (63 means not assigned), and maximum speed of its feedforward
-[turns/s]."""
+ODRIVE_NODES = 62
+"""Maximum node number of an ODrive. 63 means that no number is assigned."""
+ODRIVE_SPEED = 32.767
+"""Maximum speed of the feedforward of an ODrive [turns/s]."""
 
 OUTSIDE, BESIDE = 0.5, 0.1
-"""Distance of a motor's point outside the plate (on a bracket), relative to the plate's longer
-side: the maximum, and the threshold of the warning."""
+"""Maximum distance of a motor's point from the plate (on a bracket), and the distance above which a
+warning is given. Both are fractions of the plate's longer side."""
 
 WORST_FIT, GOOD_FIT = 0.15, 0.03
-"""Misfit of the image corners: the maximum, and the threshold of the warning. The misfit is the
-relative error of the lengths or the cosine of the angle between the axes, whichever is larger."""
+"""Maximum misfit of the image corners, and the misfit above which a warning is given. The misfit is
+the relative error of the side lengths, or the cosine of the angle between the sides if this is
+larger."""
 
 FOCAL_LENGTHS = np.geomspace(0.4, 20, 80)
-"""Focal lengths to try if the lens is not calibrated, relative to the width of the image."""
+"""Focal lengths that are tried if the lens is not calibrated, as multiples of the image width."""
 
 STEEP_DEG = 45.0
-"""Tilt of the camera above which distant parts are detected poorly [degrees]."""
+"""Maximum tilt of the camera without a warning [degrees]. With a larger tilt, distant parts are
+detected poorly."""
 
 HEIGHT_ERROR = 0.1
-"""Threshold of the warning: relative difference between `camera: height_m` and the height that is
+"""Maximum relative difference, without a warning, between `camera: height_m` and the height that is
 computed from the lens and the corners."""
 
 PART_SHARE = (0.5, 0.15)
-"""Radius of a part, relative to half the plate's shorter side: the maximum, and the threshold of
-the warning. Parts above the maximum cannot move."""
+"""Maximum radius of a part, and the radius above which a warning is given. Both are fractions of
+half the plate's shorter side. Larger parts cannot move."""
 
 
 class Doubt(NamedTuple):
@@ -89,7 +94,8 @@ def check(rig: Rig) -> None:
 
 
 def doubts(rig: Rig, *about: str) -> list[Doubt]:
-    """Return all errors, then all warnings. If subjects are given, return only those about them."""
+    """Return all errors, then all warnings. If subjects are given, return only errors and warnings
+    about these subjects."""
     found = [*_motors(rig), *_limits(rig), *_parts(rig), *_fiducials(rig), *_camera(rig)]
     asked = [doubt for doubt in found if not about or doubt.about in about]
     return sorted(asked, key=lambda doubt: not doubt.impossible)
@@ -310,7 +316,8 @@ def _camera(rig: Rig) -> Iterator[Doubt]:
     if rig.camera.lens is not None and rig.camera.lens.bends:
         corners = rig.camera.lens.straighten(corners)
         if not np.all(np.isfinite(corners)):
-            return  # the corners are outside the lens's field of view, so no more checks
+            # The corners are outside the lens's field of view, so the other checks are impossible.
+            return
     wrong = _order(corners) or _shape(rig, corners)
     if wrong is not None:
         yield wrong
@@ -322,7 +329,8 @@ def _camera(rig: Rig) -> Iterator[Doubt]:
 
 
 def _heights(rig: Rig) -> Iterator[Doubt]:
-    """Check the camera's height against its lens and corners, and the parts' heights against it."""
+    """Check the camera's height against its lens and corners, and the parts' heights against the
+    camera's height."""
     place = camera_place(rig)
     if place is None:
         return
@@ -389,13 +397,13 @@ def _shape(rig: Rig, corners: np.ndarray) -> Doubt | None:
 
 
 def _misfit(rig: Rig, corners: np.ndarray, plate: np.ndarray) -> tuple[float, float]:
-    """Return the misfit between this view and a view of the plate's rectangle [-], and the tilt of
-    the view [rad].
+    """Return the misfit between the image corners (4, 2) [px] and an image of the plate's rectangle
+    [-], and the tilt of the camera [rad].
 
-    With the camera matrix K and the homography H, the first two columns of K^-1 H are the plate's
-    axes times a common scale. They must have equal lengths and be orthogonal. If K is unknown, the
-    best focal length of `FOCAL_LENGTHS` is used, with the principal point in the middle of the
-    image.
+    Let K be the camera matrix and H the homography. The first two columns of K^-1 H are the plate's
+    axes times a common scale. Therefore they must have equal lengths and be orthogonal. If K is
+    unknown, the best focal length of `FOCAL_LENGTHS` is used, and the principal point is assumed in
+    the middle of the image.
     """
     camera = rig.camera
     view = fit_homography(plate, corners)

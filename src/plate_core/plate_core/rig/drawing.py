@@ -1,4 +1,4 @@
-"""Drawing of a rig for visual checks of its file. Matplotlib draws the plate with motors, markers
+"""Drawing of a rig, for visual checks of its file. Matplotlib draws the plate with motors, markers
 and parts, and the plate's corners in the camera image."""
 
 from __future__ import annotations

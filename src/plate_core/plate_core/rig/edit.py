@@ -1,7 +1,7 @@
-"""Change of values in a rig file. All other text stays unchanged, including comments.
+"""Changes of values in a rig file. All other text stays unchanged, including comments.
 
-The YAML parser gives the position of each value, and only these characters are replaced. The
-changed file is read and checked before it replaces the old one.
+The YAML parser gives the position of each value, and only the characters of the value are replaced.
+The changed file is read and checked before it replaces the old one.
 """
 
 from __future__ import annotations
@@ -23,8 +23,8 @@ Values = Mapping[tuple[str, ...], Mapping[str, str]]
 
 
 def edit_rig(path: Path, values: Values, expected: Callable[[Rig], bool]) -> None:
-    """Change values of a rig file. If one of them fails, the file stays unchanged. Missing keys are
-    added.
+    """Change values of a rig file. Missing keys are added. If the change of a value fails, the file
+    stays unchanged.
 
     Parameters
     ----------
@@ -84,13 +84,14 @@ def edited(text: str, values: Values) -> str:
 
 
 def _start(mapping: Any, key: str) -> int:
-    """Return the end of a key in a mapping. If the value is a block, it begins on the next line."""
+    """Return the position at which the text of a value begins: the end of its key. A block value
+    begins on the next line."""
     return int(next(name for name, _ in mapping.value if name.value == key).end_mark.index)
 
 
 def _end(node: Any) -> int:
-    """Return the end of a node's text. A block's text ends with its last value, not at the next
-    key."""
+    """Return the position at which the text of a node ends. The text of a block ends with its last
+    value, not at the next key."""
     while not isinstance(node, yaml.ScalarNode) and node.value and not node.flow_style:
         last = node.value[-1]
         node = last[1] if isinstance(last, tuple) else last

@@ -13,10 +13,11 @@ from ..yaml_fields import Fields
 from .keys import FAR_M, FIDUCIALS
 
 LEAST, MOST = 4, 16
-"""Minimum and maximum number of markers. Fewer than four cannot be checked for consistency."""
+"""Minimum and maximum number of markers. Fewer than four markers cannot be checked for
+consistency."""
 
 NAME = re.compile(r"marker_(0|[1-9]\d{0,3})")
-"""Keys of the markers in a rig file: their numbers in the dictionary."""
+"""Keys of the markers in a rig file. They contain the numbers of the markers in the dictionary."""
 
 
 @dataclass(frozen=True)
@@ -42,7 +43,8 @@ class Fiducials:
 
     @property
     def corners(self) -> np.ndarray:
-        """Corners (n, 4, 2) [m, plate frame]: top left, top right, bottom right, bottom left."""
+        """Corners (n, 4, 2) [m, plate frame] in the order top left, top right, bottom right, bottom
+        left."""
         square = 0.5 * self.side_m * np.array([[-1.0, 1], [1, 1], [1, -1], [-1, -1]])
         return np.array(self.centres)[:, None] + square
 
@@ -53,7 +55,7 @@ def read_fiducials(fields: Fields) -> Fiducials:
     Raises
     ------
     RigError
-        If a key is missing, unknown, or its value is not allowed.
+        If a key is missing or unknown, or its value is not allowed.
     """
     dictionary = fields.value(FIDUCIALS["dictionary"])
     side = fields.value(FIDUCIALS["side_m"])

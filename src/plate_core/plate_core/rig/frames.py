@@ -1,7 +1,7 @@
 """Conversion between the frames: plate_home (world-fixed), the moving plate, and the image.
 
 The plate's corners in the image define a homography from plate_home to the image. The distortion of
-a calibrated lens is added to it. The camera's pose follows from homography and lens.
+a calibrated lens is added. The camera's pose follows from homography and lens.
 """
 
 from __future__ import annotations
@@ -12,11 +12,11 @@ from ..errors import RigError
 from .rig import Rig
 
 CORNER_PX = 1.0
-"""Assumed error of a corner's coordinates in the image [px]. It is typical of corners that are
+"""Assumed error of a corner's coordinates in the image [px], which is typical of corners that are
 clicked by hand."""
 
 PLACE_ERROR = 0.1
-"""Maximum error of the camera's position due to corner errors of `CORNER_PX`, relative to its
+"""Maximum error of the camera's position due to corner errors of `CORNER_PX`, as a fraction of its
 height. The relative error of the parts' parallax is about as large."""
 
 
@@ -41,14 +41,15 @@ def to_home(pose: np.ndarray, point: np.ndarray) -> np.ndarray:
 
 
 def to_plate(pose: np.ndarray, point: np.ndarray) -> np.ndarray:
-    """Express points of plate_home in the frame of the moving plate, the inverse of `to_home`."""
+    """Express points of plate_home in the frame of the moving plate. This is the inverse of
+    `to_home`."""
     cos, sin = np.cos(pose[2]), np.sin(pose[2])
     rotation = np.array([[cos, -sin], [sin, cos]])
     return (np.asarray(point) - pose[:2]) @ rotation
 
 
 def surface_velocity(pose: np.ndarray, twist: np.ndarray, point: np.ndarray) -> np.ndarray:
-    """Velocity of the plate's surface under points, equation (2) of the paper.
+    """Return the velocity of the plate's surface under points, equation (2) of the paper.
 
     Parameters
     ----------
@@ -140,7 +141,7 @@ def camera_pose(rig: Rig) -> tuple[np.ndarray, np.ndarray]:
 def home_pose(image_from_home: np.ndarray, matrix: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Return the pose of plate_home in the camera frame (x right, y down, z forward).
 
-    It is the rigid pose nearest to the homography, which equals K [r1 r2 t] up to scale. If the
+    The homography is K [r1 r2 t] up to scale. The result is the rigid pose nearest to it. If the
     corners are accurate to one pixel, the pose reproduces them to about one pixel.
 
     Parameters
@@ -158,7 +159,7 @@ def home_pose(image_from_home: np.ndarray, matrix: np.ndarray) -> tuple[np.ndarr
         Origin of plate_home [m].
     """
     columns = np.linalg.solve(matrix, image_from_home)
-    columns *= np.sign(columns[2, 2])  # the origin is in front of the camera
+    columns *= np.sign(columns[2, 2])  # so that the origin is in front of the camera
     left, size, right = np.linalg.svd(columns[:, :2], full_matrices=False)
     axes = left @ right
     rotation = np.column_stack([axes, np.cross(axes[:, 0], axes[:, 1])])
@@ -172,15 +173,16 @@ def camera_place(rig: Rig) -> np.ndarray | None:
 
     - The lens is calibrated (`focal_px`). The position is -R^T t, with R and t of `camera_pose`.
     - Only the camera's height z is known (`camera: height_m`). The principal point is assumed to be
-      in the middle of the image. Let p be the point of the plate that is visible there, and let the
-      third row of the homography be (h, 1), with h in 1/m. Points with h x + 1 = 0 have depth zero
-      in the camera frame. Their line is at the distance D = (h p + 1) / norm(h) from p. A camera
-      that is tilted by theta from straight above has D = z (tan theta + cot theta) = 2 z / sin(2
-      theta), and is above p - z tan(theta) h / norm(h). Without perspective, h = 0 and the camera
-      is above p. Tilts of more than 45 degrees are treated as 45 degrees.
-    - Neither is known. Square pixels and the same principal point are assumed. A least-squares
-      solution of the two equations of `_focal_px` gives the focal length f, and the position
-      follows as in the first case.
+      in the middle of the image. Let p be the point of the plate that is visible at the principal
+      point, and let the third row of the homography be (h, 1), with h in 1/m. Points x with h x + 1
+      = 0 have depth zero in the camera frame. They are on a line with the distance D = (h p + 1) /
+      norm(h) from p. A camera that is tilted by theta from straight above has D = z (tan theta +
+      cot theta) = 2 z / sin(2 theta), and is above p - z tan(theta) h / norm(h). Without
+      perspective, h = 0 and the camera is above p. Tilts of more than 45 degrees are treated as 45
+      degrees.
+    - Neither lens nor height is known. Square pixels and the same principal point are assumed. A
+      least-squares solution of the two equations of `_focal_px` gives the focal length f, and the
+      position follows as in the first case.
 
     Returns
     -------
@@ -244,13 +246,13 @@ def _place_of_square_pixels(
 
 
 def _focal_px(image_from_home: np.ndarray, middle: np.ndarray) -> float | None:
-    """Return the focal length [px] of a camera with square pixels from its homography (3, 3). None
-    if the homography has no perspective.
+    """Return the focal length f [px] of a camera with square pixels from its homography H (3, 3).
+    None if the homography has no perspective.
 
-    With K = diag(f, f, 1) about the middle, the first two columns of K^-1 H are the plate's axes
-    times a common scale. They are orthogonal, ax . ay + f^2 bx by = 0, and have equal lengths,
-    norm(ax)^2 - norm(ay)^2 + f^2 (bx^2 - by^2) = 0. Here (ax, ay) are the first two rows and
-    (bx, by) is the third row of these columns of H about the middle (Zhang 2000, equations 3
+    Let K = diag(f, f, 1) with the middle of the image as the origin. The first two columns of K^-1
+    H are the plate's axes times a common scale. They are orthogonal, ax . ay + f^2 bx by = 0, and
+    have equal lengths, norm(ax)^2 - norm(ay)^2 + f^2 (bx^2 - by^2) = 0. ax and ay are the first two
+    entries of these columns of H, and bx and by are their third entries (Zhang 2000, equations 3
     and 4).
     """
     a = image_from_home[:2, :2] - np.outer(middle, image_from_home[2, :2])

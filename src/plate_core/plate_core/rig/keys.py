@@ -13,11 +13,12 @@ FAR_M = 10.0
 """Maximum magnitude of a coordinate [m]."""
 
 ODRIVE_COUNTS = 2**20
-"""Number of counts that this project uses for one turn of an ODrive, whose unit is turns."""
+"""Number of counts that this project uses for one turn of an ODrive. The unit of ODrives is
+turns."""
 
 STIFFEST = 1e9
-"""Maximum entry of a stiffness or damping matrix [N/m, N s/m, ...]. A larger entry means a rigid
-connection."""
+"""Maximum entry of a stiffness or damping matrix [N/m, N s/m, ...]. With a larger entry, the
+connection is practically rigid."""
 
 MOTOR = Section(
     "motors, motor_1 to motor_4",
@@ -113,7 +114,7 @@ DICTIONARIES = (
     "ARUCO_ORIGINAL", "APRILTAG_16H5", "APRILTAG_25H9", "APRILTAG_36H10", "APRILTAG_36H11",
     "ARUCO_MIP_36H12",
 )  # fmt: skip
-"""Sets of markers, with OpenCV's names without DICT_. Older OpenCV versions lack the last one."""
+"""Sets of markers: OpenCV's names without DICT_. Older versions of OpenCV lack the last set."""
 
 FIDUCIALS = Section(
     "fiducials (optional)",

@@ -1,8 +1,9 @@
-"""Lens model of a camera, with K, D and distortion_model of sensor_msgs/CameraInfo.
+"""Lens model of a camera. The parameters are K, D and distortion_model of sensor_msgs/CameraInfo.
 
 `Lens.bend` maps points of the undistorted image to the distorted image by OpenCV's formulas, and
-`Lens.straighten` inverts this by Newton's method. Invalid lenses raise the same error for a rig
-file, a camera file and camera_info. Callers prepend the source of the lens to the message.
+`Lens.straighten` inverts this by Newton's method. An invalid lens raises the same error whether it
+is from a rig file, a camera file or camera_info. Callers prepend the source of the lens to the
+message.
 """
 
 from __future__ import annotations
@@ -20,7 +21,7 @@ MODELS = {
     "rational_polynomial": (5, 8, 12, 14),
     "equidistant": (4,),
 }
-"""Distortion models, and the allowed numbers of values of each."""
+"""Names of the distortion models, and the allowed numbers of distortion values of each model."""
 
 BIGGEST = 1e6
 """Maximum absolute value in K [px] or D [-]."""
@@ -33,11 +34,11 @@ STEEPEST_RAD = np.deg2rad(89.0)
 infinite."""
 
 SETTLED = 1e-8
-"""Size of a Newton step below which the iteration ends [focal lengths]. The remaining error is
-about its square, 1e-13 px."""
+"""If a Newton step is shorter than this value [focal lengths], the iteration ends. The remaining
+error is about the square of this value, 1e-13 px."""
 
 CONVERGED = 1e-7
-"""Maximum size of the last Newton step of a valid result, relative to the length of the ray
+"""Maximum length of the last Newton step of a valid result, as a fraction of the length of the ray
 (x, y, 1)."""
 
 MAX_STEPS = 30
@@ -48,18 +49,19 @@ TABLE = 1025
 
 SHORT_OF = 1e-6
 """Relative distance between the end of the table and a fold. The table ends before the fold,
-because the image is infinite there if the fold is a pole of a rational polynomial."""
+because at a pole of a rational polynomial the image is infinite."""
 
 ROUNDED = 1.01
-"""Maximum radius of a result, relative to the radius at which the radial distortion folds the
-image. This ratio exceeds 1 because tangential terms move the fold."""
+"""Maximum radius of a result, divided by the radius at which the radial distortion folds the image.
+The ratio exceeds 1 because tangential terms move the fold."""
 
 MARGIN = 0.05
-"""Width of the border around the plate in which a lens must not fold the image, relative to the
-plate's length and width. The border is needed because parts at the edge move with the plate."""
+"""Width of the border around the plate in which a lens must not fold the image, as a fraction of
+the plate's length and width. The border is needed because the plate moves the parts at its edge."""
 
 GRID = 33
-"""Number of points along each side of the grid over the plate on which folding is checked."""
+"""Number of points along each side of a grid over the plate. At these points, folding is
+checked."""
 
 VALUES = 14
 """Number of distortion values: k1, k2, p1, p2, k3, k4, k5, k6, s1, s2, s3, s4, tau_x, tau_y."""
@@ -103,7 +105,7 @@ class Lens:
     ------
     RigError
         If the model is unknown, its number of values is not one of `MODELS`, or a value is not
-        allowed. If all values are zero, any number of them is allowed, including none.
+        allowed. If all distortion values are zero, any number of values is allowed, including none.
     """
 
     focal_px: tuple[float, float]
@@ -151,17 +153,19 @@ class Lens:
 
     @property
     def bends(self) -> bool:
-        """Whether the lens has distortion. An equidistant lens has it even if all values are
-        zero."""
+        """Whether the lens has distortion. An equidistant lens has distortion even if all values
+        are zero."""
         return self.model == "equidistant" or any(self.distortion)
 
     def bend(self, point_px: np.ndarray) -> np.ndarray:
-        """Map points (..., 2) [px] of the undistorted image to the distorted one (..., 2) [px]."""
+        """Map points (..., 2) [px] of the undistorted image to the distorted image (..., 2)
+        [px]."""
         seen, _ = self._distort(self._rays(point_px))
         return _tilted(seen, self._tilt)[0] * self.focal_px + self.centre_px
 
     def slopes(self, point_px: np.ndarray) -> np.ndarray:
-        """Derivative (..., 2, 2) of `bend` at points (..., 2) [px] of the undistorted image."""
+        """Return the derivative (..., 2, 2) of `bend` at points (..., 2) [px] of the undistorted
+        image."""
         seen, slopes = self._distort(self._rays(point_px))
         _, tilts = _tilted(seen, self._tilt)
         focal = np.array(self.focal_px)
@@ -197,15 +201,15 @@ class Lens:
         return np.where(shown[..., None], straight, np.nan)
 
     def folds(self, corners_px: np.ndarray, straight: bool = False) -> str:
-        """Return a message if the lens folds the image of a plate. The result is empty if each
-        image point shows one point of the plate.
+        """Return a message if the lens folds the image of a plate. The message is empty if each
+        image point shows only one point of the plate.
 
         Parameters
         ----------
         corners_px : (4, 2)
             Image points of the plate's corners [px].
         straight : bool
-            Whether these are points of the undistorted image.
+            Whether `corners_px` are points of the undistorted image.
         """
         if not self.bends:
             return ""
@@ -235,8 +239,9 @@ class Lens:
         return (np.asarray(point_px, dtype=float) - self.centre_px) / self.focal_px
 
     def _upright(self, volume: np.ndarray, trace: np.ndarray, r2: np.ndarray) -> np.ndarray:
-        """Whether the image is neither folded nor mirrored (...), from the determinant and the
-        trace of the derivative (...) at rays with the squared radii r2 (...)."""
+        """Whether the image is neither folded nor mirrored at rays (...). `volume` and `trace` are
+        the determinant and the trace of the derivative at these rays, and `r2` their squared
+        radii."""
         return (volume > 0) & (trace > 0) & (r2 <= (ROUNDED * self._reach) ** 2)
 
     @cached_property
@@ -245,8 +250,7 @@ class Lens:
 
     @cached_property
     def _tilt(self) -> np.ndarray | None:
-        """The projection (3, 3) onto a tilted image plane. It is None if the plane is not
-        tilted."""
+        """The projection (3, 3) onto a tilted image plane. None if the plane is not tilted."""
         tau_x, tau_y = self._all[12:]
         if self.model == "equidistant" or (tau_x == 0 and tau_y == 0):
             return None
@@ -261,8 +265,8 @@ class Lens:
     @cached_property
     def _reach(self) -> float:
         """Radius [focal lengths] of the rays at which the radial distortion folds the image.
-        Infinite if it never folds the image. An equidistant lens can see beyond 90 degrees, but the
-        undistorted image cannot show this, so the radius is limited by `STEEPEST_RAD`."""
+        Infinite if it never folds the image. The field of view of an equidistant lens can exceed 90
+        degrees, but the undistorted image cannot. Therefore `STEEPEST_RAD` limits the radius."""
         if self.model == "equidistant":
             powers = (2 * np.arange(5) + 1) * np.array([1, *self._all[:4]])
             return float(np.tan(min(np.sqrt(_first_root(powers)), STEEPEST_RAD)))
@@ -277,7 +281,7 @@ class Lens:
 
     @cached_property
     def _table(self) -> tuple[np.ndarray, np.ndarray]:
-        """Table of increasing radii of rays, and their radii after the radial distortion [focal
+        """Table of increasing radii of rays, and of their radii after the radial distortion [focal
         lengths]."""
         steep = min(np.arctan(self._reach), STEEPEST_RAD)
         radius = np.tan(np.linspace(0, (1 - SHORT_OF) * steep, TABLE))
@@ -348,7 +352,7 @@ def lens_of_matrix(matrix: np.ndarray, distortion: Sequence[float], model: str) 
     Raises
     ------
     RigError
-        If K is not [fx, 0, cx], [0, fy, cy], [0, 0, 1], or if `Lens` raises one.
+        If K is not [fx, 0, cx], [0, fy, cy], [0, 0, 1], or if `Lens` raises an error.
     """
     matrix = np.array(matrix, dtype=float)
     shape = np.array([[1, 0, 1], [0, 1, 1], [0, 0, 0]])
@@ -362,7 +366,7 @@ def lens_of_matrix(matrix: np.ndarray, distortion: Sequence[float], model: str) 
 
 def _first_root(powers: np.ndarray) -> float:
     """Return the smallest positive root of a polynomial with these coefficients, lowest power
-    first. The result is infinite if there is none."""
+    first. The result is infinite if there is no such root."""
     roots = np.polynomial.Polynomial(powers).trim().roots()
     real = roots.real[np.abs(roots.imag) <= 1e-9 * np.abs(roots)]
     return float(np.min(real[real > 0], initial=np.inf))
@@ -370,7 +374,8 @@ def _first_root(powers: np.ndarray) -> float:
 
 def _tilted(ray: np.ndarray, tilt: np.ndarray | None) -> tuple[np.ndarray, np.ndarray | None]:
     """Project rays (..., 2) onto a tilted plane with a matrix (3, 3). Return the points and their
-    derivative (..., 2, 2). If the matrix is None, return the rays, and None as derivative."""
+    derivative (..., 2, 2). If the matrix is None, return the rays unchanged, and None as
+    derivative."""
     if tilt is None:
         return ray, None
     third = ray @ tilt[2, :2] + tilt[2, 2]

@@ -1,5 +1,5 @@
-"""Detection of values in a rig file that were not measured. Such values equal those of a shipped
-file."""
+"""Detection of values in a rig file that were not measured. Such values are the same as in a
+shipped rig file."""
 
 from __future__ import annotations
 
@@ -11,7 +11,8 @@ from .rig_file import load_rig, rig_names
 
 
 def unmeasured(rig: Rig) -> list[str]:
-    """Return one sentence for each value that must still be measured. It contains the command.
+    """Return one sentence for each value that must still be measured. The sentence contains the
+    command.
 
     A value counts as not measured if a shipped rig file has the same value. `doubts` finds
     inconsistent values.

@@ -1,9 +1,9 @@
 """Motor forces of a plate motion, and the maximum acceleration within force and thermal limits.
 
 A motion z(t) = (x, y, theta) of the plate needs the motor forces f = B^+ (M z'' + C z' + K z). B
-maps motor forces to the wrench on the plate, M is the plate's mass matrix, and C and K are damping
-and stiffness of its flexures. The pseudo-inverse B^+ minimises the sum of squared forces, and
-therefore the heat.
+maps motor forces to the wrench on the plate, M is the plate's mass matrix, and C and K are the
+damping and stiffness matrices of its flexures. The pseudo-inverse B^+ minimises the sum of the
+squared forces, and therefore the heat.
 """
 
 from __future__ import annotations
@@ -21,8 +21,8 @@ motions. For rotations, the ratio is 1.6 to 2. For sinusoids, it is 2 to 2.5
 (`test_weak_motors.py`)."""
 
 TURN_STEPS = 400
-"""Number of steps in which `force_per_accel` varies the angular acceleration from 0 to its maximum,
-at which the plate's corners have 1 m/s2."""
+"""Number of steps in which `force_per_accel` varies the angular acceleration from 0 to its maximum.
+At the maximum, the plate's corners have 1 m/s2."""
 
 
 class Reach(NamedTuple):
@@ -33,10 +33,10 @@ class Reach(NamedTuple):
 
 
 def levers(motors: Sequence[Motor]) -> np.ndarray:
-    """Return B^T (4, 3) at home, the derivative of each motor's travel by the pose x, y, theta
-    [1, 1, m].
+    """Return B^T (4, 3) at home: the derivative of each motor's travel with respect to the pose x,
+    y, theta [1, 1, m].
 
-    Motor forces f (4,) therefore exert the wrench f B^T [N, N, N m] on the plate.
+    Motor forces f (4,) exert the wrench f B^T [N, N, N m] on the plate.
     """
     (x, y), (ex, ey) = np.array([[m.point, m.direction] for m in motors]).transpose(1, 2, 0)
     return np.column_stack([ex, ey, x * ey - y * ex])
@@ -88,8 +88,8 @@ def reach(motors: Sequence[Motor], load: np.ndarray, half: np.ndarray, limits: L
     """Return the maximum acceleration that the motors can continuously give any point of the plate.
 
     It is the minimum of two limits. The peak force determines one limit. The continuous force
-    determines the other, in motions whose peak force is `PEAK_OVER_RMS` times the root mean square
-    force. `load` and `half` are as in `force_per_accel`.
+    determines the other limit, for motions whose peak force is `PEAK_OVER_RMS` times the root mean
+    square force. `load` and `half` are the same as in `force_per_accel`.
     """
     most = force_per_accel(load, half)
     motor = motors[int(np.argmax(most))].name

@@ -1,7 +1,7 @@
 """Part types: outline, mass, friction, colour and symmetry, read from a YAML file.
 
-The origin of a part's frame is the centroid of its area. For uniform thickness this is its centre
-of mass. At angle 0 the part has the orientation of its outline in the file.
+The origin of a part's frame is the centroid of its area. For a part of uniform thickness, this is
+the centre of mass. At angle 0, the part has the orientation of its outline in the file.
 """
 
 from __future__ import annotations
@@ -35,7 +35,7 @@ if TYPE_CHECKING:
     from shapely import Geometry
 
 MAX_CORNERS = 32
-"""Maximum number of corners of an outline or a hole. A contour with more corners must be
+"""Maximum number of corners of an outline or a hole. Contours with more corners must be
 simplified."""
 
 MAX_HOLES = 8
@@ -54,8 +54,8 @@ MIN_M2 = 1e-8
 """Minimum area of a part or hole [m2]."""
 
 NAME = re.compile(r"[a-z][a-z0-9]*(_[a-z0-9]*[a-z][a-z0-9]*)*")
-"""Pattern of a type's name, such as `nut` or `nut_m4`. The name must not end with _ followed by
-digits only, because the ids of parts have this form."""
+"""Pattern of a type's name, such as `nut` or `nut_m4`. The name must not end with _ and digits,
+because the ids of parts have this form."""
 
 LONGEST = 32
 """Maximum length of a name [characters]."""
@@ -66,7 +66,7 @@ type."""
 
 CENTRED = 0.03
 """Tolerance of a hole's centre and of the corners of a symmetric outline, as a fraction of the
-part's reach. It covers the errors of manufacture and measurement."""
+part's reach. It allows for errors of manufacture and measurement."""
 
 Polygon = tuple[tuple[float, float], ...]
 """Corners (x, y) [m], counter-clockwise."""
@@ -121,13 +121,13 @@ class PartType:
     holes : tuple of Polygon
         Corners of each hole [m], counter-clockwise.
     mass_kg, mu : float or None
-        Mass [kg] and friction coefficient [-]. None: the values of the rig.
+        Mass [kg] and friction coefficient [-]. None selects the value of the rig.
     colour_lab : tuple of 3 float, or None
-        Colour in CIE L, a, b. It is None if unknown.
+        Colour in CIE L, a, b. None if unknown.
     symmetry : int
         Order of rotational symmetry. 0 for a disc.
     scatter_m : float
-        RMS deviation of the outlines of individual parts from this outline [m].
+        RMS deviation of the outlines of individual parts from `outline` [m].
     picture : str
         Name of a picture file, or empty.
     height_m : float
@@ -166,14 +166,15 @@ class PartType:
 
     @cached_property
     def spread_m2(self) -> np.ndarray:
-        """Means of x x, x y; y x, y y over the area (2, 2) [m2]. The trace is the squared radius of
-        gyration."""
+        """Second moments of the area, divided by the area: the means of x x, x y; y x, y y (2, 2)
+        [m2]. The trace is the squared radius of gyration."""
         area, _, second = self._moments
         return np.asarray(second / area)
 
     def placed(self, position: np.ndarray, angle: float) -> Geometry:
-        """Return the part at a pose [m, rad] for calculations with shapely: its outline without
-        holes, or the centre of a disc. A disc extends `radius_m` beyond it."""
+        """Return the part at a pose [m, rad] for calculations with shapely. The result is the
+        outline without holes, or the centre of a disc. A disc extends `radius_m` beyond its
+        centre."""
         from shapely import Point, Polygon
 
         if self.radius_m:
@@ -198,7 +199,7 @@ def load_part_types(path: str | Path) -> Mapping[str, PartType]:
 
 
 def read_part_types(fields: Fields) -> Mapping[str, PartType]:
-    """Read a mapping of names to part types. Raises the same errors as `load_part_types`."""
+    """Read a mapping of names to part types. The errors are the same as in `load_part_types`."""
     types, names = {}, fields.keys()
     for name in names:
         if not NAME.fullmatch(name) or len(name) > LONGEST or name in TAKEN:
@@ -212,7 +213,7 @@ def read_part_types(fields: Fields) -> Mapping[str, PartType]:
 
 
 def _part_type(name: str, fields: Fields) -> PartType:
-    # This import is not at the top of the file, because the stop command must not wait for it.
+    # This import is here, because the stop command must not wait for it.
     from shapely import Polygon
 
     outline, radius, holes = np.empty((0, 2)), 0.0, fields.value(PART_TYPE["holes_m"]) or []

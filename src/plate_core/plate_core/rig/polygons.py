@@ -1,5 +1,5 @@
 """Geometry of polygons, given by their corners (n, 2) [m] in order. The last corner is connected to
-the first."""
+the first corner."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ def moments(
 def is_simple(corner: np.ndarray) -> bool:
     """Whether a polygon (n, 2) [m] has a positive area and no repeated corner, and its edges
     neither cross nor touch, except neighbours at their common corner."""
-    # This import is not at the top of the file, because the stop command must not wait for it.
+    # This import is here, because the stop command must not wait for it.
     from shapely import Polygon
 
     if len(np.unique(corner, axis=0)) < max(len(corner), 3):

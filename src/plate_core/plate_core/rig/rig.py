@@ -16,17 +16,17 @@ from .sections import Camera, Friction, Limits, Motor, PartFacts, Plate
 from .suspension import Suspension, mass_matrix
 
 MIN_RADII, WALL_RADII = 0.5, 1.25
-"""Distances from the plate's edges, in addition to the motors' stroke [part radii]. The first is
-the minimum for the centre of a part, the second is that of the wall, behind which parts stay if
+"""Distances of a part's centre from the plate's edges, without the motors' stroke [part radii].
+`MIN_RADII` is the minimum. `WALL_RADII` is the distance of the wall, behind which parts stay if
 possible. See `EdgeMargin`."""
 
 
 class EdgeMargin(NamedTuple):
     """Required distance of a part's centre from the plate's edges [m].
 
-    Below `least_m`, the part is lost, because the plate can move away under it by the motors'
-    stroke, or because the part overhangs the edge. The wall is at the distance `wall_m` from the
-    edges. A part behind the wall is safe.
+    A part at a shorter distance than `least_m` is lost, because the plate can move away under it by
+    the motors' stroke, or because the part overhangs the edge. The wall is at the distance `wall_m`
+    from the edges. A part behind the wall is safe.
     """
 
     least_m: float
@@ -52,8 +52,8 @@ class Rig:
     types: Mapping[str, PartType] = field(default_factory=dict, hash=False)
 
     def part_type(self, name: str) -> PartType:
-        """Return a part type, with the rig's default mass and friction if the type has none. An
-        unknown type is a disc with the data of `parts`."""
+        """Return a part type, with the rig's default mass and friction if the type has none. A part
+        of an unknown type is a disc with the data of `parts`."""
         if name not in self._part_types:
             known = self.types.get(name) or PartType(
                 name, radius_m=self.parts.radius_m, symmetry=0, height_m=self.parts.height_m
@@ -77,8 +77,8 @@ class Rig:
 
     @cached_property
     def motor_levers(self) -> np.ndarray:
-        """Derivatives B^T (4, 3) at home of the motors' travel by the pose x, y, theta of the plate
-        [1, 1, m]. See `motors.levers`."""
+        """Derivatives B^T (4, 3) of the motors' travel with respect to the pose x, y, theta of the
+        plate at home [1, 1, m]. See `motors.levers`."""
         return levers(self.motors)
 
     @cached_property
@@ -91,7 +91,8 @@ class Rig:
 
     @cached_property
     def motor_loads(self) -> np.ndarray:
-        """Matrices (3, 4, 3) from pose, twist and acceleration of the plate to motor forces [N]."""
+        """Matrices (3, 4, 3) that convert pose, twist and acceleration of the plate to motor forces
+        [N]."""
         suspension, none = self.suspension, np.zeros((3, 3))
         stiffness = none if suspension is None else np.array(suspension.stiffness)
         damping = none if suspension is None else np.array(suspension.damping)
@@ -112,8 +113,8 @@ class Rig:
 
     @property
     def gamma(self) -> float:
-        """Shaking ratio a_max/(mu g) [-], with a_max from `reach`. It determines how well the plate
-        can move parts."""
+        """Shaking ratio a_max/(mu g) [-]. a_max is the acceleration of `reach`. With a higher
+        ratio, the plate moves parts faster and more accurately."""
         return self.reach.accel / self.friction.accel
 
     @property

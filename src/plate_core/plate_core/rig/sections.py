@@ -53,8 +53,9 @@ class Friction:
 
 @dataclass(frozen=True)
 class PartFacts:
-    """Data of the parts without a type in `types`: identical discs with this mass [kg], radius [m]
-    and height above the plate [m]. The height is 0 if the discs are flat, or if it is unknown."""
+    """Data of the parts that have no type in `types`. They are identical discs with this mass [kg],
+    radius [m] and height above the plate [m]. The height is 0 if the discs are flat, or if the
+    height is unknown."""
 
     mass_kg: float = measured("mass_kg", 1e-6, 10, "Mass of a part.")
     radius_m: float = measured("radius_m", 1e-4, 1, "Radius of a part.")
@@ -135,12 +136,12 @@ class Drive:
     counts_per_m : float
         Position counts per metre. One turn of an ODrive has `ODRIVE_COUNTS` (keys.py) counts.
     sign : int
-        -1 if the counts decrease in the motor's direction, else 1.
+        -1 if the counts decrease in the motor's direction, otherwise 1.
     absolute : bool
-        Whether the drive's position is 0 at home. If false, home is the position in which the plate
+        Whether the drive's position is 0 at home. If False, home is the position in which the plate
         hangs freely at the first enable.
     serial : int
-        Serial number, object 1018h:04. 0: any.
+        Serial number, object 1018h:04. 0 accepts any serial number.
     kind : str
         cia402 or odrive.
     """
@@ -155,7 +156,7 @@ class Drive:
 
 @dataclass(frozen=True)
 class Motor:
-    """A linear motor: its name, the point (x, y) where its shaft meets the plate at rest [m,
+    """A linear motor: its name, the point (x, y) at which its shaft meets the plate at rest [m,
     plate_home], the unit vector of its force, and its drive. The drive is None if a bridge of the
     board drives the motor."""
 
@@ -196,8 +197,8 @@ class Camera:
     colour : bool
         Whether the images have colours.
     height_m : float or None
-        Height of the lens above the plate [m]. It is None if the rig file does not give it.
-        `camera_place` needs it if the lens is not calibrated.
+        Height of the lens above the plate [m]. None if the rig file does not give it.
+        `camera_place` needs the height if the lens is not calibrated.
     """
 
     width_px: int

@@ -1,8 +1,8 @@
 """Model of a real rig's suspension and motors, for plates that do not follow their commands
 exactly.
 
-It consists of the mass, damping and stiffness matrices of the plate on its flexures, and of the
-feedforward, gain, bandwidth and position control of the motors.
+The model consists of the mass, damping and stiffness matrices of the plate on its flexures, and of
+the feedforward, gain, bandwidth and position control of the motors.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ ASYMMETRY = 1e-6
 
 @dataclass(frozen=True)
 class Suspension:
-    """The plate on its flexures, and the motors' drive.
+    """Model of the plate on its flexures, and of the motors with their control.
 
     The symmetric matrices (3, 3) act on the pose x, y, theta [m, m, rad] in plate_home. A matrix
     that is not diagonal couples the degrees of freedom.
@@ -37,12 +37,12 @@ class Suspension:
         Matrices of the flexures [N s/m, ...] and [N/m, ...], positive semidefinite.
     feedforward : (3,)
         Fractions of the inertial, damping and stiffness forces of the commanded motion that the
-        drive supplies as feedforward. (1, 1, 1) is a perfect model of the plate, (1, 0, 0) a model
-        of a free rigid plate, and (0, 0, 1) a model of flexures without mass.
+        drive supplies as feedforward. (1, 1, 1) compensates all forces, (1, 0, 0) the forces of a
+        free rigid plate, and (0, 0, 1) the forces of flexures without mass.
     motor_gain : (4,)
         Actual force of each motor divided by its commanded force.
     motor_bandwidth_hz : float
-        Corner frequency of the motors' first-order lag [Hz]. inf: no lag.
+        Corner frequency of the motors' first-order lag [Hz]. inf means no lag.
     servo : (2,)
         Stiffness [N/m] and damping [N s/m] of each motor's position controller.
     """
@@ -117,8 +117,8 @@ def modal_matrices(
     Parameters
     ----------
     frequency_hz, damping_ratio : (3,)
-        Natural frequency [Hz] and damping ratio of x, y and theta, each while the other two are
-        held at 0.
+        Natural frequency [Hz] and damping ratio of x, y and theta. Each value holds while the other
+        two coordinates are held at 0.
     """
     diagonal = np.diag(np.array(mass))
     omega = 2 * pi * np.asarray(frequency_hz)
@@ -139,7 +139,7 @@ def read_suspension(fields: Fields, mass_kg: float, inertia_kgm2: float) -> Susp
     Raises
     ------
     RigError
-        If a key is missing, unknown, or its value is out of range.
+        If a key is missing or unknown, or its value is out of range.
     """
     given = fields.value(SUSPENSION["inertia_kgm2"])
     inertia = inertia_kgm2 if given is None else given

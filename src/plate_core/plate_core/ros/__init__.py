@@ -16,17 +16,17 @@ from .convert import (
     msg_to_motors,
     msg_to_overlooked,
     msg_to_parts,
+    msg_to_request,
     msg_to_targets,
-    msg_to_wanted,
     nanoseconds,
     parts_to_msg,
     pose_to_msg,
+    request_to_msg,
     seconds,
     target_to_msg,
     targets_to_msg,
     to_time,
     trajectory_to_msg,
-    wanted_to_msg,
 )
 from .diagnostics import DIAGNOSTICS_PERIOD_S, Diagnostics, Report, msg_to_reports
 from .executor import NodeExecutor
@@ -95,8 +95,8 @@ __all__ = [
     "msg_to_parts",
     "msg_to_pick",
     "msg_to_reports",
+    "msg_to_request",
     "msg_to_targets",
-    "msg_to_wanted",
     "nanoseconds",
     "new_goal_id",
     "order_to_msg",
@@ -105,6 +105,7 @@ __all__ = [
     "pick_to_msg",
     "plate_to_msg",
     "pose_to_msg",
+    "request_to_msg",
     "run_node",
     "run_nodes",
     "scenario_to_goal",
@@ -115,5 +116,4 @@ __all__ = [
     "targets_to_msg",
     "to_time",
     "trajectory_to_msg",
-    "wanted_to_msg",
 ]

@@ -2,8 +2,8 @@
 
 ROS writes to stderr while it holds Python's global interpreter lock. If the terminal is paused with
 Ctrl-S, a pipe is not read, or a connection hangs, the next log line would block all threads,
-including those that stop the motors. `never_held` therefore redirects stderr to a non-blocking
-pipe, and a thread writes its content to the original stderr.
+including those that stop the motors. Therefore `never_held` redirects stderr to a non-blocking
+pipe. A thread writes the content of the pipe to the original stderr.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from collections.abc import Iterator
 
 CHUNK = 4096
 LAST_S = 0.5
-"""Maximum wait at the end for the output of the last lines [s]."""
+"""Maximum time at the end to wait for the output of the last lines [s]."""
 
 COLOUR = "RCUTILS_COLORIZED_OUTPUT"
 STDERR = 2
@@ -37,7 +37,7 @@ def never_held() -> Iterator[None]:
     thread = threading.Thread(target=_write_out, args=(read, kept), name="console", daemon=True)
     thread.start()
     traced = faulthandler.is_enabled()
-    if traced:  # the thread does not run after a crash, so write to the original stderr
+    if traced:  # after a crash the thread does not run, so write to the original stderr
         faulthandler.enable(kept)
     try:
         yield
@@ -46,13 +46,13 @@ def never_held() -> Iterator[None]:
             faulthandler.enable(STDERR)
         with contextlib.suppress(OSError):
             sys.stderr.flush()
-        os.dup2(kept, STDERR)  # this closes the pipe's write end, so the thread finishes
+        os.dup2(kept, STDERR)  # this closes the write end of the pipe, so the thread ends
         thread.join(LAST_S)
 
 
 def _open_closed() -> None:
-    """Open stdin, stdout and stderr if they are closed. Otherwise another file, such as a serial
-    port, could get one of these numbers and receive the log."""
+    """Open stdin, stdout and stderr if they are closed. If they stayed closed, another file, such
+    as a serial port, could get one of their numbers and receive the log."""
     while (number := os.open(os.devnull, os.O_RDWR)) <= STDERR:
         os.set_inheritable(number, True)
     os.close(number)
@@ -61,7 +61,7 @@ def _open_closed() -> None:
 
 
 def _write_out(read: int, kept: int) -> None:
-    with contextlib.suppress(OSError):  # the reader of stderr may have closed it
+    with contextlib.suppress(OSError):  # the reader may have closed the original stderr
         while data := os.read(read, CHUNK):
             while data:
                 data = data[os.write(kept, data) :]

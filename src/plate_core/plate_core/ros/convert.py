@@ -23,35 +23,35 @@ from plate_interfaces.msg import Parts as PartsMsg
 from plate_interfaces.msg import Target as TargetMsg
 from plate_interfaces.msg import Targets as TargetsMsg
 
+from ..cycle_request import AngleTargets, CycleRequest, Targets
 from ..driver_status import DriverReason, DriverState, DriverStatus
 from ..errors import CycleError, PlateError
 from ..motion import PlateCycle, motor_state, plate_state
 from ..parts import MAX_PARTS, OverlookedThing, Parts, part_class
 from ..rig import Camera, Rig
 from ..tasks import PartTarget
-from ..wanted import AngleTargets, Targets, Wanted
 from .frames import CAMERA_FRAME, FRAME
 
 PLATE_JOINTS = ["x", "y", "theta"]
 CHANNELS = {"mono8": 1, "bgr8": 3, "rgb8": 3}
 
 STATE = ("x", "y", "angle", "vx", "vy", "spin")
-"""Fields of Part with its state."""
+"""Fields of Part that contain the state of the part."""
 
 START = ("x", "y", "angle", "vx", "vy", "drift_x", "drift_y", "drift_spin", "friction_limit")
-"""Fields of PartForce with the state of the part."""
+"""Fields of PartForce that contain the state of the part."""
 
 INTERVALS = (
     "force_x_min", "force_x_max", "force_y_min", "force_y_max", "torque_min", "torque_max",
 )  # fmt: skip
-"""Fields of PartForce with the requested force intervals."""
+"""Fields of PartForce that contain the requested intervals of force and torque."""
 
 TARGETS = (
     "target_x_min", "target_x_max", "target_y_min", "target_y_max", "target_angle_min",
     "target_angle_max",
 )  # fmt: skip
 WEIGHTS = ("weight_x", "weight_y", "weight_angle")
-"""Fields of PartForce with the weights of the targets."""
+"""Fields of PartForce that contain the weights of the targets."""
 
 UNKNOWN = -1.0
 NO_COVARIANCE = np.array([UNKNOWN, *np.zeros(8)])
@@ -118,8 +118,8 @@ def parts_to_msg(
     source : int
         Measurement method of all parts, a constant of the message Part.
     quality : (M, 3), optional
-        Standard deviation of the position along each axis [m] and of the angle [rad], and the
-        confidence that the object is a part [-]. It is NaN if unknown.
+        Columns: standard deviation of the position along each axis [m], standard deviation of the
+        angle [rad], and confidence that the object is a part [-]. Unknown values are NaN.
     overlooked : sequence of OverlookedThing
         Objects in the image that vision does not recognise as parts.
     """
@@ -167,30 +167,29 @@ def msg_to_overlooked(msg: PartsMsg) -> tuple[OverlookedThing, ...]:
     return tuple(thing for thing in things if np.all(np.isfinite(thing[:3])))
 
 
-def wanted_to_msg(wanted: Wanted, stamp: Time, start: Time | None = None) -> PartForces:
+def request_to_msg(request: CycleRequest, stamp: Time, start: Time | None = None) -> PartForces:
     """Convert the planner's request to a message.
 
     Parameters
     ----------
-    wanted : Wanted
+    request : CycleRequest
     stamp : Time
-        Stamp of the image on which the request is based, or start time of the cycle on which it is
-        based.
+        Stamp of the image, or start time of the cycle, on which the request is based.
     start : Time, optional
         Start of the requested cycle, if it is known.
     """
-    parts, forces, at_start = wanted.parts, wanted.forces, wanted.start is not None
+    parts, forces, at_start = request.parts, request.forces, request.start is not None
     msg = PartForces(
         header=Header(stamp=stamp, frame_id=FRAME), start=start or Time(), at_start=at_start,
         period_s=float(forces.period),
     )  # fmt: skip
-    if wanted.plate is not None:
-        msg.plate_known, msg.plate = True, wanted.plate.ravel()
-    state = wanted.start
+    if request.plate is not None:
+        msg.plate_known, msg.plate = True, request.plate.ravel()
+    state = request.start
     if state is None:
         state = np.hstack([parts.position, np.zeros((len(parts), 2))])
     low, high = forces.force - forces.tolerance, forces.force + forces.tolerance
-    to = wanted.targets
+    to = request.targets
     if to is None:
         sought = np.zeros((len(parts), 9))
     else:
@@ -200,7 +199,7 @@ def wanted_to_msg(wanted: Wanted, stamp: Time, start: Time | None = None) -> Par
             [to.low[:, 0], to.high[:, 0], to.low[:, 1], to.high[:, 1], angles.low, angles.high,
              to.weight, angles.weight]
         )  # fmt: skip
-    # A part without a requested torque has no limits of torque.
+    # The interval of the torque is unlimited if no torque is requested.
     free = np.where(forces.torque == 0, np.inf, 0.0)
     rows = np.column_stack(
         [state[:, :2], parts.angle, state[:, 2:], parts.velocity, parts.spin, parts.friction_limit,
@@ -217,7 +216,7 @@ def wanted_to_msg(wanted: Wanted, stamp: Time, start: Time | None = None) -> Par
     return msg
 
 
-def msg_to_wanted(msg: PartForces) -> Wanted:
+def msg_to_request(msg: PartForces) -> CycleRequest:
     """Convert a message to the planner's request.
 
     Raises
@@ -247,7 +246,7 @@ def msg_to_wanted(msg: PartForces) -> Wanted:
     high = np.clip(ends[:, 1::2], -MAX_MAGNITUDE, MAX_MAGNITUDE)
     middle, tolerance = (low + high) / 2, (high - low) / 2
     parts = Parts.make(ids, rows[:, :2], rows[:, 5:7], rows[:, 2], rows[:, 7], rows[:, 8])
-    return Wanted.make(
+    return CycleRequest.make(
         parts,
         middle[:, :2],
         tolerance[:, :2],
@@ -273,7 +272,8 @@ def targets_to_msg(targets: Sequence[PartTarget], stamp: Time) -> TargetsMsg:
 
 
 def msg_to_targets(msg: TargetsMsg) -> tuple[PartTarget, ...]:
-    """Convert a message to targets of parts. `target_problem` checks whether each is possible.
+    """Convert a message to targets of parts. `target_problem` checks whether each target is
+    possible.
 
     Raises
     ------
@@ -322,8 +322,8 @@ def _targets(ids: tuple[str, ...], msg: PartForces) -> Targets:
 def _intervals(
     ids: tuple[str, ...], forces: Sequence[PartForce], keys: tuple[str, ...]
 ) -> np.ndarray:
-    """Return the bounds of intervals, the fields `keys` (M, n). Raise an error if a lower bound
-    exceeds its upper bound."""
+    """Return the fields `keys` (M, n) of the parts, which are the bounds of intervals. Raise an
+    error if a lower bound exceeds its upper bound."""
     ends = np.array([[getattr(each, key) for key in keys] for each in forces], dtype=float)
     ends = ends.reshape(-1, len(keys))
     wrong = ~(ends[:, 0::2] <= ends[:, 1::2])  # this condition is also true for NaN
@@ -365,7 +365,7 @@ def _checked(
 
 def cycle_to_msg(cycle: PlateCycle, stamp: Time) -> JointTrajectory:
     """Convert a plate cycle to a message with its knots. A knot that occurs twice marks the end of
-    the cycle: the following knots are its tail."""
+    the cycle. The following knots are its tail."""
     return trajectory_to_msg(PLATE_JOINTS, *cycle.knots, stamp)
 
 
@@ -408,7 +408,8 @@ def trajectory_to_msg(
     accel: np.ndarray,
     stamp: Time,
 ) -> JointTrajectory:
-    """Convert knots to a message: times (k + 1,) [s], the other arrays (k + 1, len(joints))."""
+    """Convert knots to a message. `times` is (k + 1,) [s]. All other arrays are (k + 1,
+    len(joints))."""
     msg = JointTrajectory(header=Header(stamp=stamp, frame_id=FRAME), joint_names=joints)
     rows = zip(times.tolist(), position.tolist(), velocity.tolist(), accel.tolist(), strict=True)
     for t, q, qd, qdd in rows:
@@ -461,15 +462,15 @@ def msg_to_knots(
 
 
 def array_to_image(image: np.ndarray, stamp: Time, encoding: str = "mono8") -> Image:
-    """Convert an image (H, W) or (H, W, n), uint8 or uint16, to a message. `encoding` is the
-    encoding of its values in ROS."""
+    """Convert an image (H, W) or (H, W, n), uint8 or uint16, to a message. `encoding` is the name
+    of its encoding in ROS."""
     msg = Image(header=Header(stamp=stamp, frame_id=CAMERA_FRAME))
     msg.height, msg.width = int(image.shape[0]), int(image.shape[1])
     msg.encoding = encoding
     flat = np.ascontiguousarray(image).reshape(-1).view(np.uint8)
     msg.step = flat.size // msg.height
     data = array.array("B")
-    data.frombytes(flat.data)  # rclpy copies data of any other type byte by byte
+    data.frombytes(flat.data)  # an array.array: rclpy copies any other type byte by byte
     msg.data = data
     return msg
 

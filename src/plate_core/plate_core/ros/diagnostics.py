@@ -1,7 +1,7 @@
 """Publishing and reading of the topic `diagnostics`.
 
-Every node publishes its level, message and values once per second, independently of its inputs. A
-level that becomes worse is published within 0.1 s. `msg_to_reports` reads these messages.
+Every node publishes its level, message and values once per second, independently of its inputs. If
+the level becomes worse, the node publishes it within 0.1 s. `msg_to_reports` reads these messages.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ from ..status import Finding, Level
 from .qos import DATA
 
 DIAGNOSTICS_PERIOD_S = 1.0
-"""Period of the diagnostics [s]. A node without diagnostics for a longer time has ended or is
+"""Period of the diagnostics [s]. A node that publishes none for a longer time has ended or is
 blocked."""
 
 POLL_PERIOD_S = 0.1
@@ -27,7 +27,8 @@ POLL_PERIOD_S = 0.1
 
 
 class Report(NamedTuple):
-    """Diagnostics of one node: its name without namespace, level, message, and values as text."""
+    """Diagnostics of one node: the node's name without namespace, its level, its message, and its
+    values as text."""
 
     node: str
     level: Level
@@ -38,8 +39,8 @@ class Report(NamedTuple):
 def msg_to_reports(msg: DiagnosticArray) -> Iterator[Report]:
     """Yield the reports in a diagnostics message.
 
-    Other packages often name a status `node: component`. The node's name is then the part before
-    the colon. A status with an unknown level is skipped.
+    Other packages often name a status `node: component`. In this case the node's name is the part
+    before the colon. A status with an unknown level is skipped.
     """
     for status in msg.status:
         level = int.from_bytes(status.level, "little")
@@ -88,7 +89,7 @@ class Diagnostics:
         self._send(self._find(time.monotonic()))
 
     def destroy(self) -> None:
-        """Stop publishing. Nodes call it before they are configured again."""
+        """Stop publishing. Nodes call this method before they are configured again."""
         self._node.destroy_timer(self._timer)
         self._node.destroy_publisher(self._publisher)
 
@@ -99,7 +100,7 @@ class Diagnostics:
             if finding.level.rank > self._level.rank:
                 self._send(finding)
             return
-        # After a stall the next report follows after about one period, not immediately.
+        # After a stall, the next report follows after half a period or more, not immediately.
         self._due = max(self._due, now - DIAGNOSTICS_PERIOD_S / 2) + DIAGNOSTICS_PERIOD_S
         self._send(finding)
         self._reported()

@@ -15,15 +15,15 @@ EVENTS_S = 1.0
 class NodeExecutor(SingleThreadedExecutor):
     """A `SingleThreadedExecutor` that checks for middleware events only once per second.
 
-    Such an event is, for example, an incompatible quality of service. Each publisher and each
-    subscription has two event handlers. Events stay queued until they are checked. Without the
-    check in every round, an idle graph needs 20 % less CPU time.
+    An incompatible quality of service, for example, causes such an event. Each publisher and each
+    subscription has two event handlers. Events stay queued until they are checked. Without checks
+    in every round, an idle graph needs 20 % less CPU time.
     """
 
     _next_check, _checking = -math.inf, False
 
     def spin_once(self, timeout_sec: float | None = None) -> None:
-        """Execute one callback that is ready. If there is none, wait up to this timeout [s]."""
+        """Execute one callback that is ready. If none is ready, wait up to `timeout_sec` [s]."""
         now = time.monotonic()
         self._checking = now >= self._next_check
         if self._checking:

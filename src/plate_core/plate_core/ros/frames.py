@@ -11,8 +11,8 @@ from std_msgs.msg import Header
 from tf2_msgs.msg import TFMessage
 
 FRAME, PLATE_FRAME, CAMERA_FRAME = FRAMES = ("plate_home", "plate", "camera_optical_frame")
-"""World-fixed frame; frame of the moving plate; camera frame (x right, y down, z forward, as in
-REP 103)."""
+"""Names of the world-fixed frame, of the frame of the moving plate, and of the camera frame (x
+right, y down, z forward, as in REP 103)."""
 
 
 def transform_to_msg(
@@ -20,7 +20,7 @@ def transform_to_msg(
 ) -> TFMessage:
     """Return the pose of a frame in plate_home as a message. The columns of rotation (3, 3) are the
     frame's axes, translation (3,) [m] is its origin."""
-    # This import is not at the top of the file, because most programs do not need scipy.
+    # This import is here, because most programs do not need scipy.
     from scipy.spatial.transform import Rotation
 
     msg = TransformStamped(header=Header(stamp=stamp, frame_id=FRAME), child_frame_id=child)
@@ -39,13 +39,13 @@ def plate_to_msg(pose: np.ndarray, stamp: Time) -> TFMessage:
 
 def camera_to_msg(rotation: np.ndarray, translation: np.ndarray, stamp: Time) -> TFMessage:
     """Return the pose of the camera in plate_home as a message. The arguments are the pose of
-    plate_home in the camera frame, as `rig.home_pose` returns it."""
+    plate_home in the camera frame: the result of `rig.home_pose`."""
     return transform_to_msg(CAMERA_FRAME, rotation.T, -rotation.T @ translation, stamp)
 
 
 def add_prefix(msg: Any, prefix: str) -> None:
-    """Add a prefix to the names of this project's frames in a message. Names that have the prefix
-    already stay unchanged."""
+    """Add a prefix to the names of this project's frames in a message. Names that already have the
+    prefix stay unchanged."""
     for part in (msg, *getattr(msg, "markers", ()), *getattr(msg, "transforms", ())):
         header = getattr(part, "header", None)
         if header is not None and header.frame_id in FRAMES:

@@ -1,4 +1,5 @@
-"""Conversion between scenarios and action goals. A goal gets the same checks as a scenario file."""
+"""Conversion between scenarios and action goals. Goals are checked in the same way as scenario
+files."""
 
 from __future__ import annotations
 
@@ -65,7 +66,7 @@ def action_name(goal: Any) -> str:
 
 
 def new_goal_id() -> UUID:
-    """Return a new goal id. A goal that is sent again with the same id is started only once."""
+    """Return a new goal id. If a goal is sent twice with the same id, it is started only once."""
     return UUID(uuid=list(uuid4().bytes))
 
 
@@ -319,8 +320,8 @@ KINDS: Mapping[str, tuple[type, Callable[[Any, Any], None], Callable[[Any], dict
     "move_parts": (MoveTask, _write_move, _read_move),
     "feed_parts": (FeedTask, _write_feed, _read_feed),
 }
-"""For each action: the class of its task, the conversion of a task to a goal, and the conversion of
-a goal to the data of a task."""
+"""Class of the task, conversion of a task to a goal, and conversion of a goal to the data of a
+task, for each action."""
 
 
 def _point(at: tuple[float, float]) -> Point:

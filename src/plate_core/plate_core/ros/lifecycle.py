@@ -22,8 +22,8 @@ from rclpy.time_source import USE_SIM_TIME_NAME
 from rclpy.timer import Timer
 
 from ..errors import PlateError
+from ..publisher_monitor import PublisherMonitor
 from ..status import Finding, Level
-from ..turns import Turns
 from .diagnostics import Diagnostics
 from .frames import add_prefix
 from .params import Spec, declare, follow, parameter, set_parameters
@@ -46,10 +46,13 @@ class NodeOptions:
         "", "Prefix of frame names, such as left/, for two plates with a common tf tree."
     )
     autostart: bool = parameter(
-        True, "Configure and activate at start; false: another program does this.", fixed=True
+        True,
+        "Whether the node is configured and activated at start. If false, another program "
+        "must do this.",
+        fixed=True,
     )
     end_with_parent: bool = parameter(
-        True, "End when the process that started the node ends.", fixed=True
+        True, "Whether the node ends when the process that started it ends.", fixed=True
     )
 
 
@@ -59,16 +62,16 @@ Options = TypeVar("Options", bound=NodeOptions)
 class SafeLifecycleNode(RclpyLifecycleNode, Generic[Options]):
     """A lifecycle node that always calls `rest` before it stops being active.
 
-    A subclass creates its objects in `configure`, by the methods `managed_...` or with `keep`. It
-    implements `begin`, `rest`, `release` and `retune` if needed. Managed objects work only while
-    the node is active and are destroyed at clean-up. `run_node` calls `start_nodes`, which
+    A subclass creates its objects in `configure`, by the methods `managed_...` or by `keep`. It
+    implements `begin`, `rest`, `release` and `retune` if it needs them. Managed objects work only
+    while the node is active and are destroyed at clean-up. `run_node` calls `start_nodes`, which
     configures and activates the node unless its parameter `autostart` is false.
 
     Parameters
     ----------
     name : str
     kind : type
-        Dataclass of the parameters. Its values are read when the node is configured. Values of live
+        Dataclass of the parameters. The parameters are read when the node is configured. Live
         parameters are also read when they change.
 
     Attributes
@@ -84,11 +87,11 @@ class SafeLifecycleNode(RclpyLifecycleNode, Generic[Options]):
         super().__init__(name)
         self.configuring = self.configured = self.active = False
         self._closed = False
-        self._turns: dict[str, Turns] = {}
+        self._publisher_monitors: dict[str, PublisherMonitor] = {}
         self._kept: list[tuple[Callable[[Any], Any], Any]] = []
         self.options = self._given = declare(self, kind)
         self._follow = follow(self, self._given, self._on_options, self._fixed_now)
-        # The callback that is added last is called first.
+        # This callback is added last, because rclpy calls the callbacks in reverse order.
         self.add_on_set_parameters_callback(self._keep_clock)
 
     # Methods that a subclass implements
@@ -97,7 +100,7 @@ class SafeLifecycleNode(RclpyLifecycleNode, Generic[Options]):
         """Create all objects that the node needs, according to `options`."""
 
     def begin(self) -> None:
-        """Prepare for work. `active` becomes true immediately afterwards."""
+        """Prepare for work. `active` becomes True immediately afterwards."""
 
     def rest(self) -> None:
         """Stop all motion."""
@@ -106,10 +109,11 @@ class SafeLifecycleNode(RclpyLifecycleNode, Generic[Options]):
         """Release resources that do not belong to ROS."""
 
     def retune(self) -> None:
-        """Apply `options` after a live one has changed. This method is called only while the node
-        is configured.
+        """Apply `options` after a live parameter has changed. This method is called only while the
+        node is configured.
 
-        Raise a `PlateError` if the options are inconsistent. The previous options are then kept.
+        Raise a `PlateError` if the options are inconsistent. In this case the previous options are
+        kept.
         """
 
     # Methods by which a subclass creates objects
@@ -139,25 +143,26 @@ class SafeLifecycleNode(RclpyLifecycleNode, Generic[Options]):
         topic: str,
         on_message: Callable[[Any], None],
         qos: QoSProfile,
-        in_turn: bool = False,
+        one_publisher: bool = False,
     ) -> None:
         """Call `on_message` with each message that arrives while the node is active.
 
-        If `in_turn` is true, messages of a second publisher are ignored, see `Turns.came`.
+        If `one_publisher` is True, messages of a second publisher are ignored: see
+        `PublisherMonitor.accepts`.
         """
-        turns = self._turns[topic] = Turns()
+        monitor = self._publisher_monitors[topic] = PublisherMonitor()
 
         def callback(msg: Any, info: dict[str, Any]) -> None:
-            follows = turns.came(info["publication_sequence_number"], time.monotonic())
-            if self.active and (follows or not in_turn):
+            follows = monitor.accepts(info["publication_sequence_number"], time.monotonic())
+            if self.active and (follows or not one_publisher):
                 on_message(msg)
 
         subscription = self.create_subscription(kind, topic, callback, qos)  # type: ignore[arg-type]
         self.keep(self.destroy_subscription, subscription)
 
     def managed_service(self, kind: type, name: str, answer: Callable[[Any, Any], Any]) -> None:
-        """Offer a service. `answer` replies while the node is active, otherwise calls are
-        refused."""
+        """Offer a service. While the node is active, `answer` computes the replies. Otherwise calls
+        are refused."""
 
         def callback(request: Any, response: Any) -> Any:
             if self.active:
@@ -184,15 +189,15 @@ class SafeLifecycleNode(RclpyLifecycleNode, Generic[Options]):
         self.keep(self.destroy_timer, timer)
         return timer
 
-    def rivals(self, topic: str) -> str:
+    def second_publisher(self, topic: str) -> str:
         """Return an error message if several nodes publish a topic that only one is allowed to
         publish, otherwise an empty text."""
         full = self.resolve_topic_name(topic)
         if self.count_publishers(full) < 2:
             return ""
         found, own = self.get_publishers_info_by_topic(full), f"{self.get_namespace()}/"
-        # Count names, not publishers, because a killed node is listed for a while beside its
-        # restarted instance. At first, the new instance has no name.
+        # Count names, not publishers: a killed node stays listed for a while, together with its
+        # restarted instance. Ignore unknown names, because a new instance has no name at first.
         names = {
             f"{each.node_namespace}/{each.node_name}".removeprefix(own)
             for each in found
@@ -201,7 +206,9 @@ class SafeLifecycleNode(RclpyLifecycleNode, Generic[Options]):
         listed = ", ".join(sorted(names)) or "names unknown"
         if len(names) > 1:
             return f"{len(names)} nodes publish {topic} ({listed}), allowed: one"
-        if topic in self._turns and self._turns[topic].several(time.monotonic()):
+        if topic in self._publisher_monitors and self._publisher_monitors[topic].has_two(
+            time.monotonic()
+        ):
             return f"two nodes with the same name publish {topic} ({listed}), allowed: one"
         return ""
 
@@ -216,8 +223,8 @@ class SafeLifecycleNode(RclpyLifecycleNode, Generic[Options]):
         """Publish diagnostics. While the node is not active, they contain its state and, after an
         error, the reason.
 
-        Call it in the constructor. The parameters are those of `Diagnostics`, but `hardware_id` is
-        a name. By default it is the name of the rig.
+        Call this method in the constructor. The parameters are those of `Diagnostics`, except
+        `hardware_id`: it is a name, by default the name of the rig.
         """
 
         def idle() -> Finding:
@@ -241,8 +248,8 @@ class SafeLifecycleNode(RclpyLifecycleNode, Generic[Options]):
     # Parameters
 
     def set_parameters_atomically(self, parameter_list: list[Parameter]) -> SetParametersResult:
-        """Set parameters. The parameter services call it, for example for `ros2 param`; see
-        `set_parameters` in params."""
+        """Set parameters, see `set_parameters` in params. The parameter services call this method,
+        for example for `ros2 param`."""
         return set_parameters(self, parameter_list, super().set_parameters_atomically)
 
     def _fixed_now(self, name: str, spec: Spec) -> str:
@@ -255,7 +262,7 @@ class SafeLifecycleNode(RclpyLifecycleNode, Generic[Options]):
 
     def _keep_clock(self, parameters: list[Parameter]) -> SetParametersResult:
         """Refuse a change of the clock while the node is active, because rclpy's callback would
-        apply it at once."""
+        apply the change immediately."""
         if not self.active or all(item.name != USE_SIM_TIME_NAME for item in parameters):
             return SetParametersResult(successful=True)
         reason = (
@@ -353,7 +360,8 @@ class SafeLifecycleNode(RclpyLifecycleNode, Generic[Options]):
         self._closed = True
         try:
             if self.context.ok():
-                # Start no transition, because the signal may have arrived during a transition.
+                # Do not start a transition, because the signal may have arrived during a
+                # transition.
                 self._stop()
         finally:
             self.active = False
@@ -373,13 +381,13 @@ class SafeLifecycleNode(RclpyLifecycleNode, Generic[Options]):
 
 
 def start_nodes(*nodes: SafeLifecycleNode[Any]) -> None:
-    """Configure all nodes, then activate all nodes, in this order. Nodes whose parameter
-    `autostart` is false are skipped.
+    """Configure all nodes, then activate all nodes, in the order of the arguments. Nodes whose
+    parameter `autostart` is false are skipped.
 
     Raises
     ------
     Exception
-        The exception of the transition that failed, a `PlateError` for wrong input.
+        The exception of the transition that failed. It is a `PlateError` for wrong input.
     """
     own = [node for node in nodes if node.options.autostart]
     for trigger in ("trigger_configure", "trigger_activate"):

@@ -29,7 +29,8 @@ from .lifecycle import SafeLifecycleNode, start_nodes
 from .usage import answered, check_parameter_files
 
 LAST_ROUNDS = 5
-"""Number of executor rounds after the nodes are deactivated, to send their last messages."""
+"""Number of executor rounds after the nodes are deactivated. In these rounds, they send their last
+messages."""
 
 POLL_S = 0.1
 """Maximum delay of the reaction to a signal [s]. Python handles a signal only when the executor
@@ -37,7 +38,7 @@ returns."""
 
 ENDING = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
 """Signals that end a node. SIGHUP is sent when the terminal closes. It ends a node unless the
-process ignores this signal."""
+process ignores SIGHUP."""
 
 
 def run_node(
@@ -48,14 +49,15 @@ def run_node(
     With `--help` on the command line, only the node's docstring and its parameters are printed.
     `options` is the dataclass that the node passes to `declare`.
 
-    The node's `destroy_node` runs while ROS still works, so the node can publish its last messages
-    there. The signal handlers of rclpy would shut the context down first, so they are not used.
+    `destroy_node` is called while ROS still works, so that the node can publish its last messages.
+    The signal handlers of rclpy are not used, because they would shut the context down first.
 
-    The node also ends when its parent process has ended, such as `ros2 launch` after SIGTERM,
-    unless its parameter `end_with_parent` is false.
+    The node also ends when its parent process has ended, for example `ros2 launch` after SIGTERM.
+    It does not if its parameter `end_with_parent` is false.
 
     The exit code is 0 after SIGINT, SIGTERM, SIGHUP or a shutdown. It is 2, with a one-line
-    message, if the node refuses its parameters or files. It is 1, with a traceback, after a defect.
+    message, if the node refuses its parameters or files. It is 1, with a traceback, if the program
+    has a defect.
     """
     try:
         with piped():
@@ -70,11 +72,12 @@ def run_node(
 def run_nodes(makes: Mapping[str, Callable[[], Node]], args: Sequence[str] | None = None) -> None:
     """Run several nodes in one process and one executor, like `run_node`.
 
-    `makes` maps names to node constructors. First all nodes are created, then all are configured,
-    then all are activated, in the order of `makes`. An error message starts with the node's name.
+    `makes` maps names to node constructors. All nodes are created, then all nodes are configured,
+    then all nodes are activated, each time in the order of `makes`. An error message starts with
+    the node's name.
     """
     nodes: list[Any] = []
-    code = 1  # this exit code is used after a defect
+    code = 1  # exit code after an exception, which is a defect
     try:
         with never_held():
             code = _run(makes, nodes, args)
@@ -97,23 +100,24 @@ def _run(
 
     def on_signal(number: int, frame: FrameType | None) -> None:
         nonlocal stopped, interrupted
-        again, stopped = stopped, True  # a second signal must not break the teardown
+        again, stopped = stopped, True  # a second signal must not interrupt the clean-up
         waiting = spinning and not any(getattr(node, "configuring", False) for node in nodes)
         if not (again or waiting):
             interrupted = True
             raise KeyboardInterrupt
 
-    # Override inherited handlers, because a program that a script starts with & ignores SIGINT.
+    # Override inherited handlers: a program that a script starts with & would ignore SIGINT.
     for number in ENDING:
         if number != signal.SIGHUP or signal.getsignal(number) != signal.SIG_IGN:
             signal.signal(number, on_signal)
     signal.pthread_sigmask(signal.SIG_UNBLOCK, ENDING)
-    # A program stores its parent's id before it loads code, because the parent may end meanwhile.
+    # A program stores its parent's id in PARENT before it loads code, because the parent may end
+    # while the code is loaded.
     parent = getattr(sys.modules["__main__"], "PARENT", os.getppid())
     try:
         _init(args)
-        # EventsExecutor needs half the CPU time, but under load a lifecycle transition can end or
-        # crash a node.
+        # rclpy's EventsExecutor needs half the CPU time, but with it a lifecycle transition under
+        # load can end or crash a node.
         executor = NodeExecutor()
         for make in makes.values():
             nodes.append(make())
@@ -124,7 +128,7 @@ def _run(
         spinning = True
         while rclpy.ok() and not stopped and not (bound and os.getppid() != parent):
             executor.spin_once(timeout_sec=POLL_S)
-        # Deactivation ends the goals, so the rounds below send their results.
+        # Deactivation ends the goals. The rounds of the executor below send their results.
         for node in nodes:
             if isinstance(node, SafeLifecycleNode) and node.active and rclpy.ok():
                 node.trigger_deactivate()
@@ -140,8 +144,7 @@ def _run(
         print(f"error: {error}", file=sys.stderr, flush=True)
         code = 2
     except Exception:
-        # If a KeyboardInterrupt is raised while rclpy converts a message, rclpy raises a
-        # RuntimeError instead.
+        # rclpy raises a RuntimeError if a KeyboardInterrupt is raised while it converts a message.
         if not interrupted:
             raise
     finally:
@@ -155,8 +158,8 @@ def _run(
 
 
 def _init(args: Sequence[str] | None) -> None:
-    """Start ROS. A wrong command line or parameter file raises a PlateError, because it is an error
-    of the user and not a defect."""
+    """Start ROS. A wrong command line or parameter file is an error of the user, not a defect, so
+    it raises a PlateError."""
     if opened := choose_network(os.environ):
         print(f"warning: {opened}", file=sys.stderr, flush=True)
     check_parameter_files(args)

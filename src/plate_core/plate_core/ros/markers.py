@@ -11,10 +11,10 @@ from std_msgs.msg import ColorRGBA, Header
 from visualization_msgs.msg import Marker, MarkerArray
 
 from ..colours import FORCE, PLATE, TURNING, VELOCITY, Colour, class_colour, part_colour
+from ..cycle_request import CycleRequest
 from ..motion import PlateCycle
 from ..parts import Parts, part_class
 from ..rig import Rig
-from ..wanted import Wanted
 from .convert import pose_to_msg
 from .frames import FRAME
 
@@ -31,13 +31,13 @@ AHEAD_S = 1.0
 """Prediction time of velocity arrows [s]. An arrow ends at the part's position after this time."""
 
 FORCE_M = 0.1
-"""Length of the arrow of a force equal to a part's sliding friction [m]."""
+"""Length of the arrow for a force that is equal to the sliding friction of a part [m]."""
 
 CENTRES = 200
-"""Number of times in a cycle at which the centre of rotation is drawn."""
+"""Number of centres of rotation that are drawn per cycle, at equally spaced times."""
 
 FAR_HALVES = 4.0
-"""Maximum coordinate of a drawn centre of rotation [half lengths of the plate]."""
+"""Maximum coordinate of a centre of rotation that is drawn, in half lengths of the plate."""
 
 
 def scene_to_msg(
@@ -84,11 +84,11 @@ def scene_to_msg(
     return MarkerArray(markers=markers)
 
 
-def forces_to_msg(rig: Rig, wanted: Wanted, stamp: Time) -> MarkerArray:
+def forces_to_msg(rig: Rig, request: CycleRequest, stamp: Time) -> MarkerArray:
     """Return the forces of a request as arrows. If the request has targets, the arrows are the
     forces that move the parts to their targets."""
-    starts = wanted.parts.position
-    ends = starts + FORCE_M / rig.force_unit * wanted.forces.force
+    starts = request.parts.position
+    ends = starts + FORCE_M / rig.force_unit * request.forces.force
     pairs = enumerate(zip(starts, ends, strict=True))
     return MarkerArray(
         markers=[_arrow("forces", i, place, end, FORCE, stamp) for i, (place, end) in pairs]
@@ -99,8 +99,8 @@ def centres_to_msg(rig: Rig, cycle: PlateCycle, stamp: Time) -> MarkerArray:
     """Return the plate's instantaneous centres of rotation during a cycle, as points.
 
     The points belong to equally spaced times, so many points in a small region mean a long rotation
-    about this region. The colour shows the sense of rotation. When the plate hardly rotates, the
-    centre is far away and is not drawn.
+    about this region. The colour shows the direction of rotation. When the plate hardly rotates,
+    the centre is far away and not drawn.
     """
     time = np.linspace(0, cycle.period, CENTRES, endpoint=False)
     pose, twist = cycle.pose(time), cycle.twist(time)

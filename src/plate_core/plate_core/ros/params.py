@@ -1,6 +1,6 @@
 """ROS parameters of a node, defined by a frozen dataclass.
 
-Each field is made by `parameter`. It defines the default, type, range and description of one
+`parameter` creates a field, which defines the default, type, range and description of one
 parameter. `declare` declares the parameters of a node and returns their values. `follow` checks and
 applies later changes.
 """
@@ -30,17 +30,18 @@ from ..errors import PlateError, did_you_mean
 Options = TypeVar("Options")
 
 OF_RCLPY = ("qos_overrides.", "use_sim_time", "start_type_description_service")
-"""Beginnings of the names of parameters that rclpy declares, some of them after the constructor."""
+"""Prefixes of the names of parameters that rclpy declares. It declares some of them after the
+constructor."""
 
 
 @dataclass(frozen=True)
 class Spec:
     """Allowed values of one parameter, and when it is allowed to change.
 
-    A live parameter can be changed at any time. A fixed one never changes while the process runs.
-    Any other parameter can be changed while the node is not active. If the node has no lifecycle,
-    it never changes. The help text lists only the names of parameters with a `group`, after the
-    name of the group.
+    A live parameter can be changed at any time. A fixed parameter never changes while the process
+    runs. All other parameters can be changed while the node is not active, or never if the node has
+    no lifecycle. The help text lists only the names of parameters with a `group`, after the name of
+    the group.
     """
 
     description: str
@@ -53,7 +54,7 @@ class Spec:
 
     @property
     def allowed(self) -> str:
-        """Description of the allowed values. It is empty if all values of the right type are
+        """Description of the allowed values. Empty if all values of the correct type are
         allowed."""
         if self.choices:
             return "one of " + ", ".join(self.choices)
@@ -87,15 +88,16 @@ def parameter(
 
 
 def declare(node: Node, kind: type[Options]) -> Options:
-    """Declare the fields of `kind` as parameters of `node` and return their values.
+    """Declare the fields of `kind` as parameters of `node`, and return the values of the
+    parameters.
 
     Parameters that must not change are declared read-only, so ROS refuses changes.
 
     Raises
     ------
     PlateError
-        If a value that is given at start has the wrong type or is out of range, or if the node does
-        not have the parameter. The message states the parameter, its value and the allowed values.
+        If a value given at start has the wrong type or is out of range, or if the node has no
+        parameter of this name. The message states the parameter, its value and the allowed values.
     """
     values, given = {}, node._parameter_overrides  # rclpy has no public name for the overrides
     for item in fields(kind):  # type: ignore[arg-type]  # mypy has no bound for "a dataclass"
@@ -113,10 +115,10 @@ def declare(node: Node, kind: type[Options]) -> Options:
 def _refuse_unknown(node: Node, known: Sequence[str], moved: Mapping[str, str]) -> None:
     """Refuse parameters that were given at start but are not declared.
 
-    They are spelling mistakes, or parameters of earlier versions. For parameters of earlier
-    versions, `moved` maps the name to the description of its replacement. A parameter that occurs
-    only in a wildcard section of a parameter file may be for other nodes, so only a warning is
-    logged.
+    Such a parameter is misspelled or belongs to an earlier version. For parameters of earlier
+    versions, `moved` maps the name to the description of the replacement. A parameter that occurs
+    only in a wildcard section of a parameter file may be for other nodes. In this case only a
+    warning is logged.
     """
     names = [
         name
@@ -192,11 +194,11 @@ def set_parameters(
     parameters: Sequence[Parameter],
     change: Callable[[list[Parameter]], SetParametersResult],
 ) -> SetParametersResult:
-    """Set parameters by `change`. Call it in `set_parameters_atomically`.
+    """Set parameters by the function `change`. Call `set_parameters` in the method
+    `set_parameters_atomically`.
 
-    If `change` refuses the parameters, those that already have the requested value are removed, and
-    `change` is called again with the others. An unknown parameter is refused with a message that
-    states its name.
+    If `change` refuses the parameters, it is called again without those that already have the
+    requested value. An unknown parameter is refused with a message that states its name.
     """
     new = []
     for item in parameters:
@@ -223,7 +225,7 @@ def follow(
     """Call `changed` with the new options each time a parameter is set.
 
     A change is refused if a value is not allowed, if `problem` returns a reason, or if `changed`
-    raises a `PlateError`. Returns the callback that is registered at the node.
+    raises a `PlateError`. Return the callback that is registered at the node.
     """
     current = [options]
     specs = {item.name: item for item in fields(options)}  # type: ignore[arg-type]

@@ -1,5 +1,5 @@
-"""The QoS profiles of all topics and services, and the reason for each. Publishers and subscribers
-of a topic use the same profile, so that they are compatible."""
+"""The QoS profiles of all topics and services, with reasons. Publishers and subscribers of a topic
+use the same profile, so that they are compatible."""
 
 from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPolicy
 
@@ -9,8 +9,8 @@ IMAGE = QoSProfile(
     reliability=ReliabilityPolicy.RELIABLE,
     durability=DurabilityPolicy.VOLATILE,
 )
-"""For images that this project publishes. Subscribers with any reliability can connect. Only the
-newest images are needed."""
+"""Profile for images that this project publishes. Subscribers with any reliability can connect.
+Only the newest images are needed."""
 
 CAMERA = QoSProfile(
     history=HistoryPolicy.KEEP_LAST,
@@ -18,7 +18,8 @@ CAMERA = QoSProfile(
     reliability=ReliabilityPolicy.BEST_EFFORT,
     durability=DurabilityPolicy.VOLATILE,
 )
-"""For subscriptions to images. They can connect to reliable and to best-effort camera drivers."""
+"""Profile for subscriptions to images. They can connect to reliable and to best-effort camera
+drivers."""
 
 DATA = QoSProfile(
     history=HistoryPolicy.KEEP_LAST,
@@ -26,8 +27,8 @@ DATA = QoSProfile(
     reliability=ReliabilityPolicy.RELIABLE,
     durability=DurabilityPolicy.VOLATILE,
 )
-"""For parts, forces, cycles and setpoints. All messages must arrive. Old messages are not
-needed."""
+"""Profile for parts, forces, cycles and setpoints. All messages must arrive. A late subscriber does
+not need old messages."""
 
 NEWEST = QoSProfile(
     history=HistoryPolicy.KEEP_LAST,
@@ -35,8 +36,8 @@ NEWEST = QoSProfile(
     reliability=ReliabilityPolicy.RELIABLE,
     durability=DurabilityPolicy.VOLATILE,
 )
-"""For messages that take long to process. A slow receiver skips all messages except the newest
-one."""
+"""Profile for messages whose processing takes long. A slow receiver processes only the newest
+message."""
 
 LATCHED = QoSProfile(
     history=HistoryPolicy.KEEP_LAST,
@@ -44,7 +45,7 @@ LATCHED = QoSProfile(
     reliability=ReliabilityPolicy.RELIABLE,
     durability=DurabilityPolicy.TRANSIENT_LOCAL,
 )
-"""For states that a late subscriber must still receive."""
+"""Profile for states that a late subscriber must also receive."""
 
 CALLS = QoSProfile(
     history=HistoryPolicy.KEEP_LAST,
@@ -52,9 +53,9 @@ CALLS = QoSProfile(
     reliability=ReliabilityPolicy.RELIABLE,
     durability=DurabilityPolicy.VOLATILE,
 )
-"""For services and their clients. With the default depth of 10 of ROS, 90 of 100 simultaneous stop
-requests get no reply. Clients need this depth too, because the replies to all clients pass through
-the queue of each client."""
+"""Profile for services and their clients. With ROS's default depth of 10, 90 of 100 simultaneous
+stop requests get no reply. Clients need the larger depth too, because the replies to all clients
+pass through the queue of each client."""
 
 TRANSFORMS = QoSProfile(
     history=HistoryPolicy.KEEP_LAST,
@@ -62,7 +63,7 @@ TRANSFORMS = QoSProfile(
     reliability=ReliabilityPolicy.RELIABLE,
     durability=DurabilityPolicy.VOLATILE,
 )
-"""For /tf, equal to the profile of tf2_ros. /tf_static uses `LATCHED`."""
+"""Profile for /tf, the same as in tf2_ros. /tf_static uses `LATCHED`."""
 
 RESULT_S = 60
 """Time for which an action server keeps a result for late requests [s]. A result needs 4 kB. The

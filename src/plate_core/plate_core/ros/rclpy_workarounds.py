@@ -1,6 +1,7 @@
 """Workarounds for limitations of rclpy. Only this module uses private names of rclpy.
 
-Each workaround names the issue at github.com/ros2/rclpy. Remove it when stock Jazzy has the fix.
+Each workaround names the issue at github.com/ros2/rclpy. Remove a workaround when stock Jazzy
+contains the fix.
 """
 
 from __future__ import annotations
@@ -31,8 +32,9 @@ def _frame_info(frame: FrameType) -> SimpleNamespace:
     return SimpleNamespace(filename=frame.f_code.co_filename)
 
 
-# The logger needs only the name of the caller's file, but also reads the source of this file. The
-# first log line of a program would therefore take 0.2 s of CPU time. No issue about this is known.
+# The logger needs only the name of the caller's file, but it also reads the source of this file.
+# Therefore the first log line of a program would take 0.2 s of CPU time. We know no issue about
+# this.
 rcutils_logger.inspect = SimpleNamespace(  # type: ignore[assignment]
     currentframe=inspect.currentframe, getframeinfo=_frame_info
 )
@@ -40,8 +42,8 @@ rcutils_logger.inspect = SimpleNamespace(  # type: ignore[assignment]
 
 class _Handles:
     """Replacement of `ExitStack` in rclpy's executors, which enter the handle of each entity in
-    each round. It reduces the CPU time of a round by a quarter. The open issue 1223 is about this
-    CPU time."""
+    each round. The replacement reduces the CPU time of a round by a quarter. The open issue 1223 is
+    about this CPU time."""
 
     def __init__(self) -> None:
         self._entered: list[Any] = []
@@ -82,7 +84,7 @@ def logged(transition: Transition) -> Transition:
         try:
             return transition(self, state)
         except Exception as error:
-            # Catch all exceptions, so that the error state always has a reason.
+            # All exceptions are caught, so that the error state always has a reason.
             self.failure = error
             wrong_input = isinstance(error, PlateError)
             if not self.starting:  # `start_nodes` raises this error, so do not log it twice
@@ -114,9 +116,9 @@ class RclpyLifecycleNode(LifecycleNode):
     def _LifecycleNodeMixin__on_change_state(self, request: Any, response: Any) -> Any:
         """Reply `success: false` to a request for a transition that the present state lacks.
 
-        In rclpy the error of the state machine ends the process (issue 1209, fixed in Rolling by
-        pull request 1319). This method is private, because rclpy has no public method that could be
-        overridden.
+        In rclpy, the error of the state machine ends the process (issue 1209, fixed in Rolling by
+        pull request 1319). This class overrides a private method, because rclpy has no public
+        method for this purpose.
         """
         try:
             # mypy does not know mangled names.
@@ -130,20 +132,19 @@ class RclpyLifecycleNode(LifecycleNode):
     def destroy_node(self) -> None:
         """Destroy the node with its state machine.
 
-        rclpy leaves this to the garbage collector, so the node stays in the graph until it is
-        collected. No issue about this is known. Issue 1710 reports the same defect of another
-        object.
+        rclpy leaves the destruction of the state machine to the garbage collector, so that the node
+        stays in the graph until then. XX Issue 1710 reports the same defect for another object.
         """
         self._state_machine.destroy_when_not_in_use()
         super().destroy_node()
 
 
 def end_executor(executor: MultiThreadedExecutor, timeout_s: float) -> None:
-    """Wait for the running callbacks, then shut down an executor within `timeout_s` [s]. Call it
-    only when no thread spins the executor any more.
+    """Wait for the running callbacks, then shut down an executor within `timeout_s` [s]. Call this
+    function only when no thread spins the executor any more.
 
-    The shutdown of rclpy destroys objects that these callbacks still use (issue 893, fixed in Jazzy
-    since 7.1.11 by pull request 1670; issue 1724, open, covers the remaining cases).
+    rclpy's own shutdown destroys objects that running callbacks still use (issue 893, fixed in
+    Jazzy since 7.1.11 by pull request 1670; issue 1724, open, covers the remaining cases).
     """
     executor._executor.shutdown()
     executor.shutdown(timeout_sec=timeout_s)
@@ -196,11 +197,11 @@ def deserialized(data: bytes, kind: type) -> Any:
     Raises
     ------
     PlateError
-        If the bytes are not a message of this kind. rclpy would drop such bytes without an error.
+        If the bytes are not a message of this kind. rclpy would ignore such bytes without an error.
     """
     try:
         return deserialize_message(data, kind)
-    except Exception:  # also catch errors of conversions
+    except Exception:  # conversions raise errors of different types
         raise PlateError(f"{kind.__name__}: {len(data)} bytes are not a valid message") from None
 
 
@@ -209,7 +210,7 @@ class UnlockedSubscription:
 
     rclpy holds the global interpreter lock while it takes a message (issue 1025, open). A message
     with a million points blocks all threads of the process for 0.1 s or more, including a thread
-    that must stop the motors. This class calls `rcl_take_serialized_message` through ctypes, which
+    that must stop the motors. This class calls `rcl_take_serialized_message` by ctypes, which
     releases the lock. No executor processes this subscription, so its owner must call `take`.
 
     Parameters
@@ -248,8 +249,8 @@ class UnlockedSubscription:
     def take(self) -> tuple[bytes, int, bytes] | None:
         """Return the serialized next message, its full length [bytes], and an id of the publisher.
 
-        Returns None if no message is available. Also returns None after `destroy`, because an
-        executor may still call a timer that has just been destroyed.
+        Return None if no message is available, or after `destroy`: an executor may still call a
+        timer of the owner that has just been destroyed.
         """
         if self._handle is None:
             return None

@@ -1,7 +1,7 @@
 """The `--help` text of a node.
 
-It contains the node's docstring (purpose, topics and services) and its parameters with defaults and
-ranges. This module also refuses wrong command lines and parameter files.
+The text contains the node's docstring (purpose, topics and services) and its parameters with
+defaults and ranges. This module also refuses wrong command lines and parameter files.
 """
 
 from __future__ import annotations
@@ -37,7 +37,7 @@ def answered(node: Any, options: type | None, args: Sequence[str] | None) -> boo
     check_parameter_files(args)
     try:
         words = remove_ros_args(sys.argv if args is None else ["", *args])[1:]
-    except RuntimeError:  # rclpy.init reports the wrong command line or parameter file
+    except RuntimeError:  # rclpy.init will report the error
         return False
     if {"-h", "--help"} & set(words):
         print(usage(command(sys.argv[0]), node, options))
@@ -57,8 +57,8 @@ def check_parameter_files(args: Sequence[str] | None) -> None:
 
 
 def command(path: str) -> str:
-    """Return the command that starts a program: `ros2 run` for an installed one, otherwise
-    `python`."""
+    """Return the command that starts a program: `ros2 run ...` for an installed program, otherwise
+    `python ...`."""
     program = Path(path)
     if program.parent.parent.name == "lib":
         return f"ros2 run {program.parent.name} {program.name}"

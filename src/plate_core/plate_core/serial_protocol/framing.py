@@ -9,8 +9,9 @@ from dataclasses import dataclass
 from ..errors import FrameError
 
 MAX_PACKET = 253
-"""Maximum size of a packet with its CRC [bytes]. COBS blocks of at most 254 bytes need one byte of
-overhead, so every frame consists of the packet, its CRC, this byte and the end byte."""
+"""Maximum size of a packet with its CRC [bytes]. COBS needs one byte of overhead for up to 254
+bytes. Therefore every frame consists of the packet, its CRC, the byte of overhead and the end
+byte."""
 
 CRC_BYTES = 4
 END = 0
@@ -18,8 +19,8 @@ END = 0
 
 
 def frame(packet: bytes) -> bytes:
-    """Return the frame of a packet: the COBS code of packet and CRC-32 (IEEE 802.3), then the end
-    byte.
+    """Return the frame of a packet: the COBS code of the packet and its CRC-32 (IEEE 802.3), then
+    the end byte.
 
     Raises
     ------
@@ -37,7 +38,7 @@ def frame(packet: bytes) -> bytes:
 
 
 def unframe(encoded: bytes) -> bytes:
-    """Return the packet in a frame that is given without its end byte.
+    """Return the packet in a frame. `encoded` is the frame without its end byte.
 
     Raises
     ------
@@ -72,7 +73,7 @@ class Reader:
     held : bytes
         Bytes of an incomplete frame.
     lost : bool
-        Whether the incomplete frame is too long. If so, it is skipped up to its end.
+        Whether the incomplete frame is too long. Such a frame is skipped up to its end.
     refused : int
         Number of damaged frames so far.
     """

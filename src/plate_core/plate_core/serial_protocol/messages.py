@@ -1,6 +1,6 @@
 """Messages between the driver (host) and the motor controller (device), and their encoding.
 
-docs/protocol.md specifies when each message is sent and why. `pack` encodes a message with its
+docs/protocol.md specifies when and why each message is sent. `pack` encodes a message with its
 sequence number, `parse` decodes and checks a message.
 """
 
@@ -29,7 +29,7 @@ KNOTS_PER_MESSAGE = 4
 
 MAX_PULSE_MS = 8
 """Maximum pulse length of the camera's trigger line [ms]. It is shorter than the shortest table, so
-the line is low again before the next pulse."""
+that the line is low again before the next pulse."""
 
 HEADER = struct.Struct("<BH")
 
@@ -62,8 +62,8 @@ class Status(IntEnum):
 
 
 class Fault(IntFlag):
-    """Reasons why the device does not play. All except NO_HOME persist until a person enables the
-    motors."""
+    """Reasons why the device does not play. All reasons except NO_HOME persist until a person
+    enables the motors."""
 
     NONE = 0
     HOST_SILENT = 1
@@ -102,14 +102,15 @@ class Trouble(IntEnum):
 
 
 def _wire(code: str, count: int = 1, kind: Any = None) -> dict[str, Any]:
-    """Return the metadata of a field: `count` values with the format character `code` of `struct`.
-    `kind` is an enum or a tuple of the allowed values. None allows all values."""
+    """Return the metadata of a field that has `count` values. `code` is the format character of
+    `struct`. `kind` is an enum or a tuple of the allowed values. None allows all values."""
     return {"code": code, "count": count, "kind": kind}
 
 
 @dataclass(frozen=True)
 class Knot:
-    """Time [TICK_S], and travel [m], speed [m/s], acceleration [m/s2] of the four motors."""
+    """Knot of a table: its time [TICK_S], and the travel [m], speed [m/s] and acceleration [m/s2]
+    of the four motors."""
 
     ticks: int = field(metadata=_wire("I"))
     position: tuple[float, ...] = field(metadata=_wire("f", MOTORS))
@@ -134,8 +135,8 @@ class Heartbeat:
 
 @dataclass(frozen=True)
 class Enable:
-    """Host: a person has checked the rig and clears this stop. The device finds home if necessary
-    and holds the plate there.
+    """Host: a person has checked the rig and ends the stop with the number `stop`. The device finds
+    home if necessary, and holds the plate at home.
 
     `stop` is the number of the stop in the telemetry. An Enable with another number is refused.
     """
@@ -145,7 +146,8 @@ class Enable:
 
 @dataclass(frozen=True)
 class Stop:
-    """Host: brake along the path and go home. If `now` is 1, switch the current off immediately."""
+    """Host: brake along the path and go home. If `now` is 1, switch the current off immediately
+    instead."""
 
     now: int = field(metadata=_wire("B", kind=(0, 1)))
 
@@ -167,7 +169,7 @@ class Trigger:
 @dataclass(frozen=True)
 class Begin:
     """Host: announce a table with its number of knots and their CRC-32. At the knot with the time
-    `splice_ticks` [TICK_S], the next table starts if there is one, otherwise the tail. If
+    `splice_ticks` [TICK_S], the next table starts. If there is no next table, the tail starts. If
     `splice_ticks` is 0, the table has no tail."""
 
     table: int = field(metadata=_wire("H"))
@@ -187,7 +189,8 @@ class Knots:
 
 @dataclass(frozen=True)
 class Commit:
-    """Host: start the table at the next boundary, play it `repeats` times, then rest.
+    """Host: start the table at the next end of a table or splice, play it `repeats` times, then
+    rest.
 
     A table with a tail, or one that starts in motion, is played once.
     """
@@ -226,7 +229,8 @@ class Acknowledgement:
 
 @dataclass(frozen=True)
 class Pulse:
-    """Device: the heartbeat's host time [ns], and the device's clock at its arrival [us]."""
+    """Device: reply to a Heartbeat with the host time in it [ns], and the device time at its
+    arrival [us]."""
 
     host_ns: int = field(metadata=_wire("Q"))
     device_us: int = field(metadata=_wire("Q"))
@@ -264,7 +268,7 @@ class DriveTrouble:
 
     @property
     def words(self) -> str:
-        """Description of the fault for the user."""
+        """Description of the fault, for the user."""
         whose = f"motor_{self.motor}" if self.motor else "bus"
         errors = [name for bit, name in ODRIVE_ERRORS.items() if self.code >> bit & 1]
         return f"{whose}: " + WORDS[self.kind].format(
@@ -275,7 +279,7 @@ class DriveTrouble:
 
 
 def abort_words(code: int) -> str:
-    """Return the code and the meaning of the SDO abort by which a node refuses an object."""
+    """Return the code and the meaning of an SDO abort, by which a node refuses an object."""
     return f"abort {code:08X}h, {ABORTS.get(code, 'see its manual')}"
 
 
@@ -299,16 +303,16 @@ EMERGENCIES = {
     "3": "voltage", "4": "temperature", "5": "hardware", "6": "software", "7": "sensor",
     "FF": "manufacturer specific, see its manual",
 }  # fmt: skip
-"""Meanings of emergencies by the first digits of the code. The first entry that matches is used.
-`ABORTS` has the meanings of SDO aborts."""
+"""Meanings of emergencies, by the first digits of the code. The first entry that matches is
+used."""
 
 ALLOWED = {
     0: "2, CANSimple of firmware 0.6", 0x1000: "...0192h, CiA 402",
     0x1018: "the serial of the rig file", 0x6061: "8, cyclic synchronous position",
     0x6502: "with bit 7, cyclic synchronous position",
 }  # fmt: skip
-"""Required values of the objects that are read during set-up. 0 is the protocol version of an
-ODrive."""
+"""Required values of the objects that are read during set-up. The key 0 is the protocol version of
+an ODrive."""
 
 
 WORDS = {

@@ -40,11 +40,11 @@ def spline_points(point: np.ndarray, closed: bool) -> np.ndarray:
     """Return the corners (n, 2) [m] of a polygon on the cubic spline through the points (k, 2) [m].
 
     The parameter of the spline is the cumulative chord length. A closed spline is periodic, so it
-    is smooth at the first point, and the result does not repeat this point. An open spline is
-    natural: its second derivative is zero at both ends.
+    is smooth at the first point, which the result does not repeat. An open spline is natural: its
+    second derivative is zero at both ends.
     """
     knot = np.vstack([point, point[:1]]) if closed else np.asarray(point, dtype=float)
-    # This import is not at the top of the file, because the stop command must not wait for it.
+    # This import is here, because the stop command must not wait for it.
     from scipy.interpolate import CubicSpline
 
     length = np.hypot(*np.diff(knot, axis=0).T)
@@ -53,8 +53,8 @@ def spline_points(point: np.ndarray, closed: bool) -> np.ndarray:
     pieces = []
     for begin, step in zip(place[:-1], length, strict=True):
         trial = begin + step * np.linspace(0, 1, FEWEST_CHORDS)
-        # The second derivative approximates the curvature, because the first one has a length near
-        # 1.
+        # The second derivative approximates the curvature, because the first derivative has a
+        # length near 1.
         bend = np.max(np.hypot(*spline(trial, 2).T))
         pieces.append(begin + step * np.linspace(0, 1, _chords(1 / max(bend, 1e-9), step), False))
     ends = place[:0] if closed else place[-1:]
@@ -62,6 +62,7 @@ def spline_points(point: np.ndarray, closed: bool) -> np.ndarray:
 
 
 def _chords(radius: float, length: float) -> int:
-    """Return the number of chords for an arc. A chord is at most sqrt(8 radius sagitta) long."""
+    """Return the number of chords for an arc with this radius and length [m]. A chord is at most
+    sqrt(8 radius `SAGITTA_M`) long."""
     count = length / np.sqrt(8 * radius * SAGITTA_M)
     return int(np.clip(np.ceil(count), FEWEST_CHORDS, MAX_CHORDS))

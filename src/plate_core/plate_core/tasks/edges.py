@@ -21,7 +21,7 @@ ROUNDING_M = 1e-9
 """Tolerance for the rounding of lengths in decimal notation [m]."""
 
 Place = tuple[str, str, Point]
-"""Key, class and point of a position in a scenario file."""
+"""A position in a scenario file: its key, the class of the part, and its point."""
 
 
 def goal_places(scenario: Scenario) -> list[Place]:
@@ -50,8 +50,8 @@ def goal_places(scenario: Scenario) -> list[Place]:
 
 
 def edge_problem(label: str, point: Point, rig: Rig) -> str:
-    """Return the reason why parts of a class cannot be moved to a point [m, plate_home]. The result
-    is empty if they can."""
+    """Return the reason why parts of a class cannot be moved to a point [m, plate_home]. Return ""
+    if they can."""
     least = rig.edge_margin(label).least_m
     limit, (x, y) = rig.plate.half - least, point
     # This condition is false for NaN.

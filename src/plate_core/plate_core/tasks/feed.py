@@ -1,5 +1,5 @@
-"""The feed task: reading and checking of its keys, and the rule that decides which parts a robot
-is allowed to grip.
+"""The feed task: reading and checks of its keys, and the rule that decides which parts a robot is
+allowed to grip.
 
 A part is ready if it is of the right class, in the pick window, at the requested angle, and far
 enough from all other parts (`ready_parts`).
@@ -35,7 +35,7 @@ FULL = ((-math.inf, -math.inf), (math.inf, math.inf))
 
 
 def read_feed(fields: Fields, parts: Sequence[PartGroup]) -> FeedTask:
-    """Read the keys of a feed task. Raises the same errors as `load_scenario`."""
+    """Read the keys of a feed task. The errors are the same as in `load_scenario`."""
     labels = tuple(group.label for group in parts)
     picks = tuple(_pick(child, labels) for child in fields.children("picks"))
     if not picks or len({pick.label for pick in picks}) < len(picks):
@@ -138,18 +138,19 @@ def check_feed(task: FeedTask, where: str, rig: Rig) -> None:
 
 
 def _space_problem(pick: Pick, clearance_m: float, rig: Rig) -> str:
-    """Return the reason why the window is too small for `pick.ready` parts. The result is empty if
-    it may be large enough.
+    """Return the reason why the window is too small for `pick.ready` parts. Return "" if it may be
+    large enough.
 
     The estimate gives each part a disc: the largest disc about its centre inside its outline,
-    enlarged by half the clearance. These discs do not overlap, and they are inside the window
-    enlarged by their radius.
+    enlarged by half the clearance. These discs do not overlap. They are inside the window, enlarged
+    by their radius.
     """
     from shapely import Point, Polygon
 
     (low, high), centre = pick_window(pick, rig), Point(0, 0)
     outline = Polygon(rig.part_type(pick.label).polygon)
-    if not outline.contains(centre):  # the centre may be outside, for example in an L-shaped part
+    # The centre may be outside the outline, for example of an L-shaped part.
+    if not outline.contains(centre):
         return ""
     free = clearance_m / 2 + outline.exterior.distance(centre)
     most = int(np.prod(high - low + 2 * free) / (np.pi * free**2))
@@ -166,8 +167,7 @@ def _space_problem(pick: Pick, clearance_m: float, rig: Rig) -> str:
 
 
 def pick_problem(pick: Pick, rig: Rig) -> str:
-    """Return the reason why a pick is impossible on this rig. The result is empty if it is
-    possible."""
+    """Return the reason why a pick is impossible on this rig. Return "" if it is possible."""
     low, high = pick_window(pick, rig)
     limit = rig.plate.half - rig.part_type(pick.label).reach_m
     if not (np.all(low <= high) and np.all(low >= -limit - 1e-9) and np.all(high <= limit + 1e-9)):
@@ -201,8 +201,8 @@ def pick_window(pick: Pick, rig: Rig) -> tuple[np.ndarray, np.ndarray]:
 
 
 def to_turn(parts: Parts, angle: float, symmetry: int) -> np.ndarray:
-    """Return the smallest rotation (M,) that brings parts to an angle [rad], given their order of
-    rotational symmetry."""
+    """Return the smallest rotation (M,) [rad] that brings parts to an angle [rad]. `symmetry` is
+    their order of rotational symmetry."""
     period = 2 * np.pi / max(symmetry, 1)
     return np.asarray((angle - parts.angle + period / 2) % period - period / 2)
 
@@ -222,7 +222,7 @@ def ready_parts(
         Minimum distance between the edges of a part and of any other part [m].
     rig : Rig
     gap : (M,) or None
-        Result of `free_gap` for these parts. None: compute it.
+        Result of `free_gap` for these parts. If None, it is computed.
     """
     gap = free_gap(parts, rig) if gap is None else gap
     return np.asarray(as_picked(parts, pick, rig) & (gap >= clearance_m))
@@ -241,7 +241,7 @@ def as_picked(parts: Parts, pick: Pick, rig: Rig) -> np.ndarray:
 
 def free_gap(parts: Parts, rig: Rig) -> np.ndarray:
     """Return the distance (M,) [m] between the edge of each part and the nearest edge of another
-    part. At most 0 if they overlap, infinite if there is no other part."""
+    part. It is at most 0 if parts overlap, and infinite if there is no other part."""
     types = [rig.part_type(part_class(name)) for name in parts.ids]
     count, reach = len(parts), np.array([kind.reach_m for kind in types])
     if count < 2:
@@ -252,12 +252,12 @@ def free_gap(parts: Parts, rig: Rig) -> np.ndarray:
     np.fill_diagonal(gap, np.inf)
     if all(kind.radius_m for kind in types):
         return np.asarray(gap.min(axis=1))
-    # This import is not at the top of the file, because the stop command must not wait for it.
+    # This import is here, because the stop command must not wait for it.
     from shapely import distance
 
     shapes = map(PartType.placed, types, parts.position, parts.angle)
     shape, radius = np.array(list(shapes)), np.array([kind.radius_m for kind in types])
-    # An upper bound of the distance to the nearest part excludes most of the others.
+    # An upper bound of the distance to the nearest part excludes most other parts.
     upper = np.min(apart + reach[:, None] + reach + np.diag(np.full(count, np.inf)), axis=1)
     i, j = np.nonzero(gap < upper[:, None])
     gap[i, j] = distance(shape[i], shape[j]) - radius[i] - radius[j]

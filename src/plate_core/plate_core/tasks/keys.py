@@ -27,10 +27,10 @@ KINDS = ("sort", "follow", "assemble", "pose", "move", "feed")
 """Kinds of task."""
 
 CLASSES = ("black", "grey")
-"""Default classes of parts that detector and simulator can distinguish."""
+"""Classes of parts on rigs without part types. Detector and simulator distinguish these classes."""
 
 CURVES = ("waypoints_m", "circle", "spline_m")
-"""Alternative keys that define the curve of a path."""
+"""Keys that define the curve of a path. A path has exactly one of them."""
 
 OR_ANOTHER = "or another curve"
 

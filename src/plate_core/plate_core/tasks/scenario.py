@@ -1,4 +1,4 @@
-"""Reading of scenario files, check of a scenario against a rig, and placement of its parts.
+"""Reading of scenario files, checks of a scenario against a rig, and placement of its parts.
 
 `load_scenario` returns a `Scenario`. `check_scenario` refuses a scenario that is impossible on a
 rig, such as one with targets beyond the edges. `start_positions` returns the given start positions,
@@ -45,8 +45,8 @@ from .tasks import (
 )
 
 SCATTER_GAPS = (5.0, 4.0, 3.0, 2.5)
-"""Candidate minimum distances between random start positions [mean radii of two parts]. The first
-one with which all parts can be placed is used."""
+"""Candidates of the minimum distance between random start positions, in units of the mean radius of
+two parts. The first candidate with which all parts can be placed is used."""
 
 SCATTER_FRACTION = (0.85, 0.80)
 """Limits of random start positions, as fractions of the plate's half sides (x, y)."""
@@ -55,11 +55,11 @@ SCATTER_CLEAR = 1.5
 """Minimum distance of random start positions from the edges [part radii]."""
 
 SCATTER_TRIES, SCATTER_STARTS = 80, 20
-"""Maximum number of attempts for each minimum distance: to place one part, and to place all
-parts."""
+"""Maximum number of attempts to place one part, and to place all parts, for each minimum
+distance."""
 
 APART_M = 1e-6
-"""Distance below which two points count as equal [m]."""
+"""Two points at a shorter distance count as equal [m]."""
 
 SHARED_M2 = 1e-6
 """Maximum overlap of two regions [m2]. It tolerates the rounding of decimal numbers."""
@@ -107,8 +107,8 @@ def load_scenario(name_or_path: str | Path) -> Scenario:
 
 
 def read_scenario(fields: Fields, name: str, folder: Path = Path()) -> Scenario:
-    """Return the scenario of a file in `folder`, or of an action's goal. Raises the same errors as
-    `load_scenario`."""
+    """Return the scenario of a file in `folder`, or of an action's goal. The errors are the same as
+    in `load_scenario`."""
     parts = tuple(_group(child) for child in fields.children("parts"))
     if not parts:
         raise fields.fail("parts", "at least one group of parts")
@@ -145,8 +145,7 @@ def read_scenario(fields: Fields, name: str, folder: Path = Path()) -> Scenario:
 
 
 def _rig(fields: Fields, folder: Path) -> str:
-    """Return the rig in the form that `load_rig` accepts. The result is empty if no rig is
-    given."""
+    """Return the rig in the form that `load_rig` accepts. Return "" if no rig is given."""
     text = fields.value(keys.FILE["rig"])
     if text.endswith((".yaml", ".yml")):
         return str(folder / text)
@@ -265,8 +264,8 @@ def _points(fields: Fields, key: str) -> tuple[bool, np.ndarray]:
 
 
 def _profile(fields: Fields) -> tuple[tuple[float, float], ...]:
-    """Return pairs of a fraction of a lap and the speed there [m/s]. A single pair means a constant
-    speed."""
+    """Return the speed profile: pairs of a fraction of a lap and the speed at this fraction [m/s].
+    A single pair means a constant speed."""
     if not fields.holds_list("speed_mps"):
         return ((0.0, fields.value(keys.PATH["speed_mps"])),)
     profile = fields.array("speed_mps", (None, 2), 0, keys.FASTEST_MPS)
@@ -368,7 +367,7 @@ def check_scenario(scenario: Scenario, rig: Rig) -> None:
         the impossible value and the allowed values.
     """
     task = scenario.task
-    # If the rig has types, the detector recognises only these.
+    # If the rig has types, the detector recognises only these types.
     known = tuple(rig.types) or keys.CLASSES
     for group in scenario.parts:
         if group.label not in known:
@@ -414,7 +413,7 @@ def check_scenario(scenario: Scenario, rig: Rig) -> None:
             if isinstance(region, Bin)
             for point in region.corner
         ]
-        # Corners of bins may be on the plate's edge, so no margin is needed.
+        # Corners of bins may be on the plate's edge, so no margin is required for them.
         edge = dict.fromkeys(reach, 0.0)
         _check_on_plate(scenario, corners, rig.plate.half, edge)
         _check_bins(scenario, task, rig)
@@ -423,8 +422,7 @@ def check_scenario(scenario: Scenario, rig: Rig) -> None:
 
 
 def target_problem(target: PartTarget, scenario: Scenario, rig: Rig) -> str:
-    """Return the reason why a target of a part is impossible. The result is empty if it is
-    possible."""
+    """Return the reason why a target of a part is impossible. Return "" if it is possible."""
     label = part_class(target.id)
     if label not in scenario.labels:
         known = ", ".join(sorted(set(scenario.labels)))
@@ -475,9 +473,9 @@ def _check_apart(
 
 
 def _check_bins(scenario: Scenario, task: SortTask, rig: Rig) -> None:
-    """Raise an error if every point of a bin is so near to the plate's edges that parts there are
-    lost."""
-    # This import is not at the top of the file, because the stop command must not wait for it.
+    """Raise an error if every point of a bin is so near to the plate's edges that parts at these
+    points are lost."""
+    # This import is here, because the stop command must not wait for it.
     from shapely import Polygon, box
 
     for label, region in task.regions.items():
@@ -493,7 +491,8 @@ def _check_bins(scenario: Scenario, task: SortTask, rig: Rig) -> None:
 def _check_regions(scenario: Scenario, task: SortTask, half: np.ndarray) -> None:
     """Raise an error if a side or corner overlaps the region of another class.
 
-    Two bins are not compared here: the planner refuses them if places of their parts overlap.
+    Two bins are not compared with each other, because the planner refuses bins if places of their
+    parts overlap.
     """
     from shapely import Polygon
 
@@ -534,7 +533,8 @@ def _region_text(task: SortTask, label: str, half: np.ndarray) -> str:
 def start_positions(
     scenario: Scenario, rig: Rig, rng: np.random.Generator
 ) -> tuple[tuple[str, ...], np.ndarray]:
-    """Return the start positions of all parts. Parts without a given position get random ones.
+    """Return the start positions of all parts. Parts without a given position get a random
+    position.
 
     The minimum distance between a random position and all other parts is the first of
     `SCATTER_GAPS` with which all parts can be placed. `SCATTER_FRACTION` and `SCATTER_CLEAR` limit

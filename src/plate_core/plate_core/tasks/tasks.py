@@ -1,6 +1,5 @@
-"""Data classes of a scenario: groups of parts, the kinds of task, and the scenario itself. They
-contain only data. `scenario` and `feed` read and check them, and the planner implements the
-tasks."""
+"""Data classes of a scenario: groups of parts, the kinds of task, and the scenario itself. The
+modules `scenario` and `feed` read and check the data, and the planner implements the tasks."""
 
 from __future__ import annotations
 
@@ -23,7 +22,7 @@ class PartGroup:
     count : int
         Number of parts.
     position : tuple of (x, y), or None
-        Start positions [m, plate_home], one for each part. None: random positions.
+        Start positions [m, plate_home], one for each part. None means random positions.
     """
 
     label: str
@@ -82,16 +81,16 @@ class PathTask:
     label : str
         Class of the part.
     waypoint : tuple of (x, y)
-        Corners [m, plate_home]. The path starts at the first one.
+        Corners [m, plate_home]. The path starts at the first corner.
     speed : float
         Maximum speed along the path [m/s].
     closed : bool
-        Whether the last corner leads back to the first.
+        Whether the last corner is connected to the first corner.
     laps : float
         Number of laps of a closed path. 1 for an open path.
     profile : tuple of (fraction, speed)
         Speed [m/s] at fractions of a lap's length from 0 to 1, interpolated linearly over the
-        length. Empty: constant `speed`.
+        length. If empty, the speed is constant.
     """
 
     label: str
@@ -142,8 +141,8 @@ class Pose:
     label : str
         Class of the part.
     place : (x, y), or None
-        Position [m, plate_home]. None: the part stays in place, or can end anywhere if
-        `PoseTask.anywhere` is true.
+        Position [m, plate_home]. If None, the part stays in place, or can end anywhere if
+        `PoseTask.anywhere` is True.
     angle : float
         Angle of the part's mark, counter-clockwise from x [rad]. If the part has rotational
         symmetry, all equivalent angles are accepted.
@@ -161,10 +160,10 @@ class PoseTask:
     Attributes
     ----------
     poses : tuple of Pose
-        One for each part.
+        One pose for each part.
     tolerance_m : float
-        Maximum distance between a part's centre and its position [m]. A part that must stay in
-        place must never exceed it.
+        Maximum distance between a part's centre and its position [m]. The task fails if a part that
+        must stay in place exceeds this distance.
     tolerance_rad : float
         Maximum error of a part's angle [rad].
     hold_s : float
@@ -191,7 +190,7 @@ class PartTarget:
     place : (x, y)
         Target position [m, plate_home].
     angle : float or None
-        Target angle, counter-clockwise from x [rad], as in `Pose`. None: any angle.
+        Target angle, counter-clockwise from x [rad], as in `Pose`. None accepts any angle.
     """
 
     id: str
@@ -215,7 +214,7 @@ class MoveTask:
     hold_s : float
         The task succeeds when all parts have been within the tolerances for this time [s].
     until_canceled : bool
-        Whether the task runs until it is canceled. It then never succeeds and never counts as
+        Whether the task runs until it is canceled. Such a task never succeeds and never counts as
         stuck.
     """
 
@@ -239,7 +238,7 @@ class Pick:
     low, high : (x, y)
         Lower and upper corner of the pick window for the parts' centres [m, plate_home].
     angle : float or None
-        Required angle, counter-clockwise from x [rad]. None: any angle.
+        Required angle, counter-clockwise from x [rad]. None accepts any angle.
     tolerance_rad : float
         Maximum error of the angle [rad].
     """
@@ -266,7 +265,7 @@ class Hopper:
     rate : float
         Number of dropped parts per second while the hopper is open [1/s].
     place : (x, y)
-        Centre of the area where parts drop [m, plate_home].
+        Centre of the area in which parts drop [m, plate_home].
     spread_m : float
         Radius of this area, which is a disc [m].
     mix : mapping of str to float
@@ -300,7 +299,7 @@ class FeedOrder:
     ----------
     mode : FeedMode
     picks : tuple of Pick
-        Picks that replace the picks of the task. Empty: use the picks of the task.
+        Picks that replace the picks of the task. If empty, the picks of the task are used.
     hidden : bool
         Whether a robot can hide parts from the camera while the plate rests. Hidden parts are
         assumed at their last detected positions.
@@ -323,9 +322,9 @@ class FeedTask:
         Minimum distance between the edges of a ready part and of any other part [m], required by
         the gripper.
     chute : Side or None
-        Side over which unwanted parts leave the plate. None: they stay on the plate.
+        Side over which unwanted parts leave the plate. If None, they stay on the plate.
     hopper : Hopper or None
-        None: parts are added to the plate by other means.
+        Hopper that adds parts. None if parts are added by other means.
     timeout_s : float
         Maximum wait for a part [s].
     valid_s : float
@@ -348,12 +347,21 @@ Task = SortTask | FollowTask | AssembleTask | PoseTask | MoveTask | FeedTask
 
 @dataclass(frozen=True)
 class Scenario:
-    """A task with its parts and its time limit [s], infinite if there is no limit.
+    """A task with its parts and its time limit.
 
-    If `marked` is true, the parts have a mark that shows their angle, and they start at random
-    angles. `rig` is the rig for which the scenario is made, as an argument of `load_rig`. It is
-    empty if the scenario is for any rig. `file` is the name of the scenario's file. It is empty if
-    the scenario was not read from a file.
+    Attributes
+    ----------
+    name, description : str
+    parts : tuple of PartGroup
+    task : Task
+    time_limit_s : float
+        Maximum duration of the task [s]. Infinite if there is no limit.
+    marked : bool
+        Whether the parts have a mark that shows their angle. Marked parts start at random angles.
+    rig : str
+        Rig for which the scenario is made, as an argument of `load_rig`. Empty for any rig.
+    file : str
+        Name of the scenario's file. Empty if the scenario was not read from a file.
     """
 
     name: str
@@ -367,7 +375,7 @@ class Scenario:
 
     @property
     def where(self) -> str:
-        """Beginning of every message about the scenario."""
+        """Text at the start of every message about the scenario."""
         return self.file or f"scenario {self.name}"
 
     @property

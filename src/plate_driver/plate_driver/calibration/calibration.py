@@ -29,35 +29,35 @@ from .response import (
 
 PERIOD_S = 1.033
 """Period of the motions [s]. The harmonics are 1 Hz apart, which is less than the width of a
-resonance. The period is not a multiple of the sample interval of 10 ms. Samples of several cycles
-therefore have different phases and resolve more than 50 harmonics."""
+resonance. The period is not a multiple of the sample interval of 10 ms. Therefore samples of
+several cycles have different phases, and together they resolve more than 50 harmonics."""
 
 COUNT = 150
-"""Number of harmonics, up to 145 Hz. This frequency is far above the frequencies of motions, so
-that corrected motions can begin and end at rest."""
+"""Number of harmonics. The highest harmonic has 145 Hz, far more than the frequencies in motions,
+so that corrected motions can begin and end at rest."""
 
 ACCEL = 10.0
 """Root mean square of the commanded acceleration [m/s2]. A resonance with 3 % damping increases the
 plate's acceleration to about 20 m/s2."""
 
 SETTLE = 2
-"""Number of cycles until the motion is periodic."""
+"""Number of cycles that are played first, until the motion is periodic."""
 
 MEASURE = 6
 """Number of cycles that are measured after the motion has become periodic."""
 
 SLOWEST = 4
-"""Number of harmonics that determine the start of a cycle, up to 3.9 Hz."""
+"""Number of harmonics, up to 3.9 Hz, that determine the start of a cycle."""
 
 FOLLOWED = 0.2
-"""Minimum ratio of the plate's slow motion to the commanded one. If the ratio is smaller, motors
-are off or wired wrongly."""
+"""Minimum ratio of the plate's slow motion to the commanded slow motion. If the ratio is smaller,
+motors are off or wired wrongly."""
 
 RESPONSE_BYTES = 32_768
 """Upper estimate of the size of a response file [bytes]."""
 
 MAX_BYTES = 1_000_000
-"""Maximum size of a response file that is read [bytes]. It also suffices for files with many more
+"""Maximum size of a response file that is read [bytes]. It is sufficient for files with many more
 harmonics."""
 
 AXES = ("x", "y", "theta")
@@ -128,7 +128,7 @@ class Calibration:
         q, qdd : (n, 4)
             Travel [m] and acceleration [m/s2] measured by the motors' sensors.
         played : PlateCycle, optional
-            Commanded cycle, if it was scaled down to the rig's limits. Default: `cycle`.
+            Commanded cycle, if `cycle` was scaled down to the rig's limits. Default: `cycle`.
 
         Raises
         ------
@@ -177,8 +177,8 @@ class Experiment:
         return self.calibration.cycle
 
     def with_sample(self, new: Measured) -> Experiment:
-        """Return the experiment with one more sample. If another table or no table plays, it
-        restarts."""
+        """Return the experiment with one more sample. If another table or no table plays, the
+        experiment restarts."""
         sample = new.device_s, new.position, new.acceleration
         if new.table == 0 or new.table != self.table:
             return replace(self, table=new.table, samples=())
@@ -192,7 +192,7 @@ class Experiment:
         return self.samples[-1][0] - self.samples[0][0] >= self.calibration.duration
 
     def finished(self) -> Calibration:
-        """Return the calibration after this experiment.
+        """Return the calibration with the result of this experiment.
 
         Raises
         ------
@@ -208,11 +208,11 @@ class Experiment:
 
 
 def aligned(rig: Rig, cycle: PlateCycle, t: np.ndarray, q: np.ndarray) -> np.ndarray:
-    """Convert times (n,) with another origin to times since the start of a calibration cycle [s].
+    """Convert times (n,) [s] with any origin to times since the start of a calibration cycle [s].
 
     The plate follows the slowest harmonics almost without delay, so their phase gives the start of
-    the cycle. The delay of the motors (0.8 ms at 200 Hz) is part of this estimate. Corrected
-    motions are therefore late by this delay, but their shape does not change.
+    the cycle. The delay of the motors (0.8 ms at 200 Hz) is part of this estimate. Therefore
+    corrected motions are late by this delay, but their shape does not change.
 
     Raises
     ------
@@ -243,7 +243,7 @@ def check_writable(path: str | Path) -> None:
     Raises
     ------
     PlateError
-        If it cannot be written.
+        If the file cannot be written.
     """
     with draft(path, "calibration_file", keeps=False) as file:
         file.write(bytes(RESPONSE_BYTES))

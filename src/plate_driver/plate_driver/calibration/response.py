@@ -21,28 +21,28 @@ from plate_core import PlateCycle, PlateError, Rig
 from plate_core.motion import motor_state, plate_state
 
 SAMPLES = 512
-"""Minimum number of samples per cycle, far more than twice the number of harmonics."""
+"""Minimum number of samples per cycle. It is far more than twice the number of harmonics."""
 
 KNOTS_PER_WAVE = 3
-"""Number of knots per wave of the highest harmonic. The spline error is 2e-3 of this harmonic, and
-the tables are small enough for the devices."""
+"""Number of knots per period of the highest harmonic. The error of the spline is 2e-3 of this
+harmonic, and the tables are small enough for the devices."""
 
 STRESS = 30.0
-"""Additional weight of a change at the strongest harmonic of a motion, relative to the weight of a
-change at a harmonic that the motion does not contain."""
+"""Additional weight of a change at the strongest harmonic of a motion. A change at a harmonic that
+the motion does not contain has the weight 1."""
 
 WEAKEST = 0.02
 """Minimum gain (singular value) of the frequency response H from which the inverse of H is
-computed. It limits the command at frequencies at which the plate hardly follows."""
+computed. This minimum limits the command at frequencies at which the plate hardly follows."""
 
 SLOW_HZ = 5.0
-"""Frequency below which accelerations are computed from positions [Hz], because positions are more
-accurate there than accelerometers. The excitation is also limited below this frequency, because the
-stroke is short."""
+"""Frequency below which accelerations are computed from positions [Hz], because at such frequencies
+positions are more accurate than accelerometers. Below this frequency, the excitation is also
+weaker, because the stroke is short."""
 
 FAINT = 1e-3
-"""Minimum strength of a harmonic of a command, relative to the strongest harmonic. Weaker harmonics
-are not used."""
+"""Minimum strength of a harmonic of a command, as a fraction of the strongest harmonic. Weaker
+harmonics are not used."""
 
 
 @dataclass(frozen=True)
@@ -54,8 +54,8 @@ class Response:
     frequency : (n,)
         At least four increasing frequencies [Hz].
     matrix : (n, 3, 3)
-        Complex ratio of measured to commanded acceleration. Theta is multiplied by `lever`, so that
-        all components are lengths.
+        Complex ratios of measured to commanded acceleration. Theta is multiplied by `lever`, so
+        that all components of an acceleration have the same unit.
     lever : float
         Half the diagonal of the plate [m].
 
@@ -90,7 +90,7 @@ class Response:
 
     @cached_property
     def inverse(self) -> np.ndarray:
-        """H^-1 (n, 3, 3), with singular values of at most 1/`WEAKEST`."""
+        """The inverse H^-1 (n, 3, 3), with singular values of at most 1/`WEAKEST`."""
         u, gain, v = np.linalg.svd(self.matrix)
         gain = np.maximum(gain, WEAKEST)
         return np.asarray(np.conj(v.swapaxes(1, 2)) @ (np.conj(u.swapaxes(1, 2)) / gain[..., None]))
@@ -102,7 +102,7 @@ class Response:
     def _at(self, matrices: np.ndarray, frequency: np.ndarray) -> np.ndarray:
         """Interpolate matrices in frequency by a cubic spline. At frequency 0, the spline has the
         real part of the first matrix."""
-        # This import is not at the top, because it would double the start time of the driver.
+        # This import is here, because at the top it would double the start time of the driver.
         from scipy.interpolate import CubicSpline
 
         below = np.concatenate([matrices[:1].real.astype(complex), matrices])
@@ -112,8 +112,8 @@ class Response:
         """Return the command for which the plate performs the motion of a cycle.
 
         Only harmonics up to the highest known frequency are corrected. The command begins and ends
-        at rest at home. For this purpose, the correction is changed as little as possible, mainly
-        at frequencies at which the plate responds weakly.
+        at rest at home. For this, the correction is changed as little as possible, mainly at
+        frequencies at which the plate responds weakly.
         """
         count = int(self.frequency[-1] * cycle.period * (1 + 1e-9))
         if count == 0 or not np.any(cycle.knot_pose):
@@ -153,7 +153,7 @@ class Response:
         commanded, measured : (n, 3)
             Amplitudes at `frequency`.
         trust : float
-            Fraction of the difference that is applied. Less than 1 for noisy sensors.
+            Fraction of the correction that is applied. It should be less than 1 for noisy sensors.
         """
         requested, got = commanded * self._scale, measured * self._scale
         power = np.sum(np.abs(requested) ** 2, axis=1)
@@ -198,7 +198,7 @@ def harmonics(cycle: PlateCycle, count: int) -> np.ndarray:
 
 
 def pose_harmonics(cycle: PlateCycle, count: int) -> np.ndarray:
-    """Return amplitudes (count + 1, 3) of a cycle's pose. The first one is the mean pose."""
+    """Return amplitudes (count + 1, 3) of a cycle's pose. The first amplitude is the mean pose."""
     samples = max(SAMPLES, 4 * count)
     pose = cycle.pose(np.arange(samples) * cycle.period / samples)
     amplitude = 2 / samples * np.fft.rfft(pose, axis=0)[: count + 1]
@@ -209,8 +209,8 @@ def pose_harmonics(cycle: PlateCycle, count: int) -> np.ndarray:
 def fit_harmonics(t: np.ndarray, values: np.ndarray, period: float, count: int) -> np.ndarray:
     """Return amplitudes (count, m) of samples (n, m) at times t (n,) [s] of a periodic motion.
 
-    A constant and the harmonics are fitted by least squares. The times need not be equally spaced,
-    and they need not cover whole periods.
+    A constant and the harmonics are fitted by least squares. The times can have unequal distances,
+    and need not cover whole periods.
 
     Raises
     ------
@@ -242,7 +242,8 @@ def plate_amplitudes(
     """
     nothing = np.zeros_like(q)
     pose, _, _ = plate_state(rig, q, nothing, nothing, tolerance=np.inf)
-    # With rotation the motors' acceleration depends on the twist, which is computed from the poses.
+    # If the plate rotates, the motors' acceleration depends on its twist, which is computed from
+    # the poses.
     amplitude = fit_harmonics(t, pose, period, count)
     rate = 2j * np.pi * np.arange(1, count + 1)[:, None] / period
     waves = np.exp(np.outer(t, rate[:, 0]))
@@ -264,7 +265,7 @@ def closed_at_rest(frequency: np.ndarray, amplitude: np.ndarray, cost: np.ndarra
         Weight of the squared change.
     """
     rate = 2 * np.pi * frequency
-    # Pose, twist and acceleration at the beginning, from the real and imaginary parts.
+    # Pose, twist and acceleration at the start of the cycle, from the real and imaginary parts.
     real = np.stack([np.ones_like(rate), np.zeros_like(rate), -(rate**2)])
     imag = np.stack([np.zeros_like(rate), -rate, np.zeros_like(rate)])
     rows = np.hstack([real, imag])
@@ -295,7 +296,7 @@ def excitation(
         Root mean square of the acceleration [m/s2]. For theta, it is the acceleration of the
         plate's corners.
     rng : numpy.random.Generator
-        Generator for the phases. Equal phases would produce one high peak.
+        Generator for the phases. With equal phases, the motion would have one high peak.
     """
     frequency = np.arange(count + 1) / period
     rate = 2 * np.pi * np.maximum(frequency, frequency[1])[:, None]

@@ -16,12 +16,11 @@ from .calibration import Calibration, Experiment, check_writable, save_response
 __all__ = ["CalibrationRun"]
 
 PLAYS_MARGIN = 2.0
-"""Maximum time that the motors are allowed to take for an experiment, as a multiple of its
-duration. The experiment fails after this time."""
+"""If an experiment takes longer than this multiple of its duration, it fails."""
 
 
 class CalibrationRun:
-    """Plays the experiments of a calibration one after the other. It stores the result of the last
+    """Plays the experiments of a calibration one after the other, and keeps the result of the last
     calibration.
 
     Parameters
@@ -57,7 +56,7 @@ class CalibrationRun:
 
     @property
     def text(self) -> str:
-        """Progress of the running calibration, or result of the last one. It is empty before the
+        """Progress of the running calibration, or result of the last calibration. Empty before the
         first calibration."""
         experiment = self._experiment
         return self._outcome if experiment is None else experiment.calibration.progress
@@ -68,7 +67,7 @@ class CalibrationRun:
         Raises
         ------
         PlateError
-            If it cannot be started.
+            If the calibration cannot be started.
         """
         if not path:
             raise PlateError("calibration_file is '', allowed: the name of a file")

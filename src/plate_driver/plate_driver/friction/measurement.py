@@ -2,11 +2,12 @@
 
 1. *Search.* The acceleration of the pushes increases until every part slides. The pushes alternate
    between +x and -x.
-2. *Distance.* Stronger pushes forward and back along x, then along y. The slip decreases with
-   mu, so each push gives mu of each part at its place. A least-squares fit over all these pushes
-   gives the part's mu.
-3. *Onset.* The acceleration increases in small steps across the value of the first slip. The step
-   at which a part begins to slide gives its ratio of static to dynamic friction.
+2. *Distance.* Stronger pushes follow, forward and back along x, then along y. The slip decreases
+   with mu, so each push gives mu of each part at its place. A least-squares fit over all these
+   pushes gives the mean mu of the part.
+3. *Onset.* The acceleration of the pushes increases in small steps, from below to above the
+   acceleration at which parts begin to slide. The step at which a part begins to slide gives its
+   ratio of static to dynamic friction.
 
 The inputs are detected parts. The outputs are the next push and finally the friction. The
 directions of the pushes alternate, so that parts come back. This module uses neither ROS nor a
@@ -30,8 +31,8 @@ FIRST_G = 0.08
 """Acceleration of the first push [g]."""
 
 SLOW_G = 0.01
-"""Acceleration of slow motions until the first slip is known [g]. It is small, because the friction
-of parts that also slide in slow motions would be overestimated."""
+"""Acceleration of slow motions until the first slip is known [g]. It is small, because parts must
+not slide in slow motions: their friction would be overestimated."""
 
 SEARCH_FACTOR = 1.25
 """Ratio of the accelerations of two successive pushes in the search stage."""
@@ -40,20 +41,21 @@ ONSET_FACTOR = 1.05
 """Ratio of the accelerations of two successive pushes in the onset stage."""
 
 SLOW_FRACTION = 0.5
-"""Acceleration of slow motions, relative to the maximum acceleration at which no part slid."""
+"""Acceleration of slow motions, as a fraction of the maximum acceleration at which no part slid."""
 
 ABOVE = 1.7
-"""Acceleration of distance pushes, relative to the mean mu g. At this acceleration, the closed form
-still holds for parts with 40 % less friction, and parts with a static ratio of up to 1.5 slide."""
+"""Acceleration of distance pushes, as a multiple of the mean mu g. At this acceleration, the closed
+form (push.py) is valid for parts with up to 40 % less friction, and parts with a static ratio of up
+to 1.5 slide."""
 
 MIN_ABOVE = 1.2
-"""Minimum acceleration of distance pushes, relative to mu g of each part."""
+"""Minimum acceleration of distance pushes, as a multiple of mu g of each part."""
 
 ONSET_FROM = 0.8
-"""Acceleration of the first onset push, relative to the minimum mu g."""
+"""Acceleration of the first onset push, as a fraction of the minimum mu g."""
 
 ONSET_TO = 2.0
-"""Acceleration of the last onset push, relative to the maximum mu g."""
+"""Acceleration of the last onset push, as a multiple of the maximum mu g."""
 
 SLID_M = 5e-4
 """Minimum slip for a first estimate of mu [m]."""
@@ -62,7 +64,7 @@ BEGAN_M = 6e-5
 """Minimum slip that shows the onset [m]."""
 
 NOISE_FACTOR = 5.0
-"""Minimum slip that is not attributed to noise, in standard errors of the camera."""
+"""Minimum slip that counts as more than noise, in standard errors of a displacement."""
 
 FLOOR_M = 1e-5
 """Minimum standard error of a displacement [m]. It accounts for errors of the camera that do not
@@ -73,8 +75,8 @@ MIN_SIGNAL = 20.0
 mu is 5 %."""
 
 TRAVEL_M = 0.03
-"""Displacement of parts by distance pushes, if there is enough clearance [m]. It averages the
-friction, which varies over a few centimetres."""
+"""Total displacement of parts by distance pushes, if there is enough clearance [m]. Over this
+displacement, the friction is averaged, because it varies over a few centimetres."""
 
 MAX_STEPS = 6
 """Maximum number of distance pushes in one direction."""
@@ -92,7 +94,7 @@ STILL_M = 5e-4
 """Maximum standard deviation of the position of a part at rest over several images [m]."""
 
 STUCK_FACTOR = 3.0
-"""A part that does not slide at this multiple of the typical mu g is excluded."""
+"""If a part does not slide at this multiple of the typical mu g, it is excluded."""
 
 HERE_M = 0.005
 """Radius around a part's place within which measured values count as local friction [m]."""
@@ -105,8 +107,8 @@ CURVE = 80
 
 AGREE = 0.05
 SURE = 3.0
-"""Minimum difference of mu between types or directions that is reported: as a fraction of mu
-(`AGREE`), and in standard errors (`SURE`)."""
+"""A difference of mu between types or directions is reported if it is larger than `AGREE`, as a
+fraction of mu, and larger than `SURE` standard errors."""
 
 
 class Stage(Enum):
@@ -135,7 +137,7 @@ class Rest:
 
     @classmethod
     def of(cls, images: Sequence[Parts]) -> Rest | None:
-        """Average the positions of the parts over two or more images. Returns None while a part
+        """Average the positions of the parts over two or more images. Return None while a part
         still moves. Parts that are not in every image are omitted."""
         ids = [name for name in images[0].ids if all(name in seen.ids for seen in images)]
         if not ids:
@@ -199,7 +201,7 @@ class PartFriction:
     mu, error : float
         Mean coefficient of dynamic friction along the part's path, and its standard error.
     static_ratio : float
-        Ratio of static to dynamic friction. It is NaN if the onset was not observed.
+        Ratio of static to dynamic friction. NaN if the onset was not observed.
     """
 
     id: str
@@ -219,8 +221,8 @@ class FrictionResult:
     mu, error : float
         Mean mu over the parts, and its standard error.
     between_parts, over_plate : float
-        Standard deviations of mu as fractions of its mean. The first is between the parts, the
-        second along one part's path on the plate. The contribution of the camera's noise is
+        Standard deviation of mu between the parts, and standard deviation along one part's path on
+        the plate. Both are fractions of the mean mu. The contribution of the camera's noise is
         subtracted.
     static_ratio, static_error : float
         Mean ratio of static to dynamic friction over the parts, and its standard error. Both are
@@ -292,7 +294,7 @@ class FrictionMeasurement:
         rig : Rig
         rest : Rest
         corrected : bool
-            Whether the plate was calibrated, so that its commands are corrected.
+            Whether a calibration corrects the commands of the plate.
 
         Raises
         ------
@@ -361,7 +363,7 @@ class FrictionMeasurement:
         rest : Rest
             Current places of the parts.
         played : Push, optional
-            Push that was commanded, if it was scaled down to the rig's limits. Default: `push`.
+            Commanded push, if `push` was scaled down to the rig's limits. Default: `push`.
 
         Raises
         ------
@@ -410,8 +412,8 @@ class FrictionMeasurement:
     # Stages
 
     def _searched(self) -> FrictionMeasurement:
-        """Return the measurement after a search push. It has another search push or is in the next
-        stage."""
+        """Return the measurement after a search push. Its next push is another search push, or the
+        first push of the next stage."""
         trial, gravity = self.trials[-1], self.rig.friction.gravity
         guess = dict(self.guess)
         for name, value in trial.lag.items():
@@ -525,7 +527,7 @@ class FrictionMeasurement:
 
     def _dynamic(self, name: str) -> tuple[float, float]:
         """Return mu of a part by least squares over its distance pushes, and its standard error."""
-        # This import is not at the top, because it would double the start time of the driver.
+        # This import is here, because at the top it would double the start time of the driver.
         from scipy.optimize import least_squares
 
         trials = self._of(name, Stage.DISTANCE)
@@ -535,9 +537,9 @@ class FrictionMeasurement:
 
         local, errors, _ = self._local(name)
         fit = least_squares(misses, [float(np.median(local))], diff_step=1e-3)
-        # The position between two pushes affects both lags, so their errors are correlated. The
-        # errors have opposite signs if both pushes have the same direction, and equal signs if the
-        # direction changes.
+        # An error of the position between two pushes changes both lags, so the errors of both lags
+        # are correlated. They have opposite signs if both pushes have the same direction, and equal
+        # signs if the direction changes.
         correlation = np.eye(len(trials))
         for k, (one, other) in enumerate(pairwise(trials)):
             if one.push.axis == other.push.axis:
@@ -549,8 +551,8 @@ class FrictionMeasurement:
         return float(fit.x[0]), float(np.sqrt(noise + uneven))
 
     def _held_and_slid(self, name: str) -> tuple[Trial | None, Trial | None]:
-        """Return the last onset push in which a part did not slide, and the first in which it
-        slid."""
+        """Return the last onset push in which a part did not slide, and the first onset push in
+        which it slid."""
         held = None
         for trial in self._of(name, Stage.ONSET):
             if trial.lag[name] > _visible(trial):
@@ -580,7 +582,7 @@ class FrictionMeasurement:
 
     @property
     def result(self) -> FrictionResult:
-        """Result of the measurement. It is available at its end."""
+        """Result of the measurement. It is available at the end of the measurement."""
         parts, along, weights = [], [], []
         for name in self.rest.place:
             mu, error = self._dynamic(name)
@@ -644,8 +646,8 @@ class FrictionMeasurement:
 
 
 def rig_mu(rig: Rig, result: FrictionResult) -> float:
-    """Return the mu for the rig file: the mean over parts of types without a separate mu in that
-    file.
+    """Return the mu for the rig file: the mean over the parts whose types have no separate mu in
+    this file.
 
     Raises
     ------
@@ -666,7 +668,7 @@ def rig_mu(rig: Rig, result: FrictionResult) -> float:
 
 
 def _visible(trial: Trial) -> float:
-    """Return the minimum lag that shows that a part has slid [m]."""
+    """Return the minimum lag [m] that shows that a part has slid."""
     return max(BEGAN_M, NOISE_FACTOR * trial.error)
 
 

@@ -35,21 +35,21 @@ from .measurement import FrictionMeasurement, FrictionResult, Rest, rig_mu
 from .push import Push
 
 SETTLE_S = 0.4
-"""Minimum time from the end of a push to the stamp of an image that is used [s]. Stamps may be late
-by this time."""
+"""Minimum time from the end of a push to the stamp of an image for the measurement [s]. A stamp may
+be later than the exposure by up to this time."""
 
 LATE_S = 5.0
-"""Maximum delay of a push, if cycle starts are reported [s]."""
+"""Maximum delay of the start of a push, if cycle starts are reported [s]."""
 
 SAME_S = 1e-6
-"""Maximum difference between the periods of the sent cycle and the reported one for which they
-count as the same cycle [s]."""
+"""The sent and the reported cycle count as the same cycle if their periods differ by at most this
+value [s]."""
 
 IMAGES = 4
 """Number of images per measurement of parts at rest."""
 
 MAX_WAIT_S = 5.0
-"""Maximum wait for images that show the parts at rest [s]."""
+"""Maximum time to wait for images that show the parts at rest [s]."""
 
 STILL_CALLS = 250
 """Maximum number of consecutive calls of `watch` at the same time: 5 s of wall time. Simulated time
@@ -98,7 +98,7 @@ class FrictionServer:
         self._measurement: FrictionMeasurement | None = None
         self._played: Push | None = None
         self._plays: PlateCycle | None = None
-        # New images from this stamp on show parts at rest. It is None if this time is not known.
+        # Images with this stamp [ns] or later show parts at rest. None if this time is not known.
         self._after_ns: int | None = None
         self._images: list[Parts] = []
         self._since = 0.0  # start of the wait for parts at rest [s]
@@ -111,7 +111,8 @@ class FrictionServer:
 
     def configure(self) -> None:
         """Create the services, the topic and the subscriptions."""
-        driver, self._result = self._driver, None  # an earlier result may belong to another rig
+        # Discard an earlier result, which may belong to another rig.
+        driver, self._result = self._driver, None
         self._publisher = driver.managed_publisher(Friction, "friction", LATCHED)
         driver.managed_subscription(PartsMsg, "parts", self._on_parts, DATA)
         self._starts_received = False
@@ -175,8 +176,8 @@ class FrictionServer:
     def _on_parts(self, msg: PartsMsg) -> None:
         """Keep the parts of a new image that was taken after the end of the push.
 
-        The stamp is compared, because an image may arrive much later on a busy computer. In
-        lockstep the same image arrives several times.
+        The time of an image is its stamp, because an image may arrive much later on a busy
+        computer. In lockstep, the same image arrives several times.
         """
         after_ns, stamp_ns = self._after_ns, nanoseconds(msg.header.stamp)
         if self._running and after_ns is not None and stamp_ns >= after_ns:
@@ -187,7 +188,7 @@ class FrictionServer:
                 self._driver.get_logger().warning(f"parts: {error}", throttle_duration_sec=2.0)
 
     def _on_start(self, msg: JointTrajectory) -> None:
-        """Record the start of a push. It determines when the push ends."""
+        """Record the start of a push, which determines the end of the push."""
         self._starts_received = True
         push = self._plays
         if push is None or self._after_ns is not None:
@@ -203,7 +204,7 @@ class FrictionServer:
     def watch(self, now: float) -> None:
         """Continue at `now` [s, playback]."""
         try:
-            # This number of stops also differs if the motors were enabled again after a stop.
+            # The number of stops also shows a stop after which the motors were enabled again.
             if self._latch.number != self._stops:
                 raise PlateError("the motors were stopped")
             self._still = self._still + 1 if now == self._now else 0
@@ -234,8 +235,8 @@ class FrictionServer:
                 seen = f"{len(self._images)} images" if self._images else "no message of parts"
                 raise PlateError(
                     f"friction: {seen} within {MAX_WAIT_S:g} s, allowed: {IMAGES} images that show "
-                    "all parts at rest; does the detector run, and is the camera's clock "
-                    "synchronised with this computer's?"
+                    "all parts at rest; check that the detector runs, and that the clocks of the "
+                    "camera and of this computer are synchronised"
                 )
         except PlateError as error:
             self.fail(str(error))

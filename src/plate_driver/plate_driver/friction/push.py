@@ -1,17 +1,17 @@
 """One push of the plate along x or y for measuring friction, and the slip of a part in this push.
 
-From rest, the plate accelerates with a over the distance A and brakes with k a. It then returns
-home so slowly that no part slides. A part on the plate sticks while a <= mu_s g. Otherwise it slips
-by Coulomb's law (docs/model.md, Friction (1)), with r = mu g/a. While the plate accelerates, the
-slip is (1 - r) A. At the end of the acceleration, the velocities of plate and part differ by
-w = (a - mu g) t, with A = a t^2/2. This difference decreases at the rate mu g + k a, during which
-the part slips by another w^2/(2 (mu g + k a)) = A (1 - r)^2/(r + k). If k a <= mu g, the part then
+The plate accelerates from rest with a over the distance A, then brakes with k a, and returns home
+so slowly that no part slides. A part on the plate sticks while a <= mu_s g. Otherwise it slips by
+Coulomb's law (docs/model.md, Friction (1)). Let r = mu g/a. While the plate accelerates, the part
+slips by (1 - r) A. At the end of the acceleration, the velocities of plate and part differ by w =
+(a - mu g) t, with A = a t^2/2. This difference decreases at the rate mu g + k a, during which the
+part slips by another w^2/(2 (mu g + k a)) = A (1 - r)^2/(r + k). If k a <= mu g, the part then
 sticks, and the slip of the whole push is
 
     s = A (1 - r) (1 + k)/(r + k)
 
-The smallest a with a slip therefore gives static friction, and s gives dynamic friction. `slip`
-integrates the same law over the commanded motion with its ramps. It is valid for all a.
+Therefore the smallest a with a slip gives static friction, and s gives dynamic friction. `slip`
+integrates the same law over the commanded motion with its ramps, which is valid for all a.
 """
 
 from __future__ import annotations
@@ -24,12 +24,12 @@ from plate_core import PlateCycle, Rig
 from plate_core.motion import usage
 
 BRAKE = 0.4
-"""Ratio k of the braking to the acceleration. With this ratio, the closed form holds up to 2.5
-times the acceleration of the first slip."""
+"""Ratio k of the deceleration to the acceleration. With this ratio, the closed form is valid for k
+a <= mu g, that is, up to 2.5 times the acceleration mu g."""
 
 RAMP = 0.12
-"""Duration of the first ramp of the acceleration, relative to the whole duration of the
-acceleration. The motors can follow this ramp."""
+"""Duration of the first ramp of the acceleration, as a fraction of the whole duration of the
+acceleration. The motors can follow such a ramp."""
 
 STROKE_USED = 0.8
 """Maximum fraction of the motors' stroke that a push uses."""
@@ -38,10 +38,10 @@ LIMITS_USED = 0.9
 """Maximum fraction of all limits that a push uses."""
 
 MAX_LENGTH_M = 0.016
-"""Maximum length of a push [m]. It moves parts by some millimetres."""
+"""Maximum length of a push [m]. Such a push moves parts by some millimetres."""
 
 QUINTIC_PEAK = 10 / np.sqrt(3)
-"""Peak acceleration of a quintic from rest to rest with unit length and unit duration. It is
+"""Peak acceleration of a quintic from rest to rest with unit length and unit duration. The peak is
 proportional to the length and inversely proportional to the squared duration."""
 
 FAST_STEPS = 800
@@ -121,7 +121,8 @@ def max_accel(rig: Rig, slow: float) -> float:
 
 
 def slip(push: Push, mu: np.ndarray, hold: np.ndarray | float, gravity: float) -> np.ndarray:
-    """Return the slips (m,) of parts in a push [m], positive against its direction.
+    """Return the slips (m,) of parts in a push [m]. They are positive against the direction of the
+    push.
 
     Parameters
     ----------
@@ -153,8 +154,8 @@ def slip(push: Push, mu: np.ndarray, hold: np.ndarray | float, gravity: float) -
     step = np.diff(t)[:, None]
     most, held = grip * step, np.abs(np.diff(plate))[:, None] <= hold * step
     v, stuck, speed = np.zeros_like(grip), np.ones(grip.shape, bool), [np.zeros_like(grip)]
-    # The loop contains only the operations that depend on the previous step, because each
-    # operation takes microseconds even with few parts.
+    # The loop contains only operations that depend on the previous step, because each operation
+    # takes microseconds even with few parts.
     for after, change, holds in zip(plate[1:], most, held, strict=True):
         rides = stuck & holds
         v = np.where(rides, after, v + np.minimum(np.maximum(after - v, -change), change))
@@ -168,7 +169,8 @@ def _profile() -> tuple[np.ndarray, np.ndarray]:
     and -`BRAKE`, and linear between these times."""
     gain, cross, lose = RAMP, RAMP * (1 + BRAKE), RAMP * BRAKE
     held = 1.0 - RAMP
-    # Velocity gained until the acceleration crosses zero. The braking removes the same velocity.
+    # Velocity at the time at which the acceleration crosses zero. Braking removes the same
+    # velocity.
     positive = gain / 2 + held + cross / (1 + BRAKE) / 2
     braking = (positive - BRAKE * (cross * BRAKE / (1 + BRAKE) + lose) / 2) / BRAKE
     times = np.cumsum([0.0, gain, held, cross, braking, lose])
@@ -177,7 +179,7 @@ def _profile() -> tuple[np.ndarray, np.ndarray]:
 
 def _integrated(t: np.ndarray, a: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Return velocity and position at times t (k,), for an acceleration a (k,) that is linear
-    between them."""
+    between these times."""
     dt = np.diff(t)
     v = np.concatenate([[0.0], np.cumsum(dt * (a[:-1] + a[1:]) / 2)])
     x = np.concatenate([[0.0], np.cumsum(dt * v[:-1] + dt**2 * (2 * a[:-1] + a[1:]) / 6)])

@@ -1,4 +1,4 @@
-"""Convert the driver's messages."""
+"""Conversion of the driver's messages."""
 
 from __future__ import annotations
 

@@ -22,12 +22,12 @@ CLOSE_S = 0.05
 """Maximum time until the thread that waits for cycles ends after `close` [s]."""
 
 BUSY_S = 0.002
-"""Time between two checks whether the executor has processed a cycle [s]. It is used if too many
-cycles wait."""
+"""If too many cycles wait: time between two checks whether the executor has processed a cycle
+[s]."""
 
 MAX_WAITING = 5
-"""Maximum number of messages that wait for the executor. The limit leaves time for other work if
-messages arrive too fast."""
+"""Maximum number of messages that wait for the executor. If messages arrive too fast, this limit
+leaves time for other work."""
 
 STATUS_BYTES = 100_000
 """Maximum size of a task_status [bytes]. The planner never sends a longer message."""
@@ -69,7 +69,7 @@ class RawInputs:
         cycles = UnlockedSubscription(node, JointTrajectory, "plate_cycle", DATA, max_bytes)
         tasks = UnlockedSubscription(node, TaskStatus, "task_status", LATCHED, STATUS_BYTES)
         self.cycles, self.tasks = RawInput(cycles, on_cycle), RawInput(tasks, on_task)
-        # Received cycles, in the order of arrival.
+        # Received cycles that wait for the executor, in the order of arrival.
         self._waiting: deque[tuple[bytes, int, bytes]] = deque()
         self._polled_at = 0.0  # time of the last poll of task_status [s, steady]
         self._closed = threading.Event()
@@ -85,7 +85,7 @@ class RawInputs:
         self.tasks.subscription.destroy()
 
     def poll_tasks(self) -> None:
-        """Process the waiting messages on task_status. Call this about every 20 ms."""
+        """Process the waiting messages on task_status. Call this method about every 20 ms."""
         if time.monotonic() - self._polled_at > STALLED_S:
             time.sleep(SETTLE_S)
         self._polled_at = time.monotonic()

@@ -40,20 +40,20 @@ LIFE_PERIOD_S = 0.5
 """Time after which an unchanged driver_status is published again [s]."""
 
 ACKNOWLEDGED_S = 0.5
-"""Maximum wait for the acknowledgement of the last messages [s]."""
+"""Maximum time to wait for the acknowledgement of the last messages [s]."""
 
 END_S = 10.0
-"""Maximum wait for the end of the spinning thread and the service threads [s]. The wait is long,
+"""Maximum time to wait for the end of the spinning thread and the service threads [s]. It is long,
 because a thread on a busy machine may not run for half a second, and a thread that still runs when
-the interpreter ends crashes the process."""
+the interpreter ends would crash the process."""
 
 STILL_S = 1.0
-"""Maximum stall of the driver [s]. After a longer stall, it refuses an enable or home that may have
-waited."""
+"""Maximum stall of the driver [s]. After a longer stall, the driver refuses calls of enable and
+home that may have waited."""
 
 THREADS = 128
-"""Maximum number of threads, and therefore of calls that are processed at the same time. Further
-calls wait. Threads are created on demand."""
+"""Maximum number of threads, which is the maximum number of calls that are processed at the same
+time. Further calls wait. Threads are created on demand."""
 
 
 ENABLING = "enabling: driver_status reports when the motors are ready"
@@ -130,7 +130,7 @@ class SafetyNode:
         with contextlib.suppress(ExternalShutdownException):
             while self._context.ok() and not self._ended:
                 try:
-                    # This call returns when the timer fires, or earlier.
+                    # This call returns when the timer fires or earlier.
                     self._executor.spin_once()
                 except ExternalShutdownException:
                     raise
@@ -138,8 +138,8 @@ class SafetyNode:
                     self.node.get_logger().error(f"safety: {error!r}")
 
     def _guarded(self, answer: Callable[[Any, Any], Any]) -> Callable[[Any, Any], Any]:
-        """Return a callback that replies even after an exception, so that the thread does not
-        end."""
+        """Return a callback that catches exceptions and replies with them, so that the thread does
+        not end."""
 
         def callback(request: Any, response: Any) -> Any:
             try:
@@ -221,7 +221,7 @@ class SafetyNode:
             response.message = f"the driver is {self._driver_status().text}, allowed: active"
             return response
         status = self._driver_status()
-        # The motors are already enabled, so do not disturb a task that may run.
+        # The motors are already enabled. A task may run, so nothing is sent to the device.
         if status.state is DriverState.READY:
             response.success, response.message = True, status.text
             return response
@@ -231,7 +231,7 @@ class SafetyNode:
         order.wait(end - time.monotonic())
         self.publish_status()
         response.success = not order.failure
-        done = self._driver_status().text if order.settled else ENABLING
+        done = self._driver_status().text if order.completed else ENABLING
         response.message = order.failure or done
         return response
 

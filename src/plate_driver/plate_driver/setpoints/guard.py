@@ -1,8 +1,8 @@
 """Conversion of accepted cycles to motor tables in the running driver, without ROS. The guard also
-refuses cycles, detects that no more cycles arrive, and collects statistics.
+refuses cycles, detects that cycles no longer arrive, and collects statistics.
 
-Guards are immutable: each event returns a new guard, and time is an argument. If a simulated clock
-is set back, the simulator was restarted, and earlier tables are ignored.
+Guards are immutable: each event returns a new guard, and the time is an argument. If a simulated
+clock is set back, the simulator was restarted. In this case, earlier tables are ignored.
 """
 
 from __future__ import annotations
@@ -19,14 +19,14 @@ from .motor_table import RESTART_NS, Correction, MotorTable, check_order, plays,
 from .thermal import ThermalState
 
 SENT_KEPT = 4
-"""Number of the last sent cycles that the device may be playing. If a table arrives late, the
-device plays the tail of an earlier table instead, and the next cycle continues the earlier table.
-The solver stores the same number of cycles.
+"""Number of sent cycles that are stored, because the device may be playing any of them. If a table
+arrives late, the device plays the tail of an earlier table instead, and the next cycle continues
+the earlier table. The solver stores the same number of cycles.
 """
 
 EXPERIMENT_CYCLES = 9
-"""Number of plays of a calibration cycle. It is one more than settling and measurement need. All
-plays together last less than 10 s."""
+"""Number of plays of a calibration cycle. It is one more than the calibration needs. All plays
+together last less than 10 s."""
 
 
 @dataclass(frozen=True)
@@ -36,10 +36,11 @@ class Statistics:
     Attributes
     ----------
     cycles, refused, scaled, rests : int
-        Number of plate cycles that were accepted, refused, and accepted but scaled down. `rests` is
-        the number of times that the plate came to rest because no more cycles arrived.
+        `cycles`, `refused` and `scaled` are the numbers of plate cycles that were accepted,
+        refused, and accepted but scaled down. `rests` is the number of times that the plate came to
+        rest because cycles no longer arrived.
     worst : float
-        Maximum usage that a cycle requested, as a fraction of the limit.
+        Maximum usage of any limit by a requested cycle, as a fraction of the limit.
     factor : float
         Minimum scaling factor of a cycle.
     late : float
@@ -62,7 +63,7 @@ class Statistics:
     problems: tuple[str, ...] = ()
 
     def accepted(self, fit: Fit, late: float = 0.0) -> Statistics:
-        """Count a cycle with the delay `late` [s], as defined for the attribute."""
+        """Count a cycle with the delay `late` [s], as defined for the attribute `late`."""
         new = replace(
             self,
             cycles=self.cycles + 1,
@@ -102,29 +103,29 @@ class Statistics:
 class Guard:
     """Check and conversion of cycles before they are sent to the motors.
 
-    A table with a tail is played once, whatever the value of `hold_cycles`. If no other table
-    follows, it ends at rest.
+    A table with a tail is played once, independently of `hold_cycles`. If no other table follows,
+    the tail ends at rest.
 
     Attributes
     ----------
     rig : Rig
     hold_cycles, repeats : int
         `hold_cycles` is the number of plays of a cycle from rest to rest if no new cycle arrives.
-        See `with_fades` for `repeats`.
+        `repeats` is described in `with_fades`.
     correction : callable or None
-        Correction by a calibration. It is None if the rig is not calibrated.
+        Correction by a calibration. None if the rig is not calibrated.
     hold_s : float
         Maximum time for which the motors repeat a table [s].
     last_ns : int or None
         Stamp of the last accepted cycle.
     table : MotorTable or None
-        Last table sent. It is None if the plate rests.
+        Last sent table. None if the plate rests.
     sent : tuple of PlateCycle
-        The last sent cycles that the device may be playing, oldest first. The tuple is empty if the
-        plate rests. The device itself checks whether a new table continues the table that plays.
+        Sent cycles that the device may be playing, the oldest first. Empty if the plate rests. The
+        device itself checks whether a new table continues the table that plays.
     sent_at, lasts_s : float
-        Time at which the last table was sent, and the time from then until the plate rests if no
-        new table arrives [s].
+        `sent_at` is the time at which the last table was sent [s]. `lasts_s` is the time from
+        `sent_at` until the plate rests if no new table arrives [s].
     thermal : ThermalState
     statistics : Statistics
     """
@@ -144,7 +145,7 @@ class Guard:
 
     @property
     def plays(self) -> int:
-        """Number of times that the motors play the last table if no other one arrives."""
+        """Number of times that the motors play the last table if no other table arrives."""
         assert self.table is not None
         cycle = self.table.cycle
         return plays(self.hold_cycles if cycle.tail is None else 1, self.hold_s, cycle.period)
@@ -174,11 +175,11 @@ class Guard:
         CycleError
             If the plate cannot execute the cycle.
         """
-        if self.over(now):  # `watched` has not been called since
+        if self.over(now):  # the last table has ended since the last call of `watched`
             return self.resting(now).commanded(cycle, stamp_ns, now)
         thermal = self.thermal.at_time(self.rig, now)
-        # Upper bound of the duration. It contains two more plays and the fades, because the current
-        # table is played to its end.
+        # Upper bound of the time until the plate rests. It contains two more plays and the fades,
+        # because the current table is played to its end.
         longest = (self.hold_cycles + 2) * (self.repeats + 2) * sum(p.period for p in cycle.parts)
         allowed = thermal.allowed_load(self.rig, longest)
         table, fit = prepare(
@@ -187,7 +188,7 @@ class Guard:
         thermal = thermal.under(fit.usage.thermal_load)
         sent = (*self.sent, table.cycle)[-SENT_KEPT:]
         guard = replace(self, table=table, sent=sent, sent_at=now, thermal=thermal)
-        # The current table is first played to its end.
+        # The current table is played to its end before the new table.
         first = 0.0 if self.table is None else self.table.length
         lasts_s = first + (guard.plays * table.cycle.period if table.tail is None else table.length)
         return replace(guard, lasts_s=lasts_s), fit
@@ -204,7 +205,8 @@ class Guard:
         return guard, fitted.cycle
 
     def after_experiment(self, before: Guard) -> Guard:
-        """Return the guard with the settings of `before`, the guard before an experiment."""
+        """Return the guard with the settings of `before`, which is the guard before an
+        experiment."""
         return replace(self, hold_cycles=before.hold_cycles, correction=before.correction)
 
     def refused(self) -> Guard:
@@ -226,14 +228,15 @@ class Guard:
         return replace(self.without_tables(), thermal=thermal)
 
     def without_tables(self) -> Guard:
-        """Return the guard without the tables sent, so that the next cycle must begin at rest."""
+        """Return the guard without the sent tables, so that the next cycle must begin at rest."""
         return replace(self, table=None, sent=())
 
     def over(self, now: float, times: float = 1.0) -> bool:
-        """Return whether no more cycles arrive.
+        """Return whether cycles no longer arrive.
 
         True if `times` times `lasts_s` has passed since the last table was sent, or if the clock
-        was set back. A simulated time of 0 is ignored, because the clock has not been received yet.
+        was set back. A simulated time of 0 is ignored, because it means that no time was received
+        yet.
         """
         if self.table is None:
             return False

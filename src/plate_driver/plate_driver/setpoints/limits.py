@@ -18,24 +18,25 @@ from plate_core.motion import (
 )
 
 TARGET = 0.999
-"""Target usage of the worst limit by a scaled cycle [-]. The margin below 1 covers errors of the
+"""Target usage of the worst limit by a scaled cycle [-]. It is below 1 because of errors of the
 search and of rounding."""
 
 CLOSE_ENOUGH = 0.99
 """Usage of the worst limit by the scaled cycle at which the search ends [-]."""
 
 ROUNDS = 60
-"""Maximum number of trial factors. Most cycles need one or two. Poses of 1e100 m need about ten."""
+"""Maximum number of scaling factors that are tried. Most cycles need one or two. Poses of 1e100 m
+need about ten."""
 
 ROUNDING = 3e-6
-"""Accepted relative violation of a limit. It is needed because computed peaks are up to 1e-6 too
-high, and because of rounding in the solvers."""
+"""Accepted relative violation of a limit. Computed peaks are up to 1e-6 too high, and the solvers
+have rounding errors."""
 
 HOME_TOLERANCE = 2e-5
 """Maximum deviation of a motor from home at the start and end of a table [m], per metre of distance
-between the plate's centre and the farthest motor (at least 1 m). The speed tolerance [m/s] is 100
-times this value. The tolerances correspond to those of `PlateCycle.starts_at_rest`, converted to
-the motors."""
+between the plate's centre and the farthest motor (at least 1 m). The tolerance of the speed [m/s]
+is 100 times this value. Both tolerances are those of `PlateCycle.starts_at_rest`, converted to the
+motors."""
 
 
 @dataclass(frozen=True)
@@ -49,7 +50,7 @@ class Fit:
     factor : float
         1 if the requested cycle was within the limits.
     requested, usage : CycleUsage
-        Usage of the limits by the requested cycle and by the returned one.
+        Usage of the limits by the requested cycle, and by the returned cycle.
     """
 
     cycle: PlateCycle
@@ -68,10 +69,10 @@ class Fit:
 
 
 def fit(rig: Rig, cycle: PlateCycle, thermal_load: np.ndarray | float = 1.0) -> Fit:
-    """Scale a cycle down, as a whole, until no limit of the rig is exceeded.
+    """Scale a whole cycle down until it exceeds no limit of the rig.
 
-    Friction forces depend on the direction of the surface's motion. Scaling keeps this direction,
-    but clipping the peaks would change it.
+    The cycle is scaled and not clipped: friction forces depend on the direction of the surface's
+    motion, and clipping the peaks would change this direction.
 
     Parameters
     ----------
@@ -99,7 +100,7 @@ def fit(rig: Rig, cycle: PlateCycle, thermal_load: np.ndarray | float = 1.0) -> 
 def _scaled(
     rig: Rig, cycle: PlateCycle, requested: CycleUsage, thermal_load: np.ndarray | float
 ) -> Fit:
-    """Search the largest factor that keeps the cycle within the limits.
+    """Find the largest factor with which the cycle is within the limits.
 
     Peaks are not exactly proportional to the factor, because rotation adds a quadratic term. The
     search finds the root of log(worst/TARGET) as a function of log(factor), between a factor that
@@ -133,8 +134,8 @@ def _next_factor(large: float, large_worst: float, small: Fit | None, secant: bo
     if not secant:
         return float(np.exp((low + high) / 2))
     below, above = np.log(small.usage.overall / TARGET), np.log(large_worst / TARGET)
-    # Choose a factor slightly below the root, so that the next trial most likely is within the
-    # limits and ends the search.
+    # Choose a factor slightly below the root, so that the next trial is probably within the limits
+    # and ends the search.
     fraction = -below / (above - below)
     return float(np.exp(low + fraction * (high - low)) * 0.998)
 
@@ -172,7 +173,8 @@ def check_setpoints(
 ) -> None:
     """Refuse motor setpoints that exceed the rig's limits or have wrong end states.
 
-    This is the last check before the motors. It does not depend on how the setpoints were computed.
+    This is the last check before setpoints are sent to the motors. It does not depend on the
+    computation of the setpoints.
 
     Parameters
     ----------
@@ -182,8 +184,8 @@ def check_setpoints(
     q, qd, qdd : (k + 1, 4)
         Travel [m], speed [m/s] and acceleration [m/s2] of the motors, with quintic interpolation.
     start : (4,) and (4,), optional
-        Required initial travel [m] and speed [m/s]. Default: at rest at home. The final state must
-        always be at rest at home.
+        Required initial travel [m] and speed [m/s]. Default: rest at home. The required final state
+        is always rest at home.
 
     Raises
     ------

@@ -1,7 +1,7 @@
-"""Conversion of a plate cycle to the motor table that is sent. The motion is faded in and out if it
-does not start at rest, scaled to the rig's limits, and corrected if the rig is calibrated.
-`plate_core.motion` converts the plate's states at the knots to travel, speed and acceleration of
-the motors."""
+"""Conversion of a plate cycle to the motor table that is sent. A periodic motion that does not
+start at rest is faded in and out. The motion is scaled to the rig's limits, and corrected if the
+rig is calibrated. `plate_core.motion` converts the plate's states at the knots to travel, speed and
+acceleration of the motors."""
 
 from __future__ import annotations
 
@@ -21,16 +21,16 @@ PERIOD_S = (0.01, 10.0)
 0.1 to 100 Hz."""
 
 MAX_KNOTS = 2000
-"""Maximum number of knots of one cycle. Processing more would take longer than the cycle."""
+"""Maximum number of knots of one cycle. To process more knots would take longer than the cycle."""
 
 RESTART_NS = 1_000_000_000
-"""Time by which a stamp must be older than the last one to show a restart of the simulator or the
+"""A stamp that is older than the last stamp by this time shows a restart of the simulator or the
 camera [ns]."""
 
 MIN_KNOTS = 48
-"""Minimum number of knots per fade. With 48 knots and 8 harmonics, the splines deviate from the
-exact fade by 1e-5 of the pose and 2e-4 of the acceleration. Pose, twist and acceleration are
-continuous with any number of knots."""
+"""Minimum number of knots per fade. With 48 knots and 8 harmonics, the error of the splines is 1e-5
+of the pose and 2e-4 of the acceleration. Pose, twist and acceleration are continuous with any
+number of knots."""
 
 Correction = Callable[[PlateCycle], PlateCycle]
 """Linear map from the requested motion of the plate to the commanded motion."""
@@ -38,12 +38,12 @@ Correction = Callable[[PlateCycle], PlateCycle]
 
 @dataclass(frozen=True)
 class MotorTable:
-    """Motor setpoints of a cycle. They end at rest at home. They begin at rest at home or in the
+    """Motor setpoints of a cycle. They end at rest at home. They begin at rest at home, or in the
     final state of another table's cycle.
 
     A table with a tail is played once. At the end of its cycle, the next table starts if it begins
-    in exactly the state at that time. Otherwise the tail brings the plate to rest. A table without
-    a tail begins and ends at rest, and can be repeated.
+    in exactly the final state of the cycle. Otherwise the tail brings the plate to rest. A table
+    without a tail begins and ends at rest, and can be repeated.
 
     Attributes
     ----------
@@ -89,8 +89,8 @@ class MotorTable:
 
     @property
     def tail(self) -> MotorTable | None:
-        """Table that is played after the cycle if no other table follows. It is None if the cycle
-        has no tail."""
+        """Table that is played after the cycle if no other table follows. None if the cycle has no
+        tail."""
         if self.cycle.tail is None:
             return None
         k = len(self.cycle.times)
@@ -102,7 +102,7 @@ class MotorTable:
         Raises
         ------
         CycleError
-            If it is too old.
+            If the table is too old.
         """
         if now > self.until:
             raise CycleError(f"its motor table was {now - self.until:.2f} s too late for sending")
@@ -138,16 +138,16 @@ def prepare(
     correction : callable, optional
         Correction by a calibration. Both the requested motion and the command are kept within the
         limits. If a cycle ends in motion, its correction would depend on the next cycle, which is
-        unknown. Such a cycle is therefore played with its tail as one motion from rest to rest.
+        unknown. Therefore such a cycle is played with its tail as one motion from rest to rest.
     before : sequence of PlateCycle, optional
-        The cycles that may be playing, oldest first. A cycle that begins in motion may continue any
-        of them. Default: the plate rests.
+        The cycles that may be playing, the oldest first. A cycle that begins in motion may continue
+        any of these cycles. Default: the plate rests.
 
     Raises
     ------
     CycleError
-        If the plate cannot execute the cycle, or if it begins in motion and does not continue one
-        of `before` or exceeds a limit.
+        If the plate cannot execute the cycle. This is also the case if the cycle begins in motion,
+        and either exceeds a limit or does not continue a cycle of `before`.
     """
     if len(cycle.knots[0]) > MAX_KNOTS:
         count = len(cycle.knots[0])
@@ -196,7 +196,7 @@ def _continued(
     Raises
     ------
     CycleError
-        If the cycle does not continue any of them, or must not begin in motion.
+        If the cycle does not continue a cycle of `before`, or must not begin in motion.
     """
     if cycle.tail is None:
         raise CycleError(
@@ -240,9 +240,9 @@ def unspliced(cycle: PlateCycle) -> PlateCycle:
 def _corrected(
     rig: Rig, fitted: Fit, correction: Correction, thermal_load: np.ndarray | float
 ) -> tuple[PlateCycle, Fit]:
-    """Return the command and the motion. Both are scaled down until the command is also within the
-    limits."""
-    # Do not check forces here, because they depend on the actual motion and not on the command.
+    """Return the corrected command, and the requested motion of the plate. Both are scaled down
+    until the command is also within the limits."""
+    # Forces are not checked, because they depend on the actual motion and not on the command.
     moving = replace(rig.limits, force=np.inf, continuous_force=np.inf)
     shorter = fit(replace(rig, limits=moving, suspension=None), correction(fitted.cycle))
     if shorter.factor == 1:
@@ -253,7 +253,7 @@ def _corrected(
 
 
 def check_order(last_ns: int | None, stamp_ns: int) -> None:
-    """Refuse a cycle whose image is older than that of the last accepted cycle.
+    """Refuse a cycle whose image is older than the image of the last accepted cycle.
 
     The same stamp is accepted again, because the sender may not have received the result. A step
     back of more than a second is caused by a restart and not by a late message.
@@ -261,7 +261,7 @@ def check_order(last_ns: int | None, stamp_ns: int) -> None:
     Raises
     ------
     CycleError
-        If the stamp is older. The text states both stamps.
+        If the stamp is older than the last stamp. The text states both stamps.
     """
     if last_ns is not None and last_ns - RESTART_NS <= stamp_ns < last_ns:
         raise CycleError(
@@ -276,8 +276,8 @@ def with_fades(cycle: PlateCycle, repeats: int = 1) -> PlateCycle:
     Parameters
     ----------
     cycle : PlateCycle
-        A cycle that starts at rest is returned unchanged. Another cycle is faded in over one
-        period, played `repeats` times, and faded out over one period, all in one table.
+        A cycle that starts at rest is returned unchanged. Any other cycle is faded in over one
+        period, played `repeats` times, and faded out over one period.
     repeats : int
         Number of plays between the fades, at least 1.
     """
@@ -317,7 +317,7 @@ def _faded_in(cycle: PlateCycle) -> tuple[np.ndarray, np.ndarray, np.ndarray, np
 
     s(u) = 10 u^3 - 15 u^4 + 6 u^5 rises from 0 to 1. Its first two derivatives are 0 at both ends.
     """
-    pieces = -(-MIN_KNOTS // (len(cycle.times) - 1))  # the quotient, rounded up
+    pieces = -(-MIN_KNOTS // (len(cycle.times) - 1))  # the quotient is rounded up
     steps = np.arange(pieces) / pieces
     times = (cycle.times[:-1, None] + np.diff(cycle.times)[:, None] * steps).ravel()
     times = np.append(times, cycle.period)

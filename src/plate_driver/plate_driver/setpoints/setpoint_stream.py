@@ -22,21 +22,22 @@ TICKS = 2**32
 """Modulus of the times on the wire [TICK_S]."""
 
 REST_TICKS = 1_000_000
-"""Time from a cycle's end, at home with zero speed, to zero acceleration [TICK_S], equal to 10 ms.
-The quintic between these two states does not exceed the acceleration at the cycle's end."""
+"""Time from the end of a cycle, where the motors are at home with zero speed, to zero acceleration
+[TICK_S]. It is 10 ms. The quintic between these two states does not exceed the acceleration at the
+end of the cycle."""
 
 MIN_TICKS = 20_000_000
-"""Minimum duration of a stream [TICK_S], equal to 0.2 s. Devices refuse a shorter stream, because
-they could not brake during it. A shorter stream is therefore extended by rest."""
+"""Minimum duration of a stream [TICK_S]. It is 0.2 s. Devices refuse a shorter stream, because they
+could not brake in this time. Therefore a shorter stream is extended by rest."""
 
 
 @dataclass(frozen=True)
 class SetpointStream:
     """Stream of setpoints of successive cycles.
 
-    At the end of a cycle, the stream continues with the newest cycle if this cycle begins in the
-    final state of the current one. Otherwise the stream continues with the tail. The decision is
-    made when the first setpoint after the end is sent.
+    At the end of a cycle, the stream continues with the newest cycle, if this cycle begins in the
+    final state of the current cycle. Otherwise the stream continues with the tail. This is decided
+    when the first setpoint after the end is sent.
 
     Attributes
     ----------
@@ -47,7 +48,7 @@ class SetpointStream:
     newest : MotorTable
         Table to play next.
     left : int
-        Remaining number of plays of `newest`. Afterwards the stream ends at rest.
+        Remaining number of plays of `newest`. After these plays, the stream ends at rest.
     sent : int
         Number of setpoints sent so far.
     at : int
@@ -82,7 +83,7 @@ class SetpointStream:
 
     @property
     def time(self) -> float:
-        """Time of the last setpoint sent [s]."""
+        """Time of the last sent setpoint [s]."""
         return (self.begin + self.knots[max(0, self.at - 1)].ticks + self.rest) * TICK_S
 
     @property
@@ -91,7 +92,8 @@ class SetpointStream:
         return self.rest > 0
 
     def followed_by(self, table: MotorTable, repeats: int) -> SetpointStream:
-        """Return the stream that continues with another table. An ended stream stays ended.
+        """Return the stream that continues with another table. A stream that has ended is not
+        continued.
 
         Raises
         ------
@@ -105,10 +107,11 @@ class SetpointStream:
         return replace(self, newest=table, left=repeats)
 
     def until(self, time: float) -> tuple[SetpointStream, tuple[Knot, ...]]:
-        """Return the stream after sending up to `time` [s] or slightly later, and the new knots."""
+        """Return the stream after all setpoints up to `time` [s] or slightly later were sent, and
+        these setpoints."""
         stream, knots = self, []
         while stream.time < time and not stream.ended:
-            # The end of this cycle equals the start of the next one.
+            # The end of this cycle is the start of the next cycle.
             if stream.at == len(stream.knots):
                 after = stream._after()
                 if after is None:
@@ -125,8 +128,8 @@ class SetpointStream:
         return stream, tuple(knots)
 
     def _after(self) -> SetpointStream | None:
-        """Return the stream at the start of the next cycle or tail. The result is None if the
-        stream ends at rest."""
+        """Return the stream at the start of the next cycle or tail. None if the stream ends at
+        rest."""
         tail, begin, newest = (
             self.playing.tail,
             self.begin + self.knots[-1].ticks,
@@ -149,8 +152,8 @@ def knots(table: MotorTable) -> tuple[Knot, ...]:
 
 
 def densest(table: MotorTable, repeats: int, window_s: float) -> int:
-    """Return the maximum number of setpoints within `window_s` [s] of the stream that plays a table
-    `repeats` times, with its tail or the rest at its end."""
+    """Return the maximum number of setpoints within `window_s` [s] of a stream. The stream plays a
+    table `repeats` times, with its tail or the rest at its end."""
     window = round(window_s / TICK_S)
     parts = [np.array([knot.ticks for knot in refined(part)]) for part in _parts(table)]
     if table.tail is None:
@@ -170,7 +173,7 @@ def _parts(table: MotorTable) -> tuple[MotorTable, ...]:
 
 def _rests(end: int) -> list[int]:
     """Return the times of the setpoints at rest [TICK_S], relative to the end of the motion. `end`
-    is relative to the start of the stream [TICK_S]."""
+    is the end of the motion relative to the start of the stream [TICK_S]."""
     last = max(REST_TICKS, MIN_TICKS - end)
     steps = math.ceil((last - REST_TICKS) * TICK_S / MAX_S)
     return [round(t) for t in np.linspace(REST_TICKS, last, steps + 1)]

@@ -1,5 +1,5 @@
-"""Thermal model of the motors: a first-order I2t model (squared current over time) that uses the
-force instead of the current. The input is the mean square force of each table. The outputs are the
+"""Thermal model of the motors: a first-order I2t model (squared current over time), with the force
+in place of the current. The input is the mean square force of each table. The outputs are the
 temperature rise and the load that is still allowed."""
 
 from __future__ import annotations
@@ -11,12 +11,13 @@ import numpy as np
 from plate_core import Rig
 
 AMBIENT_C = 25.0
-"""Assumed ambient temperature [deg C]. The limits depend only on the rise."""
+"""Assumed ambient temperature [deg C]. It is used only for display, because the limits depend only
+on the temperature rise."""
 
 
 @dataclass(frozen=True)
 class ThermalState:
-    """Temperature rise w of the windings, relative to the rise at the continuous force.
+    """Temperature rise w of the windings, as a fraction of the rise at the continuous force.
 
     The model is tau w' = (f/f_c)^2 - w, with the thermal time constant tau, the force f and the
     continuous force f_c. Allowed: w < 1.
@@ -36,7 +37,7 @@ class ThermalState:
     at: float = 0.0
 
     def at_time(self, rig: Rig, now: float) -> ThermalState:
-        """Return the state at `now` [s]. If the clock was set back, no time has passed."""
+        """Return the state at `now` [s]. If the clock was set back, the state does not change."""
         decay = np.exp(-max(0.0, now - self.at) / rig.limits.thermal_time_s)
         return replace(self, rise=self.load + (self.rise - self.load) * decay, at=now)
 
@@ -45,7 +46,7 @@ class ThermalState:
         return replace(self, load=load)
 
     def allowed_load(self, rig: Rig, duration: float) -> np.ndarray:
-        """Return the load (4,) that is allowed for `duration` [s] from now on, at least 1."""
+        """Return the load (4,) that is allowed for `duration` [s] from now on. It is at least 1."""
         decay = np.exp(-duration / rig.limits.thermal_time_s)
         return np.asarray(np.maximum(1.0, (1 - self.rise * decay) / (1 - decay)))
 

@@ -2,10 +2,10 @@
 inputs are pulses and telemetry with their times. The outputs are the offset and clock faults.
 
 For a pulse, the device reads its clock after the heartbeat was sent and before the pulse arrived.
-For telemetry, it reads its clock before the telemetry arrived. These times bound host time minus
-device time. The distance between the bounds grows at the rate `DRIFT`. If the bounds cross, the
-device clock is wrong, because delays on the line cannot cause this. All times are arguments, so the
-module reads no clock.
+For telemetry, the device reads its clock before the telemetry arrived. These times bound host time
+minus device time. The distance between the bounds grows at the rate `DRIFT`. If the bounds cross,
+the device clock is wrong, because delays on the line cannot cause this. The module reads no clock:
+all times are arguments.
 """
 
 from __future__ import annotations
@@ -18,24 +18,25 @@ __all__ = ["DRIFT", "DeviceClock"]
 
 DRIFT = 2e-3
 """Maximum relative rate error between the device's and the host's clock [s/s]. A quartz is accurate
-to 1e-4, the operating system may slew the host's clock by 5e-4, and motion limits are kept only to
-2e-3."""
+to 1e-4, and the operating system may slew the host's clock by 5e-4. A larger error could exceed
+motion limits by more than 2e-3."""
 
 TICK_S = 1e-3
-"""Period of the device's tick [s]. A device may report the time of its last tick."""
+"""Period of the device's tick [s]. The device time in a message may be the time of the last
+tick."""
 
 REJECTED_S = 2.0
 """Time for which a clock is rejected after an error [s]."""
 
 STRIKES = 5
 """Number of errors within `REJECTED_S` plus 20 round trips after which the clock counts as broken.
-An error is a clock that runs too fast or backwards. A clock that was set causes only one error. A
-slow or stopped clock is not an error, because it cannot cause motion beyond a limit. A simulated
-device without processor time also has a slow clock."""
+A clock that runs too fast or backwards causes an error. A clock that was set causes only one error.
+A slow or stopped clock causes no error, because it cannot cause motion beyond a limit, and because
+a simulated device without processor time also has a slow clock."""
 
 PULSE_AGE_S = 5.0
-"""Maximum age of the last pulse [s]. An older clock estimate is rejected, because two correct
-clocks may then differ by 20 ms."""
+"""Maximum age of the last pulse [s]. If the last pulse is older, the estimate of the clock is
+rejected, because two correct clocks may differ by 20 ms after this time."""
 
 
 @dataclass(frozen=True)
@@ -45,8 +46,8 @@ class DeviceClock:
     Attributes
     ----------
     earliest, latest : float
-        Bounds of host time minus device time at the last message [s]. They are infinite before the
-        first pulse and after implausible telemetry.
+        Bounds of host time minus device time at the last message [s]. Infinite before the first
+        pulse and after implausible telemetry.
     at, pulse_at : float
         Arrival times of the last message and of the last pulse [s].
     since : tuple of float
@@ -56,7 +57,7 @@ class DeviceClock:
     wrong_at : float
         Host time of the last clock error [s].
     problem : str
-        Description of this error.
+        Description of the last clock error.
     strikes : tuple of float
         Host times at which the device clock last ran too fast or backwards [s].
     """
@@ -101,7 +102,8 @@ class DeviceClock:
         return self._bounded(float("-inf"), now - device_us * 1e-6, device_us, now)
 
     def _bounded(self, earliest: float, latest: float, device_us: int, now: float) -> DeviceClock:
-        """Return the clock after a message that limits the offset to [`earliest`, `latest`] [s]."""
+        """Return the clock after a message that shows that the offset is between `earliest` and
+        `latest` [s]."""
         own, back = device_us * 1e-6, self.device_us - device_us
         begun = replace(
             self, earliest=earliest, latest=latest, at=now, since=(now, own), device_us=device_us
@@ -116,7 +118,7 @@ class DeviceClock:
         if earliest > latest + TICK_S:
             ran, passed = own - self.since[1], now - self.since[0]
             return begun._found(f"ran {ran:.3f} s in {passed:.3f} s", now, strikes=fast)
-        middle = (earliest + latest) / 2  # rounding may let the bounds cross by up to a tick
+        middle = (earliest + latest) / 2  # rounding may make the bounds cross by up to a tick
         bounds = min(earliest, middle), max(latest, middle)
         return replace(begun, earliest=bounds[0], latest=bounds[1], since=self.since)
 
@@ -129,10 +131,10 @@ class DeviceClock:
         return now - self.wrong_at < REJECTED_S
 
     def rejection(self, now: float) -> str:
-        """Return the reason why device times are rejected at `now` [s]. The result is empty if they
-        are accepted.
+        """Return the reason why device times are rejected at `now` [s]. Return "" if they are
+        accepted.
 
-        The times of a slow clock are accepted, because each pulse that shows its delay also gives
+        The times of a slow clock are accepted, because each pulse that shows its error also gives
         the correct offset.
         """
         if self.strikes and now - self.strikes[-1] < REJECTED_S:

@@ -28,11 +28,11 @@ FRAME_BYTES = 6
 """Overhead of a frame [bytes]: CRC, one byte of COBS, and the end byte."""
 
 ANSWER_S = 0.03
-"""Maximum response time of the device, in addition to the round trip [s]. The device needs it to
-check a whole table."""
+"""Maximum response time of the device, in addition to the round trip [s]. The device needs this
+time to check a whole table."""
 
 UNKNOWN_S = 0.25
-"""Assumed round trip until the first one is measured [s]."""
+"""Round trip that is assumed until a round trip is measured [s]."""
 
 MAX_ROUND_S = 0.5
 """Upper limit of the round-trip estimate [s]. A stall of the host can make measured values
@@ -42,7 +42,7 @@ HEARTBEAT_S, QUICK_HEARTBEAT_S = 0.025, 0.01
 """Heartbeat interval on a good line and on a lossy line [s]. The device's watchdog (0.25 s)
 requires that one of 10 heartbeats arrives on a good line, or one of 25 on a lossy line. If 5 % of
 the bytes are lost, 40 % of the heartbeats arrive complete. In this case, 10 successive heartbeats
-are lost every 13 s, but 25 successive ones only once in hours."""
+are lost every 13 s, but 25 successive heartbeats only once in hours."""
 
 HEARTBEAT_FRACTION = 0.2
 """Maximum fraction of the line's capacity for quick heartbeats."""
@@ -54,7 +54,7 @@ MEMORY = 1 / 32
 """Weight of the newest heartbeat in the exponential average of the answered fraction."""
 
 ROUNDING_S = 1e-6
-"""Maximum magnitude of a negative round trip that counts as 0 [s]."""
+"""A negative round trip counts as 0 if its magnitude is at most this value [s]."""
 
 MAX_FRAME_S = 0.02
 """Maximum transmission time of a message of knots [s]. A stop and heartbeats wait until the message
@@ -68,9 +68,9 @@ TELEMETRY_S = 0.01
 """Interval between two telemetry messages [s]."""
 
 MISS_PROBABILITY = 1e-9
-"""Minimum probability with which losses on the line explain missing telemetry. At a lower
-probability, the missing telemetry is an error. The value is small, because the loss rate is known
-only approximately."""
+"""If the probability that losses on the line explain missing telemetry is below this value, the
+missing telemetry is an error. The value is small, because the loss rate is known only
+approximately."""
 
 MAX_PATIENCE_S = 3.0
 """Maximum time without telemetry, independent of the loss rate [s]."""
@@ -91,7 +91,7 @@ def _full(count: int) -> Knots:
 
 
 ROUND_BYTES = frame_bytes(Heartbeat(0)) + frame_bytes(Pulse(0, 0))
-"""Length of a heartbeat's frame plus the length of the pulse's frame [bytes]."""
+"""Length of a heartbeat's frame plus the length of a pulse's frame [bytes]."""
 
 ANSWER_BYTES = frame_bytes(Acknowledgement(0, Status.DONE))
 
@@ -122,7 +122,7 @@ class LineModel:
     baud : float
         Speed of the line [bit/s]. Infinity means no transmission time.
     trip_s, deviation_s : float or None
-        Smoothed round trip and its mean deviation (RFC 6298) [s]. `trip_s` is None until a round
+        Smoothed round trip, and its mean deviation (RFC 6298) [s]. `trip_s` is None until a round
         trip is measured.
     answered : float
         Recent fraction of answered heartbeats (exponential average).
@@ -160,7 +160,7 @@ class LineModel:
 
     @property
     def lossy(self) -> bool:
-        """Whether the line loses bytes too often, so that messages are sent in several copies."""
+        """Whether the line loses bytes so often that messages are sent in several copies."""
         return self.answered < LOSSY
 
     @property
@@ -176,14 +176,14 @@ class LineModel:
         return float(max(self.answered, 1e-6) ** (size / ROUND_BYTES))
 
     def copies(self, size: int) -> int:
-        """Return the number of copies of a frame for which about one copy arrives on average."""
+        """Return the number of copies of a frame with which about one copy arrives on average."""
         if not self.lossy:
             return 1
         return min(MAX_COPIES, max(1, ceil(1 / self.arriving(size) - 0.25)))
 
     def command_copies(self, size: int) -> int:
-        """Return the number of copies of a command for which it is answered with a probability of
-        at least 1 - `UNANSWERED`."""
+        """Return the number of copies of a command with which the command is answered with a
+        probability of at least 1 - `UNANSWERED`."""
         if not self.lossy:
             return 1
         none = log1p(-self.arriving(size + ANSWER_BYTES))

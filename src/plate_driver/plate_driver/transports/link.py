@@ -41,8 +41,9 @@ from .transport import Condition, Report
 SILENCE_S = 1.0
 """Maximum time without a message, in addition to a round trip [s]. After a longer time, the device
 counts as disconnected and the link is restarted. The device itself brakes after a quarter of this
-time. A restart of the link stops the motors, so a very lossy line must not appear disconnected. If
-5 % of the bytes are lost, one in seven of the about 200 messages in this time arrives complete."""
+time. The time is long, because a restart of the link stops the motors: a very lossy line must not
+appear disconnected. If 5 % of the bytes are lost, one in seven of the about 200 messages in this
+time arrives complete."""
 
 GREETING_S = 5.0
 """Maximum time without an answer to Hello [s]."""
@@ -51,22 +52,22 @@ GREETING_TRIES = 30
 """Number of Hellos that are sent at intervals of `ANSWER_S`."""
 
 LATER_GREETING_S = 0.1
-"""Interval between later Hellos [s]."""
+"""Interval between all later Hellos [s]."""
 
 GIVE_UP_S = 5.0
-"""Maximum time without an answer to a command, in addition to twenty round trips [s]. Knots have no
-maximum time while the device sends messages, because they only arrive late."""
+"""Maximum time without an answer to a command, in addition to twenty round trips [s]. For knots
+there is no maximum time while the device sends messages, because lost knots only delay a table."""
 
 QUEUE_S = 0.008
-"""Maximum transmission time of the bytes that are already queued when more are sent [s]. It is
-longer than the time to the next poll (5 ms), and so short that a stop does not wait long for
+"""More bytes are sent only if the transmission of the queued bytes takes at most this time [s]. It
+is longer than the time to the next poll (5 ms), and so short that a stop does not wait long for
 earlier bytes."""
 
 KNOTS_ANSWER_S = 0.01
 """Maximum time in which the device answers knots, in addition to the round trip [s]."""
 
 MAX_ROUND_TRIP_S = 1.0
-"""Maximum round trip of a pulse that is used for the line model [s]."""
+"""Pulses with a longer round trip are not used for the line model [s]."""
 
 SESSION_STEP = 40_503
 """Difference between the first sequence numbers of successive sessions (Knuth's multiplicative
@@ -76,8 +77,8 @@ MOVABLE = (State.READY, State.PLAYING)
 """States in which the device accepts a table."""
 
 LATER = (Status.INCOMPLETE, Status.TOO_LONG)
-"""Answers to setpoints of a stream that arrived before their predecessors, or while the buffer was
-full."""
+"""Answers of the device to setpoints of a stream that arrived before their predecessors, or while
+its buffer was full."""
 
 
 LATE_IN_MOTION = "a cycle in motion came too late: the plate comes to rest"
@@ -93,11 +94,11 @@ class Pending:
     sequence : int
     message : Message
     first_at : float
-        Time at which it was first sent [s].
+        Time at which the command was first sent [s].
     sent_at : float
         Time at which its last copy has left the host [s].
     tries : int
-        Number of times that it was sent.
+        Number of times that the command was sent.
     """
 
     sequence: int
@@ -109,7 +110,7 @@ class Pending:
 
 @dataclass(frozen=True)
 class Answer:
-    """Result of the last Stop, Enable or Home. `status` is None until it is answered."""
+    """Result of the last Stop, Enable or Home. `status` is None until the device has answered."""
 
     sequence: int
     message: Message
@@ -134,9 +135,9 @@ class Link:
     next_table : tuple of Message
         Messages of the newest table, while another table is still being sent.
     follows : int
-        Number of the table that `next_table` continues in motion. 0 if it begins at rest.
+        Number of the table that `next_table` continues in motion. 0 if `next_table` begins at rest.
     device : Capabilities or None
-        Answer to Hello. None until it arrives.
+        Answer to Hello. None until the answer arrives.
     telemetry : Telemetry or None
         Last telemetry.
     telemetry_at : float
@@ -153,11 +154,12 @@ class Link:
     failed : Report or None
         Report of a link that has failed. None while the link works.
     refusal : str
-        Text of a refusal by the device since the last `without_refusal`.
+        Text of the last refusal by the device. Empty if the device has refused nothing since the
+        last `without_refusal`.
     retries : int
         Number of messages repeated so far.
     in_order : bool
-        Whether the device accepts knots only in order: true for a stream, false for a table.
+        Whether the device accepts knots only in order. True for a stream, False for a table.
     """
 
     session: int
@@ -185,12 +187,12 @@ class Link:
     def begun(
         cls, session: int, now: float, baud: float = float("inf"), trigger: Trigger | None = None
     ) -> Link:
-        """Return a link that is ready to send Hello and then the camera trigger, if one is given.
+        """Return a link that will send Hello, and then the camera trigger if `trigger` is given.
 
         `baud` is the speed of the line [bit/s].
         """
-        # Each session starts at a different number, so that answers to commands of an older session
-        # are not confused with answers to this one.
+        # Each session starts with a different sequence number, so that answers to commands of an
+        # older session are not confused with answers to commands of this session.
         number = session * SESSION_STEP % 2**16
         link = cls(session, now, LineModel(baud), sequence=number)
         link = link._requested(Hello(VERSION, session))
@@ -217,8 +219,9 @@ class Link:
         The tail of the table begins at `splice_ticks` [TICK_S]. 0 means no tail. If the table
         continues the table `follows` in motion, it is sent only when `follows` plays.
 
-        A running upload is finished first, because otherwise a planner with a high rate would
-        interrupt every upload. If several tables wait, only the newest is kept.
+        A running upload is completed before the next upload, because otherwise a planner with a
+        high rate would interrupt every upload. If several tables wait, only the newest table is
+        kept.
         """
         begin = Begin(table, len(knots), table_crc(knots), splice_ticks)
         parts = _parts(table, 0, knots, self.line.knots_per_message)
@@ -237,12 +240,12 @@ class Link:
         return self._requested(*_parts(table, first, knots, self.line.knots_per_message))
 
     def stopping(self, now: bool = False) -> Link:
-        """Return the link that requests a stop. The device brakes, or switches off the current at
-        once if `now` is true.
+        """Return the link that requests a stop. The device brakes. If `now` is True, it switches
+        off the current immediately instead.
 
         All other commands except Hello and Trigger are dropped, including an Enable. If a stop is
-        already in transit, it is sent again at once. A stop with `now` is not replaced by one
-        without `now`.
+        already in transit, it is sent again immediately. A stop with `now` is not replaced by a
+        stop without `now`.
         """
         greeting = tuple(p for p in self.queue if isinstance(p.message, Hello | Trigger))
         stops = [p for p in self.queue if isinstance(p.message, Stop)]
@@ -287,7 +290,7 @@ class Link:
             return replace(link, trouble=message)
         if isinstance(message, Pulse):
             if now - message.host_ns * 1e-9 > MAX_ROUND_TRIP_S:
-                return link  # the host has stalled, or the pulse answers another host's heartbeat
+                return link  # the host has stalled, or the pulse is for a heartbeat of another host
             clock, line = link.clock.received(message, now), link.line.received(message, now)
             return replace(link, clock=clock, line=line)
         if isinstance(message, Capabilities):
@@ -303,8 +306,8 @@ class Link:
         )  # fmt: skip
         if telemetry.state in MOVABLE:
             return replace(link, trouble=None)
-        # Drop the tables, because a stopped device refuses them and an enabled one must not receive
-        # old tables.
+        # Drop the tables, because a stopped device refuses tables, and an enabled device must not
+        # receive old tables.
         queue = tuple(p for p in self.queue if not isinstance(p.message, Begin | Knots | Commit))
         return replace(link, queue=queue, next_table=())
 
@@ -314,7 +317,7 @@ class Link:
             why += f"allowed: version {VERSION} and {MOTORS} motors"
             return self._failing(DriverReason.WRONG_DEVICE, why)
         if device.session != self.session:
-            return self  # the message answers an earlier session
+            return self  # the message belongs to an earlier session
         if self.device is not None and device.boot != self.device.boot:
             return self._failing(DriverReason.DEVICE_RESET, "device was reset")
         queue = tuple(p for p in self.queue if not isinstance(p.message, Hello))
@@ -334,7 +337,8 @@ class Link:
         if self.answer is not None and self.answer.sequence == answer.sequence:
             link = replace(link, answer=replace(self.answer, status=answer.status))
         if answer.status is Status.DONE:
-            # The last telemetry is older than this command, so wait for the next one.
+            # The last telemetry is older than the result of this command, so wait for the next
+            # telemetry.
             changed = isinstance(message, Commit | Home | Enable | Stop)
             return replace(link, fresh_telemetry=None if changed else self.fresh_telemetry)
         if isinstance(message, Stop | Enable | Home):
@@ -391,7 +395,7 @@ class Link:
         return link, packets
 
     def _longest(self, message: Message) -> float:
-        """Return the maximum time to repeat a command [s]."""
+        """Return the maximum time for which a command is repeated [s]."""
         if isinstance(message, Hello):
             return GREETING_S
         if isinstance(message, Knots):
@@ -399,7 +403,7 @@ class Link:
         return GIVE_UP_S + 20 * self.line.round_s
 
     def _with_heartbeat(self, now: float, packets: list[Packet]) -> Link:
-        """Return the link after a heartbeat, if one is due."""
+        """Return the link after a heartbeat, if a heartbeat is due."""
         if self.device is None or now - self.heartbeat_at < self.line.heartbeat_s - 1e-9:
             return self
         beat = Heartbeat(round(now * 1e9))
@@ -435,7 +439,7 @@ class Link:
         return replace(self, queue=queue, line=line, flight=flight, retries=retries)
 
     def _fed(self, now: float) -> Link:
-        """Return the link with the next table in an empty queue."""
+        """Return the link after the next table was moved to the queue, if the queue is empty."""
         if self.queue or not self.next_table or self.device is None:
             return self
         telemetry = self.fresh_telemetry
@@ -478,18 +482,20 @@ class Link:
         return replace(self, queue=tuple(queue), sequence=sequence)
 
     def _stops(self, now: float) -> list[Pending]:
-        """Return the stop to send now, if any. It does not wait until the line is free."""
+        """Return the stop that must be sent now, if any. A stop does not wait until the line is
+        free."""
         stops = [p for p in self.queue if isinstance(p.message, Stop)]
         return [p for p in stops if not self._in_flight(p, now)]
 
     def _sendable(self, now: float) -> list[Pending]:
-        """Return the commands to send now: one command, or all knots if the first command contains
-        knots."""
+        """Return the commands that must be sent now: one command, or all knots if the first command
+        contains knots."""
         queue = [p for p in self.queue if not isinstance(p.message, Stop)]
         if self.device is None or not queue or not isinstance(queue[0].message, Knots):
             return [p for p in queue[:1] if not self._in_flight(p, now)]
         knots = [p for p in queue if isinstance(p.message, Knots)]
-        if self.line.lossy and not self.in_order:  # send all knots again, because most are lost
+        # Send all knots, because the line loses most of them.
+        if self.line.lossy and not self.in_order:
             return sorted(knots, key=lambda p: p.sent_at)
         return [p for p in knots if not self._in_flight(p, now)]
 

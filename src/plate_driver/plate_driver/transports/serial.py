@@ -1,6 +1,6 @@
 """Transport to a motor controller on a serial port (docs/protocol.md). The inputs are motor tables
 and the orders stop, enable and home. The outputs are sensor values and the reported state. Tables
-are uploaded or streamed as setpoints. If the link fails, the port is reopened."""
+are uploaded as a whole, or streamed as setpoints. If the link fails, the port is reopened."""
 
 from __future__ import annotations
 
@@ -44,33 +44,34 @@ from .transport import Condition, Measured, Order, Report, TransportContext
 BAUD = 921_600
 
 PIECES = 64
-"""Number of pieces of a typical table. The speed of the line is checked with this number."""
+"""Number of pieces of a typical table. The speed of the line is checked for a table of this
+size."""
 
 REOPEN_S = (0.1, 0.2, 0.4, 0.8)
-"""Delays between attempts to reopen the port [s]. The last one is repeated."""
+"""Delays between attempts to reopen the port [s]. The last delay is repeated."""
 
 SENT_KEPT = 8
 """Number of sent tables that are stored, because they may still play or wait."""
 
 NEAR = ((1e-6,), (1e-3,), (0.1,))
-"""Maximum rounding errors of a state: travel [m], speed [m/s] and acceleration [m/s2]."""
+"""Maximum rounding errors of travel [m], speed [m/s] and acceleration [m/s2] in a state."""
 
 LEAD_S = 0.3
-"""Time by which a stream is sent ahead of the device's playback [s]. The device brakes if this time
-falls to 0.1 s."""
+"""Time by which setpoints of a stream are sent before the device plays them [s]. The device brakes
+if this time falls to 0.1 s."""
 
 QUIET_S = 0.5
 """Maximum time without a message, in addition to a round trip [s]. After a longer time, the device
 is reported as not answering."""
 
 STOP_ANSWER_S = 0.5
-"""Maximum wait for the answer to a stop, in addition to four round trips [s]."""
+"""Maximum time until the device answers a stop, in addition to four round trips [s]."""
 
 HOME_ANSWER_S = 1.0
-"""Maximum wait for the answer to a home, in addition to four round trips [s]."""
+"""Maximum time until the device answers a home, in addition to four round trips [s]."""
 
 READY_S = 8.0
-"""Maximum wait until the motors are ready, in addition to four round trips [s]. It consists of 5 s
+"""Maximum time until the motors are ready, in addition to four round trips [s]. It consists of 5 s
 for the search for home, 0.5 s for the motion to home, and a margin."""
 
 ROUNDING = 1e-5
@@ -78,8 +79,8 @@ ROUNDING = 1e-5
 in single precision."""
 
 READ_BYTES = 65_536
-"""Maximum number of bytes per read. It exceeds the number that the device sends in half a second at
-921,600 baud."""
+"""Maximum number of bytes per read. The device sends fewer bytes in half a second at 921,600
+baud."""
 
 UNANSWERED = "the device does not answer"
 NO_ANSWER = Report(Condition.GONE, DriverReason.NO_ANSWER, UNANSWERED)
@@ -101,12 +102,12 @@ REASONS = {
     Fault.HOST_SILENT: DriverReason.HOST_SILENT,
     Fault.STOPPED: DriverReason.EARLIER_STOP,
 }
-"""Reason of each fault. If there are several faults, the first one in this order determines the
-reason. An unknown home is not in the list, because the next enable finds home, so nobody must check
-the rig."""
+"""Reason of each fault. If there are several faults, the first fault in this order determines the
+reason. An unknown home is not in the list: the next enable finds home, so no person must check the
+rig."""
 
 OF_DRIVES = Fault.HARDWARE | Fault.SUPPLY | Fault.FOLLOWING
-"""Faults to which the report of a drive adds a description."""
+"""Faults that the report of a drive describes further."""
 
 REFUSED = {
     Status.WRONG_STOP: "wrong stop: another stop has come since; call enable again",
@@ -128,7 +129,7 @@ PORT_ERRORS = {
 
 
 class Port(Protocol):
-    """Subset of `serial.Serial` that the transport uses. `read` and `write` return at once."""
+    """Subset of `serial.Serial` that the transport uses. `read` and `write` return immediately."""
 
     def read(self, size: int) -> bytes: ...
 
@@ -138,7 +139,7 @@ class Port(Protocol):
 
 
 class _Serial(serial.Serial):
-    """Port with a `write` that returns at once. The `write` of pyserial waits or polls in a
+    """Port with a `write` that returns immediately. The `write` of pyserial waits or polls in a
     loop."""
 
     def write(self, data: bytes) -> int:
@@ -200,13 +201,13 @@ def trigger_message(trigger: CameraTrigger | None) -> Trigger | None:
 class SerialTransport:
     """Transport to a motor controller with the protocol of docs/protocol.md.
 
-    It never enables the motors without a call of `enable`. This rule also holds after a restart of
-    the link, after a reset of the device, and after a time without messages to the device.
+    The transport never enables the motors without a call of `enable`, even after a restart of the
+    link, after a reset of the device, and after a time without messages to the device.
 
     Parameters
     ----------
     make_port : callable
-        Opens the port. It is called again after a failure.
+        Function that opens the port. It is called again after a failure.
     clock : callable
         Returns a time that never decreases [s].
     seed : int
@@ -237,13 +238,14 @@ class SerialTransport:
         self._unfit: Report | None = None
         self._boot: int | None = None
         self._reset = False  # whether the device was reset and not enabled since
-        # Problem of the device's clock that stopped the motors. Empty after the next enable.
+        # Problem of the device's clock for which the motors were stopped. Empty after the next
+        # enable.
         self._clock_fault = ""
         self._closed = False
         self._streams, self._baud = streams, baud
         self._streamed: SetpointStream | None = None
         self._stream_began: float | None = None  # start of the stream on the device's clock [s]
-        # Stream that begins when the current one has ended.
+        # Stream that begins when the current stream has ended.
         self._next: SetpointStream | None = None
         self.min_lead_s = float("inf")
         self._make_port, self._clock, self._session = make_port, clock, seed
@@ -293,7 +295,7 @@ class SerialTransport:
         self.poll()
 
     def send(self, table: MotorTable, repeats: int) -> None:
-        """Upload or stream a table. The device plays it from its next cycle boundary on.
+        """Upload or stream a table. The device plays it when the current cycle has ended.
 
         Raises
         ------
@@ -327,7 +329,7 @@ class SerialTransport:
     def _check_density(self, table: MotorTable, repeats: int) -> None:
         """Refuse a table if the device cannot store all setpoints of a stream that are sent ahead.
 
-        A stream begins only after all its first setpoints were stored.
+        A stream begins only when its first setpoints are stored.
         """
         device = self._link.device
         most = MAX_KNOTS if device is None else device.max_knots
@@ -339,8 +341,8 @@ class SerialTransport:
             )
 
     def poll(self) -> list[Measured]:
-        """Read messages, send due packets, and return the new measurements. Call it every few
-        milliseconds."""
+        """Read messages, send due packets, and return the new measurements. Call this method every
+        few milliseconds."""
         if self._port is None:
             self._reopen(self._clock())
             return []
@@ -359,7 +361,7 @@ class SerialTransport:
                     when = self._link.clock.host_time(telemetry.device_us)
                     measured.append(self._measured(telemetry, min(when, now), now))
             self._check_clock(now)
-            self._settle_orders()
+            self._complete_orders()
             self._feed_stream(now)
             link, due = self._link.due(now)
             self.retries += link.retries - self._link.retries
@@ -451,13 +453,13 @@ class SerialTransport:
     # Orders of a person
 
     def stop(self, cut: bool = False) -> Order:
-        """Make the device brake. If `cut` is true, switch off the current at once. All other
-        commands are dropped."""
+        """Make the device brake. If `cut` is True, switch off the current immediately instead. All
+        other commands are dropped."""
         self._streamed = self._next = None
-        self._settle_request("another stop has come since; call enable again")
+        self._complete_request("another stop has come since; call enable again")
         order = self._ordered(STOP_ANSWER_S)
         if self._closed:
-            return order.settle(UNANSWERED)
+            return order.complete(UNANSWERED)
         self._cut = cut or (self._cut and bool(self._stops))
         self._stops.append(order)
         self._link = self._link.stopping(self._cut)
@@ -469,29 +471,31 @@ class SerialTransport:
         telemetry = self._link.telemetry
         order = self._ordered(READY_S)
         if self._unfit:
-            return order.settle(self._unfit.text)
+            return order.complete(self._unfit.text)
         report = self.report()
         if report.condition is Condition.GONE or telemetry is None:
-            return order.settle(report.text)
-        # Refuse, because it is unknown which stop this enable would clear.
+            return order.complete(report.text)
+        # Refuse, because it is not known which stop this enable would end.
         if self._stops or self._link.fresh_telemetry is None:
-            return order.settle("the device has not reported the last stop yet; call enable again")
+            return order.complete(
+                "the device has not reported the last stop yet; call enable again"
+            )
         if self._request is not None:
-            return order.settle("another enable or home is not answered yet")
+            return order.complete("another enable or home is not answered yet")
         if self._clock_broken(self._clock()):
-            return order.settle(self._link.clock.problem)
+            return order.complete(self._link.clock.problem)
         self._clock_fault = ""
         self._request, self._link = order, self._link.enabling(telemetry.stop)
         self.poll()
         return order
 
     def home(self) -> Order:
-        """Request a new search for home. The device refuses unless its motors are off."""
+        """Request a new search for home. The device refuses it unless its motors are off."""
         order = self._ordered(HOME_ANSWER_S)
         if self.report().condition is Condition.GONE:
-            return order.settle(UNANSWERED)
+            return order.complete(UNANSWERED)
         if self._stops or self._request is not None:
-            return order.settle("a stop, an enable or a home is not answered yet")
+            return order.complete("a stop, an enable or a home is not answered yet")
         self._request, self._link = order, self._link.homing()
         self.poll()
         return order
@@ -509,39 +513,39 @@ class SerialTransport:
     def _ordered(self, longest_s: float) -> Order:
         return Order(longest_s + 4 * self._link.line.round_s)
 
-    def _settle_orders(self) -> None:
-        """Complete the orders that the device has answered, successfully or with an error."""
+    def _complete_orders(self) -> None:
+        """Complete the orders that the device has answered, with or without an error."""
         answer = self._link.answer
         if answer is None or answer.status is None:
             return
         failure = "" if answer.status is Status.DONE else _refused(answer.status)
         if isinstance(answer.message, Stop):
             for order in self._stops:
-                order.settle(failure)
+                order.complete(failure)
             self._stops, self._cut = [], False
         elif self._request is None:
             return
         elif failure or isinstance(answer.message, Home):
-            self._settle_request(failure)
+            self._complete_request(failure)
         elif isinstance(answer.message, Enable) and self._link.fresh_telemetry is not None:
             state = self._link.fresh_telemetry.state
             if state in (State.READY, State.PLAYING):
                 self._reset = False
-                self._settle_request()
+                self._complete_request()
             elif state is not State.HOMING:
                 reason = named(self._link.fresh_telemetry.faults)
-                self._settle_request(f"it has stopped again: {reason}")
+                self._complete_request(f"it has stopped again: {reason}")
 
-    def _settle_request(self, failure: str = "") -> None:
+    def _complete_request(self, failure: str = "") -> None:
         """Complete the pending enable or home, if any. An empty `failure` means success."""
         request, self._request = self._request, None
         if request is not None:
-            request.settle(failure)
+            request.complete(failure)
 
     # The line
 
     def _write(self, port: Port, due: list[Packet]) -> None:
-        # The leading zero ends a partial frame that noise may have left on the line.
+        # The zero at the start ends a partial frame that noise may have left on the line.
         data = b"\0" + b"".join(frame(pack(packet)) for packet in due)
         if port.write(data) != len(data):
             self._note("serial line is full: lost messages are repeated")
@@ -577,8 +581,8 @@ class SerialTransport:
         return message if self._link.clock.known else None
 
     def _greeted(self, device: Capabilities) -> None:
-        """Check whether a device that has answered was reset, and whether its limits are those of
-        this rig."""
+        """Check whether a device that has answered Hello was reset, and whether its limits are
+        those of this rig."""
         self._reset = self._reset or self._boot not in (None, device.boot)
         self._boot = device.boot
         why = "" if self._limits is None else differing(device, self._limits)
@@ -590,7 +594,7 @@ class SerialTransport:
         return self._link.clock.broken(now, self._link.line.round_s)
 
     def _check_clock(self, now: float) -> None:
-        """Stop a device with a broken clock, because its plate may exceed the limits."""
+        """Stop a device with a broken clock, because its motions may exceed the limits."""
         telemetry = self._link.fresh_telemetry
         if telemetry is None or telemetry.state in (State.OFF, State.BRAKING):
             return
@@ -598,12 +602,12 @@ class SerialTransport:
             return
         self._clock_fault = self._link.clock.problem
         self._streamed = self._next = None
-        self._settle_request(self._clock_fault)
+        self._complete_request(self._clock_fault)
         self._link = self._link.stopping()
 
     def _measured(self, telemetry: Telemetry, time: float, now: float) -> Measured:
-        """Return the measurement at the host time `time` [s]. It has no table while the device
-        brakes."""
+        """Return the measurement at the host time `time` [s]. While the device brakes, the
+        measurement has no table."""
         braking = telemetry.state is State.BRAKING
         playing = None if braking else self._sent.get(telemetry.table)
         ticks = telemetry.ticks
@@ -651,7 +655,7 @@ class SerialTransport:
                 self._link = self._link.streaming(self._table, first)
             return
         if telemetry.table != self._table or not self._link.clock.known:
-            return  # the table does not play yet, or the device's clock is unknown
+            return  # the stream does not play yet, or the device's clock is not known
         if self._stream_began is None:
             self._stream_began = telemetry.device_us * 1e-6
         if stream.ended:
@@ -681,7 +685,7 @@ class SerialTransport:
             self._note(why.text)
         self._gone = why
         self._streamed = self._next = None
-        self._settle_request(why.text)
+        self._complete_request(why.text)
         self._release()
         self._reopen_at = now + REOPEN_S[min(self._failures, len(REOPEN_S) - 1)]
         self._failures += 1
@@ -700,11 +704,11 @@ def wired(table: MotorTable, before: Mapping[int, MotorTable]) -> tuple[tuple[Kn
     continues.
 
     The splice time [TICK_S] is 0 if the table has no tail. The third value is the number of the
-    table that this one continues in motion. It is 0 if this table begins at rest.
+    table that this table continues in motion. It is 0 if this table begins at rest.
 
     If the first knot equals the splice knot of a table in `before` up to rounding, it is replaced
-    by that knot, so that both are bitwise equal. If there are several such tables, the latest is
-    used.
+    by the splice knot, so that both are bitwise equal. If there are several such tables, the latest
+    table is used.
     """
     first, *rest = knots(table)
     follows = 0
@@ -729,8 +733,8 @@ def named(faults: Fault) -> str:
 
 
 def differing(device: Capabilities, limits: Limits) -> str:
-    """Return a text about the device limits that differ from the rig file. The result is empty if
-    all are equal."""
+    """Return a text about the limits of the device that differ from the rig file. Return "" if all
+    limits are equal."""
     pairs = {
         "stroke [m]": (device.stroke_m, limits.stroke_m),
         "speed [m/s]": (device.speed, limits.speed),

@@ -1,4 +1,4 @@
-"""Transport to the simulator. It publishes motor tables. There are no motors that must be
+"""Transport to the simulator, which publishes motor tables. There are no motors that must be
 enabled."""
 
 from __future__ import annotations
@@ -51,20 +51,21 @@ class SimTransport:
         self._publish(table)
 
     def stop(self, cut: bool = False) -> Order:
-        """Publish rest if a table was sent. The simulator rests from the end of its cycle on."""
+        """Publish rest if a table was sent. The simulator rests after the end of its present
+        cycle."""
         last, self._last, self._stopped = self._last, None, True
         if last is not None:
             self._publish(MotorTable.rest(self._rig, last.cycle.period, last.stamp_ns))
-        return Order().settle()
+        return Order().complete()
 
     def enable(self) -> Order:
         """Set the state to READY."""
         self._stopped = False
-        return Order().settle()
+        return Order().complete()
 
     def home(self) -> Order:
         """Do nothing, because the simulator always knows home."""
-        return Order().settle()
+        return Order().complete()
 
     def troubles(self) -> list[str]:
         """Return no problems."""

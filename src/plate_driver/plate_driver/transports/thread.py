@@ -1,5 +1,5 @@
-"""Transport thread and latch. The transport is polled in a separate thread, so that no message can
-delay a stop. The latch counts stops and blocks cycles after a stop until an enable succeeds."""
+"""Transport thread and latch. A separate thread polls the transport, so that no message can delay a
+stop. The latch counts stops, and blocks cycles after a stop until an enable succeeds."""
 
 from __future__ import annotations
 
@@ -30,30 +30,29 @@ STOPPED_SINCE = "another stop has come since; call enable again"
 BUSY = "the transport is busy"
 
 BUSY_S = 0.3
-"""Maximum wait for a transport that another thread uses [s]."""
+"""Maximum time to wait for a transport that another thread uses [s]."""
 
 CLOSE_S = 2.0
-"""Maximum wait for the end of a transport's thread [s]."""
+"""Maximum time to wait for the end of a transport's thread [s]."""
 
 ANSWER_S = 0.3
-"""Maximum wait for the result of an order [s], so that the caller gets a reply within 0.5 s."""
+"""Maximum time to wait for the result of an order [s]. With it, the caller gets a reply within 0.5
+s."""
 
 SHOWN_S = 0.1
-"""Maximum time from a measurement to the deadline of a stop for which the measurement shows whether
-the motors have stopped [s]. All messages that the device sent before the stop have arrived by
-then."""
+"""A measurement shows whether a stop has succeeded if it is at most this much older than the
+deadline of the stop [s]. All messages that the device sent before the stop arrive earlier."""
 
 REMEMBERED = 2000
 """Maximum number of measurements that are stored until `measured` is called. They cover 20 s."""
 
 URGENT = -15
-"""Niceness of the threads that stop motors, if the system allows it (CAP_SYS_NICE)."""
+"""Niceness of the threads that stop motors. The system must allow it (CAP_SYS_NICE)."""
 
 
 @contextlib.contextmanager
 def urgent() -> Iterator[None]:
-    """Give this thread, and threads that are started in the context, priority over all other
-    threads."""
+    """Give this thread, and threads that are started in the context, a high priority."""
     own = threading.get_native_id()
     before = os.getpriority(os.PRIO_PROCESS, own)
     with contextlib.suppress(OSError):
@@ -68,8 +67,8 @@ def urgent() -> Iterator[None]:
 class Latch:
     """Blocks cycles after a stop, and stores the reason of the stop.
 
-    A latch is thread-safe and is kept when the transport is closed. Each stop has a number, so that
-    a table that was prepared before a stop is never sent after it.
+    A latch is thread-safe. It is kept when the transport is closed. Each stop has a number, so that
+    a table that was prepared before a stop is never sent after the stop.
     """
 
     def __init__(self) -> None:
@@ -91,7 +90,7 @@ class Latch:
 
     @property
     def enabling(self) -> bool:
-        """Whether an enable is in progress and no stop was requested after it."""
+        """Whether an enable is in progress, and no stop was requested since it began."""
         return self._number in self._enabling
 
     @property
@@ -103,8 +102,8 @@ class Latch:
     def close(
         self, reason: DriverReason, over: tuple[DriverReason, ...] = (DriverReason.NONE,)
     ) -> None:
-        """Count a stop. The current reason is replaced if it is in `over`, or if `over` is
-        empty."""
+        """Count a stop. `reason` replaces the current reason if the current reason is in `over`, or
+        if `over` is empty."""
         with self._lock:
             self._number += 1
             if not over or self._reason in over:
@@ -141,8 +140,7 @@ class _Enable:
 
 
 class TransportThread:
-    """Polls a transport every few milliseconds. This class also makes all other calls of the
-    transport.
+    """Polls a transport every few milliseconds, and makes all other calls of the transport.
 
     Parameters
     ----------
@@ -150,8 +148,8 @@ class TransportThread:
         Transport that is already open.
     latch : Latch
     on_defect : callable
-        Called with an unexpected exception of the transport. The motors are then stopped, and their
-        state is GONE.
+        Function that is called with an unexpected exception of the transport. After such an
+        exception, the motors are stopped, and their state is GONE.
     """
 
     def __init__(
@@ -163,7 +161,7 @@ class TransportThread:
         self._measured: deque[Measured] = deque(maxlen=REMEMBERED)
         self._measured_at = float("-inf")
         self._enables: list[_Enable] = []
-        self._stop = Order().settle()  # last stop
+        self._stop = Order().complete()  # last stop
         self._owed: list[bool] = []  # one entry per postponed stop: whether to cut the power
         self._troubles: list[str] = []
         self._thread = threading.Thread(target=self._run, name="transport", daemon=True)
@@ -217,26 +215,27 @@ class TransportThread:
     def _follow(self) -> None:
         """Open the latch as soon as the motors are ready after an Enable command."""
         for each in list(self._enables):
-            settled, failure = each.order.settled, each.order.failure
-            if not settled and time.monotonic() < each.end:
+            completed, failure = each.order.completed, each.order.failure
+            if not completed and time.monotonic() < each.end:
                 continue
-            opened = settled and not failure and self._latch.open(each.number)
-            if not settled:
+            opened = completed and not failure and self._latch.open(each.number)
+            if not completed:
                 failure = f"the motors are not ready after {each.order.longest_s:.2g} s"
             elif not failure and not opened:
                 failure = STOPPED_SINCE
             self._enables.remove(each)
             self._latch.enable_ended(each.number)
-            each.result.settle(failure)
-            if not opened and (not settled or each.order.done):
-                # The enable has failed, so switch off every motor that it switched on.
+            each.result.complete(failure)
+            if not opened and (not completed or each.order.done):
+                # The enable has failed, so switch off the motors that it may have switched on.
                 self._tried(self._transport.stop)
 
     def _tried(self, call: Callable[[], T]) -> T | None:
-        """Call `call` with the lock held. Return None if it raises an unexpected exception.
+        """Call `call` while the lock is held. Return None if it raises an unexpected exception.
 
         A transport may be third-party code. Any exception except a PlateError stops the motors and
-        blocks all cycles. It must end neither this thread nor the thread that replies to stops.
+        blocks all cycles. Such an exception must not end this thread, or the thread that replies to
+        stops.
         """
         try:
             return call()
@@ -257,13 +256,13 @@ class TransportThread:
                 self.poll()
 
     def _ordered(self, call: Callable[[], Order]) -> Order:
-        """Call a method of the transport for a person's order."""
+        """Call a method of the transport for an order of a person."""
         if not self._lock.acquire(timeout=BUSY_S):
-            return Order().settle(BUSY)
+            return Order().complete(BUSY)
         try:
             order = self._tried(call)
             if order is None:
-                return Order().settle(self.report.text)
+                return Order().complete(self.report.text)
             self._tried(self._reported)
             self._follow()
             return order
@@ -282,7 +281,8 @@ class TransportThread:
         Raises
         ------
         CycleError
-            If the motors were stopped after that, or if the transport refuses the table.
+            If the motors were stopped after the table was made, or if the transport refuses the
+            table.
         """
         with self._lock:
             if self._latch.reason or self._latch.number != number:
@@ -298,8 +298,8 @@ class TransportThread:
                 raise CycleError(self.report.text)
 
     def stop(self, cut: bool = False) -> Order:
-        """Stop the motors, see `Transport.stop`. If the transport is busy, it stops them as soon as
-        possible."""
+        """Stop the motors, see `Transport.stop`. If another thread uses the transport, the motors
+        are stopped as soon as possible."""
         order = self._stop = self._ordered(lambda: self._transport.stop(cut))
         if order.failure == BUSY:
             self._owed.append(cut)
@@ -307,35 +307,35 @@ class TransportThread:
 
     @property
     def stopping(self) -> bool:
-        """Whether a stop is neither done nor failed yet."""
-        return bool(self._owed) or not self._stop.settled
+        """Whether a stop is still in progress."""
+        return bool(self._owed) or not self._stop.completed
 
     def stopped(self, order: Order, cut: bool, end: float) -> bool:
         """Wait for a stop until `end` (steady clock [s]), and return whether it is done.
 
-        A stop is also done if a recent measurement shows motors without current. Braking motors
-        suffice unless `cut` is true.
+        A stop is also done if a recent measurement shows motors without current or, unless `cut` is
+        True, motors that brake.
         """
         stopped = (Condition.OFF,) if cut else (Condition.OFF, Condition.BRAKING)
 
         def shown() -> bool:
             return self._measured_at > end - SHOWN_S and self.report.condition in stopped
 
-        while not shown() and (left_s := end - time.monotonic()) > 0 and not order.settled:
+        while not shown() and (left_s := end - time.monotonic()) > 0 and not order.completed:
             order.wait(min(left_s, 2 * POLL_PERIOD_S))
-        return order.done if order.settled else shown()
+        return order.done if order.completed else shown()
 
     def enable(self, number: int) -> Order:
         """Enable the motors, see `Transport.enable`. `number` is the value of `Latch.number` at the
         time of the request.
 
         When the motors are ready, the latch opens and the order is done. If they do not become
-        ready, the order fails with the reason. Both happen even if no caller waits.
+        ready, the order fails with the reason. This does not depend on whether a caller waits.
         """
 
         def call() -> Order:
             if self._latch.number != number:
-                return Order().settle(STOPPED_SINCE)
+                return Order().complete(STOPPED_SINCE)
             order = self._transport.enable()
             result = Order(order.longest_s)
             end = time.monotonic() + order.longest_s

@@ -1,17 +1,18 @@
 """Interface `Transport` between the driver node and the hardware that moves the plate.
 
-Another package can add a transport. It defines a class with the methods of `Transport` and a
-function that returns an instance for a `TransportContext`. Its setup.py names the function:
+Another package can add a transport. The package defines a class with the methods of `Transport`,
+and a function that returns an instance for a `TransportContext`. The setup.py of the package names
+the function:
 
     entry_points={"plate_driver.transports": ["ethercat = my_package.plate:make"]}
 
 The driver then accepts `transport:=ethercat`. `make` raises a PlateError if a parameter is invalid.
 The message is one line with the parameter, its value and the allowed values. `open` raises a
-PlateError if something else is missing.
+PlateError if any other requirement is not met.
 
-All methods return at once. The driver calls them from several threads, but never two at the same
-time. It calls `poll` every few milliseconds. Times are on `TransportContext.clock`, so that a test
-can replace the clock.
+All methods return immediately. The driver calls them from several threads, but never two methods at
+the same time. It calls `poll` every few milliseconds. Times are on `TransportContext.clock`, so
+that a test can replace the clock.
 """
 
 from __future__ import annotations
@@ -53,7 +54,7 @@ class Report:
     reason : DriverReason
         Reason why the motors are off or brake, or why their controller does not answer. A requested
         stop is EARLIER_STOP, because only the driver knows whether it requested the stop itself.
-        OTHER is used for reasons that have no value.
+        OTHER is used for all reasons that have no value of their own.
     text : str
         The reason as text.
     values : mapping of str to str
@@ -81,11 +82,11 @@ class Measured:
     position, acceleration : tuple of 4 float
         Travel [m] and acceleration [m/s2] of each motor.
     playing : MotorTable or None
-        Table that plays. If its tail plays, this is the tail. It is None if unknown.
+        Table that plays. If the tail of a table plays, this is the tail. None if unknown.
     began : float
         Time at which this table or tail started, on the context's clock [s].
     clock_problem : str
-        Reason why these times are rejected. It is empty if they are accepted.
+        Reason why `time` and `began` are rejected. Empty if they are accepted.
     """
 
     time: float
@@ -104,38 +105,38 @@ class Order:
     Parameters
     ----------
     longest_s : float
-        Maximum time until an answer arrives [s].
+        Maximum time until the motor controller answers [s].
     """
 
     def __init__(self, longest_s: float = 0.0) -> None:
         self.longest_s = longest_s
         self.failure = ""
-        self._settled = threading.Event()
+        self._completed = threading.Event()
 
     @property
-    def settled(self) -> bool:
-        """Whether the order is done or has failed."""
-        return self._settled.is_set()
+    def completed(self) -> bool:
+        """Whether the order has succeeded or failed."""
+        return self._completed.is_set()
 
     @property
     def done(self) -> bool:
         """Whether the motor controller has confirmed the order."""
-        return self.settled and not self.failure
+        return self.completed and not self.failure
 
-    def settle(self, failure: str = "") -> Order:
-        """Mark the order as done, or as failed if `failure` is not empty. Later calls have no
+    def complete(self, failure: str = "") -> Order:
+        """Mark the order as done. If `failure` is not empty, mark it as failed. Later calls have no
         effect."""
-        if not self.settled:
+        if not self.completed:
             self.failure = failure
-            self._settled.set()
+            self._completed.set()
         return self
 
     def wait(self, longest_s: float | None = None) -> bool:
         """Wait until the order is complete (done or failed), and return whether it is done.
 
-        The wait takes at most `longest_s` [s]. None means the value from the constructor.
+        The method waits at most `longest_s` [s]. None selects the value from the constructor.
         """
-        self._settled.wait(self.longest_s if longest_s is None else max(0.0, longest_s))
+        self._completed.wait(self.longest_s if longest_s is None else max(0.0, longest_s))
         return self.done
 
 
@@ -148,7 +149,7 @@ class Transport(Protocol):
         Whether there are motors that need an enable. If False, `send` only publishes setpoints, and
         no enable is needed.
     calibrates : bool
-        Whether its measurements can be used for a calibration.
+        Whether the measurements of this transport can be used for a calibration.
     max_knots : int
         Maximum number of knots of a table.
     hold_s : float
@@ -165,11 +166,11 @@ class Transport(Protocol):
     def hold_s(self) -> float: ...
 
     def open(self) -> None:
-        """Prepare the transport for calls of the other methods. This moves nothing.
+        """Prepare the transport for calls of the other methods, without any motion.
 
         If this method raises a PlateError, the driver's configuration fails. A resource that may
-        become available later, such as a port, is not an error. `poll` waits for it, and until then
-        the report is GONE and names the resource.
+        become available later, such as a port, must not raise an error. `poll` waits for it. Until
+        it is available, the report is GONE and names the resource.
         """
 
     def poll(self) -> list[Measured]:
@@ -179,13 +180,13 @@ class Transport(Protocol):
         """Return the state of the motors."""
 
     def send(self, table: MotorTable, repeats: int) -> None:
-        """Send a table. It ends at rest at home. It begins at rest at home or at the splice of
-        another table.
+        """Send a table. Every table ends at rest at home. It begins at rest at home, or at the
+        splice of another table.
 
-        At the next cycle boundary, the motors start the newest table. They play it `repeats` times
+        When the current play ends, the motors start the newest table. They play it `repeats` times
         if no other table arrives, and then rest. A table with a tail is played once. At its splice,
-        the motors continue with the newest table if this table begins there, otherwise with the
-        tail.
+        the motors continue with the newest table if this table begins at this splice, otherwise
+        with the tail.
 
         Raises
         ------
@@ -195,8 +196,8 @@ class Transport(Protocol):
         """
 
     def stop(self, cut: bool = False) -> Order:
-        """Make the motors brake along their path, go home and switch off. If `cut` is true, switch
-        them off at once.
+        """Make the motors brake along their path, go home and switch off. If `cut` is True, switch
+        them off immediately instead.
 
         The order is done when the controller has confirmed it. Earlier tables and orders are
         dropped.
@@ -206,13 +207,13 @@ class Transport(Protocol):
         """Switch on the motors' current once, on a person's request. The order is done when the
         motors are ready.
 
-        A stop after this request has priority. Nothing else is allowed to switch on the current:
-        neither `open`, nor `send`, nor a restart of the controller.
+        A stop after this request has priority. No other method or event is allowed to switch on the
+        current, such as `open`, `send` or a restart of the controller.
         """
 
     def home(self) -> Order:
-        """Make the motors search for home at the next enable. This is allowed only while they are
-        off."""
+        """Make the motors search for home at the next enable. Calls are allowed only while the
+        motors are off."""
 
     def troubles(self) -> list[str]:
         """Return the problems since the last call, one line each."""
@@ -250,7 +251,8 @@ class TransportContext:
 
 @cache
 def installed() -> dict[str, EntryPoint]:
-    """Return the installed transports by name. The search is done once, because it takes 0.05 s."""
+    """Return the installed transports by name. The search is made only once, because it takes 0.05
+    s."""
     return {point.name: point for point in entry_points(group=GROUP)}
 
 
@@ -260,7 +262,7 @@ def make_transport(name: str, context: TransportContext) -> Transport:
     Raises
     ------
     PlateError
-        If it is not installed, cannot be loaded, or refuses a parameter.
+        If the transport is not installed, cannot be loaded, or refuses a parameter.
     """
     known = installed()
     _check_name(name, known)

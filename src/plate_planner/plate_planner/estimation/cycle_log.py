@@ -1,8 +1,8 @@
 """Record of the plate cycles that were executed, with their start times, and of the cycle period.
 
 The driver reports the start of each cycle. If there are no reports, images are assumed to be
-triggered at cycle starts. Their stamps are then the start times, and the cycles sent determine
-which cycle began.
+triggered at cycle starts. In this case their stamps are the start times, and the sent cycles
+determine which cycle began.
 """
 
 from __future__ import annotations
@@ -19,7 +19,8 @@ from plate_core.motion import in_time, next_cycle
 from plate_core.status import MAX_AGE_S
 
 SNAP = 0.25
-"""Tolerance of an image's stamp around the expected end of a cycle, as a fraction of the cycle."""
+"""Maximum difference between an image's stamp and the expected end of a cycle, as a fraction of the
+cycle."""
 
 MEMORY_S = 1.5
 """Time for which executed cycles are kept [s]. This time is longer than the maximum image latency
@@ -32,20 +33,20 @@ MAX_S = 10.0
 """Maximum length of a cycle or tail that the log accepts [s]."""
 
 PERIOD_RANGE_S = (0.005, 1.0)
-"""Range of periods that the log accepts [s]. The range applies to intervals between stamps and to
-reported periods. The solver's default periods are 0.1 to 0.4."""
+"""Range of cycle periods that the log accepts [s]. It applies to intervals between stamps and to
+reported periods. The default periods of the solver are 0.1 to 0.4 s."""
 
 SAME_TIME_S = 3.0
-"""Maximum difference between the stamps of an image and of a cycle start [s]. This difference is
-longer than the longest permitted interruption of images."""
+"""Maximum difference between the stamps of an image and of a cycle start [s]. It is larger than the
+longest permitted interruption of images."""
 
 INTERVALS_KEPT = 3
-"""Number of stamp intervals that are kept. The median of three is not affected by one lost
-image."""
+"""Number of stamp intervals that are kept. One lost image does not affect the median of three
+intervals."""
 
 DELAYS_KEPT = 7
-"""Number of delays that are kept. Predictions use their median, so that a single late result has no
-effect. Gains use their maximum."""
+"""Number of delays of results that are kept. Predictions use the median of these delays, so a
+single late result has no effect. Gains use their maximum."""
 
 LATEST = 3
 """Maximum delay of a result that predictions assume [cycles]."""
@@ -64,7 +65,7 @@ class Sent:
         Time of sending [s, the time of the stamps].
     cycle : PlateCycle
     requested : float
-        Start of the cycle for whose image the solver computed it [s].
+        Start of the cycle at which the image of its request was taken [s].
     """
 
     arrival: float
@@ -76,7 +77,7 @@ class Sent:
 class CycleLog:
     """The cycles that the plate executed or is expected to execute, oldest first.
 
-    If a start is reported, it replaces the start that was expected for this time.
+    A reported start replaces the start that was expected at about this time.
 
     Attributes
     ----------
@@ -88,20 +89,21 @@ class CycleLog:
         the newest one is kept.
     free_running : bool
         Whether images are not taken at cycle starts (free-running camera, or trigger at a phase).
-        Then only reports determine the starts. Otherwise stamps of images determine them too.
+        In this case only reports determine the starts. Otherwise stamps of images determine them
+        too.
     last_report : float
         Start of the last reported cycle [s]. Minus infinity if there is none.
     delays : tuple of int
-        Delays of the last results [cycles]. The delay is 0 if a result begins at the end of the
-        cycle whose image it was computed for.
+        Delays of the last results [cycles]. A result has the delay 0 if it begins at the end of the
+        cycle at whose start its image was taken.
     answered_start : float
-        Start of the cycle for whose image the last sent cycle was computed [s]. Minus infinity if
-        none was sent.
+        Start of the cycle at which the image for the last sent cycle was taken [s]. Minus infinity
+        if no cycle was sent.
     awaited : Sent or None
         The last sent cycle that moves the plate. None after it has begun.
     begun, unanswered_cycles : int
-        Number of reported cycles. Number of reported cycles that moved the plate without a new
-        result. These are repeated cycles and tails.
+        `begun` is the number of reported cycles. `unanswered_cycles` is the number of those that
+        moved the plate without a new result, that is, repeated cycles and tails.
     """
 
     runs: tuple[tuple[float, PlateCycle], ...] = ()
@@ -141,8 +143,8 @@ class CycleLog:
         """Whether the state of the plate at the start of the next result is known.
 
         This requires a report of the last run or of the run before it, because the log is uncertain
-        without recent reports. It also requires results without delay. Otherwise the start of a
-        result depends on an earlier result that has not begun.
+        without recent reports. It also requires results without delay. If results are delayed, the
+        start of a result depends on an earlier result that has not begun.
         """
         return self.known and self.last_report >= self.runs[-2:][0][0] and not self.delay
 
@@ -176,7 +178,7 @@ class CycleLog:
     @property
     def until_answer(self) -> CycleLog:
         """The predicted log at the time when the result for the running cycle begins. Results that
-        were sent earlier begin before it."""
+        were sent earlier begin before this result."""
         log, before = self, [one.cycle for one in self.sent][::-1]
         for k in reversed(range(self.delay)):  # the newest result comes last
             cycle = log.next(before[k : k + 1])
@@ -185,7 +187,7 @@ class CycleLog:
 
     def next(self, sent: Sequence[PlateCycle]) -> PlateCycle:
         """Return the cycle that follows the last run by the rule `plate_core.motion.next_cycle`.
-        `sent` are the cycles sent, the newest one last."""
+        `sent` contains the sent cycles, the newest cycle last."""
         return next_cycle(self.runs[-1][1], sent, idle_s=self.period)
 
     def record_cycle(
@@ -193,8 +195,8 @@ class CycleLog:
     ) -> CycleLog:
         """Record a cycle sent at `arrival` [s, the time of the stamps].
 
-        `requested` is the start of the cycle for whose image it was computed [s]. Default: the
-        running cycle.
+        `requested` is the start of the cycle at which the image of its request was taken [s].
+        Default: the start of the running cycle.
         """
         if not _playable(cycle):
             return self
@@ -241,25 +243,24 @@ class CycleLog:
         )
 
     def _runs_before(self, begin: float) -> tuple[tuple[float, PlateCycle], ...]:
-        """Return the runs that began before a report's `begin` [s]. A run that was expected at
-        about this time was only a prediction. The report replaces it."""
+        """Return the runs that began before a report's `begin` [s]. A run that was expected to
+        begin at about this time was only a prediction, which the report replaces."""
         return tuple(run for run in self.runs if run[0] < begin - SNAP * run[1].period)
 
     def _answer_in(self, cycle: PlateCycle) -> int | None:
-        """Return the index in `sent` of the cycle that has begun. None if this cycle was not
-        sent."""
+        """Return the index in `sent` of the cycle that has begun. None if it is not in `sent`."""
         return next((k for k, one in enumerate(self.sent) if _same(one.cycle, cycle)), None)
 
     def _delays_with(
         self, answer: int | None, kept: tuple[tuple[float, PlateCycle], ...]
     ) -> tuple[int, ...]:
-        """Return the delays after a result has begun. `answer` is its index in `sent`, and `kept`
-        are the runs before it. A cycle at rest adds no delay, because cycles at rest cannot be
-        distinguished."""
+        """Return the delays after a result has begun. `answer` is the index of the result in
+        `sent`. `kept` are the runs before the result. A cycle at rest adds no delay, because cycles
+        at rest cannot be distinguished."""
         if answer is None or not self.sent[answer].cycle.moves:
             return self.delays
         requested = self.sent[answer].requested
-        late = sum(  # ignore rest and tails, because they do not delay results
+        late = sum(  # do not count rest and tails, because they do not delay results
             start > requested + SNAP * run.period and run.moves and not _is_tail(run)
             for start, run in kept
         )
@@ -276,8 +277,8 @@ class CycleLog:
         """Return the log at an image's stamp t [s]. If there are no reports, a cycle starts at the
         stamp.
 
-        After the end of a cycle, the newest cycle follows if it arrived in time. Otherwise the rule
-        `next_cycle` applies. If results have a delay, an older result follows.
+        After the end of a cycle, the newest sent cycle follows if it arrived in time. If results
+        have a delay, an older sent cycle follows. Otherwise the rule `next_cycle` applies.
         """
         if self.free_running:
             log = self
@@ -303,10 +304,10 @@ class CycleLog:
         """Return the trigger time [s] of an image with stamp t [s]. The camera is triggered at a
         phase of each cycle.
 
-        The stamp may be early by up to `SNAP` of a cycle, and late by up to the rest of a cycle. If
-        the plate is at rest, the stamp is returned.
+        The stamp may be up to `SNAP` cycles before the trigger, and up to 1 - `SNAP` cycles after
+        it. If the plate is at rest, the stamp is returned.
         """
-        # The start of the following cycle may not be reported yet.
+        # The start of the next cycle may not be reported yet.
         ahead = (self.end, self.runs[-1][1])
         for begin, cycle in (ahead, *reversed(self.runs)):
             taken = begin + phase * cycle.period
@@ -326,22 +327,23 @@ class CycleLog:
         if not (self.runs or waiting):
             return self
         cycle = self.next(waiting) if self.runs else waiting[-1]
-        # Keep the sent cycles. The sent cycles are needed if their start is reported later, and
-        # when a tail ends.
+        # Keep the sent cycles, because their starts may be reported later, and a sent cycle may
+        # follow a tail.
         keeps = math.isfinite(self.last_report) or not any(cycle is each for each in waiting)
         awaited = self.awaited if keeps else self._awaited_after(cycle)
         runs = (*self.runs, (t, cycle))
         return replace(self, runs=runs, sent=self.sent if keeps else (), awaited=awaited)
 
     def _awaited_after(self, cycle: PlateCycle) -> Sent | None:
-        """Return the new value of `awaited` after a cycle has begun."""
+        """Return the value of `awaited` after `cycle` has begun."""
         one = self.awaited
         return None if one is not None and _same(one.cycle, cycle) else one
 
     def may_move(self, t: float) -> bool:
         """Whether the awaited cycle may still begin after time t [s].
 
-        The driver may have accepted the cycle. The cycle starts at the end of the running cycle.
+        If the driver has accepted the awaited cycle, this cycle starts at the end of the running
+        cycle.
         """
         one = self.awaited
         if one is None or one.requested > t + MEMORY_S:  # the clock was set back
@@ -349,9 +351,9 @@ class CycleLog:
         return t < one.requested + MAX_AGE_S + one.cycle.period
 
     def between(self, begin: float, end: float) -> Iterator[tuple[PlateCycle, float, float, float]]:
-        """Yield the pieces of runs between `begin` and `end` [s]. Each piece is the cycle, the
-        start time of the cycle [s], and the start and the end of the piece relative to this time
-        [s].
+        """Yield the pieces of runs between `begin` and `end` [s]. Each piece consists of the cycle,
+        the start time of the cycle [s], and the start and the end of the piece relative to this
+        start time [s].
 
         Times without a run have no pieces.
         """
@@ -368,8 +370,8 @@ def check_start(cycle: PlateCycle, begin: float, image: float | None) -> None:
     Raises
     ------
     PlateError
-        If the period is outside `PERIOD_RANGE_S`, or if the image and the report have stamps of
-        different clocks.
+        If the period is outside `PERIOD_RANGE_S`, or if the stamps differ by more than
+        `SAME_TIME_S`.
     """
     low, high = PERIOD_RANGE_S
     if not low <= cycle.period <= high:
@@ -424,8 +426,8 @@ class CycleClock:
         return cls(None, (), default_period)
 
     def tick(self, t: float) -> CycleClock:
-        """Update with the next stamp [s]. A stamp that is earlier than the last one, or much later,
-        does not change the period."""
+        """Update with the next stamp [s]. A stamp that is earlier than the last stamp, or much
+        later, does not change the period."""
         step = None if self.stamp is None else t - self.stamp
         if step is None or not PERIOD_RANGE_S[0] <= step <= PERIOD_RANGE_S[1]:
             return replace(self, stamp=t)
@@ -434,11 +436,10 @@ class CycleClock:
 
     @property
     def interval(self) -> float:
-        """Interval between the last two images [s]. The interval is `period` until the interval is
-        known."""
+        """Interval between the last two images [s]. Before the second image, it is `period`."""
         return self.intervals[-1] if self.intervals else self.period
 
     def went_back(self, t: float) -> bool:
-        """Whether a stamp [s] is earlier than the last one. This means that the source was
-        restarted."""
+        """Whether a stamp [s] is earlier than the last stamp, which means that the source of the
+        images was restarted."""
         return self.stamp is not None and t < self.stamp

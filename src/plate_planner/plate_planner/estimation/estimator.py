@@ -22,21 +22,22 @@ from .frame_clock import FrameClock
 from .latency import LatencyHypotheses
 
 MISSED_IMAGES = Coast(parts=5, unknown=10)
-"""Maximum number of consecutive images that do not show an object. Until then, the state of the
-object is propagated. After this number of images, vision no longer keeps the name of a part.
-Objects of the class `unknown` are often not detected although they are on the plate, so their
-number is larger. If images are taken at cycle starts, this number corresponds to `MEMORY_S`."""
+"""Maximum number of consecutive images in which a part, or an object of the class `unknown`, is not
+detected. Up to this number, its state is propagated. After `parts` images without a detection,
+vision forgets the id of a part too. `unknown` is larger, because these objects are often not
+detected although they are on the plate. With images at cycle starts, ten images correspond to
+`MEMORY_S`."""
 
 MAX_REQUEST_AGE = 1.5
-"""Maximum age of a request [periods]. An older request does not describe the running cycle. This is
-also the maximum time over which a mean drift or spin is measured [periods]."""
+"""Maximum age of a request [periods]. An older request does not describe the running cycle. A mean
+drift or spin is also measured over at most this time."""
 
 SETTLE_S = 0.05
-"""Time from the rest of the plate until all parts are at rest [s]."""
+"""Time for which the plate must have been at rest until all parts are at rest [s]."""
 
 SAME_LATENCY_S = 2e-3
-"""Latencies that differ by less count as equal in a prediction [s]. Parts drift by about 0.05 mm in
-this time."""
+"""Latencies that differ by less than this value count as equal in a prediction [s]. Parts drift by
+about 0.05 mm in this time."""
 
 TRIGGER_TOLERANCE_S = 1e-3
 """Maximum difference between the stamp of an image and a reported cycle start [s]. If it is
@@ -52,8 +53,8 @@ FEWER = 0.02
 """Tolerance of the image rate, as a fraction of the cycle rate."""
 
 ODD = 0.25
-"""Minimum deviation of an image interval from a whole number of cycles [cycles]. At this deviation,
-the interval counts as odd."""
+"""If an image interval deviates from a whole number of cycles by more than this value, it counts as
+odd [cycles]."""
 
 ODD_IMAGES = 20
 """Number of consecutive odd intervals that prove that the camera is not triggered at cycle
@@ -74,10 +75,17 @@ def rows_of(ids: tuple[str, ...], among: tuple[str, ...]) -> np.ndarray:
 
 @dataclass(frozen=True)
 class LastRequest:
-    """The last request: drift (M, 2) [m/s, plate_home] of each part, and its stamp [s].
+    """The last request.
 
-    The stamp is the value of `Estimator.stamp` when the request was recorded. `force` (M, 2) [N]
-    are the corresponding mean forces.
+    Attributes
+    ----------
+    ids : tuple of M str
+    drift : (M, 2)
+        Requested drift of each part [m/s, plate_home].
+    stamp : float
+        Value of `Estimator.stamp` when the request was recorded [s].
+    force : (M, 2)
+        Mean forces that correspond to `drift` [N].
     """
 
     ids: tuple[str, ...] = ()
@@ -110,8 +118,8 @@ class DriftBias:
 
         b += k ((x - p)/T - b).
 
-    On a path, the components of the error along and across the path are nearly constant. Therefore
-    it is stored in axes that the task chooses.
+    On a path, the components of the drift error along and across the path are nearly constant.
+    Therefore the drift error is stored in axes that the task chooses.
 
     Attributes
     ----------
@@ -198,22 +206,20 @@ class DriftBias:
 
 @dataclass(frozen=True)
 class Turning:
-    """Orientation and angular velocity of the parts. The values are known only if images are not
-    taken at cycle starts.
+    """Orientation and angular velocity of the parts, if images are not taken at cycle starts.
 
-    The values are measured in the image closest to each cycle start, because the plate hardly moves
-    then.
+    Both are measured in the image closest to each cycle start, because the plate hardly moves then.
 
     Attributes
     ----------
     ids : tuple of str
     angle, spin : (M,)
-        Orientation in that image [rad], and mean angular velocity since the corresponding image of
-        the previous cycle [rad/s].
+        `angle` is the orientation in this image [rad]. `spin` is the mean angular velocity since
+        the measurement of the previous cycle [rad/s].
     time : float
-        Time at which the image was taken [s].
+        Time at which this image was taken [s].
     start : float
-        Cycle start closest to the image [s].
+        Cycle start closest to this time [s].
     last : Turning or None
         Measurement of the previous cycle.
     """
@@ -260,20 +266,20 @@ class Estimator:
     rig : Rig
     clock : CycleClock
     frames : FrameClock
-        Estimated exposure times of a free-running camera.
+        Estimate of the exposure times of a free-running camera.
     hypotheses : LatencyHypotheses
         State estimates of the parts for each hypothesis of the image latency.
     log : CycleLog
     seen : Parts
         Parts detected in the last image.
     request : LastRequest
-        Requested drift. The requested drift is the motion model as long as the plate's motion is
-        not known.
+        Last request. As long as the plate's motion is not known, the parts are assumed to have the
+        requested drift.
     odd : int
         Number of consecutive images whose interval to the previous image is not a whole number of
         cycles.
     turning : Turning
-        Orientations of the parts. They are known only if images are not taken at cycle starts.
+        Orientations of the parts, if images are not taken at cycle starts. Otherwise it is empty.
     before, before_stamp : Parts, float
         Parts at the last call of `observe`, and their stamp [s].
     bias : DriftBias
@@ -301,7 +307,7 @@ class Estimator:
         ----------
         rig : Rig
         default_period : float
-            Length of a cycle that is assumed until it is known [s].
+            Length of a cycle [s] that is assumed until the length is known.
         latency : float or None
             Age of an image at its stamp [s]. If None, this age is estimated.
         """
@@ -368,21 +374,22 @@ class Estimator:
 
     @property
     def image_rate(self) -> float:
-        """Number of images per second. 0 until it is known."""
+        """Number of images per second. 0 until the frame interval is known."""
         return self.frames.rate
 
     @property
     def image_problem(self) -> str:
-        """Description of a problem with the times of images. Empty if there is none."""
+        """Description of a problem with the image rate. Empty if there is none."""
         if not self.log.known:
             return ""
         rate, cycles = self.image_rate, 1 / self.period
         if self.log.free_running and 0 < rate < (1 - FEWER) * cycles:
-            return f"{rate:.3g} images per second, allowed: {cycles:.3g} or more (one per cycle)"
+            allowed = f"{cycles:.3g} or more (one per cycle)"
+            return f"image rate is {rate:.3g} per second, allowed: {allowed}"
         if not self.log.free_running and self.odd >= ODD_IMAGES:
             return (
-                f"{rate:.3g} images per second for {cycles:.3g} cycles per second: the camera is "
-                "not triggered at the start of each cycle"
+                f"image rate is {rate:.3g} per second, but the plate makes {cycles:.3g} cycles per "
+                "second: the camera is not triggered at the start of each cycle"
             )
         return ""
 
@@ -400,8 +407,8 @@ class Estimator:
 
     @property
     def unanswered_problem(self) -> str:
-        """Description of the number of cycles without a result since the task began. Empty if at
-        most a fraction of `FEW_UNANSWERED` had none."""
+        """Text on the number of cycles without a result since the task began. Empty if their
+        fraction is at most `FEW_UNANSWERED`."""
         log = self.log
         if log.unanswered_cycles <= FEW_UNANSWERED * log.begun:
             return ""
@@ -417,7 +424,7 @@ class Estimator:
 
     @property
     def stamp(self) -> float:
-        """Time for which `parts` holds [s].
+        """Time at which the state `parts` is valid [s].
 
         If images are not taken at cycle starts (free-running camera, or trigger at a phase), it is
         the start of the running cycle. Otherwise it is the stamp of the last image.
@@ -444,15 +451,17 @@ class Estimator:
         requests."""
         if self.log.known:
             return self.log.resting_since
-        requested = self.request.stamp  # executed in the cycle after its image
+        # A request is executed in the cycle after its image.
+        requested = self.request.stamp
         return requested + 2 * self.period if requested <= self.stamp else -np.inf
 
     @property
     def resting_since(self) -> float:
         """Start of the plate's rest [s], if the plate remains at rest until the next request.
 
-        The time is infinite if the plate moves or may move. The plate may move if the cycle of the
-        last image has not been reported, or if the last request may still begin.
+        The time is infinite if the plate moves or may move. The plate may move if the start of the
+        last image's cycle has not been reported, or if the cycle of the last request may still
+        begin.
         """
         log, requested = self.log, self.request.stamp
         if not log.known:
@@ -461,7 +470,7 @@ class Estimator:
             (begin for begin, _ in log.runs if begin < self.taken + TRIGGER_TOLERANCE_S),
             default=0.0,
         )
-        reports = log.last_report > self.taken - MEMORY_S  # false if there is no recent report
+        reports = log.last_report > self.taken - MEMORY_S  # whether there is a recent report
         # `unanswered` is also false if the clock was set back.
         unanswered = log.answered_start < requested < self.taken + MEMORY_S
         may_come = unanswered or log.may_move(log.last_report if reports else self.taken)
@@ -480,8 +489,8 @@ class Estimator:
 
     @property
     def next_rest(self) -> float:
-        """Time at which the plate comes to rest if no motion is requested for the last image
-        [s]."""
+        """Time at which the plate comes to rest [s], if no motion is requested for the last
+        image."""
         tail = self.log.until_answer.runs[-1][1].tail if self.log.known else None
         return self.next_start + (tail.period if tail is not None else 0.0)
 
@@ -492,8 +501,8 @@ class Estimator:
 
     @property
     def mean(self) -> np.ndarray:
-        """State of the parts (M, 5), in the order of `StateEstimate.mean`. Each state holds at the
-        time of the part's last detection."""
+        """State of the parts (M, 5), in the order of `StateEstimate.mean`. Each state is valid at
+        the time of the part's last detection."""
         return self.hypotheses.estimate.mean[self.hypotheses.best]
 
     @property
@@ -503,8 +512,8 @@ class Estimator:
 
     @property
     def parts(self) -> Parts:
-        """The parts at the time `stamp`. Until the plate's motion is known, the last detections are
-        returned."""
+        """The parts at the time `stamp`. Until the plate's motion is known, they are the last
+        detections."""
         if not self.log.known:
             return self.seen
         estimate, best = self.hypotheses.estimate, self.hypotheses.best
@@ -544,7 +553,7 @@ class Estimator:
         Until the plate's motion is known, the parts are assumed to follow the last request.
         """
         start = self.start_of(parts)
-        return self.as_asked(parts) if start is None else start[:, :2]
+        return self.by_request(parts) if start is None else start[:, :2]
 
     def start_of(self, parts: Parts) -> np.ndarray | None:
         """Return the predicted positions and velocities (M, 4) [m, m/s] of parts at `next_start`.
@@ -563,7 +572,7 @@ class Estimator:
         """Pose, twist and acceleration (3, 3) of the plate at `next_start`. None if uncertain."""
         return self.log.until_answer.plate if self.log.certain else None
 
-    def as_asked(self, parts: Parts) -> np.ndarray:
+    def by_request(self, parts: Parts) -> np.ndarray:
         """Return the positions (M, 2) [m] of the parts at `next_start`, if they follow the
         request."""
         drift = self.request.drift_of(parts, self.stamp, self.period)
@@ -577,8 +586,8 @@ class Estimator:
         gain: float,
         most: np.ndarray,
     ) -> Estimator:
-        """Update the estimated drift error with the parts at `stamp`. Store the positions
-        `predicted` (M, 2) [m] for `next_start`. The other parameters are the same as in
+        """Update the estimated drift error with the parts at `stamp`. Then store `predicted` (M, 2)
+        [m], the positions predicted for `next_start`. The other parameters are the same as in
         `DriftBias.update`."""
         seen, latency = rows_of(parts.ids, self.seen.ids) >= 0, self._known_latency
         # A prediction with a short horizon contains less information.
@@ -589,8 +598,8 @@ class Estimator:
 
     @property
     def _known_until(self) -> float:
-        """Time of the last detection that predictions use [s]. It is the start of the running
-        cycle if no detection is later."""
+        """Time of the newest information in predictions [s]: the last detection or, if it is later,
+        the start of the running cycle."""
         if not self.log.free_running:
             return self.stamp
         return float(

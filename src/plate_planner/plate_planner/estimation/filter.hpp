@@ -8,8 +8,7 @@
 
 namespace plate {
 
-// Small value that is added to a denominator. It prevents a division by zero if a state does not
-// move in a step.
+// Small value that is added to a denominator. It prevents a division by zero if the slip is zero.
 constexpr double TINY = 1e-300;
 
 // Number of states that are propagated in parallel. The last group is filled with states that do

@@ -1,11 +1,11 @@
 """Kalman filter of the parts' positions, velocities and friction on the stick-slip motion.
 
-A camera measures only positions. A camera takes an image at any time in a cycle, and delivers it
-with a latency. From image to image, the motion model propagates each part by the cycles that were
-executed. The friction of a part is estimated from the differences between the images and the model.
-The state of a part is x, y [m], vx, vy [m/s] in plate_home, and the logarithm of its friction
-relative to the friction in the rig. Each part has its own filter, but an error in the stamp of an
-image affects all parts.
+A camera measures only positions. It takes an image at any time in a cycle, and delivers the image
+with a latency. Between images, the motion model moves each part by the executed cycles. The
+friction of a part is estimated from the differences between the images and the model. The state of
+a part is x, y [m], vx, vy [m/s] in plate_home, and the logarithm of its friction relative to the
+friction in the rig. Each part has its own filter, but an error in the stamp of an image affects all
+parts.
 
 All computations are done in parallel for A hypotheses of the image latency.
 """
@@ -23,7 +23,8 @@ from .. import _kernels
 from .cycle_log import CycleLog
 
 STEP_S = 0.25e-3
-"""Step of the motion model [s]. Its error over a cycle is below the camera's noise."""
+"""Step of the motion model [s]. Over a cycle, the error of the model is below the camera's
+noise."""
 
 DIFFERENCE = np.array([1e-4, 1e-4, 5e-3, 5e-3, 0.03])
 """Step sizes of the finite differences of the motion model [m, m, m/s, m/s, -]. The step sizes are
@@ -33,28 +34,30 @@ CAMERA_M = 0.02e-3
 """Standard deviation of a measured position [m]. Its causes are camera noise and motion blur."""
 
 PROCESS_NOISE = np.array([0.02e-3, 0.02e-3, 2e-3, 2e-3, 0.01])
-"""Standard deviations of the model error per cycle (units as in DIFFERENCE). The causes are uneven
-friction, finite steps, and deviations of the plate's motion."""
+"""Standard deviations of the model error per cycle. The units are the same as in DIFFERENCE. The
+causes are uneven friction, finite steps, and deviations of the plate's motion."""
 
 FIRST_SEEN = np.array([0.02e-3, 0.02e-3, 0.02, 0.02, 0.15])
-"""Standard deviations of the state of a part at its first detection (units as in DIFFERENCE)."""
+"""Standard deviations of the state of a part at its first detection. The units are the same as in
+DIFFERENCE."""
 
 PUSHED_SIGMA = 6.0
-"""Number of standard deviations between a part and its prediction. If it is exceeded, an external
-push is assumed. The filter is then reset to the measured position, with the initial covariance."""
+"""If a part is farther from its prediction than this number of standard deviations, an external
+push is assumed. In this case the filter is reset to the measured position, with the initial
+covariance."""
 
 FRICTION_RANGE = np.log(3.0)
-"""Logarithm of the range of the estimated friction. The friction is limited to between 1/3 and 3
-times the friction of the part's type."""
+"""Half range of the estimated friction [log]. The estimate is limited to 1/3 to 3 times the
+friction of the part's type."""
 
 SAMPLES = np.vstack([np.zeros(5), np.diag(DIFFERENCE)])
-"""Offsets (6, 5) of the state and its five neighbours for the finite differences."""
+"""Offsets (6, 5) from a state to itself and to its five neighbours, for the finite differences."""
 
 
 class Coast(NamedTuple):
-    """Maximum number of consecutive images that do not show an object. Until then, the state of
-    the object is propagated. `parts` applies to parts, and `unknown` to objects of the
-    class `unknown`."""
+    """Maximum number of consecutive images in which an object is not detected. Up to this number,
+    its state is propagated. `parts` applies to parts, and `unknown` to objects of the class
+    `unknown`."""
 
     parts: int
     unknown: int
@@ -78,7 +81,7 @@ class StateEstimate:
     start : float
         Start of the last cycle that `update` recorded [s]. NaN if there is none.
     start_mean : (A, M, 5)
-        Predicted state of the parts at the time `start`.
+        State of the parts that was predicted for the time `start`.
     usual : (M,)
         Friction of the parts' types relative to the friction in the rig [log].
     """
@@ -112,9 +115,9 @@ class StateEstimate:
     def at(self, hypothesis: int, log: CycleLog, t: float, friction_accel: float) -> np.ndarray:
         """Return the state of the parts (M, 5) at time t [s], for one hypothesis.
 
-        If a part was detected after t and t is equal to `start`, its predicted state `start_mean`
-        is returned. If t is any other time before the detection, its state at the detection is
-        returned.
+        If the last detection of a part was after t, its state cannot be propagated to t. In this
+        case the result is `start_mean` if t is equal to `start`, and otherwise the state at the
+        detection.
         """
         mean, time = self.mean[hypothesis], self.time[hypothesis]
         ahead = propagate(log, mean, time, np.maximum(time, t), friction_accel)
@@ -143,11 +146,11 @@ class StateEstimate:
         friction_accel : float
             mu g of the rig [m/s2].
         most : Coast
-            Maximum number of consecutive images without a detection, after which a part is removed.
+            A part is removed after more consecutive images without a detection.
         jitter : float
             Standard deviation of the images' stamps [s].
         friction : (P,)
-            Friction of a newly detected part, relative to the friction in the rig.
+            Initial friction of newly detected parts, relative to the friction in the rig.
 
         Returns
         -------
@@ -191,7 +194,8 @@ class StateEstimate:
     def moved(self, log: CycleLog, later: np.ndarray, friction_accel: float) -> StateEstimate:
         """Return the estimate with all times shifted by `later` (A,) [s].
 
-        The positions are kept. The velocities and the friction are propagated to the new times.
+        The positions do not change. The velocities and the friction are propagated to the new
+        times.
         """
         time = self.time + later[:, None]
         end = propagate(
@@ -229,7 +233,8 @@ class StateEstimate:
         return cloud[:, :, 0], covariance
 
     def _without(self, most: Coast) -> StateEstimate:
-        """Remove parts that were not detected in the last `most` images."""
+        """Return the estimate without the parts that were not detected in the last `most`
+        consecutive images."""
         unknown = np.array([part_class(name) == UNKNOWN for name in self.ids], bool)
         keep = self.unseen < np.where(unknown, most.unknown, most.parts)
         if np.all(keep):
@@ -249,13 +254,13 @@ class Fit:
     ----------
     log_likelihood : (A,)
     lateness : (A,)
-        Error of the exposure time, estimated from this image only [s]. The error is positive if the
+        Error of the exposure time, estimated from this image only [s]. It is positive if the
         exposure was later than assumed.
     square : (A,)
         Mean square of the normalised innovations. The expected value is 1.
     information : (A,)
         Reciprocal of the variance of `lateness` [1/s2]. 0 if the image contains no information on
-        it.
+        the exposure time.
     """
 
     log_likelihood: np.ndarray
@@ -293,7 +298,7 @@ def kalman_update(
     weighted = np.einsum("aki,akij->akj", velocity, inverse)
     information = np.einsum("aki,aki->ak", weighted, velocity)
     lateness = np.einsum("aki,aki->ak", weighted, innovation)
-    # Pushed parts are ignored when the error of the stamp is estimated. For each part alone, z' (S
+    # Pushed parts are not used to estimate the error of the stamp. For each part alone, z' (S
     # + s^2 v v')^-1 z follows from S^-1 by the formula of Sherman and Morrison (1950).
     usual = np.maximum(square - jitter**2 * lateness**2 / (1 + jitter**2 * information), 0)
     known = usual <= PUSHED_SIGMA**2
@@ -338,7 +343,7 @@ def propagate(
     """Propagate states (K, 5) from the times `begin` to the times `end` by the cycles that were
     executed.
 
-    Both times are arrays (K,) or scalars [s].
+    `begin` and `end` are arrays (K,) or scalars [s].
     """
     state = state.copy()
     if not len(state):

@@ -1,7 +1,7 @@
 """Estimates the exposure times of a free-running camera from the stamps of its images.
 
 The frames have regular intervals, but their stamps are noisy. A Kalman filter estimates the time of
-the last frame and the frame interval. If a stamp is several intervals after the previous one,
+the last frame and the frame interval. If a stamp is several intervals after the previous stamp,
 images were dropped. The inputs are the stamps. The outputs are the time of the last frame, its
 standard deviation and the image rate.
 """
@@ -38,21 +38,21 @@ DROPPED = 0.005
 """Assumed probability of a dropped image."""
 
 GIVEN_UP = 12.0
-"""A hypothesis on dropped images is discarded if its log-likelihood is lower than the best one by
-this value."""
+"""A hypothesis on the number of dropped images is discarded if its log-likelihood is below the best
+log-likelihood by more than this value."""
 
 ACQUIRE = 12
-"""Number of stamps that determine the initial interval. Until then, the stamp is used as the frame
-time."""
+"""Number of stamps that determine the initial interval. Before this number is reached, the stamp is
+used as the frame time."""
 
 IRREGULAR = 6.0
-"""Maximum deviation of a stamp from its prediction, in standard deviations of this deviation. If it
-is exceeded, the camera is not regular and the estimation restarts."""
+"""If a stamp deviates from its prediction by more than this number of standard deviations, the
+camera is not regular and the estimation restarts."""
 
 OTHER = 0.3
-"""Maximum deviation of the median interval of the last stamps from the estimated interval, as a
-fraction of the estimated interval. Two standard deviations of the stamps are added to it. If the
-deviation is larger, the estimation restarts."""
+"""Maximum difference between the median interval of the last stamps and the estimated interval, as
+a fraction of the estimated interval. The tolerance is larger by two standard deviations of the
+stamps. If the difference is larger, the estimation restarts."""
 
 WIDEST = 2.0
 """If the standard deviation of the stamps exceeds this value, the estimation restarts
@@ -71,7 +71,7 @@ class FrameClock:
     stamps : tuple of float
         Stamps of the last images [s], at most `ACQUIRE`.
     frame : (H,)
-        Frame number of the last image for each hypothesis, relative to the number of the best
+        Frame number of the last image for each hypothesis, minus the frame number of the best
         hypothesis.
     log_likelihood : (H,)
         Log-likelihood of each hypothesis minus the maximum log-likelihood.
@@ -140,22 +140,21 @@ class FrameClock:
             clock = replace(self, time=np.array([[stamps[0], interval]]), covariance=covariance)
             for each in stamps[1:]:
                 clock = clock._next(each)
-        # If the standard deviation is larger, the stamps contain no information on the frame times.
+        # With a larger standard deviation, the stamps contain no information on the frame times.
         if not clock.scatter <= WIDEST * clock.interval:
             return FrameClock.at(stamp)
         return replace(clock, stamps=stamps)
 
     def _next(self, stamp: float) -> FrameClock:
-        """Update with a stamp, if the interval is known. If the stamp does not fit, the estimation
-        restarts.
+        """Update with a stamp, if the interval is known. If the stamp contradicts all hypotheses,
+        the estimation restarts.
 
-        The image belongs to the frame after the last one or, if images were dropped, to a later
-        frame. A single late stamp is ambiguous, because the image may be late or a frame may have
-        been dropped. Therefore each hypothesis of the frame number has its own filter. Let t be the
-        time and h the interval of the last frame. After n frames, the innovation of a stamp is e =
-        stamp - t - n h with a variance q. The log-likelihood changes by (n - 1) log(DROPPED) -
-        (e^2/q + log q)/2. If two hypotheses have the same number, the likelier one is kept
-        (Viterbi).
+        The image belongs to the next frame or, if images were dropped, to a later frame. A single
+        late stamp is ambiguous, because the image may be late or a frame may have been dropped.
+        Therefore each hypothesis of the frame number has its own filter. Let t be the time and h
+        the interval of the last frame. After n frames, the innovation of a stamp is e = stamp - t -
+        n h with a variance q. The log-likelihood changes by (n - 1) log(DROPPED) - (e^2/q + log
+        q)/2. If two hypotheses have the same number, the likelier one is kept (Viterbi).
         """
         if not math.isfinite(self.interval):
             return FrameClock.at(stamp)

@@ -3,9 +3,9 @@ stamp.
 
 The latency of a camera is rarely known, and parts move by millimetres in 10 ms. Each hypothesis
 assumes a different latency and has its own Kalman filters. The hypothesis whose predictions have
-the highest likelihood is accepted. The grid of latencies is refined around it to a spacing of 0.5
-ms. The grid follows if the latency changes. The jitter of the stamps is estimated from the
-remaining timing errors.
+the highest likelihood is accepted. The grid of latencies is refined around the accepted latency, to
+a spacing of 0.5 ms. If the latency changes, the grid follows. The jitter of the stamps is estimated
+from the remaining timing errors.
 """
 
 from __future__ import annotations
@@ -20,13 +20,13 @@ from .cycle_log import CycleLog
 from .filter import Coast, Fit, StateEstimate
 
 STEPS = np.arange(-2, 3)
-"""Latencies of the hypotheses, in steps from the middle one."""
+"""Latencies of the hypotheses minus the latency of the middle hypothesis, in steps of the grid."""
 
 COARSE_S = 0.025
 """Initial spacing of the latencies [s]. The first hypotheses cover 0 to 0.1 s."""
 
 FINE_S = 0.5e-3
-"""Final spacing of the latencies [s]. The effect of this difference is hardly larger than the
+"""Final spacing of the latencies [s]. An error of this size has hardly more effect than the
 camera's noise."""
 
 MAX_S = 0.5
@@ -36,27 +36,26 @@ FEWEST_IMAGES = 4
 """Minimum number of images before a latency is discarded."""
 
 CLEAR = 12.0
-"""A latency is discarded if its log-likelihood is lower than the best one by this value. The value
-is large because the model and the noise are not exact."""
+"""A latency is discarded if its log-likelihood is below the best log-likelihood by more than this
+value. The value is large because the model and the noise are not exact."""
 
 BETTER = 4.0
-"""Minimum difference between the log-likelihoods of another latency and of the accepted latency. If
-it is reached, the other latency is accepted. The value is smaller than `CLEAR`, so that a wrong
-latency is soon replaced."""
+"""Another latency is accepted if its log-likelihood exceeds that of the accepted latency by more
+than this value. The value is smaller than `CLEAR`, so that a wrong latency is soon replaced."""
 
 SOON_IMAGES = 4
-"""Number of images at cycle starts. After this number, a difference larger than `BETTER` is
+"""With images at cycle starts: number of images after which a difference larger than `BETTER` is
 required to accept another latency."""
 
 MISFIT = 6.0
-"""Maximum mean square of the normalised innovations (expected: 1). If it is exceeded, all
-hypotheses are wrong and the estimation restarts."""
+"""Maximum mean square of the normalised innovations. The expected value is 1. Above the maximum,
+all hypotheses are assumed to be wrong, and the estimation restarts."""
 
 MISFIT_IMAGES = 8
 """Number of images over which the mean square of the normalised innovations is averaged."""
 
 FADING_S = 3.0
-"""Time constant with which old images lose their weight in the likelihood [s]."""
+"""Time constant [s] with which the weight of old images in the likelihood decreases."""
 
 JITTER_S = (0.5e-3, 1e-3, 20e-3)
 """Minimum, initial and maximum standard deviation of the stamps [s]."""
@@ -69,8 +68,8 @@ JITTER_IMAGES = 50
 class Jitter:
     """Variance of the stamps: a weighted mean of squared timing errors.
 
-    An image has the timing error e with the variance r, which is 1 / information. With the standard
-    deviation s of the stamps, e^2 has the mean s^2 + r. The estimate is
+    Let e be the timing error of an image, r = 1 / information its variance, and s the standard
+    deviation of the stamps. Then e^2 has the mean s^2 + r. The estimate is
 
         s^2 = sum of weight (e^2 - r) / sum of weight, weight = (s^2 + r)^-2,
 
@@ -122,8 +121,8 @@ class LatencyHypotheses:
         1.
     jitter : Jitter
     trusting : bool
-        Whether zero latency is accepted if the stamps coincide with cycle starts (`none_old`). The
-        value becomes False if the motion of the parts contradicts zero latency.
+        Whether `none_old` accepts zero latency if the stamps coincide with cycle starts. The value
+        becomes False if the motion of the parts contradicts zero latency.
     """
 
     latencies: np.ndarray
@@ -137,8 +136,8 @@ class LatencyHypotheses:
 
     @classmethod
     def of(cls, latency: float | None) -> LatencyHypotheses:
-        """Return the initial hypotheses. There is one if the latency [s] is given, and there are
-        several if it is None (unknown)."""
+        """Return the initial hypotheses: one if the latency [s] is given, several if it is None
+        (unknown)."""
         tried = COARSE_S * (STEPS - STEPS[0]) if latency is None else np.array([latency])
         nothing = StateEstimate.nothing(len(tried))
         blank = np.zeros(len(tried))
@@ -171,8 +170,8 @@ class LatencyHypotheses:
         the time since the last image, and p is the likelihood of the measured positions.
 
         `unsure` is the minimum standard deviation of the stamp [s]. `delay` (P,) is the time from
-        the middle of the image to the exposure of each part [s]. The other parameters are the same
-        as in `StateEstimate.update`.
+        the exposure of the middle of the image to the exposure of each part [s]. The other
+        parameters are the same as in `StateEstimate.update`.
         """
         time = t - self.latencies[:, None] + delay
         last = np.max(self.estimate.time[self.best], initial=-np.inf)
@@ -227,8 +226,8 @@ class LatencyHypotheses:
         return replace(self.of(0.0), estimate=estimate, jitter=self.jitter, trusting=True)
 
     def _jitter(self, fit: Fit) -> Jitter:
-        """Return the jitter updated with an image. Until the latency is known, it is not
-        changed."""
+        """Return the jitter updated with an image. Until the latency is known, the jitter does not
+        change."""
         if not self.estimated:
             return self.jitter
         return self.jitter.update(float(fit.lateness[self.best]), float(fit.information[self.best]))

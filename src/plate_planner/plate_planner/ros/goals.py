@@ -1,7 +1,7 @@
 """Action servers of the planner.
 
-One server per action passes each goal to the node. A goal has the state accepted while its task
-runs. The goal is executed when the task ends.
+There is one server per action. It passes each goal to the node. A goal has the state *accepted*
+while its task runs. It is executed when the task ends.
 """
 
 from __future__ import annotations
@@ -25,8 +25,8 @@ class GoalServers:
     on_goal : callable
         Receives each goal handle. The owner must call `finish` for it, either at once or later.
     on_cancel : callable
-        Receives the goal handle whose cancellation a client requests. Returns whether the
-        cancellation is accepted.
+        Receives the handle of a goal that a client wants to cancel. Returns whether the goal is
+        canceled.
     """
 
     def __init__(
@@ -47,8 +47,8 @@ class GoalServers:
     def finish(self, goal: Any, status: TaskStatus) -> None:
         """Send the result to the client of a goal.
 
-        The goal is executed only now. If it were executed earlier, rclpy would poll a coroutine
-        that waits for the task.
+        The goal is executed only now. If it were executed when it is accepted, rclpy would
+        continuously poll a coroutine that waits for the end of the task.
         """
         self._results[bytes(goal.goal_id.uuid)] = status
         goal.execute()

@@ -66,8 +66,7 @@ def feed_to_msg(
     moves : bool
         Whether the plate is requested to move after this image.
     shown : mapping of str to Part
-        Parts of the last image, by id. If this image does not show a ready part, the message omits
-        that part.
+        Parts of the last image, by id. The message omits ready parts that are not in this image.
     stamp : Time
         Stamp of the last image.
     """

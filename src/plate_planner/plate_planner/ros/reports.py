@@ -1,7 +1,7 @@
 """Publishers of the planner's task_status, part_targets and feed_status.
 
-`TaskReports` stores the last published values. Unchanged targets are not published again, and an
-unchanged text is not logged again.
+`TaskReports` stores the last published values, so that unchanged targets are not published again
+and an unchanged text is not logged again.
 """
 
 from __future__ import annotations
@@ -52,7 +52,7 @@ class TaskReports:
         Parameters
         ----------
         run : Run or None
-            Task to report. None if there is none.
+            Task to report. None if there was no task.
         answered : Time
             Stamp of the last image or cycle start for which a request was published.
         reason : Reason
@@ -79,11 +79,10 @@ class TaskReports:
             self._feed.publish(feed_to_msg(memory.report, moves, self._shown, stamp))
 
     def is_new(self, text: str) -> bool:
-        """Return whether a text differs from the text of the last call. If so, the text should be
-        logged."""
+        """Return whether a text differs from the text of the last call and must be logged."""
         new, self._logged_text = text != self._logged_text, text
         return new
 
     def forget_text(self) -> None:
-        """Forget the last text, so that `is_new` returns True for it once more."""
+        """Forget the last text, so that `is_new` returns True for the same text again."""
         self._logged_text = ""

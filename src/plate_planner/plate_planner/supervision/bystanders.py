@@ -2,8 +2,8 @@
 
 Vision publishes some of these objects as parts of the classes `unknown` and `group`. The planner
 treats them like all parts without a goal: it keeps them on the plate and away from the parts of the
-task. Vision lists other objects only as overlooked. Parts may collide with them, so the planner
-reports them.
+task. Vision lists other objects only as overlooked. Parts may collide with these objects, so the
+planner reports them.
 """
 
 from __future__ import annotations
@@ -24,11 +24,12 @@ from plate_core import (
 )
 
 SEVERAL = 5
-"""Number of the last images. An object counts if the majority of them shows it. This rejects short
-reflections."""
+"""Number of the last images that are evaluated. An object counts only if the majority of these
+images shows it. This rejects short reflections."""
 
 LISTED = 3
-"""Maximum number of objects that a message lists with their positions. Others are only counted."""
+"""Maximum number of objects that a message lists with their positions. All further objects are only
+counted."""
 
 
 def is_bystander(part_id: str, labels: tuple[str, ...]) -> bool:
@@ -50,7 +51,7 @@ def bystanders_text(parts: Parts, labels: tuple[str, ...]) -> str:
 
 
 def without_surplus(parts: Parts, labels: tuple[str, ...]) -> Parts:
-    """Return at most `MAX_PARTS` parts, which is the maximum of the solver. Unknown objects are
+    """Return at most `MAX_PARTS` parts, because the solver accepts no more. Unknown objects are
     removed first."""
     if len(parts) <= MAX_PARTS:
         return parts
@@ -86,7 +87,7 @@ class Overlooked:
         for thing in things:
             place = np.array([thing.x, thing.y])
             whole = bool(np.all(np.abs(place) + thing.radius <= inner))
-            away = np.hypot(*(parts.position - place).T)  # distance from published parts
+            away = np.hypot(*(parts.position - place).T)  # distance from the published parts
             if low <= thing.radius <= high and whole and not np.any(away < thing.radius):
                 candidates.append(thing)
         self.images.append(tuple(candidates))

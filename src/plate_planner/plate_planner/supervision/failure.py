@@ -17,18 +17,18 @@ from ..estimation import LastRequest
 from .phase import LOOK, Failure, Reason
 
 NEAR_EDGE = 3.0
-"""Maximum distance of a lost part from an edge [part radii]. Within it, the part counts as having
-left the plate. The distance is measured from the part's last position."""
+"""If the last position of a lost part is within this distance of an edge, the part counts as having
+left the plate [part radii]."""
 
 SAME_PLACE = 3.0
-"""Maximum distance of an unknown object from a part's last position [part radii]. Within it, the
-object counts as this part."""
+"""An unknown object within this distance of a part's last position counts as this part [part
+radii]."""
 
 NOBODY = Parts.make((), np.zeros((0, 2)))
 
 FEW = 5
-"""Number of parts that can be moved independently. If there are more parts, few cycles can move all
-of them as requested."""
+"""Number of parts that can be moved independently. With more parts, only few cycles move all of
+them as requested."""
 
 AT_REST_MPS = 0.5e-3
 """Minimum requested drift that is expected to move a part [m/s]."""
@@ -46,8 +46,8 @@ def loss_of(
 ) -> Failure:
     """Return the failure for a part that is no longer detected, with a remedy.
 
-    `last` is None if the part was never detected. `began` is the start of the task [s], `count` the
-    number of parts, and `parts` are the parts in the image.
+    `last` is the last detection of the part, or None if it was never detected. `began` is the start
+    of the task [s], `count` is the number of parts, and `parts` are the parts in the image.
     """
     if last is None:
         return Failure(Reason.PART_UNSEEN, f"{name} was not detected; {LOOK}")
@@ -99,8 +99,8 @@ def shortfall_text(
 
 
 def outlook(rig: Rig, count: int, time_limit_s: float) -> str:
-    """Return a warning before the start if the shaking ratio is too low. Empty if it is high
-    enough."""
+    """Return a warning before the start if the shaking ratio is too low. The text is empty if the
+    ratio is high enough."""
     if rig.gamma >= MIN_GAMMA:
         return ""
     expect = "longer"

@@ -1,4 +1,5 @@
-"""The planner's inputs: the arrival time of each message, and whether the task can continue.
+"""The planner's inputs: the arrival times of their messages, and whether the task can continue with
+them.
 
 All functions are pure; the time is an argument. All times are from the steady clock [s]. Therefore
 an old image stamp or a stopped simulated clock cannot make an input appear new.
@@ -19,8 +20,8 @@ CYCLES = 3.0
 used."""
 
 SECOND_HAND_S = 0.2
-"""Time by which the planner's timeout exceeds the timeout of the preceding node [s]. The preceding
-node then reports first, and its message is a more exact reason."""
+"""Time by which the planner's timeout exceeds the timeouts of other nodes [s]. Therefore a node
+that lacks input reports this first, and its report gives the more exact reason."""
 
 ERROR_TIMEOUT_S = 1.0
 """Maximum duration of an error that the driver or the detector reports [s]. If the error lasts
@@ -28,20 +29,20 @@ longer, the task ends. Short errors are tolerated, because a connection may fail
 single image may be misread."""
 
 REPORT_TIMEOUT_S = 1.3
-"""Maximum age of a node's diagnostics, which are published once per second [s]. If they are older,
+"""Maximum age of a node's diagnostics [s]. Nodes publish them once per second. If they are older,
 the node counts as timed out."""
 
 LOOP = ("detector", "solver", "driver", "device", "simulator")
-"""Nodes whose diagnostics are evaluated. If one of them has no input, the plate does not move as
-planned."""
+"""Nodes whose diagnostics are evaluated, in the order of the data flow. If one of them has no
+input, the plate does not move as planned."""
 
 FEEDER_S = 1.5
-"""Timeout of a feeder's orders [s]. The feeder repeats them every 0.5 s. If no order arrives for
-this time, the plate must rest."""
+"""Timeout of a feeder's orders [s]. The feeder repeats its order every 0.5 s. If no order arrives
+for the timeout, the plate must rest."""
 
 FRESH_S = 0.5
-"""Maximum age of parts or cycles, unless cycles are long [s]. If an input is older, missing inputs
-of later nodes are a consequence, not a separate reason."""
+"""Maximum age of parts and cycles [s]. It is longer if cycles are long. If an input is older, later
+nodes lack inputs only as a consequence, which is not a separate reason."""
 
 LIFE_S = 0.8
 """Maximum age of driver_status [s]. The driver publishes it every 0.5 s."""
@@ -65,7 +66,8 @@ class Inputs:
     Attributes
     ----------
     parts, driver : Input
-        Arrival times by topic. Parts count as received only if their stamp is new.
+        Arrival times of `parts` and driver_status. Parts count as received only if their stamp is
+        new.
     ran : float
         Time at which the planner was last active.
     stamp : int or None
@@ -75,7 +77,7 @@ class Inputs:
     driver_status : DriverStatus or None
         Newest driver_status.
     error_since : float or None
-        Time since which the driver_status has been an error.
+        Time since which driver_status has reported an error. None if it does not.
     enabled_ns : int or None
         Time at which the motors were enabled, from the newest ready status [ns, wall clock].
     enabled_again : float or None
@@ -86,7 +88,7 @@ class Inputs:
     starts : Input or None
         Arrival of reported cycle starts. None if reports are not required.
     orders : Input or None
-        Arrival of a feeder's orders. The feeder repeats them. None until the first one.
+        Arrival of the orders that a feeder repeats. None until the first order.
     """
 
     parts: Input
@@ -108,10 +110,14 @@ class Inputs:
 
         Cycle starts must be reported unless the camera is triggered at cycle starts.
         """
-        parts = Input("parts", "parts", "do the detector and the camera run?", timeout_s, now)
-        driver = Input("driver_status", "driver_status", "does the driver run?", timeout_s, now)
-        question = "does the driver or the simulator publish them?"
-        starts = Input("start of a cycle", "cycle_started", question, timeout_s, now)
+        parts = Input(
+            "parts", "parts", "check that the detector and the camera run", timeout_s, now
+        )
+        driver = Input(
+            "driver_status", "driver_status", "check that the driver runs", timeout_s, now
+        )
+        advice = "check that the driver or the simulator publishes cycle starts"
+        starts = Input("start of a cycle", "cycle_started", advice, timeout_s, now)
         return cls(parts, driver, now, starts=None if triggered else starts)
 
     # Messages received
@@ -120,16 +126,16 @@ class Inputs:
         """Record received parts."""
         if stamp_ns == self.stamp:
             return self
-        return replace(self, parts=self.parts.heard(now), stamp=stamp_ns)
+        return replace(self, parts=self.parts.received(now), stamp=stamp_ns)
 
     def start_received(self, now: float) -> Inputs:
         """Record a reported cycle start."""
-        return self if self.starts is None else replace(self, starts=self.starts.heard(now))
+        return self if self.starts is None else replace(self, starts=self.starts.received(now))
 
     def order_received(self, now: float) -> Inputs:
         """Record an order of a feeder."""
-        question = "does the feeder run, or is the computer too slow?"
-        orders = Input("feed_orders", "feed_orders", question, FEEDER_S, now, now)
+        advice = "check that the feeder runs and the computer is fast enough"
+        orders = Input("feed_orders", "feed_orders", advice, FEEDER_S, now, now)
         return replace(self, orders=orders)
 
     def request_sent(self, now: float) -> Inputs:
@@ -147,7 +153,7 @@ class Inputs:
         since = now if self.error_since is None else self.error_since
         return replace(
             self,
-            driver=self.driver.heard(now),
+            driver=self.driver.received(now),
             driver_status=status,
             error_since=since if status.state is DriverState.ERROR else None,
             enabled_ns=status.enabled_ns if ready else self.enabled_ns,
@@ -174,11 +180,11 @@ class Inputs:
 
     def driver_problem(self, now: float) -> str:
         """Return the reason why the driver prevents the start of a task. Empty if it does not."""
-        gone = self.driver.gone(now)
-        if gone is not None:
-            return gone.message
+        finding = self.driver.timed_out(now)
+        if finding is not None:
+            return finding.message
         if self.driver_status is None:
-            return f"no driver_status yet: {self.driver.question}"
+            return f"no driver_status yet; {self.driver.advice}"
         return "" if self._driver_ready else self._driver_text
 
     @property
@@ -192,10 +198,10 @@ class Inputs:
 
     def parts_problem(self, now: float, publishers: Callable[[str], int]) -> str:
         """Return the reason why missing parts prevent the start of a task. Empty if they do not."""
-        if self.parts.came is None:
-            return f"no parts yet: {self._blame_for_parts(now, publishers)}"
-        if self.parts.gone(now) is not None:
-            return self._no_parts(now, self.parts.silence(now), publishers)
+        if self.parts.arrival is None:
+            return f"no parts yet; {self._blame_for_parts(now, publishers)}"
+        if self.parts.timed_out(now) is not None:
+            return self._no_parts(now, self.parts.age(now), publishers)
         return ""
 
     def starts_problem(self, now: float) -> str:
@@ -203,10 +209,10 @@ class Inputs:
         not."""
         if self.starts is None:
             return ""
-        gone = self.starts.gone(now)
-        if gone is None and self.starts.came is None:
-            return f"no start of a cycle yet: {self.starts.question}"
-        return gone.message if gone is not None else ""
+        finding = self.starts.timed_out(now)
+        if finding is None and self.starts.arrival is None:
+            return f"no start of a cycle yet; {self.starts.advice}"
+        return finding.message if finding is not None else ""
 
     def problem(
         self, now: float, began: float, period: float, publishers: Callable[[str], int]
@@ -217,14 +223,15 @@ class Inputs:
         ----------
         now : float
         began : float
-            Start of the task. Interruptions before it are ignored.
+            Start of the task. Interruptions before the task are ignored.
         period : float
             Length of a cycle [s].
         publishers : callable
             Function that returns the number of publishers of a topic.
         """
         why = self._missing(now, began, period, publishers)
-        # A failed connection is the reason. Missing inputs are its consequence.
+        # If the driver reports a failed connection, this is the reason, and missing inputs are its
+        # consequence.
         return self._driver_failure if why and self.error_since is not None else why
 
     @property
@@ -235,10 +242,10 @@ class Inputs:
         self, now: float, began: float, period: float, publishers: Callable[[str], int]
     ) -> Failure | None:
         timeout = self.timeout(period)
-        silence = min(self.driver.silence(now), now - began)
+        silence = min(self.driver.age(now), now - began)
         if silence > self.driver.timeout_s:
             nobody = "" if publishers("driver_status") else "no node publishes it; "
-            why = f"no driver_status for {silence:.1f} s: {nobody}{self.driver.question}"
+            why = f"no driver_status for {silence:.1f} s; {nobody}{self.driver.advice}"
             return Failure(Reason.NO_DRIVER, why)
         if self.error_since is not None:
             if now - max(self.error_since, began) > ERROR_TIMEOUT_S:
@@ -248,16 +255,17 @@ class Inputs:
         if self.enabled_again is not None and self.enabled_again > began:
             why = "driver: the motors were stopped and enabled again"
             return Failure(Reason.DRIVER_STOPPED, why)
-        silent = self.starts is not None and min(self.starts.silence(now), now - began)
+        silent = self.starts is not None and min(self.starts.age(now), now - began)
         if self.starts is not None and silent > max(self.starts.timeout_s, CYCLES * period):
-            # Missing inputs of other nodes are a consequence of missing cycle starts.
+            # Missing cycle starts are the reason. Missing inputs of other nodes are their
+            # consequence.
             return Failure(Reason.NO_CYCLE, self.starts_problem(now))
-        silence = min(self.parts.silence(now), now - began)
+        silence = min(self.parts.age(now), now - began)
         if self.unanswered is not None:  # in lockstep the simulator waits for the result
-            silence, question = now - max(self.unanswered, began), "does the solver run?"
+            silence, advice = now - max(self.unanswered, began), "check that the solver runs"
             if silence > timeout:
-                why = self._blame("plate_cycle", "solver", question, now, publishers)
-                return Failure(Reason.NO_CYCLE, f"no plate_cycle for {silence:.1f} s: {why}")
+                why = self._blame("plate_cycle", "solver", advice, now, publishers)
+                return Failure(Reason.NO_CYCLE, f"no plate_cycle for {silence:.1f} s; {why}")
         elif silence > timeout:
             return Failure(Reason.NO_PARTS, self._no_parts(now, silence, publishers))
         seen = self.reports.get("detector")
@@ -269,13 +277,13 @@ class Inputs:
         if name:
             return Failure(Reason.CUT_OFF, f"{name}: {self.reports[name].message}")
         orders = self.orders
-        gone = orders.gone(now) if orders is not None and orders.since >= began else None
-        return Failure(Reason.CUT_OFF, gone.message) if gone is not None else None
+        finding = orders.timed_out(now) if orders is not None and orders.since >= began else None
+        return Failure(Reason.CUT_OFF, finding.message) if finding is not None else None
 
     def _cut_off(self, now: float, began: float, period: float) -> str:
         """Return the first node of the loop that reports missing input. Empty if there is none.
 
-        If a node follows this node or a node that timed out, it lacks input only as a consequence.
+        A node that follows this node, or a node that timed out, lacks input only as a consequence.
         """
         fresh = max(FRESH_S, CYCLES * period)
         stale = {
@@ -283,10 +291,10 @@ class Inputs:
             for name, report in self.reports.items()
             if report.level is Level.STALE and report.at - began > self.parts.timeout_s
         }
-        if "detector" in stale:  # images of a simulated device depend on its motion
+        if "detector" in stale:  # a simulated device needs its motion for images
             driven = "device" in self.reports and "simulator" in stale
             return "simulator" if driven else "detector"
-        if self.parts.silence(now) > fresh:
+        if self.parts.age(now) > fresh:
             return ""
         if "solver" in stale:
             return "solver"
@@ -294,28 +302,28 @@ class Inputs:
             return ""
         if "driver" in stale:
             return "driver"
-        if self.driver.silence(now) > LIFE_S:
+        if self.driver.age(now) > LIFE_S:
             return ""
         return next((name for name in ("device", "simulator") if name in stale), "")
 
     def findings(self, now: float, publishers: Callable[[str], int]) -> list[Finding | None]:
         """Return the findings on missing inputs for the diagnostics. The findings do not depend on
         a running task."""
-        parts = self.parts.gone(now)
+        parts = self.parts.timed_out(now)
         if parts is not None:
             parts = Finding(Level.STALE, self.parts_problem(now, publishers))
-        driver = self.driver.gone(now)
+        driver = self.driver.timed_out(now)
         if driver is None and self.driver_problem(now):
             driver = Finding(Level.WARN, self.driver_problem(now))
-        starts = None if self.starts is None else self.starts.gone(now)
+        starts = None if self.starts is None else self.starts.timed_out(now)
         return [parts, driver, starts]
 
     def stood_still(self, now: float, period: float) -> Failure | None:
         """Return a failure if the planner's process stalled for longer than the input timeout.
         Otherwise return None.
 
-        Messages that arrived during the stall appear to be new, but the driver has stopped the
-        plate.
+        After such a stall, messages that arrived during it appear to be new, although the driver
+        has stopped the plate.
         """
         away = now - self.ran
         if away <= self.timeout(period):
@@ -330,30 +338,30 @@ class Inputs:
         """Return the inputs after a stall of the process. Arrival times of earlier messages are
         discarded."""
         parts, driver = (
-            replace(each, since=now, came=None if each.came is None else now)
+            replace(each, since=now, arrival=None if each.arrival is None else now)
             for each in (self.parts, self.driver)
         )
-        starts = self.starts and replace(self.starts, since=now, came=None)
+        starts = self.starts and replace(self.starts, since=now, arrival=None)
         return replace(
             self, parts=parts, driver=driver, ran=now, unanswered=None, reports={}, starts=starts
         )
 
     def _no_parts(self, now: float, silence: float, publishers: Callable[[str], int]) -> str:
-        return f"no parts for {silence:.1f} s: {self._blame_for_parts(now, publishers)}"
+        return f"no parts for {silence:.1f} s; {self._blame_for_parts(now, publishers)}"
 
     def _blame_for_parts(self, now: float, publishers: Callable[[str], int]) -> str:
-        return self._blame("parts", "detector", self.parts.question, now, publishers)
+        return self._blame("parts", "detector", self.parts.advice, now, publishers)
 
     def _blame(
-        self, topic: str, node: str, question: str, now: float, publishers: Callable[[str], int]
+        self, topic: str, node: str, advice: str, now: float, publishers: Callable[[str], int]
     ) -> str:
-        """Return the reason why a node does not publish its topic. If the reason is unknown, return
-        `question`."""
+        """Return the reason why the node `node` does not publish its topic. If the reason is
+        unknown, return `advice`."""
         if not publishers(topic):
-            return f"no node publishes {topic}; does the {node} run?"
+            return f"no node publishes {topic}; check that the {node} runs"
         report = self.reports.get(node)
         if report is None:
-            return question
+            return advice
         if now - report.at > REPORT_TIMEOUT_S:
-            return f"the {node} no longer publishes diagnostics; does it run?"
+            return f"the {node} no longer publishes diagnostics; check that it runs"
         return f"the {node} runs and reports: {report.message}"

@@ -16,15 +16,15 @@ from .inputs import Inputs
 from .phase import Failure, Reason, TaskState
 
 STILL_S = 1.0
-"""Minimum duration of a stall [s]. After a longer stall, the planner refuses goals that may have
-waited during it."""
+"""After a stall that was longer than this value [s], the planner refuses goals that may have waited
+during the stall."""
 
 SINGLE = ("parts", "part_forces", "plate_cycle", "driver_status", "cycle_started", "feed_orders")
 """Topics that only one node may publish."""
 
 MARGIN_S = 0.1
-"""Additional time that the monitor waits for all parts [s]. Because of it, the planner itself ends
-the task first."""
+"""Additional time that the monitor waits for all parts [s], so that the planner itself ends the
+task first."""
 
 
 class InputMonitor:
@@ -46,7 +46,7 @@ class InputMonitor:
     Attributes
     ----------
     inputs : Inputs
-        Inputs received so far. The owner records each message in this object.
+        Inputs received so far. The owner of the monitor records each message in this object.
     """
 
     def __init__(
@@ -65,7 +65,7 @@ class InputMonitor:
         """Record that the planner runs. Return a failure if its process has stalled since the last
         call for longer than the input timeout.
 
-        Call this first in each callback. `period` is the length of a cycle [s].
+        Each callback must call this function first. `period` is the length of a cycle [s].
         """
         self._standstill.is_late(now)
         failure = self.inputs.stood_still(now, period)
@@ -111,8 +111,8 @@ class InputMonitor:
         failure = self.inputs.problem(now, goal_time, period, self._publishers)
         waited = now - goal_time > self._start_timeout_s + MARGIN_S
         if failure is None and task.began is None and waited:
-            # The planner's own time limit uses stamps. If the stamps do not advance, that limit is
-            # never reached.
+            # The time limit of the planner uses stamps. It is never reached if the stamps do not
+            # advance.
             text = f"not all parts were detected within {self._start_timeout_s:g} s after the goal"
             failure = Failure(Reason.PARTS_MISSING, text)
         if several := self.second_publishers():

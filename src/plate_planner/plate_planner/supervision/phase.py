@@ -17,7 +17,8 @@ from plate_core import Parts, part_class
 from plate_core.tasks import Scenario
 
 TIME_TOLERANCE_S = 1e-6
-"""Times that differ by less count as equal [s], because stamps are rounded to nanoseconds."""
+"""Times that differ by less than this value count as equal [s], because stamps are rounded to
+nanoseconds."""
 
 
 LOOK = "look at the topic detections_image"
@@ -83,8 +84,8 @@ class Failure(NamedTuple):
 
 @dataclass(frozen=True)
 class TaskLimits:
-    """Time limits of a task. Times are differences of stamps [s]. They are stamps of cycle starts
-    or, if images are taken at cycle starts, stamps of images.
+    """Time limits of a task. Times are differences of stamps [s]: stamps of images if images are
+    taken at cycle starts, otherwise stamps of cycle starts.
 
     Attributes
     ----------
@@ -95,12 +96,12 @@ class TaskLimits:
     start_timeout_s : float
         Maximum time from `start` until all parts are detected.
     unseen_timeout_s : float
-        Maximum time without a detection of a part. After it, the part counts as lost.
+        Time without a detection after which a part counts as lost.
     stuck_timeout_s : float
-        Maximum time without progress towards the goal. After it, the task counts as stuck.
+        Time without progress towards the goal after which the task counts as stuck.
     nearer_m : float
-        Minimum decrease of the distance that counts as progress [m]. The distance is the sum over
-        the parts.
+        Minimum decrease of the distance to the goal that counts as progress [m]. The distance is
+        the sum over the parts.
     """
 
     time_limit_s: float
@@ -167,21 +168,21 @@ class TaskState:
     def held(self, t: float, limits: TaskLimits) -> bool:
         """Whether the goal has been met for `hold_s`.
 
-        If so, the plate must come to rest. Then an image must show all parts.
+        If so, the plate must come to rest, and then an image must show all parts.
         """
         met = self.active and self.met_since is not None
         return met and t - (self.met_since or 0.0) >= limits.hold_s - TIME_TOLERANCE_S
 
     def elapsed(self, t: float) -> float:
-        """Time from the start of the task to `t` or to its end [s]. The time is 0 if a clock was
-        set back."""
+        """Time from the start of the task to `t` or to its end [s]. It is 0 if a clock was set
+        back."""
         if self.began is None:
             return 0.0
         return max(0.0, (t if self.ended is None else self.ended) - self.began)
 
 
 def missing_parts(scenario: Scenario, known: tuple[str, ...], parts: Parts) -> tuple[str, ...]:
-    """Return the missing parts of the scenario. A part is named by its id if that is in `known`,
+    """Return the missing parts of the scenario. A part is named by its id if the id is in `known`,
     otherwise by its class."""
     there = Counter(part_class(i) for i in parts.ids)
     names: list[str] = []
@@ -222,8 +223,7 @@ def begin(
         Whether the parts are the same as in the last image that showed all parts.
     limits : TaskLimits
     others : str
-        Text on other objects on the plate. One of them may be a missing part. Empty if there are
-        none.
+        Text on other objects on the plate, which may be missing parts. Empty if there are none.
     """
     if state.phase is not Phase.RUNNING or state.began is not None:
         return state
@@ -240,7 +240,7 @@ def begin(
 
 
 STOP = Failure(Reason.STOPPED, "stopped")
-"""Failure that represents a stop by the service."""
+"""Failure for a stop by the service."""
 
 
 def stopped(state: TaskState, t: float | None, why: Failure = STOP) -> TaskState:
@@ -269,18 +269,18 @@ class Findings:
     problem : str
         Reason why the task cannot continue. Empty if it can.
     detail : callable
-        Function that returns a text on the part farthest from its goal, with its request and a
-        remedy.
+        Function that returns a text on the part farthest from its goal, with its requested drift
+        and a remedy.
     outcome : str
         Text on the result, if the task is done now.
     loss : callable
-        Function that returns the failure for the name of a missing part.
+        Function that returns the failure for a missing part. Its argument is the name of the part.
     all_seen : bool
-        Whether the image shows all parts. If it does not, the positions of the other parts are
+        Whether the image shows all parts. The positions of parts that it does not show are
         predictions.
     at_rest : bool
         Whether the plate and the parts were at rest when the image was taken. If the plate moves, a
-        part may leave it after the image.
+        part may leave the plate after the image.
     unanswered : str
         Text on the number of cycles without a result. Empty if there were few.
     """
@@ -304,10 +304,13 @@ def evaluate(state: TaskState, t: float, findings: Findings, limits: TaskLimits)
     before = dict(state.missing_since)
     missing_since = tuple((name, before.get(name, t)) for name in findings.missing)
     met_since = state.met_since
-    if not (findings.missing and findings.goal_met):  # without all parts, the goal is undecided
+    if not (
+        findings.missing and findings.goal_met
+    ):  # if parts are missing, it is not known whether the goal is met
         met_since = _since(met_since, findings.goal_met, t)
     state = replace(state, missing_since=missing_since, met_since=met_since)
-    # Missing parts have no distance. A sum without them would be smaller and appear as progress.
+    # The distance to the goal omits missing parts. A decrease of the distance would then appear as
+    # progress.
     if not findings.missing and findings.to_go_m < state.nearest_m - limits.nearer_m:
         state = replace(state, nearest_m=findings.to_go_m, nearest_at=t)
     timeout = limits.unseen_timeout_s + TIME_TOLERANCE_S
@@ -324,7 +327,7 @@ def evaluate(state: TaskState, t: float, findings: Findings, limits: TaskLimits)
         text = _joined(findings.outcome, findings.unanswered)
         return _end(state, t, Phase.DONE, Reason.NONE, text)
     reason, text = Reason.NONE, ""
-    # If the goal was met in time, allow more time for an image at rest.
+    # If the goal was met within the time limit, allow more time for an image at rest.
     longest = limits.time_limit_s + (limits.unseen_timeout_s if held else 0.0)
     if state.elapsed(t) > longest + TIME_TOLERANCE_S:
         reason, text = Reason.TIME_LIMIT, f"time limit of {limits.time_limit_s:g} s"

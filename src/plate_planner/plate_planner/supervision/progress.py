@@ -1,5 +1,5 @@
-"""Progress of a task. The progress is published in task_status, action feedback and diagnostics.
-The progress is computed once per image or cycle."""
+"""Progress of a task, which is computed once per image or cycle. It is published in task_status,
+action feedback and diagnostics."""
 
 from __future__ import annotations
 
@@ -22,23 +22,24 @@ class Progress:
     time_s : float
         Time from the start of the task until now or until its end [s].
     parts_total, parts_seen, parts_sorted : int
-        Number of parts of the scenario (or of sorted parts, if larger), number of parts on the
-        plate in this image, and number of parts at their goals.
+        `parts_total` is the number of parts that the scenario or the task counts, whichever is
+        larger. `parts_seen` is the number of parts on the plate in this image. `parts_sorted` is
+        the number of parts at their goals.
     to_go_m : float
-        Distance to the goal, summed over parts [m]. In a task that follows paths, it is the maximum
+        Distance to the goal, summed over parts [m]. For a path-following task, it is the maximum
         remaining path length.
     rms_error_m : float
-        Root mean square error [m]. In a task that follows paths, it is the distance of the parts
-        from their references, over all parts and images. In tasks that assemble or pose parts, it
-        is the distance from the targets in this image.
+        Root mean square error [m]. For a path-following task, the errors are the distances of the
+        parts from their references, in all images. For assembling and posing tasks, they are the
+        distances from the targets in this image.
     max_error_m : float
         Maximum of the distances whose root mean square is `rms_error_m` [m].
     turn_error : float
-        In a task that poses parts: maximum angle error in this image [rad].
+        Maximum angle error in this image, for a posing task [rad].
     speed_scaling : float
-        In a task that follows paths: speed of the references relative to full speed [-].
+        Speed of the references relative to full speed, for a path-following task [-].
     pace : float
-        Mean of `speed_scaling` since the references began to move [-].
+        Mean of `speed_scaling` since the references began to move, for a path-following task [-].
     period_s : float
         Length of a cycle [s].
     image_age_s : float

@@ -1,6 +1,6 @@
-"""Rules of an assembling task, in which parts fill a pattern of places. In each image, every part
-is assigned to a place of its class. The assignment minimises the sum of squared distances. The
-place is the target of the part."""
+"""Rules of an assembling task, in which parts fill a pattern of places. For each image, parts are
+assigned to places of their class. The assignment minimises the sum of squared distances. The
+assigned place is the target of the part."""
 
 from __future__ import annotations
 

@@ -1,7 +1,7 @@
-"""Drift intervals, which tasks request, and the mean forces that produce these drifts.
+"""Intervals of drift that tasks request, and the mean forces that produce these drifts.
 
-A drift is the mean velocity of a part over a cycle. The inputs are the parts with their
-present drift. The outputs are intervals of drifts and forces.
+A drift is the mean velocity of a part over a cycle. The inputs are the parts with their present
+drifts. The outputs are intervals of drifts and forces.
 """
 
 from __future__ import annotations
@@ -21,7 +21,8 @@ MAX_DRIFT = 0.05
 
 @dataclass(frozen=True)
 class DriftInterval:
-    """Requested drift of M parts: any drift from `low` to `high`, both (M, 2) [m/s, plate_home]."""
+    """Requested drift of M parts. Any drift from `low` (M, 2) to `high` (M, 2) [m/s, plate_home] is
+    accepted."""
 
     low: np.ndarray
     high: np.ndarray
@@ -30,8 +31,8 @@ class DriftInterval:
     def towards(cls, position: np.ndarray, targets: Targets) -> DriftInterval:
         """Return the drift of parts at (M, 2) [m] towards their targets.
 
-        v = APPROACH (target - position), limited to `MAX_DRIFT`. If a target leaves an axis free,
-        any drift up to `MAX_DRIFT` along this axis is accepted.
+        v = APPROACH (target - position), limited to `MAX_DRIFT`. If a target does not restrict an
+        axis, any drift up to `MAX_DRIFT` along this axis is accepted.
         """
         low, high = (
             np.where(

@@ -2,14 +2,14 @@
 requested angles. Parts are added and removed during the task.
 
 As in `move`, each cycle minimises the sum of squared weighted distances to targets. Ready parts
-stay ready. The parts that are nearest to being ready move to their windows and angles. Unwanted
+stay ready. The parts with the shortest remaining motion move to their windows and angles. Unwanted
 parts move over the edge into the chute. All parts keep the gripper's clearance from each other, so
-that heaps dissolve. When enough parts are ready, the plate rests and the robot may pick.
+that heaps dissolve. When enough parts are ready, the plate rests and the robot can pick.
 
-The targets of wanted parts are the same whether or not unwanted parts leave. Among the unwanted
-parts, only the part nearest to the chute has the full weight of a wanted part. Wanted parts are
-kept from the chute only by the wall that keeps parts from all edges. A stronger restraint would
-also stop the unwanted parts among them, and no part would leave.
+The targets of wanted parts are the same whether or not unwanted parts leave. Only the unwanted part
+nearest to the chute has the full weight of a wanted part. A wall keeps wanted parts away from the
+chute's edge, as from all edges. A stronger restraint would also stop the unwanted parts between
+them, and no part would leave.
 """
 
 from __future__ import annotations
@@ -44,36 +44,38 @@ MARGIN_M = 4e-3
 """Margin of the targets inside the window [m]."""
 
 KEPT = 0.8
-"""Half width of the angle interval in which a ready part has no error [the pick's tolerance]."""
+"""Half width of the angle interval in which a ready part has no error, as a fraction of the pick's
+tolerance."""
 
 GAP_MARGIN_M = 2e-3
 """Margin added to the gripper's clearance [m]."""
 
 STOCK = 0.03
 """Weight of the distance to the window or to the chute, for parts that are not needed yet. The
-weight is relative to the weight of other parts [-]. With a larger weight, many such parts would
-push the others against the wall, and no part would move."""
+weight of all other parts is 1 [-]. With a larger value, many such parts would push the other parts
+against the wall, and no part would move."""
 
 MANY_UNWANTED = 5
-"""Number of unwanted parts. If this number is reached, all of them move to the chute, even if
+"""If the plate has at least this number of unwanted parts, all of them move to the chute, even if
 enough other parts are ready."""
 
 PURGED = 6.0
-"""Weight of the distance to the chute for the part nearest to it during a purge, relative to the
-weight of other parts [-]."""
+"""Weight of the distance to the chute during a purge, for the part nearest to the chute. The weight
+of all other parts is 1 [-]."""
 
 NEAREST_M = 1e-3
-"""Minimum distance that is used to compute the weight of a part that must get ready at an angle
-[m]. Its weight is inversely proportional to its distance, so that the nearest part is ready sooner.
-This does not apply to round parts, because they would hinder each other (found by trial)."""
+"""Minimum distance in the weight of a part that must get ready at an angle [m]. The weight is
+inversely proportional to the distance of the part, so that the nearest part gets ready first. Parts
+without a requested angle have no such weight, because they would hinder each other in
+simulations."""
 
 CHANGE_M = 0.02
-"""Minimum difference in distance [m]. A part on its way to being ready is replaced by another part
-only if that part is nearer by this difference."""
+"""Another part replaces a part that moves to its window only if its distance is shorter by at least
+this value [m]."""
 
 RENAMED_M = 0.02
-"""Maximum distance between a new part and a vanished part of its class [m]. Within it, they count
-as the same part."""
+"""A new part and a vanished part of its class count as the same part if their distance is at most
+this value [m]."""
 
 BEYOND_M = 0.01
 """Minimum distance of targets beyond the chute's edge [m]."""
@@ -82,12 +84,12 @@ FAR_M = 0.1
 """Maximum distance of targets beyond the chute's edge [m]."""
 
 NEAR_EDGE = 1.5
-"""Maximum distance of a vanished part from an edge [its reach]. Within it, the part counts as
-having left over this edge. The distance is measured from the part's last position."""
+"""A vanished part counts as having left over an edge if its last position was within this distance
+of the edge, in units of the part's reach."""
 
 NEAR_CHUTE = 4.0
-"""Maximum distance of a vanished part from the chute's edge [its reach]. Within it, the part counts
-as having left over this edge. The distance is measured from the part's last position."""
+"""A vanished part counts as having left over the chute's edge if its last position was within this
+distance of the edge, in units of the part's reach."""
 
 
 @dataclass(frozen=True)
@@ -102,12 +104,12 @@ class FeedReport:
     at_rest : bool
         Whether the plate and the parts were at rest in the image and remain at rest.
     ready : Parts
-        Parts that the robot may grip.
+        Parts that the robot can grip now.
     seen : mapping of str to int
         Number of parts on the plate, by class.
     discharged, lost : int
-        Number of unwanted parts that left over the chute's edge, and number of all other parts that
-        left.
+        `discharged` is the number of unwanted parts that left over the chute's edge. `lost` is the
+        number of all other parts that left.
     """
 
     stamp: float = -np.inf
@@ -126,12 +128,12 @@ class FeedMemory:
     Attributes
     ----------
     rest_from : float
-        Time from which the plate rests [s]. Infinite while it moves.
+        Start of the plate's rest [s]. Infinite while the plate moves.
     place : mapping of str to (x, y)
-        Positions of parts at the last image [m, plate_home]. If that image was ignored, the ready
-        parts are omitted, because the robot may have taken them.
+        Positions of parts at the last image [m, plate_home]. If the last image was ignored, the
+        ready parts are omitted, because the robot may have taken them.
     chosen : tuple of str
-        Parts on their way to being ready.
+        Parts that move to their windows.
     clearing : bool
         Whether unwanted parts are on their way to the chute.
     report : FeedReport
@@ -153,7 +155,7 @@ class Feeder(TaskRules):
 
     @property
     def hold_s(self) -> float:
-        """Infinite, because the task is never done [s]."""
+        """Time for which the goal must be met [s]. Infinite, because the task is never done."""
         return np.inf
 
     @property
@@ -167,7 +169,7 @@ class Feeder(TaskRules):
         return True
 
     def check(self, scenario: Scenario) -> None:
-        """Accept any recipe, because `check_scenario` has already checked that it fits the rig."""
+        """Accept any recipe, because `check_scenario` has already checked it for this rig."""
 
     def assess(self, memory: FeedMemory | None, now: Situation) -> tuple[FeedMemory, Assessment]:
         """Evaluate one image and return the request, see `TaskRules.assess`."""
@@ -193,7 +195,7 @@ class Feeder(TaskRules):
             for name, (x, y) in zip(parts.ids, parts.position.tolist(), strict=True)
             if name in now.seen.ids or name in memory.place
         }
-        if now.kept:  # missing ready parts are not lost, because the robot takes them
+        if now.kept:  # missing ready parts are not lost: the robot takes them
             taken = memory.report.ready.ids
             place = {name: at for name, at in memory.place.items() if name not in taken}
         ready, ordered = len(report.ready), sum(pick.ready for pick in self._picks)
@@ -227,11 +229,13 @@ class Feeder(TaskRules):
         return self.task.order.picks or self.task.picks
 
     def _report(self, memory: FeedMemory, now: Situation, rest_from: float) -> FeedReport:
-        """Return the report of this image. The report counts the parts that left since the last
-        report. The plate rests from `rest_from` [s] on."""
+        """Return the report of this image. It adds the parts that left since the last report to its
+        counts. The plate rests from `rest_from` [s] on."""
         seen, before = now.seen, memory.report
         hidden = [i for i, name in enumerate(now.parts.ids) if name not in seen.ids]
-        every = _join(seen, now.parts.take(hidden))  # hidden parts also need clearance
+        every = _join(
+            seen, now.parts.take(hidden)
+        )  # parts that the image does not show also need clearance
         gap = free_gap(every, self.rig)
         here = np.arange(len(every)) < len(seen)
         ready = np.zeros(len(every), dtype=bool)
@@ -271,8 +275,8 @@ class Feeder(TaskRules):
         return self._mode is not FeedMode.PURGE and part_class(name) in labels
 
     def _left_over(self, name: str, place: np.ndarray) -> tuple[int, int] | None:
-        """Return the side over which a part left, for its last position (2,) [m]. Return None if
-        the part did not leave."""
+        """Return the side over which a part with the last position `place` (2,) [m] left the plate.
+        Return None if it did not leave the plate."""
         reach = self.rig.part_type(part_class(name)).reach_m
         away = self.rig.plate.half - np.abs(place)
         axis = int(np.argmin(away))
@@ -282,9 +286,10 @@ class Feeder(TaskRules):
         return side if away[axis] <= near * reach else None
 
     def _clearing(self, memory: FeedMemory, parts: Parts, near: np.ndarray) -> bool:
-        """Whether the unwanted parts must move to the chute now: if there are many of them, or if
-        no other part can get ready."""
-        # At rest, the parts are not counted, because vision may detect the robot as a part.
+        """Whether the unwanted parts must move to the chute now, because there are many of them or
+        because no other part can get ready."""
+        # The order is to rest. In this case parts are not counted, because vision may detect the
+        # robot as a part.
         if self._chute is None or self._mode is FeedMode.REST:
             return self._chute is not None and memory.clearing
         unwanted = sum(not self._is_wanted(name) for name in parts.ids)
@@ -304,8 +309,8 @@ class Feeder(TaskRules):
         """Return the targets of M parts, and the ids of the parts that must get ready.
 
         `near` (picks, M) states which parts are ready for each pick. `gap` (M,) is the free gap
-        around each part [m]. The targets are None if enough parts are ready and no parts must be
-        cleared.
+        around each part [m]. The targets are None if enough parts are ready and no parts must move
+        to the chute.
         """
         aims, chosen = Aims.none(parts, self.rig), []
         purging = self._mode is FeedMode.PURGE
@@ -413,17 +418,17 @@ class Aims:
 
     @property
     def left(self) -> np.ndarray:
-        """Distances to the targets (M,) [m]. The arc length of the remaining rotation at the part's
-        edge is added."""
+        """Distance of each part from its target (M,) [m], plus the arc length of its remaining
+        rotation at its edge."""
         distance = np.hypot(*(self.position - np.clip(self.position, self.low, self.high)).T)
         return np.asarray(distance + self.reach * np.maximum(np.abs(self.turn) - self.slack, 0))
 
     def targets(self, gap_m: float) -> Targets:
         """Return the targets of the parts, with a minimum gap [m] between parts.
 
-        The weight scales the longest distance with full weight to `FULL_DISTANCE_M`. Parts that
-        leave and other parts are scaled separately. If a part must get ready at an angle, the
-        distance of this part is scaled instead.
+        Weights are computed separately for parts that leave and for all other parts. They scale the
+        longest distance of a part with full weight to `FULL_DISTANCE_M`. If a part must get ready
+        at an angle, its own distance is scaled to this value.
         """
         left = self.left
         counts, offset = np.zeros(len(left)), np.column_stack([left, 0 * left])

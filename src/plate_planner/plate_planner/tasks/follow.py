@@ -1,16 +1,16 @@
 """Rules of a path-following task. Once per cycle, a PD controller computes the drift of each part.
 
-The request for image k acts during cycle k+1. Therefore the controller uses the error that is
-predicted for the start of cycle k+1. The controller requests the mean drift over this cycle:
+The request for image k takes effect in cycle k+1. Therefore the controller uses the error that is
+predicted for the start of cycle k+1. It requests the mean drift over this cycle:
 
     v_des = (x_ref(t + 2T) - x_ref(t + T))/T + kp (x_ref(t + T) - x_pred)/T
 
 kp = 1 corrects the whole predicted error in one cycle. If one of the last results began n cycles
-late, kp is divided by 1 + n. The reason is that the plate may repeat a cycle n times before the
-next one begins, and all repetitions together must correct the error once. The solver changes the
-drift of a part from the present drift to the requested drift. This is the D term, with a gain of 1.
-The drift bias is the observed difference between the motion of the parts and the model. The bias is
-added in the prediction, and the planner subtracts it from the request.
+late, kp is divided by 1 + n: the plate may repeat a cycle n times before the next result begins,
+and all repetitions together must correct the error once. The solver changes the drift of a part
+from the present drift to the requested drift. This is the D term, with a gain of 1. The drift bias
+is the observed difference between the motion of the parts and the model. The prediction includes
+the bias, and the planner subtracts the bias from the request.
 """
 
 from __future__ import annotations
@@ -35,55 +35,55 @@ EDGE = (0.70, 0.85)
 path are moved inwards, with a speed that increases towards the edge."""
 
 LACKING = 0.1
-"""Shortfall of drift in a cycle [path's speed]. If it is larger, the references slow down."""
+"""Maximum shortfall of drift in a cycle, as a fraction of the path's speed. If the shortfall is
+larger, the references slow down."""
 
 SLOW_DOWN = 0.7
-"""Factor on the speed scaling after a cycle in which the shortfall of drift exceeds `LACKING`
-[-]."""
+"""Factor on the speed scaling after a cycle whose shortfall of drift exceeds `LACKING` [-]."""
 
 LEAST = 0.05
-"""Minimum speed scaling due to a shortfall of drift [-]. There is no minimum for errors: they may
-stop the references, because errors decrease while the references stand still. A shortfall may
-persist while the references stand still. Without a minimum, the task would then be stuck."""
+"""Minimum speed scaling due to a shortfall of drift [-]. A shortfall may persist while the
+references stand still, so without this minimum the task could get stuck. Position errors have no
+such minimum, because they decrease while the references stand still."""
 
 NEGLIGIBLE = 0.3e-3
 """Shortfall of drift that is always accepted [m/s]. Solver and filter cause a shortfall of about
 0.2 mm/s, which must not slow down a slow path."""
 
 SLOW_START = 0.1
-"""Speed scaling at the start and until the image latency is known [-]. Until then, errors increase
-with the speed."""
+"""Speed scaling at the start, and until the image latency is known [-]. With an unknown latency,
+errors increase with the speed."""
 
 SPEED_UP = 0.1
 """Maximum increase of the speed scaling per cycle [-]. The increase is slower than the decrease."""
 
 TURN = 0.12
-"""Maximum acceleration of references at corners, starts and ends [mu g]. The references slow down
-before them."""
+"""Maximum acceleration of references at corners, starts and ends of paths [mu g]. The references
+slow down before these points."""
 
 CLOSE = 4
-"""Number of times per cycle at which the paths ahead are sampled."""
+"""Number of samples per cycle of the paths ahead."""
 
 
 BIAS_MAX = 1.0
-"""Maximum drift bias along and across the path [path's speed]."""
+"""Maximum drift bias along and across the path, as a fraction of the path's speed."""
 
 SPEED_RATIO_MAX = 3.0
-"""Maximum requested drift [path's speed]."""
+"""Maximum requested drift, as a multiple of the path's speed."""
 
 SLOW_FROM = 0.15
-"""Error of a part [max_error_m]. If it is larger, the references slow down."""
+"""If the error of a part exceeds this fraction of max_error_m, the references slow down."""
 
 SLOW_TO = 0.5
-"""Error at which the references stop [max_error_m]."""
+"""If the error of a part exceeds this fraction of max_error_m, the references stop."""
 
 LEAD_TO_M = 1e-3
-"""Minimum tolerance of the parts at the starts of their paths [m]. If the error at `SLOW_FROM` is
-larger, that error is the tolerance, because the references can then start at full speed."""
+"""Minimum tolerance for parts at the starts of their paths [m]. The tolerance is the error at
+`SLOW_FROM` if this is larger, because the references can start at full speed with this error."""
 
 KEPT_MPS = (0.08, 0.08, 0.04, 0.02, 0.02, 0.01)
-"""Speeds that one, two, ... six or more parts reached on circles [m/s]. Sources: docs/results.md,
-(f), and the scenario follow_8."""
+"""Speeds that one, two, three, four, five, and six or more parts reached on circles [m/s]. Sources:
+docs/results.md, (f), and the scenario follow_8."""
 
 REACHED = 0.3
 """Fraction of the bound a T/16 that two parts reached at shaking ratios of 3 and 5 [-]."""
@@ -93,7 +93,7 @@ PERIOD_S = 0.1
 length."""
 
 SLOWED = 0.95
-"""Mean pace [-]. If the mean is lower, the text of the result states it."""
+"""If the mean pace is below this value [-], the text of the result states it."""
 
 
 @dataclass(frozen=True)
@@ -126,7 +126,7 @@ def pd_drift(
     kp: float,
     speed_max: np.ndarray,
 ) -> np.ndarray:
-    """Return the requested mean drift over the cycle in which the result acts.
+    """Return the requested mean drift over the cycle in which the request takes effect.
 
     Parameters
     ----------
@@ -162,13 +162,15 @@ class FollowMemory:
     began : float
         Time at which the references leave their first corners [s].
     anchor, progress : float
-        A time [s], and the path time of the references at this time [s at full speed].
+        `anchor` is a time [s]. `progress` is the path time of the references at this time [s at
+        full speed].
     scaling : (float, float)
-        Speed scaling before and after the anchor, as path time per time. 1 is full speed.
+        Speed scaling before and after `anchor`: path time per time [-]. 1 is full speed.
     leading : bool
-        Whether parts are still moving to the starts of their paths. The references wait until then.
+        Whether parts are still moving to the starts of their paths. In this case the references
+        wait.
     lead_s : float
-        Duration of the motion to the starts [s].
+        Duration of the motion to the starts of the paths [s].
     square_sum, samples : float, int
         Sum of squared distances from the references [m2], and number of distances.
     max_error_m : float
@@ -195,7 +197,8 @@ class FollowMemory:
         return float(np.sqrt(self.square_sum / self.samples)) if self.samples else 0.0
 
     def path_time(self, t: float) -> float:
-        """Return the path time of the references at time t [s]: time at full speed [s]."""
+        """Return the path time of the references at time t [s]. The path time is the time at full
+        speed [s]."""
         since = t - self.anchor
         return self.progress + since * self.scaling[0 if since < 0 else 1]
 
@@ -215,17 +218,19 @@ class Follower(TaskRules):
 
     @property
     def hold_s(self) -> float:
-        """0, because the task is done when the references reach the ends of their paths [s]."""
+        """Time for which the goal must be met [s]. 0, because the task is done when the references
+        reach the ends of their paths."""
         return 0.0
 
     @property
     def nearer_m(self) -> float:
-        """0, because references have no noise and any decrease of the distance is progress [m]."""
+        """Minimum decrease of the distance that counts as progress [m]. 0, because references have
+        no noise."""
         return 0.0
 
     @property
     def bias_gain(self) -> float:
-        """Gain of the drift bias observer, from the options [-]."""
+        """Gain of the drift bias observer: `FollowOptions.observer_gain` [-]."""
         return self.options.observer_gain
 
     @cached_property
@@ -265,12 +270,13 @@ class Follower(TaskRules):
         )
 
     def _begun(self, memory: FollowMemory | None, now: Situation) -> FollowMemory:
-        """Begin the task. The task begins again as long as parts move to the starts of their paths,
-        and until the length of a cycle is known."""
+        """Begin the task. It is begun again at each image while parts move to the starts of their
+        paths, and until the length of a cycle is known."""
         early = memory is None or now.stamp < memory.began - now.period / 2
         if memory is not None and not memory.leading and not (early and now.motion_known):
             return memory
-        # Wait for the first running cycle, because it determines the length of the cycles.
+        # Until cycles run, add one cycle of waiting: the first cycle determines the length of the
+        # cycles.
         start = now.start if now.motion_known else now.start + now.period
         again = self.begin(now.parts, start)
         if not now.latency_known:
@@ -283,8 +289,8 @@ class Follower(TaskRules):
         return replace(again, leading=leading, lead_s=led)
 
     def _lead(self, memory: FollowMemory, now: Situation) -> Assessment:
-        """Return the assessment while parts move to the starts of their paths. The rules are the
-        same as in assembling."""
+        """Return the assessment while parts move to the starts of their paths. The rules are those
+        of an assembling task."""
         found = self._leader.assess(None, now)[1]
         return replace(
             found,
@@ -313,8 +319,8 @@ class Follower(TaskRules):
             )
 
     def warnings(self) -> tuple[str, ...]:
-        """Return a warning if paths are faster than the speeds reached before, or faster than any
-        motion of the plate allows."""
+        """Return a warning if paths are faster than the speeds that parts reached (`KEPT_MPS`), or
+        faster than any motion of the plate allows."""
         count, fastest = len(self.paths), float(np.max(self._speeds))
         kept = min(KEPT_MPS[min(count, len(KEPT_MPS)) - 1], REACHED * self._bound)
         if fastest <= kept:
@@ -369,8 +375,8 @@ class Follower(TaskRules):
     def _scaling(self, before: float, worst: float, lacking: float) -> float:
         """Return the next speed scaling for an error [m] and a shortfall of drift [path's speed].
 
-        With the error e in units of `max_error_m`, it is (SLOW_TO - e) / (SLOW_TO - SLOW_FROM),
-        from 0 to 1. It is also limited by the change from the scaling `before`.
+        Let e be the error divided by `max_error_m`. The scaling is (SLOW_TO - e) / (SLOW_TO -
+        SLOW_FROM), limited to 0 to 1. Its change from the scaling `before` is also limited.
         """
         factor = (SLOW_TO - worst / self.task.max_error_m) / (SLOW_TO - SLOW_FROM)
         most = max(before * SLOW_DOWN, LEAST) if lacking > LACKING else before + SPEED_UP
@@ -378,7 +384,7 @@ class Follower(TaskRules):
 
     def _ahead(self, time: float, period: float) -> float:
         """Return the maximum speed scaling at a path time [s]. With this scaling, no corner ahead
-        requires a higher acceleration than `TURN`.
+        requires an acceleration above `TURN`.
 
         With the scaling s, the path time advances by s dt. Let a be the deceleration and v the
         speed of the path. Then s ds/dtime = a/v. Therefore s^2 may be larger by 2 a/v for each
@@ -401,7 +407,7 @@ class Follower(TaskRules):
         return np.array([path.position(time) for path in self.paths])
 
     def to_go(self, memory: FollowMemory, t: float) -> float:
-        """Return the maximum remaining path length [m], which is the remaining path time times the
+        """Return the maximum remaining path length [m]: the remaining path time multiplied by the
         maximum speed."""
         time = memory.path_time(t)
         return max(max(path.duration - time, 0) * path.speed for path in self.paths)
@@ -476,10 +482,10 @@ class Follower(TaskRules):
         ]
         low, high = (np.column_stack(ends) for ends in zip(*intervals, strict=True))
         path, part = matched_rows(memory.match, now.parts)
-        # If the latency is unknown, prediction errors may exceed the motion of the parts.
+        # While the latency is unknown, prediction errors may exceed the motion of the parts.
         scaling = 1.0 if now.latency_known else memory.scaling[1]
-        # A cycle may be executed 1 + late times before the next result begins. Together these
-        # executions are one correction.
+        # A cycle may be executed 1 + late times before the next result begins. All executions
+        # together must make one correction.
         times = 1 + now.late
         low[part] = high[part] = pd_drift(
             now.predicted[part],

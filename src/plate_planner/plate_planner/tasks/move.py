@@ -2,8 +2,8 @@
 
 As in `pose`, each cycle minimises the sum of squared weighted distances to the targets. A part
 without a target should stay at its home: its position at the start of the task or at its first
-detection. If all other distances are short, the weight of such a part is relatively small. The part
-then moves aside for the others.
+detection. When the remaining distances of the other parts are short, the weight of such a part is
+relatively small, so that it moves aside for the other parts.
 """
 
 from __future__ import annotations
@@ -23,11 +23,11 @@ from .task import BAND, Assessment, Situation, TaskRules
 
 HOME = 2.0
 """Weight of a part without a target, relative to the weight of parts with a target [-]. With this
-weight, the part stays in place while the distances of the others are long."""
+weight, the part stays in place while the distances of the other parts are long."""
 
 MAX_HOME_WEIGHT = 0.2
-"""Maximum weight of a part without a target [-]. With this maximum, the part moves aside when the
-distances of the others are short."""
+"""Maximum weight of a part without a target [-]. It lets the part move aside when the distances of
+the other parts are short."""
 
 HOME_BAND_M = 5e-3
 """Deviation of a part from its home that counts as no error [m]."""
@@ -35,8 +35,8 @@ HOME_BAND_M = 5e-3
 
 @dataclass(frozen=True)
 class MoveMemory:
-    """Homes (x, y) [m, plate_home] of the parts. A home is the position at the start of the task or
-    at the first detection."""
+    """Homes (x, y) [m, plate_home] of the parts. The home of a part is its position at the start of
+    the task or at its first detection."""
 
     home: Mapping[str, tuple[float, float]] = field(default_factory=dict)
 
@@ -50,9 +50,9 @@ class RemainingMotion:
     requested : (M,) bool
         Whether the part has a target.
     aim : (M, 2)
-        Target [m, plate_home]. If there is no target, the home.
+        Target of the part, or its home if it has no target [m, plate_home].
     distance : (M,)
-        Distance from `aim` [m].
+        Distance of the part from `aim` [m].
     missing : (M,)
         Remaining rotation [rad]. 0 if no angle is requested.
     turned : (M,) bool

@@ -20,13 +20,13 @@ from plate_core.tasks import PathTask
 class PolygonPath:
     """Polygonal path that begins at its first corner.
 
-    Between two entries of the profile the speed v changes linearly with the arc length s:
-    dv/ds = k, so v = v_0 exp(k t) and s = s_0 + (v - v_0)/k.
+    Between two entries of the speed profile, the speed v changes linearly with the arc length s:
+    dv/ds = k. Therefore v = v_0 exp(k t) and s = s_0 + (v - v_0)/k.
 
     Attributes
     ----------
     corner : (n, 2)
-        Corners [m, plate_home]. The last corner of a closed path is a copy of the first.
+        Corners [m, plate_home]. The last corner of a closed path is a copy of its first corner.
     arc : (n,)
         Length of the path up to each corner [m].
     speed : float

@@ -18,8 +18,8 @@ from .targets import GAP, UNMATCHED, distance_weight, match_by_cost, matched_row
 from .task import BAND, Assessment, Situation, TaskRules
 
 STAY = 1.0
-"""Minimum weight of a part that must stay at its position, relative to the weight of errors at
-edges [-]."""
+"""Minimum weight of a part that must stay at its position [-]. Errors at edges have the weight
+1."""
 
 
 @dataclass(frozen=True)
@@ -31,7 +31,7 @@ class PoseMemory:
     match : tuple of str
         Id of the part of each pose.
     place : (P, 2)
-        Position of each pose [m, plate_home]; NaN accepts any position.
+        Position of each pose [m, plate_home]. NaN accepts any position.
     """
 
     match: tuple[str, ...] = ()
@@ -92,8 +92,8 @@ class Poser(TaskRules):
         return PoseMemory(match, place)
 
     def errors(self, memory: PoseMemory, parts: Parts) -> tuple[np.ndarray, np.ndarray]:
-        """Return the distance from its place [m] and the remaining rotation [rad] of each part
-        (M,). Both values are 0 for a part without a pose."""
+        """Return two arrays (M,): the distance of each part from its place [m], and its remaining
+        rotation [rad]. Both values are 0 for a part without a pose."""
         distance, angle = np.zeros(len(parts)), np.zeros(len(parts))
         pose, part = matched_rows(memory.match, parts)
         away = np.hypot(*(memory.place[pose] - parts.position[part]).T)

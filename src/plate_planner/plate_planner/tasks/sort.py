@@ -22,11 +22,12 @@ from .targets import CROWD, GAP, assign, distance_weight
 from .task import Assessment, Situation, TaskRules
 
 MARGIN = 0.03
-"""Distance of the targets beyond the goal line [fraction of the half length and width]."""
+"""Distance of the targets beyond the goal line, as a fraction of the plate's half length or
+width."""
 
 END = 0.85
-"""Outer end of the area that counts for the capacity of a side or corner [fraction of the half
-length and width]."""
+"""Outer end of the area that counts for the capacity of a side or corner, as a fraction of the
+plate's half length or width."""
 
 LANE = 0.1
 """Weight of the distance from a lane, for a part with at least `LANE_M` to go along x [-]. For
@@ -40,11 +41,11 @@ LANE_M = 0.1
 """Distance along x from which the lane has its full weight [m]."""
 
 LANE_AT = 0.25
-"""Inner edge of the lanes [fraction of the half width]."""
+"""Inner edge of the lanes, as a fraction of the plate's half width."""
 
 SWITCH = 0.3
-"""Mean displacement of the parts to the wrong side at which the swirl reverses its direction
-[fraction of the half width]."""
+"""Mean displacement of the parts to the wrong side at which the swirl reverses its direction, as a
+fraction of the plate's half width."""
 
 SLOT_SPACING = 3.5
 """Distance between neighbouring slots [part radii]."""
@@ -74,8 +75,8 @@ class Sorter(TaskRules):
         Raises
         ------
         ScenarioError
-            If not. The error names the class, its number of parts and the capacity of its region,
-            or both classes of overlapping bins.
+            If a region is too small, or if bins overlap. The error names the class, its number of
+            parts and the capacity of its region, or the classes of the overlapping bins.
         """
         for group in scenario.parts:
             region = self.task.regions[group.label]
@@ -132,7 +133,7 @@ class Sorter(TaskRules):
         )
 
     def to_go(self, parts: Parts) -> np.ndarray:
-        """Return the distance of each part (M,) from its region [m]. The distance is 0 inside, and
+        """Return the distance of each part (M,) from its region [m]. It is 0 inside the region, and
         NaN for a class without a region."""
         return self.distances(parts.ids, parts.position)
 
@@ -151,10 +152,10 @@ class Sorter(TaskRules):
         return result
 
     def hand(self, before: float | None, parts: Parts) -> float:
-        """Return the direction of the swirl. The direction is 1 if parts to the right pass above
-        parts to the left, and -1 if they pass below. If the regions are opposite corners, they
-        determine the direction. Otherwise the direction changes only if the other one is much
-        closer to the present positions."""
+        """Return the direction of the swirl. It is 1 if parts that move to the right pass above
+        parts that move to the left, and -1 if they pass below. If the regions are opposite corners,
+        they determine the direction. Otherwise it changes only if the opposite direction fits the
+        present positions much better."""
         sign = self._signs(parts.ids)
         if diagonal := _diagonal(sign):
             return diagonal
@@ -183,15 +184,15 @@ class Sorter(TaskRules):
             displacement[rows] = place - parts.position[rows]
         requested = (low > -half) | (high < half)
         weight = np.where(requested, distance_weight(displacement), 0.0)
-        # Far from their sides, parts to the left and parts to the right use different lanes. One
-        # swirl then moves all of them.
+        # Far from their sides, parts that move to the left and parts that move to the right use
+        # different lanes. Therefore one swirl moves all of them.
         most = CROWDED_LANE if len(parts) > CROWD else LANE
         lane = most * np.minimum(displacement[:, 0] / LANE_M, 1) * (sign[:, 0] != 0)
         if not _diagonal(sign):
             lane[sign[:, 1] != 0] = 0
         if np.all(sign[:, 0] >= 0) or np.all(sign[:, 0] <= 0):
-            lane[:] = 0  # parts that all move in one direction need no lanes
-        # If the weight of the corner is higher, it replaces the weight of the lane.
+            lane[:] = 0  # no lanes are needed if all parts move in one direction
+        # A higher weight of the corner replaces the weight of the lane.
         lane[lane <= np.where(sign[:, 1] != 0, weight[:, 1], 0)] = 0
         upper = hand * sign[:, 0] > 0
         middle = LANE_AT * half[1]
@@ -201,8 +202,8 @@ class Sorter(TaskRules):
         return Targets(low, high, weight, GAP * self.rig.parts.radius_m)
 
     def _displacements(self, parts: Parts, sign: np.ndarray) -> np.ndarray:
-        """Return the distances (M, 2) [m] to the targets, which are `MARGIN` beyond the goal lines.
-        `sign` (M, 2) are the signs of the sides."""
+        """Return the distances (M, 2) [m] of the parts from their targets, which are `MARGIN`
+        beyond the goal lines. `sign` (M, 2) contains the signs of the sides."""
         line = (self.task.goal_fraction + MARGIN) * self.rig.plate.half
         return np.where(sign != 0, np.maximum(line - parts.position * sign, 0), 0)
 
@@ -227,7 +228,7 @@ class Sorter(TaskRules):
 
 def _diagonal(sign: np.ndarray) -> float:
     """Return 1 if the regions of all parts are the bottom left and the top right corner, -1 for the
-    other two corners, and 0 for other regions. `sign` (M, 2) are the signs of the sides."""
+    other two corners, and 0 for other regions. `sign` (M, 2) contains the signs of the sides."""
     side = np.prod(sign, axis=1)
     if not len(side) or np.ptp(sign[:, 0]) == 0 or np.ptp(side) != 0:
         return 0.0
@@ -248,7 +249,9 @@ def _grid(region: Bin, edge_m: float, rig: Rig) -> np.ndarray:
     edges."""
     outline = shapely.Polygon(region.corner)
     spacing, clear = SLOT_SPACING * rig.parts.radius_m, SLOT_CLEAR * rig.parts.radius_m
-    room = rig.plate.half - edge_m + clear  # the first grid point is `clear` inside these bounds
+    room = (
+        rig.plate.half - edge_m + clear
+    )  # these bounds are `clear` outside the outermost grid points
     low, high = np.reshape(outline.bounds, (2, 2))
     low, high = np.maximum(low, -room), np.minimum(high, room)
     best = np.zeros((0, 2))

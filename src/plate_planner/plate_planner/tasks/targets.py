@@ -24,19 +24,20 @@ WRONG_CLASS_M = 1e3
 a pair is never chosen."""
 
 FULL_DISTANCE_M = 0.006
-"""Length that the weights give to the longest distance of a part from its target [m]. With this
-length, the distances are larger than errors at edges, and the parts with the longest distances move
+"""Weighted value of the longest distance of a part from its target [m]. With this value, the
+weighted distances are larger than errors at edges, and the parts with the longest distances move
 first."""
 
 MIN_DISTANCE_M = 0.005
-"""Minimum of the longest distance when the weights are computed [m]. Shorter distances are not
-scaled further."""
+"""Minimum of the longest distance in the computation of the weights [m]. If the longest distance is
+shorter, the weights do not increase further."""
 
 CROWD = 40
-"""Number of parts above which the plate rests between cycles and lanes have more weight. It was
-tuned in simulation (`sort_50`): 8 runs take 46 to 69 s, median 54. In motion with the usual lanes,
-13 runs take 32 to 92 s, median 56. In motion with the lanes of a crowd, 9 runs take 40 to 75 s,
-median 52. So motion does not change the median, but some runs take long."""
+"""Number of parts above which the plate rests between cycles and lanes have more weight. The value
+was tuned in simulations of `sort_50`: with rest between cycles, 8 runs take 46 to 69 s, median 54
+s. Without rest, 13 runs with the usual lanes take 32 to 92 s, median 56 s, and 9 runs with the
+lanes of a crowd take 40 to 75 s, median 52 s. Without rest, the median does not change, but some
+runs take longer."""
 
 GAP = 0.5
 """Minimum gap between the edges of two moving parts [radii of the rig's parts]."""
@@ -61,7 +62,7 @@ def match_targets(
     Returns
     -------
     tuple of P ids
-        Id of the part of each target. UNMATCHED if there is none.
+        Id of the part of each target. UNMATCHED if the target has no part.
     """
     target = np.reshape(target, (-1, 2))
     square = np.sum((target[:, None] - parts.position[None]) ** 2, axis=2)
@@ -110,7 +111,8 @@ def rematch_targets(
 
 
 def matched_rows(match: tuple[str, ...], parts: Parts) -> tuple[np.ndarray, np.ndarray]:
-    """Return the indices of matched targets and of their detected parts, two arrays (K,)."""
+    """Return two arrays (K,): the indices of the targets whose parts are detected, and the indices
+    of these parts."""
     row = rows_of(match, parts.ids)
     target = np.flatnonzero(row >= 0)
     return target, row[target]
@@ -123,7 +125,7 @@ def assign(labels: tuple[str, ...], place: np.ndarray, parts: Parts) -> np.ndarr
     Returns
     -------
     (M,) int
-        Index of each part's place. -1 for a part without a place.
+        Index of the place of each part. It is -1 for a part without a place.
     """
     return rows_of(parts.ids, match_targets(labels, place, parts))
 
@@ -131,7 +133,7 @@ def assign(labels: tuple[str, ...], place: np.ndarray, parts: Parts) -> np.ndarr
 def distance_weight(offset: np.ndarray) -> float:
     """Return the weight per metre for parts with distances (M, 2) [m] to their targets.
 
-    With the longest distance d, the weight is FULL_DISTANCE_M / max(d, MIN_DISTANCE_M).
+    If d is the longest distance, the weight is FULL_DISTANCE_M / max(d, MIN_DISTANCE_M).
     """
     return FULL_DISTANCE_M / max(float(np.max(np.hypot(*offset.T), initial=0.0)), MIN_DISTANCE_M)
 
@@ -141,8 +143,8 @@ def stay_within(
 ) -> tuple[np.ndarray, np.ndarray]:
     """Return drift intervals that keep parts away from the plate's edges.
 
-    With the proximity e of a part to the edges (`nearness`) and the sign s of its coordinate, the
-    interval is
+    Let e be the proximity of a part to the edges (`nearness`), and s the sign of its coordinate.
+    The interval is
 
         -speed e s +- wander (1 - e).
 
@@ -176,6 +178,6 @@ def stay_within(
 def nearness(
     coordinate: np.ndarray, half: float | np.ndarray, inner: float, outer: float
 ) -> np.ndarray:
-    """Return the proximity to an edge: 0 up to `inner`, 1 from `outer` on, linear in between. Both
-    are fractions of `half`."""
+    """Return the proximity to an edge: 0 up to `inner`, 1 from `outer` on, linear in between.
+    `inner` and `outer` are fractions of `half`."""
     return np.clip((np.abs(coordinate) / half - inner) / (outer - inner), 0, 1)

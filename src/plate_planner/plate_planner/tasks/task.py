@@ -14,8 +14,8 @@ from plate_core.tasks import Scenario
 from .drift import DriftInterval
 
 SIGHT_M, SIGHT_RAD = 3e-4, 0.01
-"""Maximum difference between measured and true pose of a part [m, rad]. Tasks are evaluated with
-measured poses."""
+"""Maximum error of the measured position [m] and of the measured angle [rad] of a part. Tasks are
+evaluated with measured poses."""
 
 BAND = 0.3
 """Half width of the target intervals of positions and angles, relative to the task's tolerance
@@ -23,7 +23,7 @@ BAND = 0.3
 
 NEARER_M = 0.002
 """Minimum decrease of the distance to the goal that counts as progress [m]. The distance is the sum
-over the parts. It exceeds the camera's noise."""
+over the parts. This decrease is larger than the camera's noise."""
 
 BIAS_GAIN = 0.3
 """Gain of the drift bias observer: weight of the newest prediction error [-]."""
@@ -46,7 +46,7 @@ class Situation:
     start : float
         Time at which the result takes effect [s].
     rests : float
-        Time at which the plate comes to rest if no motion is requested from `start` on [s].
+        Time at which the plate comes to rest [s], if no motion is requested from `start` on.
     period : float
         Length of a cycle [s].
     motion_known : bool
@@ -96,15 +96,15 @@ class Assessment:
     Attributes
     ----------
     request : DriftInterval or Targets or None
-        Request for the M parts: their drift in the next cycle, or their targets. If None, the plate
-        rests.
+        Request for the M parts: their drifts in the next cycle, or their targets. If None, the
+        plate rests.
     goal_met : bool
         Whether the goal is met in this image.
     count : int
         Number of parts at their goals.
     total : int
-        Number of parts that the task counts. The number is set only if it may exceed the number in
-        the scenario.
+        Number of parts that the task counts. Tasks set it only if it may exceed the number of parts
+        in the scenario.
     distance : (M,)
         Distance of each part from its goal [m].
     to_go_m : float
@@ -112,14 +112,13 @@ class Assessment:
     problem : str
         Reason why the task cannot continue. Empty if it can.
     missing : tuple of str, or None
-        Missing parts. If None, they are the parts of the scenario that are not detected.
+        Missing parts. If None, all parts of the scenario that are not detected count as missing.
     rms_error_m, max_error_m : float
         Root mean square and maximum position error, as the task defines it [m].
     turn_error : float
         Maximum angle error [rad].
     speed_scaling, pace : float
-        Speed of the references relative to the speed of their paths: present value and mean value
-        [-].
+        Present and mean speed of the references, as a fraction of the speed of their paths [-].
     outcome : str
         Text on the result, if the task is done now.
     doing : str
@@ -207,7 +206,7 @@ class TaskRules(Protocol):
         return BIAS_GAIN
 
     def bias_axes(self, memory: Any, parts: Parts, t: float) -> np.ndarray:
-        """Return unit vectors (M, 2, 2), in rows. Along them, the bias of each part is nearly
+        """Return unit vectors (M, 2, 2), in rows, along which the bias of each part is nearly
         constant."""
         return np.tile(np.eye(2), (len(parts), 1, 1))
 

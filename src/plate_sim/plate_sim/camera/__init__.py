@@ -2,8 +2,8 @@
 part heights, light, blur and noise.
 
 `Camera` renders an image in a given `Lighting`. `part_colours` and `part_greys` return the grey
-values of parts. The constants are default grey values, the default noise, and properties of
-shadows.
+values of parts. The exported constants are default grey values, the default noise, and default
+properties of the shadows.
 """
 
 from .camera import (

@@ -1,6 +1,6 @@
-"""Synthetic images of the plate and its parts. The images show the parts' heights, lens distortion,
-light, shadows, motion blur and noise. The inputs are the poses of the parts and the plate, and the
-types or grey values of the parts. The output is a grey or colour image."""
+"""Synthetic images of the plate and its parts. An image depends on the poses of the parts and the
+plate, on the types, heights and grey values of the parts, on the light, and on the lens. An image
+contains shadows, motion blur and noise. It is grey or in colour."""
 
 from __future__ import annotations
 
@@ -31,36 +31,38 @@ UNKNOWN_GREY = 80.0
 """Grey value of a part whose type has no known colour."""
 
 SHADING = 0.10
-"""Fraction of the light that is missing in the corners of the image."""
+"""Fraction of the light that the corners of the image lack."""
 
 NOISE = 2.0
 """Default standard deviation of the noise of a pixel [grey values]."""
 
 NOISE_BANK = 1 << 20
-"""Number of precomputed noise values. The values are precomputed because drawing 307200 new values
-takes 3 ms per image."""
+"""Number of precomputed noise values. They are precomputed because drawing 307200 random numbers
+for each image takes 3 ms."""
 
 BLUR_STEP_PX = 0.1
 """Distance between two positions whose images are averaged over the exposure [px]. A smaller
 distance makes no visible difference."""
 
 EDGE_STEP_PX = 0.25
-"""Distance between two positions of the plate's edges whose images are averaged [px]. This distance
-is a quarter of the width of an edge. This distance is larger than `BLUR_PX`, because the plate's
-edges have many pixels."""
+"""Distance between two positions of the plate whose images are averaged over the exposure [px]. It
+is a quarter of the width of an edge in the image. It is larger than `BLUR_STEP_PX`, because the
+plate's edges have many pixels and each position takes time."""
 
-BLUR_MOST = 16
+MAX_BLUR = 16
 """Maximum number of positions whose images are averaged over one exposure."""
 
 MARK_PLACE = 0.5
-"""Distance of the mark from a disc's centre [disc radii]. The mark shows the angle of the disc."""
+"""Distance between the centre of a disc and its mark, divided by the radius of the disc. The mark
+shows the angle of the disc."""
 
 MARK_RADIUS = 0.3
-"""Radius of the mark on a disc [disc radii]."""
+"""Radius of the mark on a disc, divided by the radius of the disc."""
 
 MARK_OF_DARK = 130.0
-"""Grey value of the mark on a part that is darker than `LIGHT`. The mark contrasts with the part.
-The mark is darker than the plate, so that the part remains one dark disc."""
+"""Grey value of the mark on a part that is darker than `LIGHT`. The mark is brighter than the part,
+so that it is visible. The mark is darker than the plate, so that a detector still finds one dark
+disc."""
 
 MARK_OF_LIGHT = 40.0
 """Grey value of the mark on a part that is not darker than `LIGHT`."""
@@ -69,12 +71,11 @@ LIGHT = 85.0
 """Grey value below which a part counts as dark."""
 
 STRIP_STEP = 0.002
-"""Step of the width of the repainted strip along the plate's edge [m]. The list of pixels of each
-width is cached."""
+"""The strip along the plate's edge that is repainted in an image has a width that is a multiple of
+this value [m]. The pixels of the strip are cached for each width."""
 
 FAR = 1e6
-"""Coordinate for pixels that show no point of the plate's plane [m]. The coordinate is far off the
-plate."""
+"""Coordinate, far off the plate, of pixels that show no point of the plate's plane [m]."""
 
 SHADOW_M = 2.5e-3
 """Default length of a shadow beyond the part [m]."""
@@ -86,26 +87,28 @@ PENUMBRA_M = 1.5e-3
 """Default width of the soft edge of a shadow at its far end [m]."""
 
 PENUMBRA_STEPS = 5
-"""Number of shadows of equal weight that are superposed to a shadow with a soft edge. With 5
-shadows, an edge of 3 mm looks smooth at 1 px/mm."""
+"""Number of sharp shadows of equal opacity that are drawn over each other, so that the edge is
+soft. With 5 shadows, an edge of 3 mm looks smooth at 1 px/mm."""
 
 SIDE_SHADE = 0.7
-"""Default brightness of the side face of a part, relative to its top face."""
+"""Default brightness of the side face of a part, divided by the brightness of its top face."""
 
 EDGE_PX = 0.7
-"""Distance between the edge of a top face and the edge of its side face in the image [px]. Edges
-are one pixel wide. Edges that coincide would be drawn twice."""
+"""Distance in the image by which a side face ends inside the edge of its top face [px]. If both
+edges coincided, the plate would shine through the common edge, because each edge covers its pixels
+only partly."""
 
 GLOSS_PLACE = 0.35
-"""Displacement of the lamp's image on a glossy part, towards the lamp. The displacement starts at
-the point farthest from the outline, and it is relative to the distance of this point from the
-outline."""
+"""Displacement of the lamp's image on a glossy part, from the point of the part that is farthest
+from its outline towards the lamp. The displacement is divided by the distance of this point from
+the outline."""
 
 HIGHLIGHT_OPACITY = 0.9
 """Opacity of a highlight, which is a white disc."""
 
 HIGHLIGHT_WIDEST = 0.8
-"""Maximum radius of a highlight, relative to the distance of its centre from the outline."""
+"""Maximum radius of a highlight, divided by the distance of its centre from the outline of the
+part."""
 
 WHITE = 255.0
 
@@ -136,13 +139,13 @@ MARGIN_PX = 2.0
 
 @dataclass(frozen=True)
 class Lighting:
-    """Light of an image, and its effects on the parts.
+    """Light of an image: shadows, highlights, gloss and brightness.
 
     Attributes
     ----------
     highlights : float
-        Fraction of each part's area that is covered by a highlight. The highlight is centred on the
-        point farthest from the outline.
+        Fraction of each part's area that a highlight covers. The centre of the highlight is the
+        point of the part that is farthest from the part's outline.
     shadows : float
         Fraction of the light that is missing in shadows. 0 disables shadows.
     shadow_m : float
@@ -150,13 +153,14 @@ class Lighting:
     shadow_deg : float
         Direction of the shadows from x [degrees, plate_home]. The lamp is on the opposite side.
     penumbra_m : float
-        Width of the shadows' soft edge at the far end [m]. At the part they are sharp.
+        Width of the soft edge of a shadow at the end that is farthest from the part [m]. Next to
+        the part, the edge is sharp.
     gloss : float
-        Radius of the lamp's image on each part. The radius is relative to the radius of a disc or,
-        for other parts, to the maximum distance of a point from the outline. 0 means no image of
+        Radius of the lamp's image on each part, divided by the maximum distance of a point of the
+        part from the part's outline. For a disc, this distance is the radius. 0 means no image of
         the lamp.
     side_shade : float
-        Brightness of side faces relative to top faces.
+        Brightness of the side faces, divided by the brightness of the top faces.
     level : float
         Factor by which all light in this image is multiplied.
     """
@@ -184,9 +188,9 @@ EVEN = Lighting()
 def part_colours(
     types: Sequence[PartType], colour: bool, greys: Mapping[str, float] = GREY_OF_CLASS
 ) -> np.ndarray:
-    """Return the grey values (M,) of parts at full light, or blue, green and red (M, 3). `types`
-    are the types of the parts. If a type has no colour, the grey value for its name in `greys` is
-    used. If there is none, `UNKNOWN_GREY` is used.
+    """Return the grey values (M,) of parts of `types` at full light, or their blue, green and red
+    (M, 3) if `colour` is true. A type without a colour has the grey value that `greys` contains for
+    its name, or else `UNKNOWN_GREY`.
     """
     known = [greys.get(part.name, UNKNOWN_GREY) for part in types]
     result = np.tile(np.array(known)[:, None], (1, 3))
@@ -212,7 +216,7 @@ def part_greys(classes: list[str]) -> np.ndarray:
 
 
 class _Solids(NamedTuple):
-    """M parts as they appear to the camera.
+    """Positions and outlines of the M parts of an image, projected onto the plane of the plate.
 
     Attributes
     ----------
@@ -224,7 +228,7 @@ class _Solids(NamedTuple):
     seen : (s, M, 2)
         Positions of the projected top faces [m].
     size : (M,) or None
-        Size of each part relative to its type. None means 1 for all.
+        Factor from the size of the type to the size of the part. None means 1 for all parts.
     growth : (M,) or None
         Factor by which the projection enlarges each top face. None if all parts are flat.
     low : (2,) or None
@@ -241,9 +245,9 @@ class _Solids(NamedTuple):
 
 
 class _Layer(NamedTuple):
-    """Layer of the drawing. The layer has one shape for each of M parts, for example all side
-    faces. The fields are the kind of grey (see `Camera._sprites`), positions (s, M, 2) [m],
-    outlines, opacity, and cosine and sine of the angles (M, 2) or (2,)."""
+    """Layer of the drawing with one shape for each of M parts, for example all side faces. `path`
+    contains the positions (s, M, 2) [m], and `turn` the cosine and sine of the angles, (M, 2) or
+    (2,). `kind` is the row of the grey value in the array of `Camera._sprites`."""
 
     kind: int
     path: np.ndarray
@@ -253,8 +257,8 @@ class _Layer(NamedTuple):
 
 
 class Camera:
-    """Renderer of images for one rig. The background with the plate at home is drawn once and
-    cached.
+    """Renderer of images for one rig. The camera draws the background with the plate at home once,
+    and reuses it.
 
     An instance is not thread-safe. Use one instance per thread.
 
@@ -314,25 +318,27 @@ class Camera:
         height: np.ndarray | None = None,
         size: np.ndarray | None = None,
     ) -> np.ndarray:
-        """Return the image of parts on the plate: (height, width) or (height, width, 3), uint8.
+        """Return the image of parts on the plate, uint8. The shape is (height, width), or (height,
+        width, 3) for an image in colour.
 
         Parameters
         ----------
         position : (M, 2) or (s, M, 2)
-            Positions of the parts [m], plate_home. These are positions at the start of the
-            exposure, or s samples at equal intervals from the start to the end of the exposure.
+            Positions of the parts [m], plate_home. (M, 2) are the positions at the start of the
+            exposure. (s, M, 2) are s samples at equal intervals from the start to the end of the
+            exposure.
         grey : (M,) or (M, 3)
-            Grey values of the parts at full light, or blue, green and red for a colour image.
+            Grey values of the parts at full light. For an image in colour: blue, green and red.
         rng : numpy.random.Generator
-            Generator for the noise. The generator draws one number per image: the offset in the
-            bank of noise values.
+            Generator for the noise. One number is drawn per image: the index of the first
+            precomputed noise value.
         velocity : (M, 2), optional
-            Velocities of the parts for motion blur [m/s]. Velocities require positions (M, 2).
-            Default: 0.
+            Velocities of the parts for motion blur [m/s]. They are allowed only with positions of
+            shape (M, 2). Default: 0.
         pose : (3,), (s, 3) or (b, s, 3), optional
-            Pose of the plate [m, m, rad], plate_home. The pose is constant, or it has s samples
-            over the exposure, or s samples for each of b equal bands of image rows. Default: home,
-            which is correct at each start of a cycle if the plate is rigid.
+            Pose of the plate [m, m, rad], plate_home. (3,) is a constant pose. (s, 3) are s samples
+            over the exposure. (b, s, 3) are s samples for each of b equal bands of image rows.
+            Default: home. A rigid plate is at home at the start of each cycle.
         angle : (M,), optional
             Angles of the parts [rad], counter-clockwise. Without `types`, each part has a mark in
             this direction. The mark is grey on a black part and black on a grey part.
@@ -344,17 +350,18 @@ class Camera:
             Position of a robot's gripper above the plate [m, plate_home]. The gripper and the arm
             hide everything below them. The arm extends from the gripper along +y.
         height : (M,), optional
-            Heights of the parts' top faces above the plate [m]. Default: flat. The camera sees the
-            top face of a high part displaced outwards and enlarged. The camera also sees the side
-            face of this part.
+            Heights of the parts' top faces above the plate [m]. Default: flat. In the image, the
+            top face of a high part is displaced outwards and enlarged, and its side face is
+            visible.
         size : (M,), optional
-            Sizes of the parts relative to their types. Default: 1.
+            Factors from the sizes of the types to the sizes of the parts. Default: 1.
 
         Raises
         ------
         PlateError
-            If a value is not finite, if lengths disagree, if a part is as high as the camera, or if
-            heights are given but the rig does not contain the camera's position (`camera_place`).
+            If a value is not finite, if the arguments disagree about the number of parts, if a part
+            is as high as the camera, or if heights are given but the rig does not contain the
+            camera's position (`camera_place`).
         """
         path = self._path(position, velocity)
         count = path.shape[1]
@@ -382,7 +389,8 @@ class Camera:
             if robot is not None:
                 draw_parts(canvas, self._light, self._places, robot, _robot_outlines())
             if self._defocus_px:
-                # Import only if needed, because the import takes 0.2 s and most images are sharp.
+                # scipy.ndimage is imported only for images with defocus, because the import takes
+                # 0.2 s.
                 from scipy.ndimage import gaussian_filter
 
                 gaussian_filter(canvas, self._defocus_px, output=canvas)
@@ -396,7 +404,8 @@ class Camera:
         return np.stack(channels, axis=2) if colour else channels[0]
 
     def _path(self, position: np.ndarray, velocity: np.ndarray | None) -> np.ndarray:
-        """Return s positions of each part over the exposure, (s, M, 2) [m], s at least 2."""
+        """Return positions of each part over the exposure (s, M, 2) [m], with at least two
+        samples."""
         position = np.asarray(position, dtype=float)
         if position.ndim == 3 and velocity is not None:
             raise PlateError("velocity requires positions of shape (M, 2), not over the exposure")
@@ -411,7 +420,8 @@ class Camera:
         return np.concatenate([path, path + self._rig.camera.exposure_s * velocity])
 
     def _outlines_of(self, types: Sequence[PartType] | None, count: int) -> Outlines:
-        """Return the outlines of M parts. The outlines of each type are computed only once."""
+        """Return the outlines of parts. If several parts have the same type, their outline is
+        computed once."""
         if types is not None and len(types) != count:
             raise PlateError(f"types: {len(types)} for {count} parts, allowed: {count}")
         new = [part for part in dict.fromkeys(types or ()) if part not in self._types]
@@ -428,7 +438,7 @@ class Camera:
         height: np.ndarray | None,
         size: np.ndarray | None,
     ) -> _Solids:
-        """Project parts at positions (s, M, 2) [m] on the plate, see `_Solids`.
+        """Project parts at positions (s, M, 2) [m] onto the plane of the plate.
 
         Let H be the height of the camera and `low` the point below it. A point p at height h
         appears on the plate's plane at low + (p - low) H/(H - h).
@@ -461,21 +471,22 @@ class Camera:
     def _sprites(
         self, scene: _Solids, angle: np.ndarray, marked: bool, lighting: Lighting
     ) -> tuple[Sprites, Outlines, np.ndarray]:
-        """Return the shapes to draw in this order: shadows, side faces, top faces, marks on discs,
-        and highlights. Their grey value is still `WHITE`.
+        """Return the shapes in the order in which they are drawn: shadows, side faces, top faces,
+        marks on discs, and highlights. The caller replaces their grey value, which is `WHITE`.
 
-        The third result is the index (n,) of each shape's grey value. The index refers to an array
-        with five rows of M parts: black, the grey value of the part, the grey value of its mark,
-        white, and the grey value of its side face. If parts have heights, all shapes except shadows
-        are drawn part by part instead of layer by layer. The part farthest from the point below the
-        camera is first.
+        The third result contains for each shape the index (n,) of its grey value in a flattened
+        array (5, M). The five rows of this array are black, the grey values of the parts, the grey
+        values of their marks, white, and the grey values of the side faces. If parts have heights,
+        all shapes except shadows are drawn part by part instead of layer by layer. The first part
+        is the one that is farthest from the point below the camera.
         """
         own, path, count = scene.top, scene.seen, scene.seen.shape[1]
         turn, level = np.stack([np.cos(angle), np.sin(angle)], axis=1), np.array([1.0, 0.0])
         layers = [_Layer(1, path, own, 1.0, turn)]
         size = np.ones(count) if scene.size is None else scene.size
         if lighting.shadows:
-            # All layers have the same opacity. Together they have the opacity of the shadow.
+            # All layers of a shadow have the same opacity. Where all layers overlap, they have the
+            # opacity of the shadow.
             opacity = 1 - (1 - lighting.shadows) ** (1 / PENUMBRA_STEPS)
             shift = np.tile(lighting.shadow_m * lighting.shadow_way, (count, 1))
             reach = size * [part.reach_m for part in scene.types]
@@ -521,7 +532,8 @@ class Camera:
         )  # fmt: skip
         kind = np.concatenate([layer.kind * count + np.arange(count) for layer in layers])
         if scene.growth is not None:
-            # A part hides the parts that are farther from the point below the camera.
+            # A part hides the parts behind it, which are farther from the point below the camera.
+            # Therefore the farthest part is drawn first.
             away = np.hypot(*(scene.path.mean(axis=0) - scene.low).T)
             rank = np.empty(count, int)
             rank[np.argsort(-away, kind="stable")] = np.arange(count)
@@ -549,12 +561,12 @@ class Camera:
     def _windows(
         self, path: np.ndarray, radius: np.ndarray
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Return three values for each shape: its window in the image (rows and columns, (n, 4)),
-        its scale [px/m] (n,), and the number of positions that are averaged (n,).
+        """Return the windows, scales and numbers of copies of n shapes, as in `Sprites`.
 
-        The half size of a window covers the shape and its path. The half size is multiplied by the
-        largest singular value of the image's Jacobian at the middle of the path, and margins are
-        added.
+        A window is a square around the middle of the shape's path, clipped to the image. The square
+        contains the shape at all positions of the path. With the Jacobian J of the map from the
+        plate to the image at the middle of the path, the scale is sqrt(|det J|). The size of the
+        square is computed with the largest singular value of J.
         """
         middle = 0.5 * (path[0] + path[-1])
         seen = project(self._to_image, middle)
@@ -568,7 +580,7 @@ class Camera:
         square = np.sum(slopes**2, axis=(1, 2))
         longest = np.sqrt(0.5 * (square + np.sqrt(np.maximum(square**2 - 4 * area**2, 0))))
         spread = np.linalg.norm(path - middle, axis=2).max(axis=0)
-        # Add a margin of 10 %, because the scale varies across a part.
+        # The window is 10 % larger, because the scale varies across a part.
         reach = 1.1 * longest * (radius + spread) + MARGIN_PX
         size = np.array([self._rig.camera.width_px, self._rig.camera.height_px])
         low = np.clip(seen - reach[:, None], 0, size).astype(int)
@@ -579,8 +591,8 @@ class Camera:
         return window, scale, _copies(length * scale)
 
     def _move_plate(self, canvas: np.ndarray, poses: np.ndarray, rows: np.ndarray) -> None:
-        """Repaint pixels in the rows from rows[0] to rows[1] (exclusive). These are the pixels that
-        differ between a plate at home and a plate at the poses (s, 3)."""
+        """Repaint the pixels that differ between a plate at home and a plate at the poses (s, 3).
+        Only the image rows from rows[0] up to, but without, rows[1] are repainted."""
         corners = np.array([to_home(pose, self._rig.plate.corners) for pose in poses])
         away = np.linalg.norm(corners - self._rig.plate.corners, axis=2).max()
         travel = np.linalg.norm(np.diff(corners, axis=0), axis=2).sum(axis=0).max()
@@ -601,13 +613,14 @@ class Camera:
 
 
 def _copies(length_px: np.ndarray, step_px: float = BLUR_STEP_PX) -> np.ndarray:
-    """Return the number of positions that are averaged along paths of length (n,) [px]."""
-    return np.minimum(BLUR_MOST, 1 + length_px / step_px).astype(int)
+    """Return the number of positions whose images are averaged, for paths with the lengths (n,)
+    [px]."""
+    return np.minimum(MAX_BLUR, 1 + length_px / step_px).astype(int)
 
 
 def _checked(name: str, value: np.ndarray, shape: tuple[int, ...]) -> np.ndarray:
-    """Return `value` as an array, after a check of its shape and for finite numbers. The first axis
-    counts the parts."""
+    """Return `value` as an array. Raise an error if its shape is wrong, or if a number is not
+    finite. The first axis counts the parts."""
     array = np.ascontiguousarray(value, dtype=float)
     if array.shape != shape:
         raise PlateError(f"{name}: shape is {array.shape}, allowed: {shape}")
@@ -618,8 +631,8 @@ def _checked(name: str, value: np.ndarray, shape: tuple[int, ...]) -> np.ndarray
 
 
 def _samples(name: str, value: np.ndarray, shape: tuple[int, ...]) -> np.ndarray:
-    """Return `value` as an array (s, *shape), s at least 1, after a check for finite numbers. An
-    array of shape `shape` becomes one sample."""
+    """Return `value` as an array of samples (s, *shape). An array of shape `shape` becomes one
+    sample. Raise an error if the shape is wrong, or if a number is not finite."""
     array = np.ascontiguousarray(value, dtype=float)
     if array.shape == shape:
         array = array[None]
@@ -646,9 +659,9 @@ def _pixel_places(rig: Rig) -> np.ndarray:
 
 
 def _light(width: int, height: int) -> np.ndarray:
-    """Return the fraction of full light in each pixel, (height, width), float32.
+    """Return the brightness of each pixel as a fraction of full light, (height, width), float32.
 
-    With coordinates x and y from -1 to 1 over the image, it is 1 - SHADING (x^2 + y^2)/2.
+    With the image coordinates x and y from -1 to 1, the fraction is 1 - SHADING (x^2 + y^2)/2.
     """
     x = np.linspace(-1, 1, width, dtype=np.float32)
     y = np.linspace(-1, 1, height, dtype=np.float32)[:, None]
@@ -662,7 +675,7 @@ def _robot_outlines() -> Outlines:
 
 @lru_cache(maxsize=4)
 def _noise_bank(pixels: int) -> np.ndarray:
-    """Return standard normal numbers (`NOISE_BANK` + pixels,), float32. These are the numbers
-    of the bank, repeated cyclically. They are the same in every run."""
+    """Return standard normal numbers (`NOISE_BANK` + pixels,), float32. The numbers repeat after
+    `NOISE_BANK` numbers, and are the same in every run."""
     bank = np.random.default_rng(0).standard_normal(NOISE_BANK, dtype=np.float32)
     return np.resize(bank, NOISE_BANK + pixels)

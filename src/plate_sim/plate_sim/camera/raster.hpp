@@ -1,9 +1,9 @@
-// Rasterisation of plate and parts into an image, limited to the pixels that change. See raster.py.
+// Rasterisation of plate and parts into an image, limited to the pixels that change; see raster.py.
 //
-// `places` contains for each pixel the point of the plate's plane that it shows [m, plate_home].
-// `canvas` contains its grey value, and `light` the fraction of full light. Grey values of parts
-// and plate are those at full light. Pixels at edges are collected, and their coverage is computed
-// in batches.
+// `places` contains for each pixel the point of the plate's plane that the pixel shows [m,
+// plate_home]. `canvas` contains the grey value of each pixel, and `light` its brightness as a
+// fraction of full light. The grey values of parts and plate are those at full light. Pixels at
+// edges are collected, and their coverage is computed in batches.
 #pragma once
 #include <algorithm>
 #include <cmath>
@@ -19,12 +19,12 @@
 
 namespace plate::raster {
 
-// Position [m], and cosine and sine of the angle.
+// Pose of the plate: position [m], and cosine and sine of the angle.
 struct Pose {
     double x, y, cos, sin;
 };
 
-// The fields of `Outlines` in raster.py that drawing needs.
+// Fields of `Outlines` in raster.py that the functions below need.
 struct Outlines {
     View<const double, 2> edges;
     View<const int64_t, 1> pieces, first, hole, end;
@@ -54,23 +54,24 @@ PLATE_WIDE inline void expose(View<const float, 1> canvas, View<const float, 1> 
     }
 }
 
-// Batch of pixels at an edge: the points that they show [m], their coverage, and their indices.
+// Batch of pixels at an edge. Each pixel has the point of the plate's plane that it shows [m], its
+// coverage, and its index in the image.
 struct Pixels {
     static constexpr int ROOM = 64;
     double x[ROOM]{}, y[ROOM]{}, cover[ROOM];
     int64_t index[ROOM];
     int count = 0;
 
-    // Add a pixel. Return whether the batch can take another one.
+    // Adds a pixel. Returns whether the batch has room for another pixel.
     bool add(int64_t pixel, double its_x, double its_y) {
         x[count] = its_x, y[count] = its_y, index[count] = pixel;
         return ++count < ROOM;
     }
 };
 
-// A path has `last` equal pieces and is divided into `copies` equal intervals. `Along` describes
-// the middle of interval k: the index of the piece that contains it, and its position in the piece,
-// 0 to 1.
+// Position on a path. The path has `last` pieces that take equal times, and is divided into
+// `copies` equal intervals. The position is the middle of interval k. It is stored as the index of
+// the piece that contains it, and the fraction of this piece before it, 0 to 1.
 struct Along {
     int piece;
     double part;
@@ -97,7 +98,7 @@ struct Along {
             half[1] - std::abs(pose.cos * dy - pose.sin * dx)};
 }
 
-// Compute the mean coverage of pixels by the plate, averaged over its poses.
+// Computes the mean coverage of pixels by the plate over its poses.
 PLATE_WIDE inline void cover_by_plate(Pixels& pixels, std::span<const Pose> poses,
                                       const double half[2], double scale) {
     double cover[Pixels::ROOM] = {};
@@ -109,7 +110,7 @@ PLATE_WIDE inline void cover_by_plate(Pixels& pixels, std::span<const Pose> pose
     for (int p = 0; p < Pixels::ROOM; p++) pixels.cover[p] = cover[p] / poses.size();
 }
 
-// Repaint background and plate in some pixels, as described in raster.py.
+// Repaints background and plate in the given pixels, as described in raster.py.
 inline void draw_plate(View<float, 1> canvas, View<const float, 1> light,
                        View<const double, 2> places, View<const int64_t, 1> some,
                        View<const double, 2> poses, int copies, double travel, const double half[2],
@@ -152,8 +153,8 @@ inline void draw_plate(View<float, 1> canvas, View<const float, 1> light,
     paint_edge();
 }
 
-// Positions on a path over which a shape is averaged, the middle of the path's ends, and the
-// maximum distance of a position from this middle [m].
+// Positions on a path at which a shape is drawn and averaged, the point midway between the path's
+// ends, and the maximum distance of a position from this point [m].
 struct Positions {
     std::vector<Vec> centre;
     Vec middle;
@@ -177,7 +178,7 @@ struct Positions {
 
 // A shape is a disc of a radius [m], or a union of adjacent convex polygons with holes. The
 // polygons have the indices [begin, hole) in the outlines, and the holes have the indices [hole,
-// end). scale [px/m].
+// end). `scale` is the scale of the image [px/m].
 struct Shape {
     const Outlines& outlines;
     int begin, hole, end;
@@ -198,7 +199,7 @@ struct Shape {
     }
 };
 
-// Compute the coverage of pixels at x, y [m, part's frame] by the polygons [begin, end).
+// Computes the coverage of the pixels at x, y [m, part's frame] by the polygons [begin, end).
 [[gnu::always_inline]] inline void polygons_cover(const double* x, const double* y,
                                                   const Shape& shape, int begin, int end,
                                                   double* cover) {
@@ -218,7 +219,7 @@ struct Shape {
     for (int p = 0; p < ROOM; p++) cover[p] = std::min(cover[p], 1.0);
 }
 
-// Compute the coverage of pixels by a shape. The coverage is summed over the positions of the
+// Computes the coverage of pixels by a shape. The coverage is the sum over all positions of the
 // shape's centre.
 PLATE_WIDE inline void cover_by_part(Pixels& pixels, std::span<const Vec> centres,
                                      const Shape& shape) {
@@ -242,7 +243,7 @@ PLATE_WIDE inline void cover_by_part(Pixels& pixels, std::span<const Vec> centre
     for (int p = 0; p < ROOM; p++) pixels.cover[p] = sum[p];
 }
 
-// Blend shapes into the canvas (height, width) one after the other, as described in raster.py.
+// Blends shapes into the canvas (height, width) one after the other, as described in raster.py.
 inline void draw_parts(View<float, 2> canvas, View<const float, 2> light,
                        View<const double, 3> places, const Sprites& sprites,
                        const Outlines& outlines) {

@@ -1,9 +1,9 @@
 """Rasterisation of plate and parts into an image, limited to the pixels that change.
 
-A table contains for each pixel the point of the plate's plane that it shows. The table includes the
-lens distortion and the perspective. The intensity of a pixel at an edge is the covered fraction of
-the pixel. The covered fraction is approximated as a linear function of the distance between the
-pixel's centre and the edge.
+A table contains for each pixel the point of the plate's plane that the pixel shows. The table takes
+lens distortion and perspective into account. A pixel at an edge mixes both grey values according to
+the covered fraction of the pixel. The covered fraction is approximated as a linear function of the
+distance between the pixel's centre and the edge.
 """
 
 from __future__ import annotations
@@ -34,15 +34,16 @@ class Outlines(NamedTuple):
     pieces : (p + 1,)
         Index of the first edge of every polygon, and the total number of edges.
     first, hole : (M,)
-        Index of the first polygon of each part, and index of its first hole. Both indices are equal
-        for a disc.
+        `first` is the index of each part's first polygon, and `hole` is the index of its first
+        hole. For a disc, both are equal.
     end : (M,)
-        Index of the last polygon of each part, plus 1.
+        Index after the last polygon of each part.
     reach : (M,)
         Maximum distance of the outline from the part's centre [m].
     spot : (M, 4)
-        Point with the maximum distance from the outline [m, part's frame], this distance [m], and
-        the area of the part [m2].
+        Columns 0 and 1: the point of the part that is farthest from its outline [m, part's frame].
+        Column 2: the distance of this point from the outline [m]. Column 3: the area of the part
+        [m2].
     """
 
     edges: np.ndarray
@@ -69,15 +70,15 @@ class Sprites(NamedTuple):
     Attributes
     ----------
     window : (n, 4)
-        First and last row, first and last column in the image. The last ones are exclusive.
+        First row, row after the last, first column, and column after the last in the image.
     scale : (n,)
         Scale of the image at the shape [px/m].
     copies : (n,)
-        Number of positions that are averaged over the exposure.
+        Number of positions whose images are averaged over the exposure.
     path : (s, n, 2)
         Positions [m, plate_home] at equal intervals over the exposure.
     radius : (n,)
-        Radius of the disc, or of a circle around the polygons [m].
+        Radius of a disc, or of a circle that contains the polygons [m].
     turn : (n, 2)
         Cosine and sine of the angle.
     grey : (n,)
@@ -102,8 +103,8 @@ class Sprites(NamedTuple):
 
 
 def joined(groups: Sequence[Outlines]) -> Outlines:
-    """Concatenate several groups of outlines. Groups that refer to the same edges share one copy of
-    them."""
+    """Concatenate several groups of outlines. Groups with the same array of edges share one copy of
+    this array."""
     first = groups[0]
     if all(other.edges is first.edges for other in groups):
         rows = zip(*(other[2:] for other in groups), strict=True)
@@ -146,7 +147,8 @@ def outlines_of(types: Sequence[PartType]) -> Outlines:
 
 
 def _spot(part: PartType) -> tuple[float, float, float, float]:
-    """Return `Outlines.spot` of a part, rounded to the nearest point of a grid (`SPOT_GRID`)."""
+    """Return `Outlines.spot` of a part (4,). The point is a point of a grid with `SPOT_GRID` points
+    per axis."""
     axis = part.reach_m * np.linspace(-1, 1, SPOT_GRID)
     place = np.stack(np.meshgrid(axis, axis), axis=-1).reshape(-1, 2)
     shape = shapely.Polygon(part.polygon, part.holes)
@@ -171,8 +173,8 @@ def expose(canvas, bank, noise, image):
 
 
 def draw_plate(canvas, light, places, pixels, poses, copies, travel, half, scale, grey):
-    """Repaint background and plate in some pixels. The plate's coverage of each pixel is averaged
-    over the exposure.
+    """Repaint background and plate in the given pixels. The plate's coverage of each pixel is
+    averaged over the exposure.
 
     Parameters
     ----------

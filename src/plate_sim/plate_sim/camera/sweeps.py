@@ -1,11 +1,12 @@
 """Outlines of enlarged parts, and outlines of side faces and shadows as swept areas.
 
-All points of an image are expressed in the plane of the plate. A camera at height H sees the top
-face of a part of height h enlarged by the factor H/(H - h) about the point below the camera. From
-the bottom to the top of a part, its sections are displaced and scaled linearly. If the sections
-belong to a convex piece, they sweep the convex hull of the bottom and the top section. Inside a
-hole, the plate is visible at points that no section hides. A shadow is the area that the outline
-sweeps in the direction of the light. The outline at its end may be larger or smaller.
+All points of an image are projected onto the plane of the plate. A camera at height H sees the top
+face of a part of height h enlarged by the factor H/(H - h) about the point below the camera. The
+horizontal sections of a part between bottom and top are displaced and scaled linearly with their
+height. The sections of a convex piece together cover the convex hull of the bottom and the top
+section. Through a hole, the plate is visible at the points that no section hides. A shadow is the
+area that the outline of a part sweeps in the direction of the light. The outline at the end of the
+shadow can be larger or smaller than the outline of the part.
 """
 
 from __future__ import annotations
@@ -22,16 +23,16 @@ from ..friction.outline import convex_pieces
 from .raster import Outlines, edges_of
 
 ROUND = 96
-"""Number of edges of the polygon that replaces a disc in a swept area. The polygon is
-circumscribed: its corners are 0.05 % outside the disc."""
+"""Number of edges of the polygon that replaces a disc in a swept area. The edges of the polygon
+touch the disc. Its corners are 0.05 % of the radius outside the disc."""
 
 STRAIGHT = 1e-9
-"""Minimum length of a displacement that sweeps an area [m]."""
+"""Displacements shorter than this are treated as 0 [m]."""
 
 
 class _Contour(NamedTuple):
-    """A convex piece of a part or of a hole, in the part's frame. The piece has corners (m, 2) [m]
-    and edges (m, 3) as in `Outlines`. `radius` is the radius of a disc [m], or 0 for a polygon."""
+    """Convex piece of a part or of a hole in the part's frame, with corners (m, 2) [m] and edges
+    (m, 3) as in `Outlines`. `radius` is the radius of a disc [m], or 0 for a polygon."""
 
     corners: np.ndarray
     edges: np.ndarray
@@ -39,7 +40,7 @@ class _Contour(NamedTuple):
 
 
 def scaled(outlines: Outlines, factor: np.ndarray) -> Outlines:
-    """Return outlines of M parts enlarged by factors (M,) about their centres."""
+    """Return the outlines of M parts, enlarged by the factors (M,) about their centres."""
     edges: list[np.ndarray] = [np.empty((0, 3))]
     pieces, first = [0], []
     for begin, end, size in zip(outlines.first, outlines.end, factor, strict=True):
@@ -117,11 +118,11 @@ def _swept_piece(
     solid: bool,
 ) -> np.ndarray:
     """Return the edges (P, e, 3) of the area that a convex piece of P parts sweeps. If the piece is
-    a hole (not `solid`), return the edges of the intersection of all sections.
+    a hole (`solid` is false), return the edges of the intersection of all sections.
 
-    An edge of the piece has a distance from the centre at both ends of the sweep. The larger
-    distance is used for a solid piece, and the smaller one for a hole. The swept hull of a solid
-    piece also has two edges that are common tangents of both ends.
+    At both ends of the sweep, an edge of the piece has a distance from the centre. The larger
+    distance is used for a solid piece, and the smaller distance for a hole. A solid piece has two
+    further edges, which are the common tangents of the first and the last section.
     """
     normal = piece.edges[:, :2] @ np.swapaxes(rotation, 1, 2)
     near = size[:, None] * piece.edges[:, 2]
@@ -133,8 +134,8 @@ def _swept_piece(
             if piece.radius
             else _tangents(piece.corners, rotation, size, growth, shift)
         )
-        # If one end is inside the other, there is no common tangent. An edge is then repeated
-        # instead.
+        # If one end section is inside the other, there are no common tangents. Then the first edge
+        # of the piece is repeated, so that the array keeps its shape.
         lacking = np.isnan(touch)
         tangent[lacking] = np.broadcast_to(normal[:, :1], tangent.shape)[lacking]
         touch = np.where(lacking, distance[:, :1], touch)
@@ -147,10 +148,10 @@ def _swept_piece(
 def _disc_tangents(
     radius: np.ndarray, growth: np.ndarray, shift: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Return normals (P, 2, 2) and distances (P, 2) of the two outer common tangents of two discs.
-    The first disc has its centre at the origin and the radius `radius`. The second disc has its
-    centre at `shift` and the radius `growth` times `radius`. The result is NaN if there are no such
-    tangents."""
+    """Return the two outer common tangents of two discs as normals (P, 2, 2) and distances from the
+    origin (P, 2) [m]. The first disc has its centre at the origin and the radius `radius`. The
+    second disc has its centre at `shift` and the radius `growth` times `radius`. If one disc is
+    inside the other, the values are NaN."""
     way = np.hypot(*shift.T)
     with np.errstate(all="ignore"):
         cosine = (1 - growth) * radius / way
@@ -168,11 +169,12 @@ def _tangents(
     growth: np.ndarray,
     shift: np.ndarray,
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Return normals and distances as `_disc_tangents` does, for convex polygons with corners (m,
-    2).
+    """Return the outer common tangents of two convex polygons as `_disc_tangents` does. The first
+    polygon has the corners (m, 2) [m], rotated and enlarged by `size`. The second polygon is the
+    first one, enlarged by `growth` and displaced by `shift`.
 
-    Each corner moves along a straight line. This line is a common tangent if the whole polygon is
-    on one side of it.
+    The line from a corner of the first polygon to the same corner of the second polygon is a common
+    tangent if both polygons are on one side of this line.
     """
     point = size[:, None, None] * (corners @ np.swapaxes(rotation, 1, 2))
     way = (growth[:, None, None] - 1) * point + shift[:, None]

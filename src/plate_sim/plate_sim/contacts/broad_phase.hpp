@@ -1,8 +1,8 @@
 // Broad phase of collision detection: a list of pairs of parts that are near each other. The list
 // stays valid for many steps.
 //
-// Parts are sorted by x, and pairs with a gap below a skin are listed. The list is complete until
-// two parts have approached each other by the width of the skin.
+// Parts are sorted by x, and all pairs with a gap below the width of the skin are listed. No other
+// pair can touch until two parts have approached each other by this width.
 #pragma once
 #include <algorithm>
 #include <cmath>
@@ -13,8 +13,7 @@
 
 namespace plate::contacts {
 
-// Width of the skin, as a fraction of the maximum reach. Pairs with a smaller gap are listed. No
-// other pair can touch until two parts have approached each other by this width.
+// Width of the skin, as a fraction of the maximum reach of the parts.
 constexpr double SKIN = 0.25;
 
 struct Pair {
@@ -24,10 +23,10 @@ struct Pair {
 // Pairs of parts with a small gap. Only parts on the plate (`here`, (M,)) are listed.
 struct NearPairs {
     std::vector<Pair> pairs;
-    double skin = INFINITE;  // maximum approach for a valid list [m]
+    double skin = INFINITE;  // maximum approach of two parts for which the list is valid [m]
     double gap = INFINITE;   // minimum gap [m] of any two parts, at most the skin
-    std::vector<double> x, y;  // positions when the list was made (marks)
-    std::vector<int> order;    // parts in order of x when the list was made
+    std::vector<double> x, y;  // positions (marks) at the time at which the list was made
+    std::vector<int> order;    // parts in order of x at that time
 
     // Rebuild the list.
     void find(const State& state, Bodies bodies, View<const bool, 1> here) {

@@ -19,7 +19,8 @@
 
 namespace plate::contacts {
 
-// Change a part's velocity by `speed` [m/s] along n, as if this had happened `ago` [s] earlier.
+// Change a part's velocity by `speed` [m/s] along n. The position changes as if the velocity had
+// changed `ago` [s] earlier.
 inline void push(const State& state, int i, double speed, double nx, double ny, double ago) {
     state(VX, i) += speed * nx;
     state(VY, i) += speed * ny;
@@ -27,7 +28,8 @@ inline void push(const State& state, int i, double speed, double nx, double ny, 
     state(Y, i) += ago * speed * ny;
 }
 
-// Change a part's spin by `spin` [rad/s], as if this had happened `ago` [s] earlier.
+// Change a part's spin by `spin` [rad/s]. The angle changes as if the spin had changed `ago` [s]
+// earlier.
 inline void turn(const State& state, int i, double spin, double ago) {
     state(SPIN, i) += spin;
     state(ANGLE, i) += ago * spin;
@@ -41,7 +43,8 @@ inline double overlap(const State& state, Bodies bodies, int i, int j) {
     return lack > 0 ? lack / (size + std::sqrt(dx * dx + dy * dy)) : 0.0;
 }
 
-// If two discs touch, collide them in place. Return the depth [m] of their overlap. step [s].
+// If two discs touch, collide them in place. Return the depth [m] of their overlap. `step` is the
+// length of the time step [s].
 inline double collide_discs(const State& state, Bodies bodies, int i, int j, const Rules& rules,
                             double step) {
     double dx = state(X, i) - state(X, j), dy = state(Y, i) - state(Y, j);
@@ -106,7 +109,7 @@ inline void collide_with_wall(const State& state, Bodies bodies, int i, double d
     double left = depth - KEPT;
     if (closing > 0) {
         const double ago = std::min(depth / closing, step);
-        // Contact point at the time of the contact
+        // contact point at the time of the contact
         const double px = rx - ago * wx - radius * nx, py = ry - ago * wy - radius * ny;
         wx += spin * py, wy -= spin * px;
         const double gain = (1 + rules.restitution) * std::max(0.0, -(wx * nx + wy * ny));

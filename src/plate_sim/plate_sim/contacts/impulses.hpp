@@ -2,13 +2,13 @@
 //
 // If touching parts approach each other, normal impulses at one or two points stop the approach.
 // The minimum impulses are computed (both points together) and multiplied by 1 + e, where e is the
-// restitution. This method never adds energy, whatever the shapes: the inelastic result is the
-// nearest one in the energy norm, and the elastic result is its mirror image. Then friction acts at
-// each point. An impulse of up to mu_c times the normal impulse reduces the tangential speed, but
-// never reverses it. Both parts receive their impulses at the same place and at the same time.
-// Therefore momentum and angular momentum are conserved. This time is the time of the contact,
-// which is within the step. In a crowd an overlap may remain. The overlap is removed by a
-// displacement that does not change the velocities.
+// restitution. This method never adds energy, for any shapes: the inelastic result is the nearest
+// permitted velocity in the energy norm, and the elastic result is its mirror image. Then friction
+// acts at each point. An impulse of up to mu_c times the normal impulse reduces the tangential
+// speed, but never reverses it. Both parts receive their impulses at the same place and at the time
+// of the contact, which is within the step. Therefore momentum and angular momentum are conserved.
+// In a crowd, an overlap may remain. It is removed by a displacement that does not change the
+// velocities.
 //
 // discs.hpp contains a simpler method for two discs.
 #pragma once
@@ -23,18 +23,18 @@
 
 namespace plate::contacts {
 
-// Overlap [m] that is not removed. The overlap disappears when the parts separate. Because the
-// parts are not displaced, their angular momentum is not disturbed.
+// Overlap [m] that is not removed. It disappears when the parts separate. Without a displacement,
+// the angular momentum of the parts does not change.
 constexpr double KEPT = 5e-6;
 
-// Maximum number of impulse iterations of a collision. More than one iteration can be necessary if
-// friction acts at points off the line of centres.
+// Maximum number of impulse iterations of a collision. Friction at points off the line of centres
+// can make more than one iteration necessary.
 constexpr int REBOUNDS = 20;
 
-// Closing speed that counts as 0, as a fraction of the first closing speed.
+// Closing speed that counts as 0, as a fraction of the initial closing speed.
 constexpr double ROUNDING = 1e-12;
 
-// Minimum relative determinant of two contact points. If it is smaller, they count as one point.
+// If the relative determinant of two contact points is below this value, they count as one point.
 constexpr double RANK = 1e-9;
 
 // Bodies of a state, one per part. The last body represents the walls.
@@ -77,8 +77,8 @@ inline bool closes(const State& state, int i, int j, const Manifold& contact) {
     return false;
 }
 
-// Time [s] since the first contact of two approaching parts, from their present speeds, at most
-// `step`.
+// Time [s] since the first contact of two approaching parts. It is computed from their present
+// speeds, and is at most `step`.
 inline double touched(const State& state, int i, int j, const Manifold& contact, double step) {
     double ago = 0.0;
     for (int k = 0; k < contact.count; k++) {
@@ -89,7 +89,7 @@ inline double touched(const State& state, int i, int j, const Manifold& contact,
 }
 
 // Arm to contact point k at the time of the contact. If `radius` is not 0, the first part is a
-// disc. The second is a wall or a part.
+// disc. The second body is a wall or a part.
 inline Arm arm_of(const State& state, int i, int j, double radius, bool wall,
                   const Manifold& contact, int k, double ago) {
     Arm arm;
@@ -196,9 +196,10 @@ inline void bounce(const State& state, int i, int j, const Arm arms[2], Vec n,
 
 // Collide two parts, or a part and a wall, at their contact points. The state is changed in place.
 //
-// i, j: two parts, at least one of which is not a disc; or a part that is not a disc, and a wall. A
-// disc is the first of the two. A wall is the second one. The wall is the last column of the state
-// and the last body. Its state is the pose and twist of the plate. step [s].
+// i and j are two parts, at least one of which is not a disc, or a part that is not a disc and a
+// wall. If one of them is a disc, it is i. If one of them is a wall, it is j. The wall is the last
+// column of the state, which contains the pose and twist of the plate, and the last body. `step` is
+// the length of the time step [s].
 inline void collide(const State& state, Bodies bodies, int i, int j, Manifold contact,
                     const Rules& rules, double step) {
     const Body &a = bodies[i], &b = bodies[j];

@@ -14,7 +14,8 @@ namespace plate::contacts {
 
 constexpr double INFINITE = std::numeric_limits<double>::infinity();
 
-// Excess of separation [m] that a side of the second part needs to become the reference side.
+// A side of the second part becomes the reference side only if its separation is larger by this
+// value [m].
 constexpr double PREFER = 1e-6;
 
 // Contact of two parts:
@@ -28,9 +29,9 @@ struct Manifold {
     double depth[2]{};
 };
 
-// A corner of a part's outline: its position, the outward normal of the side that begins there, and
-// a flag. The flag is 1 if that side belongs to the outline, and 0 if it adjoins another piece of
-// the part.
+// A corner of a part's outline: its position, the outward normal of the side that begins at the
+// corner, and a flag. The flag is 1 if this side belongs to the outline, and 0 if it adjoins
+// another piece of the part.
 struct Corner {
     double x, y, out_x, out_y, open;
 };
@@ -71,8 +72,8 @@ inline Manifold disc_polygon(double cx, double cy, double radius, Corners corner
     return {1, {nx, ny}, {{cx - arm * nx, cy - arm * ny}}, {depth}};
 }
 
-// Maximum separation of two polygons by an open side of the first polygon, and that side. The gap
-// is 0 if any side separates them.
+// Maximum separation of two polygons by an open side of the first polygon, and this side. The gap
+// is 0 if any side separates the polygons.
 struct Separation {
     double gap;
     int side;
@@ -146,7 +147,8 @@ inline Manifold polygon_polygon(Corners first, Corners second) {
     return contact;
 }
 
-// Manifold of an outline and a wall through a point. n is the wall's inward normal.
+// Manifold of an outline and a wall. The wall contains the point `wall`, and n is its inward
+// normal.
 inline Manifold polygon_wall(Corners rim, Vec wall, Vec n) {
     Manifold contact{0, n};
     for (const Corner& corner : rim) {

@@ -27,7 +27,7 @@ constexpr double OVERLAP = 1e-5;
 // other parts may push them together.
 constexpr double MARGIN = 0.03;
 
-// Estimated maximum approach of two parts in a pass, relative to the deepest overlap.
+// Estimated maximum approach of two parts in a pass, as a multiple of the deepest overlap.
 constexpr double PUSHES = 4.0;
 
 // First corner, and last corner + 1, of a convex piece.
@@ -62,7 +62,8 @@ struct Outlines {
     }
 };
 
-// Contact of two parts: maximum depth [m], and its manifold. A disc is before a polygon.
+// Contact of two parts: its maximum depth [m] and its manifold. A disc is the first of the two
+// parts.
 struct Touch {
     int i, j;
     double depth = 0.0;
@@ -90,8 +91,9 @@ inline Touch touch(const State& state, Bodies bodies, int i, int j, Outlines& ou
     return most;
 }
 
-// Pair with the maximum overlap relative to `slim` of the slimmer part: indices, depth [m], and
-// relative depth. The values are -1, -1, 0, 0 if no parts overlap.
+// Pair of parts with the maximum relative depth: its indices, its depth [m], and its relative
+// depth. The relative depth is the depth divided by `slim` of the slimmer part. The values are -1,
+// -1, 0, 0 if no parts overlap.
 struct Overlap {
     int first = -1, second = -1;
     double depth = 0.0, share = 0.0;
@@ -146,7 +148,7 @@ struct Contacts {
             }
             double deepest = 0.0;
             for (int row = 0; row < count; row++) {
-                // Alternate the order of the pairs, so that pushes propagate in both directions.
+                // The order of the pairs alternates, so that pushes propagate in both directions.
                 const auto [i, j] = close[sweep % 2 == 0 ? row : count - 1 - row];
                 const bool discs = bodies[i].radius > 0 && bodies[j].radius > 0;
                 deepest = std::max(deepest, discs ? collide_discs(state, bodies, i, j, rules, step)
@@ -169,7 +171,7 @@ struct Contacts {
             const double reach = bodies[i].reach + bodies[j].reach, size = (1 + MARGIN) * reach;
             margin = std::min(margin, MARGIN * reach);
             close[count] = {i, j};
-            // Avoid a branch here, because the processor would mispredict it.
+            // No branch, because the processor would mispredict it.
             count += dx * dx + dy * dy < size * size;
         }
         return count;
@@ -191,8 +193,8 @@ struct Contacts {
         return count;
     }
 
-    // Collide two parts if they touch. At least one is not a disc. Return the depth [m] of their
-    // overlap.
+    // Collide two parts, at least one of which is not a disc, if they touch. Return the depth [m]
+    // of their overlap.
     double collide_parts(int i, int j) {
         const double dx = state(X, i) - state(X, j), dy = state(Y, i) - state(Y, j);
         const double size = bodies[i].reach + bodies[j].reach;

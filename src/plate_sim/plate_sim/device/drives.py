@@ -1,8 +1,8 @@
-"""Simulation of four CiA 402 drives or ODrives on a CAN bus. The simulation is limited to the
-functions that the firmware uses. The setpoints of the firmware are also checked.
+"""Simulation of four CiA 402 drives or ODrives on a CAN bus. The simulation contains only the
+functions that the firmware uses. `SetpointCheck` checks the setpoints that the firmware sends.
 
-A frame is an identifier and its data. The tests `test/test_cia402.py` and `test/test_odrive.py` use
-other simulated drives.
+A frame consists of an identifier and data. The tests `test/test_cia402.py` and
+`test/test_odrive.py` use other simulated drives.
 """
 
 from __future__ import annotations
@@ -47,24 +47,26 @@ BEAT_MS = 20
 """Value of the parameter heartbeat_msg_rate_ms of an ODrive [ms]."""
 
 BANDWIDTH = 2 * np.pi * 150
-"""Bandwidth of a drive's critically damped position loop with speed feedforward [rad/s]."""
+"""Bandwidth of a drive's position loop, which is critically damped and has speed feedforward
+[rad/s]."""
 
 TICK_S = 1e-3
 CYCLE_S = 2e-3
-"""Time between two SYNCs [s]. A drive interpolates between two setpoints over this time."""
+"""Time between two SYNC messages [s]. During this time, a drive interpolates between two
+setpoints."""
 
 NO_OBJECT = 0x06020000
 
 
 @dataclass
 class _Node:
-    """State of the protocol in a CiA 402 drive."""
+    """Protocol of one CiA 402 drive, with its state."""
 
     drive: Drive
     zero: int  # position at home [counts]
     operational: bool = False
     status: int = OFF
-    order: int = 0  # `order` and `goal` from the last RPDO, applied at SYNC
+    order: int = 0
     goal: int = 0
     target: int = 0
     objects: dict[tuple[int, int], int] = field(default_factory=dict)
@@ -90,8 +92,7 @@ class _Node:
         return [(ANSWER + self.drive.node, struct.pack("<BHBI", command, index, sub, value))]
 
     def synchronised(self, counts: int) -> list[Frame]:
-        """Apply the last RPDO, and return a TPDO with status and position. This is called at each
-        SYNC."""
+        """At a SYNC: apply the last RPDO, and return a TPDO with status and position."""
         if not self.operational:
             return []
         data = struct.pack("<Hi", self.status, counts)
@@ -105,7 +106,7 @@ class _Node:
 class SimulatedDrives:
     """Four CiA 402 drives with their motors. One tick is 1 ms.
 
-    Without current, the flexures return the motors to home.
+    While the motors have no current, the flexures return them to home.
 
     Parameters
     ----------
@@ -120,7 +121,7 @@ class SimulatedDrives:
         self.zeros = np.array(zeros)
         """Positions of the drives at home [counts]."""
         self._state = np.zeros((3, len(drives)))
-        # Previous and present setpoint of this bus cycle [m].
+        # Setpoints at the start and at the end of the present bus cycle [m].
         self._from = self._to = np.zeros(len(drives))
         self._into = 0.0
         self._now_ms = 0
@@ -130,7 +131,7 @@ class SimulatedDrives:
 
     @property
     def motors(self) -> np.ndarray:
-        """Travel [m], speed [m/s] and acceleration [m/s2] of the motors (3, 4)."""
+        """Travel [m], speed [m/s] and acceleration [m/s2] of the four motors (3, 4)."""
         return self._state
 
     @property
@@ -194,24 +195,24 @@ class SimulatedDrives:
                 beats.append((HEARTBEAT + node.drive.node, state))
         return beats
 
-    def _followed(self, wanted: np.ndarray, slope: np.ndarray, rate: float) -> np.ndarray:
-        """Return the state one tick later. The motor tracks a linear setpoint with critical
-        damping.
+    def _followed(self, setpoint: np.ndarray, slope: np.ndarray, rate: float) -> np.ndarray:
+        """Return travel, speed and acceleration of the motors (3, 4) one tick later. Each motor
+        follows a setpoint that moves at constant speed, with critical damping.
 
         The position x obeys e'' + 2 rate e' + rate^2 e = 0 with e = x - setpoint. The setpoint
-        moves with the speed `slope`, and is `wanted` at the end of the tick.
+        moves with the speed `slope` [m/s], and its value at the end of the tick is `setpoint` [m].
         """
-        behind = self._state[0] - (wanted - slope * TICK_S)
+        behind = self._state[0] - (setpoint - slope * TICK_S)
         push = self._state[1] - slope + rate * behind
         fade = np.exp(-rate * TICK_S)
         behind = (behind + push * TICK_S) * fade
         speed = push * fade - rate * behind
-        return np.stack([wanted + behind, slope + speed, -rate * (2 * speed + rate * behind)])
+        return np.stack([setpoint + behind, slope + speed, -rate * (2 * speed + rate * behind)])
 
 
 @dataclass
 class _ODrive:
-    """State of the protocol in an ODrive."""
+    """Protocol of one ODrive, with its state."""
 
     drive: Drive
     state: int = IDLE
@@ -266,12 +267,12 @@ class SimulatedODrives(SimulatedDrives):
         return answers
 
     def _driven(self) -> np.ndarray:
-        # x'' = w^2 (goal - x) + 2 w (speed - x'). The setpoint is constant until the next one
-        # arrives.
+        # The position x of a motor obeys x'' = w^2 (goal - x) + 2 w (speed - x'). `goal` and
+        # `speed` are constant until the next setpoint arrives.
         requests = np.array([(node.goal, node.speed) for node in self._odrives.values()]).T
         goals, speeds = ODRIVE_COUNTS * requests
-        wanted = (goals - self.zeros + 2 / BANDWIDTH * speeds) / self._scale
-        return self._followed(wanted, np.zeros(len(wanted)), BANDWIDTH)
+        setpoints = (goals - self.zeros + 2 / BANDWIDTH * speeds) / self._scale
+        return self._followed(setpoints, np.zeros(len(setpoints)), BANDWIDTH)
 
     def _beats(self) -> list[Frame]:
         beats = []
@@ -285,8 +286,8 @@ class SimulatedODrives(SimulatedDrives):
 
 
 class SetpointCheck:
-    """Check of the setpoints that the firmware sends to the drives, against the limits of the rig.
-    Speed and acceleration are differences of consecutive setpoints.
+    """Compares the setpoints that the firmware sends to the drives with the limits of the rig.
+    Speed and acceleration are computed from differences of consecutive setpoints.
 
     Parameters
     ----------
@@ -307,12 +308,13 @@ class SetpointCheck:
         self._scale = np.array([drive.counts_per_m * drive.sign for drive in drives])
         self._zeros, self._targets = zeros, np.zeros(len(drives), int)
         self._most = np.array([limits.stroke_m, limits.speed, limits.accel])
-        self._led: list[np.ndarray] = []  # last three setpoints while the motors had current [m]
+        self._led: list[np.ndarray] = []  # last three setpoints since the motors have current [m]
         self.shares = np.zeros(3)
-        """Maximum requested stroke, speed and acceleration, as fractions of the limits."""
+        """Maximum stroke, speed and acceleration of the setpoints, as fractions of the limits."""
 
     def receive(self, frames: Sequence[Frame], led: bool) -> None:
-        """Process the firmware's frames of a tick. `led` states whether all motors have current."""
+        """Process the frames that the firmware sent in a tick. `led` states whether all motors have
+        current."""
         for identifier, data in frames:
             if identifier in self._places:
                 if self._odrives:

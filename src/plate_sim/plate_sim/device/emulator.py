@@ -1,6 +1,6 @@
-"""Emulator of device, serial line and plate with their faults, in steps of 1 ms. The inputs are
-bytes from the host. The outputs are bytes to the host, and the motion of the motors. The emulator
-does not use a clock."""
+"""Emulator of device, serial line and plate with their faults, in steps of 1 ms. The emulator
+receives bytes from the host, and returns bytes to the host and the motion of the motors. It does
+not read a clock."""
 
 from __future__ import annotations
 
@@ -29,8 +29,8 @@ BROWN_OUT_S = 0.3
 
 
 class Emulator:
-    """Motor controller with plate and serial line. The controller is the firmware on a simulated
-    board.
+    """Motor controller with plate and serial line. The motor controller is the firmware on a
+    simulated board.
 
     Parameters
     ----------
@@ -42,7 +42,7 @@ class Emulator:
         Function that is called for each tick with the time [s] and the setpoint (3, 4). The
         setpoint is None without current.
     plate : SuspendedPlate, optional
-        Plate on flexures. Default: a plate that follows its commands exactly.
+        Plate on flexures. Default: a plate that follows its setpoints exactly.
     homing_s : float
         Duration of the search for home [s].
     """
@@ -72,7 +72,7 @@ class Emulator:
         self._search_us = round(homing_s * 1e6)
         self._jammed = False
         self.triggered = False
-        """Whether the camera's trigger line rose in the last tick."""
+        """Whether the camera was triggered in the last tick."""
 
     @property
     def now(self) -> float:
@@ -104,8 +104,8 @@ class Emulator:
 
     @property
     def plate(self) -> np.ndarray:
-        """Commanded position, speed and acceleration of the motors (3, 4). Without current, it is
-        the motion home by the flexures."""
+        """Commanded position, speed and acceleration of the motors (3, 4). While the motors have no
+        current, these are the values of the motion home by the flexures."""
         return self._recorder.plate
 
     def configure(self, schedule: FaultSchedule) -> None:
@@ -131,8 +131,8 @@ class Emulator:
         self._brown_out_until = self.now + BROWN_OUT_S
 
     def jam(self, jammed: bool = True) -> None:
-        """Freeze the measured motion of the plate, so that it does not depend on commands, or
-        release it."""
+        """If `jammed` is true, freeze the measured motion of the plate, as if the plate were
+        jammed. Otherwise release it."""
         self._jammed = jammed
 
     def tick(self) -> list[Segment]:

@@ -16,7 +16,7 @@ class LineFaults:
     Attributes
     ----------
     dropped, corrupted, repeated : float
-        Fraction of bytes that are lost, that are changed, and that are repeated.
+        Fractions of the bytes that are lost, changed and repeated.
     split : float
         Fraction of transmissions whose second part is delayed by up to 4 ms.
     delay : float
@@ -50,7 +50,7 @@ class FaultSchedule:
     line : LineFaults
         Faults of the line in both directions.
     disconnect_every, reset_every, brown_out_every : float
-        Period of the fault [s]. 0 disables it.
+        Periods of disconnections, resets and brown-outs [s]. 0 disables the fault.
     disconnect_s : float
         Duration of a disconnection [s].
     """

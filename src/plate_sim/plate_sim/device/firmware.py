@@ -1,5 +1,5 @@
-"""The real firmware as a process on this computer, with a simulated serial line, CAN bus and
-drives."""
+"""The real firmware in a process on this computer, with a simulated serial line, a simulated CAN
+bus and simulated drives."""
 
 from __future__ import annotations
 
@@ -20,15 +20,15 @@ from .serial_line import Line
 
 
 class FirmwareOnDesk:
-    """The firmware with drives on a CAN bus, in steps of one tick. This firmware replaces
-    `Emulator` if the rig has drives.
+    """Firmware with drives on a CAN bus, in steps of one tick. For a rig with drives, this class is
+    used in place of `Emulator`.
 
-    The motors follow the simulated drives, which differ slightly from the setpoints.
+    The motors move as the simulated drives do. The drives follow the setpoints with a small error.
 
     Parameters
     ----------
     program : path
-        The program firmware/host, built with can.c, the drives and the limits of the rig.
+        Program firmware/host, built with can.c and with the drives and limits of the rig.
     rig : Rig
         Rig with drives.
     seed : int
@@ -67,7 +67,7 @@ class FirmwareOnDesk:
         self.now_us = 0
         self.state, self.faults, self._refused = State.OFF, Fault.NONE, 0
         self.triggered = False
-        """Whether the camera's trigger line rose in the last tick."""
+        """Whether the camera was triggered in the last tick."""
         self._recorder = Recorder()
         self._coming: list[Frame] = []
 
@@ -81,7 +81,7 @@ class FirmwareOnDesk:
         self.to_device.faults = self.to_host.faults = schedule.line
 
     def reset(self) -> None:
-        """Restart the firmware. The drives keep running, and detect the restart."""
+        """Restart the firmware. The drives continue to run."""
         self._say("reset")
         self.to_device.cut()
         self.to_host.cut()

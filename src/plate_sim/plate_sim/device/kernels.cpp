@@ -1,5 +1,5 @@
-// Python binding of the firmware. The C files are the same as for a board. The hardware layer
-// (hal_*) has its inputs and outputs in memory.
+// Python binding of the firmware. The firmware is compiled from the same C files as for a board.
+// Only the functions of the hardware (hal_*) are different: their inputs and outputs are in memory.
 #include <plate/bind.hpp>
 
 // These headers are included first, because the firmware's files include them inside a namespace.

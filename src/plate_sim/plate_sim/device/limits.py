@@ -56,8 +56,8 @@ class DeviceLimits:
         is no suspension, the plate is uniform.
         """
         inverse = np.linalg.pinv(rig.motor_levers.T)
-        # Values are rounded, so that rounding errors of the inverse do not affect a check of
-        # limits.
+        # The values are rounded. Otherwise rounding errors of the inverse could decide whether a
+        # motion at a limit is allowed.
         load = np.round(inverse @ rig.plate_mass @ inverse.T, 9)
         limits = rig.limits
         return cls(
@@ -67,11 +67,11 @@ class DeviceLimits:
 
     @cached_property
     def fit(self) -> np.ndarray:
-        """Coefficients (4,) of the sum of travels that is 0 for a rigid plate; float32, each at
-        most 1.
+        """Coefficients (4,) of a weighted sum of the four travels. The sum is 0 if the plate is
+        rigid. The type is float32, and the maximum of the coefficients is 1.
 
-        The coefficients are the null vector of `load`, because four travels depend on only three
-        coordinates.
+        The coefficients are the null vector of `load`. It exists because the four travels depend on
+        only three coordinates of the plate.
         """
         fit = np.linalg.eigh(self.load)[1][:, 0]
         return (fit / np.max(np.abs(fit))).astype(np.float32)
@@ -91,8 +91,8 @@ def rig_header(path: str) -> str:
 
 
 def c_header(limits: DeviceLimits, name: str, drives: Sequence[Drive] = ()) -> str:
-    """Return the C header for the firmware. The header defines `LIMITS` in single precision. If the
-    motors have drives, it also defines `DRIVES`.
+    """Return the C header for the firmware. The header defines `LIMITS` in single precision, and
+    `DRIVES` if the motors have drives.
 
     Parameters
     ----------
@@ -115,14 +115,14 @@ def c_header(limits: DeviceLimits, name: str, drives: Sequence[Drive] = ()) -> s
 
 
 def _drives(drives: Sequence[Drive], limits: DeviceLimits) -> list[str]:
-    """Return C code for the drives and their kind."""
+    """Return the C code that defines the drives and their kind."""
     head = ["#define HAS_DRIVES", f"#define HAS_{drives[0].kind.upper()}"]
     made = map(_drive, drives, limits.fit)
     return [*head, "static const Drive DRIVES[MOTORS] = {", *made, "};"]
 
 
 def _drive(drive: Drive, fit: float) -> str:
-    """Return C code for a drive."""
+    """Return the C code of one drive."""
     scale = _literal(np.asarray(drive.counts_per_m, np.float32))
     absolute = str(drive.absolute).lower()
     values = (drive.node, scale, drive.sign, absolute, f"{drive.serial}u", f"{fit!s}f")

@@ -13,7 +13,7 @@ from .limits import rig_header
 
 @piped()
 def main() -> int:
-    """Run the command line; returns its exit code."""
+    """Run the command, and return its exit code."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").partition("\n")[0])
     parser.add_argument("rig", metavar="RIG.yaml", help="rig file")
     path = parser.parse_args().rig

@@ -32,12 +32,12 @@ from .plate import Segment, SuspendedPlate
 from .pty import PseudoTerminal
 
 SERVE_PERIOD_S = 0.002
-"""Time between two reads of the port [s]: two ticks of the device."""
+"""Time between two reads of the port [s]. It is two ticks of the device."""
 
 MAX_BEHIND_US = 100_000
-"""Maximum delay [us] that the simulated device makes up for on a busy computer. If the delay is
-longer, the device's clock stops for the rest of it. Otherwise the device would report a timeout,
-although the host has sent messages."""
+"""Maximum time by which the simulated device may lag behind the computer's clock, for example on a
+busy computer [us]. The device simulates at most this time at once. If the lag is longer, the device
+omits the rest. Otherwise the device would report a timeout, although the host has sent messages."""
 
 
 def _fraction(description: str) -> Any:
@@ -90,7 +90,7 @@ class DeviceNode(SafeLifecycleNode[Options]):
     with its start. The simulated plate follows this motion. camera_trigger is stamped with the time
     of each trigger pulse. A segment ends at the pulse, and is published before camera_trigger. The
     port exists when the node is configured. While the node is not active, the device has no power.
-    The device restarts on activation.
+    On activation, the device restarts.
     """
 
     def __init__(self) -> None:
@@ -126,14 +126,14 @@ class DeviceNode(SafeLifecycleNode[Options]):
         self._begin_ns = self.get_clock().now().nanoseconds - 1_000 * now_us
         self._steady_ns = time.monotonic_ns() - 1_000 * now_us
         self._late_ms = self._lost_ms = 0.0
-        self._terminal.read()  # a device without power loses received bytes
+        self._terminal.read()  # a device without power discards the bytes that it receives
 
     def rest(self) -> None:
         """Switch the device off. The device loses its state."""
         self._emulator.reset()
 
     def retune(self) -> None:
-        """Apply changed faults."""
+        """Apply changed parameters of the faults."""
         self._emulator.configure(self.options.schedule)
 
     def _serve(self) -> None:
@@ -149,8 +149,8 @@ class DeviceNode(SafeLifecycleNode[Options]):
         if emulator.connected != self._terminal.plugged:
             (self._terminal.plug if emulator.connected else self._terminal.unplug)()
         ticks = due // TICK_US
-        # The stamp is the present time. The device's simulated time lags behind it, but the bytes
-        # were sent later than the simulated time.
+        # The bytes are stamped with the present time, not with the device's simulated time. The
+        # simulated time lags behind, and the host sent the bytes after it.
         emulator.to_device.sent(received, emulator.now + ticks * TICK_US * 1e-6)
         for _ in range(ticks):
             for segment in emulator.tick():

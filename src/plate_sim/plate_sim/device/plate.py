@@ -18,19 +18,21 @@ SEGMENT_S = 0.1
 """Length of a segment while no table is played [s]. One image is taken per segment."""
 
 COAST_RATE = 60.0
-"""Rate of the return to home of a plate without current [1/s]. The motion is critically damped."""
+"""Rate at which the plate returns to home while the motors have no current [1/s]. The motion is
+critically damped."""
 
 EVERY = 4
-"""Number of ticks between two knots of a segment that is not a whole table."""
+"""Number of ticks between two knots of a segment, unless the segment is a whole table."""
 
 STATE = 10
-"""Size of the state: pose, twist, motor forces."""
+"""Number of states: pose (3), twist (3), motor forces (4)."""
 
 INPUT = 9
-"""Size of a setpoint: pose, twist, acceleration."""
+"""Number of inputs: pose, twist and acceleration of the setpoint, 3 each."""
 
 SCALE = 1e-6
-"""Scale of the unit motions [m, m/s, ...]. The scale is far within the limits of any plate."""
+"""Size of the unit inputs and unit states that give the columns of the matrix [SI units]. It is so
+small that every plate stays within its limits."""
 
 
 @dataclass(frozen=True)
@@ -70,7 +72,7 @@ class Recorder:
     def __init__(self, now: float = 0.0) -> None:
         self._start = now
         self._ticks: list[tuple[float, np.ndarray]] = [(now, np.zeros((3, MOTORS)))]
-        # The whole table is a segment. The segment starts with the play of the table.
+        # Segment of a whole table. It starts when the table starts.
         self._whole: Segment | None = None
         self._play: tuple[int, int] | None = None
 
@@ -80,7 +82,8 @@ class Recorder:
         return self._ticks[-1][1]
 
     def coasted(self, dt: float) -> np.ndarray:
-        """Return the motors' state (3, 4) after `dt` [s] without current.
+        """Return position, speed and acceleration of the motors (3, 4) after `dt` [s] without
+        current.
 
         With the rate r = COAST_RATE and the initial position x_0 and speed v_0 of a motor, the
         critically damped motion x'' + 2 r x' + r^2 x = 0 is
@@ -118,7 +121,8 @@ class Recorder:
         return done
 
     def _cut(self, when: float, end: np.ndarray) -> list[Segment]:
-        """End the segment at `when` [s] with the motors' state `end` (3, 4)."""
+        """End the present segment at the time `when` [s]. `end` are position, speed and
+        acceleration of the motors at this time (3, 4)."""
         start, ticks, last = self._start, self._ticks, self._whole
         self._start, self._ticks = when, [(when, end)]
         if when <= start:
@@ -132,11 +136,11 @@ class Recorder:
 
 
 class SuspendedPlate:
-    """Plate model of `plate_sim.plate.drive` in steps of one tick.
+    """Suspended plate with drives, as modelled in `plate_sim.plate.drive`, in steps of one tick.
 
-    Plate and drive are a linear system, so one tick is a multiplication by a matrix. `realise`
-    computes the columns of this matrix. The levers of the motors are assumed to be the same as at
-    home.
+    Plate and drives are a linear system, so one tick is a multiplication by a matrix. `realise`
+    computes the columns of this matrix. The lever arms of the motors are assumed to be the same as
+    at home.
 
     Parameters
     ----------
@@ -163,16 +167,16 @@ class SuspendedPlate:
             Travel [m] and acceleration [m/s2] that the sensors of the motors measure at the end of
             the tick.
         """
-        wanted = (setpoint @ self._inverse.T).ravel()
-        after = self._tick @ np.concatenate([self._state, self._last, wanted])
-        self._state, self._last = after[:STATE], wanted
-        missed = after[[0, 1, 2, -3, -2, -1]] - wanted[[0, 1, 2, 6, 7, 8]]
+        requested = (setpoint @ self._inverse.T).ravel()
+        after = self._tick @ np.concatenate([self._state, self._last, requested])
+        self._state, self._last = after[:STATE], requested
+        missed = after[[0, 1, 2, -3, -2, -1]] - requested[[0, 1, 2, 6, 7, 8]]
         return np.asarray(setpoint[::2] + missed.reshape(2, 3) @ self._levers.T)
 
 
 def _after(rig: Rig, tick_s: float, before: np.ndarray) -> np.ndarray:
-    """Return state and acceleration (13,) of the plate after one tick from a state. The plate is
-    between two setpoints."""
+    """Return the state (10,) and the acceleration (3,) of the plate one tick after the state
+    `before`, as one array (13,)."""
     pose, twist, force = before[:3], before[3:6], before[6:STATE]
     ends = before[STATE:].reshape(2, 3, 3)
     times = np.array([0.0, tick_s])

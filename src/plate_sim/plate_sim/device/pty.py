@@ -1,5 +1,5 @@
-"""Pseudo-terminal that acts as a serial port for the driver. A symbolic link gives it a fixed name.
-The port can be unplugged and plugged in again, as with a USB adapter."""
+"""Pseudo-terminal that the driver uses as a serial port. A symbolic link gives it a fixed name. It
+can be unplugged and plugged in again like a USB adapter."""
 
 from __future__ import annotations
 
@@ -55,7 +55,7 @@ class PseudoTerminal:
             os.close(master)
             os.close(slave)
             raise PlateError(f"link is {str(self._link)!r}: {error}") from None
-        # Keep the slave open. Otherwise the terminal would close when a host disconnects.
+        # Both ends stay open here. Otherwise the terminal would close when a host disconnects.
         self._ends = master, slave
 
     def unplug(self) -> None:
@@ -78,8 +78,7 @@ class PseudoTerminal:
             return b""
 
     def write(self, data: bytes) -> None:
-        """Send bytes to the host. If the buffer is full, bytes are lost in the same way as on a
-        real UART."""
+        """Send bytes to the host. If the buffer is full, bytes are lost, as with a real UART."""
         if self._ends is None or not data:
             return
         with contextlib.suppress(OSError):

@@ -1,8 +1,7 @@
 """Simulated serial line in one direction.
 
-Sent bytes arrive later. Their delay is the transmission time plus the delay in `LineFaults`. Some
-bytes are lost, changed or repeated at random. Time is an argument, so the simulation does not need
-a clock.
+Bytes arrive after the transmission time plus the delay in `LineFaults`. Random bytes are lost,
+changed or repeated. The time is an argument of the methods, so that the simulation needs no clock.
 """
 
 from __future__ import annotations
@@ -18,7 +17,7 @@ SPLIT_S = 0.004
 
 
 class Line:
-    """Serial line in one direction. The time is an argument of its methods.
+    """Serial line in one direction.
 
     Parameters
     ----------

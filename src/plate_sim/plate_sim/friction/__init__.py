@@ -1,7 +1,7 @@
 """Friction between plate and parts: footprints, integration steps of a part, and the event-driven
 simulation of point parts.
 
-The names below are public. `simulate` is the reference for all other integrators."""
+This package exports the public names. `simulate` is the reference for all other integrators."""
 
 from .footprint import Footprint, bar, disc, polygon, union
 from .outline import footprint_of

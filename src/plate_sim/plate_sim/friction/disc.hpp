@@ -1,4 +1,4 @@
-// Friction of a disc with uniform pressure on the plate, in closed form. See also disc.py.
+// Friction of a disc with uniform pressure on the plate, in closed form.
 //
 // The centre slips with the speed s. The spin c adds the slip w = R |c| at the edge. The mean slip
 // over the disc is the mean distance of the disc's points from a point at s/w radii. Complete
@@ -26,11 +26,12 @@ namespace plate::disc {
 
 // If the slip after a step is below this fraction of the velocity step, the part sticks.
 constexpr double SNAP = 1e-3;
-// Tolerance of the slip's component across the normal, relative to the velocity step.
+// Tolerance of the slip's component perpendicular to the normal, as a fraction of the velocity
+// step.
 constexpr double CLOSE = 1e-9;
-// Stopping tolerance of the arithmetic-geometric mean: maximum of half the difference of the two
-// numbers, relative to their mean. Below it, their arithmetic and geometric means are equal up to
-// rounding.
+// The iteration of the arithmetic-geometric mean ends if half the difference of its two numbers,
+// divided by their mean, is at most this value. At this value, their arithmetic and geometric means
+// are equal up to rounding.
 constexpr double MEANS = 2e-8;
 // Maximum k^2 for the series. The omitted terms are below 2e-10 mu m g.
 constexpr double SERIES = 0.25;
@@ -40,7 +41,7 @@ struct Push {
     double force, torque;
 };
 
-// Force, and torque divided by k. The series is valid for k^2 up to `SERIES`.
+// Returns the force, and the torque divided by k. The series is valid for k^2 up to `SERIES`.
 [[gnu::always_inline]] inline Push series(double k2) {
     double force = -0.00020234903786331415, torque = 0.0001563606201671064;
     force = -0.0002856692299246788 + k2 * force, torque = 0.0002142519224435091 + k2 * torque;
@@ -54,8 +55,9 @@ struct Push {
     return {1.0 + k2 * force, 0.25 + k2 * torque};
 }
 
-// Force and torque on a disc. Its centre slips with the speed s, and its edge with the rotational
-// speed w [m/s]. Both speeds are at least 0, and at least one of them is above 0.
+// Returns force and torque on a disc. The centre of the disc slips with the speed s, and its edge
+// with the rotational speed w [m/s]. Both speeds are at least 0, and at least one of them is above
+// 0.
 inline Push disc_force(double s, double w) {
     if (w * w <= SERIES * s * s) {
         const Push push = series((w / s) * (w / s));
@@ -81,11 +83,11 @@ inline Push disc_force(double s, double w) {
 
 // Return the slip of a disc after a step, as `patch::slip_after` does for other footprints.
 //
-// By symmetry, there are two unknowns: the slip s of the centre, and g |c|. g is the radius of
-// gyration. Let z be the slip without friction divided by dv. Let y(n) be the friction with which
-// the disc resists a slip along the unit vector n. The slip after the step is dv (z - y). y is the
-// point nearest to z in the convex set of all friction forces. At this point, z - y is parallel to
-// n. Regula falsi finds the angle p of n.
+// By symmetry, there are two unknowns: the slip s of the centre, and g |c|, where g is the radius
+// of gyration. Let z be the slip without friction, divided by dv. Let y(n) be the friction with
+// which the disc resists a slip along the unit vector n. The slip after the step is dv (z - y). y
+// is the point nearest to z in the convex set of all friction forces. At this point y, z - y is
+// parallel to n. Regula falsi finds the angle p of n.
 inline Slip disc_slip_after(const Slip& free, double dv, double gyration2, double radius) {
     const double arm = std::sqrt(gyration2), rim = radius / arm;
     const double zx = std::sqrt(free.x * free.x + free.y * free.y) / dv;

@@ -1,11 +1,11 @@
 """Footprint of a rigid part: its contact points with the plate, their fractions of the weight, and
 the inertia.
 
-Friction acts on the whole footprint. If the slip varies over it, friction also rotates the part
-(section 3.1.2 of the paper). For a disc the integral is known in closed form (`disc`). For other
-shapes it is a sum over quadrature points. Gauss's rule is used for parallelograms, and triangles of
-degree 2 for all other shapes. Both rules are exact for polynomials of degree 2. Therefore mass,
-centre and inertia have no quadrature error.
+Friction acts on the whole footprint. If the slip varies over the footprint, friction also rotates
+the part (section 3.1.2 of the paper). For a disc, the integral of the friction is known in closed
+form (`disc`). For other shapes, it is a sum over quadrature points. Gauss's rule is used for
+parallelograms, and triangles of degree 2 for all other shapes. Both rules are exact for polynomials
+of degree 2. Therefore mass, centre and inertia have no quadrature error.
 
 Maximum error of the friction force [mu m g] and of the friction torque [mu m g times the radius of
 gyration], for several numbers of points:
@@ -16,9 +16,9 @@ gyration], for several numbers of points:
     L-shape    0.121   0.048   0.022   0.012   0.005
     triangle   0.106   0.057   0.031   0.014   0.008
 
-The reference has 2,500 points (`friction_gap` of the tests). The maximum is taken over 2,000 slips.
-Half of them are rotations about a point of the footprint. At this point the direction of the slip
-is discontinuous.
+The reference for the errors has 2,500 points (`friction_gap` of the tests). The maximum is taken
+over 2,000 slips. Half of these slips are rotations about a point of the footprint, at which the
+direction of the slip is discontinuous.
 """
 
 from __future__ import annotations
@@ -48,15 +48,15 @@ MAX_POINTS = 100_000
 """Maximum number of quadrature points."""
 
 CELL = 0.2
-"""Blur of a point, relative to the size of its cell. Blur halves the error of the friction, see
-`Footprint.blur`."""
+"""Blur of a point, as a fraction of the size of its cell. Blur halves the error of the friction,
+see `Footprint.blur`."""
 
 ON_EDGE = 1e-9
-"""Maximum distance of a point from the edge of a piece [size of the piece]. Within it, the point
-counts as on the edge. The distance allows for rounding."""
+"""A point within this distance of the edge of a piece counts as on the edge, as a fraction of the
+size of the piece. The tolerance allows for rounding."""
 
 CORNERS_OF_DISC = 96
-"""Number of corners of the polygon with which a disc is drawn."""
+"""Number of corners of the polygon that represents a disc in drawings."""
 
 
 @dataclass(frozen=True)
@@ -96,9 +96,9 @@ class Footprint:
     def corners(self) -> np.ndarray:
         """Corners (n, 5) of the outline, piece by piece. Empty for a disc.
 
-        Each corner has its position [m], the outward normal of the side that begins there, and a
-        flag. The flag is 1 if that side belongs to the outline, and 0 if it adjoins another piece
-        of the part.
+        Each corner has its position [m], the outward normal of the side that begins at the corner,
+        and a flag. The flag is 1 if this side belongs to the outline, and 0 if it adjoins another
+        piece of the part.
         """
         return np.empty((0, 5)) if self.radius else _corners(self.outline)
 
@@ -109,7 +109,7 @@ class Footprint:
 
     @cached_property
     def slim(self) -> float:
-        """About half the minimum width [m]. The width is twice the area of the slimmest piece
+        """About half the minimum width of the part [m]: twice the area of the slimmest piece,
         divided by its perimeter."""
         return self.radius or min(
             2 * quadrature.area(piece) / np.linalg.norm(piece - np.roll(piece, 1, 0), axis=1).sum()
@@ -124,7 +124,8 @@ class Footprint:
 
     @cached_property
     def inertial(self) -> tuple[float, float, float, float, float]:
-        """Square of the radius of gyration [m2], radius [m], reach [m], slim [m], 1/mass [1/kg]."""
+        """The square of the radius of gyration [m2], `radius` [m], `reach` [m], `slim` [m], and
+        1/mass [1/kg]."""
         return self.gyration2, self.radius, self.reach, self.slim, 1 / self.mass
 
     @property
@@ -138,8 +139,8 @@ class Footprint:
         Parameters
         ----------
         slip : (k, 3)
-            Twist of the plate minus the twist of the part [m/s, m/s, rad/s], in the part's axes:
-            velocity of the surface at the centre of mass, and spin.
+            Twist of the plate minus the twist of the part [m/s, m/s, rad/s], in the part's axes.
+            The velocity of the plate is that of its surface at the part's centre of mass.
 
         Returns
         -------

@@ -1,6 +1,7 @@
 // Steps of discs that slide steadily, which is the most frequent case. The method is the explicit
-// midpoint rule of `stepping::midpoint` with `disc::series`. The method processes several discs at
-// once and has no branches. If a step does not meet the conditions, `advance` computes it.
+// midpoint rule of `stepping::midpoint` with `disc::series`. It processes several discs at the same
+// time and has no branches. If a step does not meet the conditions of the method, `advance`
+// computes this step.
 #pragma once
 #include <algorithm>
 #include <cmath>
@@ -16,10 +17,10 @@ namespace plate::gliding {
 constexpr int BLOCK = 16;
 
 // Quantities at the start (a) and in the middle (b) of a step:
-// - slip of the centre and spin
-// - its squared speed
-// - squared ratio of the rotational slip at the edge to this speed
-// The friction is computed in the middle.
+// - ax, ay, ac: slip of the centre and relative spin
+// - a2: squared speed of the slip of the centre
+// - ak2: squared ratio of the rotational slip at the edge to this speed
+// The friction is computed in the middle of the step.
 struct Stages {
     double ax[LANES], ay[LANES], ac[LANES], a2[LANES], ak2[LANES];
     double bx[LANES], by[LANES], bc[LANES], b2[LANES], bk2[LANES];
@@ -106,8 +107,8 @@ inline bool describe(const State& state, int i, const Body& body, double step, b
         for (int k = 0; k < count; k++) {
             Group& g = groups[k];
             const Stages& s = stages[k];
-            // The loop does not write the states directly, because the compiler would then use masked
-            // stores, which are slow.
+            // The loop writes to a buffer, because for the states themselves the compiler would use
+            // masked stores, which are slow.
             double next[6][LANES];
 #pragma omp simd
             for (int i = 0; i < LANES; i++) {
@@ -122,7 +123,7 @@ inline bool describe(const State& state, int i, const Body& body, double step, b
                 const double px = x + half * (vx + ux), py = y + half * (vy + uy);
                 const Slip z = slip(plate[2], px, py, ux, uy, uc);
                 // Check that the disc slides fast enough, and nearly in one direction (see
-                // `alike`). This sum equals `dot(a, a, g2)`.
+                // `alike`). `size2` is equal to `dot(a, a, g2)`.
                 const double size2 = s.a2[i] + g2 * a.turn * a.turn;
                 const double middle2 = s.b2[i] + g2 * b.turn * b.turn, end2 = dot(z, z, g2);
                 const double ab = dot(a, b, g2), az = dot(a, z, g2);

@@ -1,5 +1,5 @@
-"""Footprints of part types. Outlines of any shape are cut into convex pieces. Shapes with holes get
-their contact points from a grid."""
+"""Footprints of part types. Outlines of any shape are cut into convex pieces. The contact points of
+shapes with holes are on a grid."""
 
 from __future__ import annotations
 
@@ -19,8 +19,8 @@ GRID = 4
 that is inside the part."""
 
 STRAIGHT = 1e-9
-"""Minimum relative cross product of the sides at a corner. If it is smaller, the corner is ignored.
-The cross product is relative to the square of the part's size."""
+"""A corner is ignored if the cross product of its sides is below this fraction of the square of the
+part's size."""
 
 
 def footprint_of(part: PartType) -> Footprint:
@@ -42,7 +42,7 @@ def _footprint(part: PartType) -> Footprint:
     holes = [np.array(hole) for hole in part.holes]
     place, area = _cells(part.polygon, holes)
     weight = area / area.sum()
-    # Scale the grid to the moments of the part, so that mass and inertia are exact.
+    # Scale the grid points to the moments of the part, so that mass and inertia are exact.
     place = place - weight @ place
     wanted, _, second = moments(part.polygon, holes)
     own = np.linalg.cholesky((weight[:, None] * place).T @ place)
@@ -75,9 +75,9 @@ def _cells(outline: np.ndarray, holes: list[np.ndarray]) -> tuple[np.ndarray, np
 
 
 def convex_pieces(outline: np.ndarray) -> list[np.ndarray]:
-    """Cut a simple polygon (n, 2), counter-clockwise, into few convex ones.
+    """Cut a simple polygon (n, 2), whose corners are counter-clockwise, into few convex polygons.
 
-    First, ears are cut off (Meisters 1975). Then triangles are merged across a diagonal if the
+    First, ears are cut off (Meisters 1975). Then pieces with a common diagonal are merged if the
     result is convex (Hertel and Mehlhorn 1983). The number of pieces is at most four times the
     minimum.
     """
@@ -112,8 +112,8 @@ def _triangles(outline: np.ndarray) -> list[list[int]]:
 
 
 def _slimness(triangle: np.ndarray) -> float:
-    """Return the area of a triangle (3, 2) divided by its squared perimeter. Larger values are
-    better shapes."""
+    """Return the area of a triangle (3, 2) divided by its squared perimeter. Narrow triangles have
+    small values."""
     length = np.linalg.norm(triangle - np.roll(triangle, 1, axis=0), axis=1).sum()
     return float(_turn(*triangle) / length**2)
 

@@ -9,15 +9,16 @@
 //
 // where d_i is the slip at point i, p_i is the point's fraction of the weight, and dv = mu g dt is
 // the velocity step. By the optimality condition, the force at each point is mu p_i m g along the
-// slip AFTER the step. At a point without slip, it is any force up to this magnitude. Therefore a
-// part slips, rotates and sticks without overshooting, for any length of the step.
+// slip AFTER the step. At a point without slip, the force can have any direction, and any magnitude
+// up to mu p_i m g. Therefore a part slips, rotates and sticks without overshooting, for any length
+// of the step.
 //
 // A primal-dual Newton method solves the problem. Its unknowns are slips and forces (Andersen,
 // Christiansen, Conn and Overton 2000). The method converges, although the norms are not smooth at
 // 0. The iteration ends when the duality gap guarantees the accuracy.
 //
-// The terms of a sum are computed for several points at once, and then added point by point.
-// Therefore sums do not depend on the processor's vector width.
+// The terms of a sum are computed for several points at the same time, and then added point by
+// point. Therefore sums do not depend on the processor's vector width.
 #pragma once
 #include <plate/view.hpp>
 #include <plate/wide.hpp>
@@ -39,28 +40,28 @@ using Mesh = View<double, 2>;
 
 namespace plate::patch {
 
-// Tolerance of the slip after a step, relative to dv = mu g dt. A relative error of mu with this
-// value has the same effect.
+// Tolerance of the slip after a step, as a fraction of dv = mu g dt. A relative error of mu with
+// this value has the same effect.
 constexpr double SLACK = 1e-6;
 // Rounding error of the duality gap, relative to the slip times dv.
 constexpr double ROUNDING = 1e-14;
 // If the slip after a step is below this fraction of dv = mu g dt, the part sticks.
 constexpr double SNAP = 1e-3;
-// Maximum number of Newton iterations. Usual numbers are 1 to 12. If a part on feet rotates about
-// one of them, one case in 5000 does not converge.
+// Maximum number of Newton iterations. Usually 1 to 12 are needed. If a part on feet rotates about
+// one of its feet, one case in 5000 does not converge.
 constexpr int ITERATIONS = 30;
 // Value that is added to a squared slip [m2/s2], to avoid a division by 0.
 constexpr double TINY = 1e-200;
-// Slip of a point relative to dv. If the slip is smaller, the friction at the point is smoothed.
-// Newton's method then converges.
+// If the slip of a point is below this fraction of dv, the friction at the point is smoothed, so
+// that Newton's method converges.
 constexpr double ROUND = 1e-4;
 // Number of points whose terms are computed before they are added.
 constexpr int BLOCK = 64;
-// If a part has fewer points than this, for example a part on feet, the points are added one by
-// one.
+// If a part has fewer points than this number, for example a part on feet, the points are added one
+// by one.
 constexpr int FEW = 6;
 
-// Points of a part: consecutive columns of `Mesh`, beginning with the first one of the part.
+// Points of a part: the consecutive columns of `Mesh` that belong to the part.
 struct Points {
     const double *__restrict x, *__restrict y, *__restrict weight, *__restrict blur;
     double *__restrict fx, *__restrict fy, *__restrict fb;
@@ -72,8 +73,9 @@ struct Points {
             mesh[4] + first, mesh[5] + first, mesh[6] + first, end - first};
 }
 
-// Friction by a slip in the part's axes: force [mu m g] and torque/(m gyration2) [mu g / m]; and an
-// upper bound of the derivative of the friction with respect to the slip [mu g / (m/s)].
+// Friction caused by a slip, in the part's axes: the force [mu m g], the torque/(m gyration2) [mu g
+// / m], and an upper bound of the derivative of the friction with respect to the slip [mu g /
+// (m/s)].
 struct Friction {
     Slip push;
     double stiff;
@@ -125,8 +127,9 @@ PLATE_WIDE inline Friction friction(const Slip& d, double gyration2, const Mesh&
     }
 }
 
-// Sums over the points for a Newton step, weighted and multiplied by dv: directions g of the slips,
-// forces w, duality gap, and the symmetric part of (1 - z n')/|slip| in terms of (u, v, c).
+// Sums over the points for a Newton step, weighted and multiplied by dv: the directions g of the
+// slips, the forces w, the duality gap, and the symmetric part of (1 - z n')/|slip| in the
+// coordinates (u, v, c).
 struct Sums {
     Slip g, w;
     double gap, hxx, hyy, hxy, hxc, hyc, hcc;

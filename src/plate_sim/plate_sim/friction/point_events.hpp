@@ -10,28 +10,27 @@
 
 namespace plate::sliding {
 
-// Allowed error of one step, relative to the tolerance. The errors of the steps in a cycle add up
-// and decay.
+// Allowed error of one step, as a fraction of the tolerance for a cycle. The errors of the steps in
+// a cycle add up and decay.
 constexpr double STEP_SHARE = 0.05;
-// Maximum distance [m] that a part may still slide when it is set to stick, relative to the allowed
+// A part is set to stick if it would slide at most this distance, as a fraction of the allowed
 // error of a step.
 constexpr double SNAP_SHARE = 0.1;
-// Maximum velocity change by friction [m/s] while a slip that counts as zero vanishes. The velocity
-// change is relative to the allowed error of a step, per period.
+// Maximum velocity change by friction while a slip that counts as zero vanishes. It is a fraction
+// of the allowed error of a step divided by the period.
 constexpr double ZERO_SHARE = 0.2;
-// Time as a fraction of a period. A part is set to stick only if friction can still hold it after
-// this time.
+// A part is set to stick only if friction can still hold it after this time, as a fraction of the
+// period.
 constexpr double AHEAD = 1e-8;
-// Minimum step, relative to the period. The time itself has a rounding error of 1e-16 of the
+// Minimum step, as a fraction of the period. The time itself has a rounding error of 1e-16 of the
 // period.
 constexpr double FLOOR = 1e-13;
-// Maximum mean number of steps per cycle. If more are necessary, the rest of the motion is computed
-// with coarse steps, without error control.
+// Maximum mean number of steps per cycle. If more steps are necessary, the rest of the motion is
+// computed with coarse steps, without error control.
 constexpr std::int64_t BUDGET = 50'000;
 // Number of equal steps per cycle for the rest of a motion that exceeds `BUDGET`.
 constexpr int COARSE = 2000;
-// Tolerance of roots in time, and of motion on a line. The tolerance is relative to a slip that
-// counts as zero.
+// Tolerance of roots in time, and of motion on a line, as a fraction of a slip that counts as zero.
 constexpr double FINE = 1e-3;
 // Minimum friction [m/s2]. Smaller friction is neglected, because its direction would be a rounding
 // error.
@@ -39,10 +38,11 @@ constexpr double LEAST = 1e-60;
 // Minimum number of intervals per piece in the search for the time at which a stuck part slides.
 constexpr int SCAN = 3;
 // Minimum number of intervals per period in the search for the time at which a stuck part slides.
-constexpr int LOOKS = 100;
+constexpr int INTERVALS = 100;
 
-// Scales of one part's motion: mu g [m/s2]; period [s]; approximate maximum acceleration [m/s2] of
-// the surface under the part, and its maximum relative rate of change [1/s].
+// Scales of one part's motion: mu g [m/s2], period [s], approximate maximum acceleration of the
+// surface under the part [m/s2], and the maximum relative rate of change of this acceleration
+// [1/s].
 struct Bounds {
     double limit, period, accel, rate;
 };
@@ -69,8 +69,8 @@ struct Grid {
     double time(int j) const { return (j - done * per_cycle) * step; }
 };
 
-// Positions [m] and velocities [m/s] of one part, two numbers per sample, `row` numbers apart. The
-// first sample is an input.
+// Positions [m] and velocities [m/s] of one part. Each sample has two numbers, and the distance
+// between samples is `row` numbers. The first sample is an input.
 struct Track {
     double *path, *speed;
     int count, row;
@@ -91,15 +91,16 @@ inline Point fallen(const Point& part, double t, Vec gravity) {
     return {part.place + 0.5 * t * t * gravity, part.velocity + t * gravity};
 }
 
-// Slip [m/s] that counts as zero. A slip r lasts for about r/max(a, limit). In this time, friction
-// changes the velocity by at most `ZERO_SHARE` of the allowed error per period. The result is at
-// most the velocity change by friction in a period.
+// Slip [m/s] that counts as zero. A slip r lasts for about r/max(a, limit). For the returned slip,
+// friction changes the velocity in this time by at most `ZERO_SHARE` of the allowed error per
+// period. The result is also at most the velocity change by friction in a period.
 inline double zero_slip(double limit, double a, double allowed, double period) {
     return std::min(ZERO_SHARE * allowed / period * std::max(1.0, a / limit), limit * period);
 }
 
 // Whether a slip r [m/s] counts as zero at an acceleration a [m/s2] of the surface. It counts as
-// zero if the stopping distance r^2/(2 (limit - a)) is at most `SNAP_SHARE` of the allowed error, or
+// zero if the stopping distance r^2/(2 (limit - a)) is at most `SNAP_SHARE` of the allowed error,
+// or
 // if the slip is at most `zero_slip`.
 inline bool calm(double r, double limit, double a, double allowed, double period) {
     return r * r <= 2 * SNAP_SHARE * allowed * (limit - a) ||
@@ -117,8 +118,8 @@ inline bool holds(Table table, double t, int k, Vec q, double limit) {
     return felt(table, t, k, q) <= limit * limit;
 }
 
-// Limit a step h [s] to `room` [s], and to the next knot. If a step is longer than two pieces, it
-// may pass the knot.
+// Limit a step h [s] to `room` [s], and to the end of the present piece. A step that is longer than
+// two pieces may pass this end.
 inline double to_knot(Table table, double t, int k, double h, double room) {
     h = std::min(h, room);
     const double least = FLOOR * table.back().end;
@@ -187,8 +188,8 @@ inline Slid slide(Table table, double t, int k, double h, double hint, const Poi
             h = hint = 0.5 * h;
             continue;
         }
-        // The error is of the order h^5. The factor for the next step is at most 6. If a motion is
-        // straight, the error is near 0 and gives no information about longer steps.
+        // The error is of the order h^5. The factor for the next step is at most 6, because for a
+        // straight motion the error is near 0 and gives no information about longer steps.
         const double grown =
             error * 4000 < now.allowed ? 6 : 0.9 * std::pow(now.allowed / error, 0.2);
         const bool as_wanted = h == first && first == hint;
@@ -214,14 +215,14 @@ inline double first_free(Table table, double low, double high, int k, Vec q, dou
     return c > most ? high : -1;
 }
 
-// Time [s] until which friction holds a part at q [m, plate frame]. The time is at most the period.
+// Time [s] until which friction holds a part at q [m, plate frame]. It is at most the period.
 inline double release(Table table, double t, int k, Vec q, double limit) {
     const double period = table.back().end, radius = std::sqrt(dot(q, q));
     for (int piece = k; piece < static_cast<int>(table.size()); piece++) {
         const double end = table[piece].end;
         double low = std::max(t, table[piece].start);
         if (low >= end || ride_bound(table[piece], radius) <= limit) continue;
-        const double width = std::min((end - table[piece].start) / SCAN, period / LOOKS);
+        const double width = std::min((end - table[piece].start) / SCAN, period / INTERVALS);
         while (low < end) {
             const double high = std::min(low + width, end);
             double free = first_free(table, low, high, piece, q, limit);
@@ -307,7 +308,7 @@ inline std::int64_t run_part(Table table, const Scales& scales, double limit, do
         const double a = std::sqrt(dot(rate_under, rate_under));
         const bool ends = done == cycles - 1 || !wraps;
         const double room = ends ? left : period;
-        // Rounding of the state limits the accuracy of a step.
+        // The rounding errors of the state limit the accuracy of a step.
         const double size = std::abs(part.place.x) + std::abs(part.place.y) +
                             period * (std::abs(part.velocity.x) + std::abs(part.velocity.y));
         const double allowed = std::max(STEP_SHARE * tolerance, 1e-15 * size);

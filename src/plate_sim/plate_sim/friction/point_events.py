@@ -2,11 +2,11 @@
 This simulation is the reference for all other integrators.
 
 A sliding part is integrated by Runge-Kutta 5(4) with error control. A sticking part keeps its exact
-place on the plate until the acceleration of the surface there exceeds the limit of static friction.
-If the slip of a part vanishes, the time of this event is computed. The part then sticks if friction
-can hold it. Otherwise it slides in the direction of the surface's acceleration. For motion on a
-line, this is a reversal. Near a minimum of the slip the steps become smaller, but not smaller than
-the tolerance requires.
+place on the plate until the acceleration of the surface at this place exceeds the limit of static
+friction. If the slip of a part vanishes, the time of this event is computed. After the event, the
+part sticks if friction can hold it. Otherwise it slides in the direction of the surface's
+acceleration, which is a reversal if the motion is on a line. Near a minimum of the slip, the steps
+become as small as the tolerance requires.
 
 If the plate is tilted, the frame falls with the component of gravity along the plate
 (`plate.pieces`).
@@ -27,7 +27,7 @@ from ..plate.pieces import tabulate
 from .checks import LARGEST, check_motion, friction_accel, pairs, whole
 
 TOLERANCE = 1e-7
-"""Default error of the displacement in one cycle [m]: a ten-thousandth of a pixel."""
+"""Default tolerance of the displacement in one cycle [m]: a ten-thousandth of a pixel."""
 
 SAMPLES = 64
 """Default number of output samples per cycle. This number gives eight samples per period of the
@@ -47,9 +47,8 @@ class Trajectory:
     velocity : (k, M, 2)
         Velocities of the parts [m/s].
     unchecked : tuple of int
-        Parts whose motion required more than the maximum number of steps for the requested
-        tolerance. The rest of their motion was computed with coarse steps and has an unknown error.
-        Empty except for extreme motions.
+        Parts whose motion required more than the maximum number of steps. The rest of their motion
+        was computed with coarse steps and has an unknown error. Empty except for extreme motions.
     """
 
     time: np.ndarray
@@ -82,7 +81,7 @@ def simulate(
     position, velocity : (M, 2)
         Parts at the start of the first cycle [m], [m/s], plate_home.
     friction : float or (M,)
-        Friction coefficient mu, of all parts or of each part.
+        Friction coefficient mu: one value for all parts, or one value for each part.
     gravity : float
         Gravity [m/s2].
     cycles : int

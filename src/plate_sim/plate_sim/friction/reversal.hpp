@@ -7,9 +7,9 @@
 //
 // If the plate accelerates much more than friction does, w is nearly straight. The step is split at
 // the minimum of |w|. In both parts, w is approximated by a straight segment. The mean of w/|w|
-// along a segment has a closed form, which is also valid near 0. Therefore a slip that reverses on
-// a line is exact, and a slip that rotates quickly is of second order. The step need not be
-// shortened.
+// along a segment has a closed form, which is also valid near 0. Therefore the method is exact for
+// a slip that reverses on a line, and of second order for a slip that rotates quickly, without a
+// shorter step.
 #pragma once
 #include <algorithm>
 #include <cmath>
@@ -19,20 +19,21 @@
 
 namespace plate::reversing {
 
-// Minimum rate of change of the slip at both ends of the step, relative to the rate that static
-// friction can cause.
+// Minimum rate of change of the slip at both ends of the step, as a multiple of the rate that
+// static friction can cause.
 constexpr double FAST = 2.0;
 // Minimum cosine of the angle between the rates at both ends of the step.
 constexpr double BENT = 0.9;
-// Maximum number of iterations for a mean direction, and change that ends them. Each iteration
-// multiplies the error by the ratio of friction to the change of the slip.
+// Maximum number of iterations for a mean direction, and the change of the direction at which the
+// iterations end. Each iteration multiplies the error by the ratio of friction to the change of the
+// slip.
 constexpr int ROUNDS = 8;
 constexpr double CLOSE = 1e-4;
 // If the line of a segment is closer to 0 than this fraction of the segment's length, the segment
 // passes through 0.
 constexpr double THIN = 1e-5;
 
-// Mean of x/|x| over the segment from `from` to `to`. The mean is n if both points are equal.
+// Mean of x/|x| over the segment from `from` to `to`. The result is n if both points are equal.
 inline Vec heading(Vec from, Vec to, Vec n) {
     Vec d = to - from;
     const double length2 = dot(d, d);
@@ -66,7 +67,8 @@ struct Reversal {
 // fall, static_dv, dv [m/s]: velocity changes in the step by gravity along the plate, by static
 // friction and by dynamic friction.
 inline Reversal reversal(const PlateSample* plate, Vec fall, double static_dv, double dv, Vec v) {
-    // The slip without friction is s + a t + b t^2, t from 0 to 1. Its rate at the end is z.
+    // The slip without friction is s + a t + b t^2, with t from 0 to 1. Its rate of change at t = 1
+    // is z.
     const Vec s = Vec{plate[0].vx, plate[0].vy} - v;
     const Vec m = Vec{plate[1].vx, plate[1].vy} - v - 0.5 * fall;
     const Vec e = Vec{plate[2].vx, plate[2].vy} - v - fall;

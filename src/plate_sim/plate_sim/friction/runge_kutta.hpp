@@ -1,8 +1,8 @@
 // Steps of a sliding point part: Runge-Kutta 5(4), the event at which the slip vanishes, and the
 // restart from zero slip.
 //
-// A sliding part obeys p' = v, v' = mu g w/|w| with the slip w = v_s(p, t) - v. v_s is the velocity
-// of the surface (pieces.hpp). The right side is smooth while w is not 0.
+// A sliding part obeys p' = v and v' = mu g w/|w|, where w = v_s(p, t) - v is the slip and v_s the
+// velocity of the surface (pieces.hpp). The right-hand side is smooth while w is not 0.
 #pragma once
 #include <algorithm>
 #include <cmath>
@@ -12,7 +12,8 @@
 namespace plate::sliding {
 
 // Dormand and Prince, A family of embedded Runge-Kutta formulae, J. Comp. Appl. Math. 6 (1980),
-// table 2: order 5 with an error estimate of order 4. The last stage is the first of the next step.
+// table 2: order 5 with an error estimate of order 4. The last stage of a step is the first stage
+// of the next step.
 constexpr int STAGES = 7;
 constexpr double C[STAGES] = {0., 1. / 5, 3. / 10, 4. / 5, 8. / 9, 1., 1.};
 constexpr double B[] = {35. / 384, 0., 500. / 1113, 125. / 192, -2187. / 6784, 11. / 84};
@@ -31,10 +32,10 @@ constexpr double E[STAGES] = {
     B[4] + 92097. / 339200, B[5] - 187. / 2100,
     -1. / 40};
 
-// Maximum number of restarts with shortened steps. After that, the part remains stuck. 0.3**40 of a
-// step is below rounding.
+// Maximum number of restarts with shortened steps. After this number, the part remains stuck,
+// because the step is below rounding (0.3**40 of its length).
 constexpr int TRIES = 40;
-// Tolerance of a root in time, relative to the initial bracket of the root.
+// Tolerance of a root in time, as a fraction of the initial bracket of the root.
 constexpr double ROOT = 1e-15;
 
 // Sum of products of weights and vectors, added in order.
@@ -71,7 +72,7 @@ struct Stage {
     return {part.velocity, share * w, dot(w, n) > 0};
 }
 
-// Compute stage S of a step and the following ones. v and f are the velocities and frictions of the
+// Compute stage S of a step and all later stages. v and f are the velocities and frictions of the
 // previous stages.
 template <int S>
 [[gnu::always_inline]] inline Step stages(Table table, double t, int k, double h, const Point& part,
@@ -106,7 +107,8 @@ inline Point even(const Point& part, Vec force, double tau) {
     return {part.place + tau * (part.velocity + 0.5 * tau * force), part.velocity + tau * force};
 }
 
-// Returns the slip along and across n [m/s] after tau [s] with constant friction.
+// Returns the components of the slip along and perpendicular to n [m/s], after tau [s] with
+// constant friction.
 inline Vec straight(Table table, double t, int k, double tau, const Point& part, Vec force, Vec n) {
     const Vec w = slip(table, t + tau, k, even(part, force, tau));
     return {w.x * n.x + w.y * n.y, w.y * n.x - w.x * n.y};
@@ -120,9 +122,9 @@ inline Step line_step(Table table, double t, int k, double h, const Point& part,
 }
 
 // Event at which the slip vanishes. Its fields are the time [s] since the start of the step (0 if
-// the slip does not vanish), the remaining slip [m/s] across its initial direction (0 on a line),
-// and an upper bound of the velocity's error [m/s]. This error results from the constant direction
-// of friction.
+// the slip does not vanish), the remaining slip [m/s] perpendicular to its initial direction (0 on
+// a line), and an upper bound of the velocity's error [m/s], which the constant direction of
+// friction causes.
 struct Landing {
     double tau, rest, error;
 };
@@ -130,8 +132,8 @@ struct Landing {
 // Find the time within h [s] at which the slip vanishes along its present direction. Friction is
 // assumed to be constant.
 //
-// r: present slip [m/s]. none: threshold [m/s]; a smaller component of the slip along the direction
-// counts as 0.
+// r: present slip [m/s]. none: threshold [m/s]. A smaller component of the slip along its present
+// direction counts as 0.
 inline Landing landing(Table table, double t, int k, double h, const Point& part, Vec force,
                        double r, double limit, double none) {
     const Vec n{force.x / limit, force.y / limit};
@@ -163,8 +165,8 @@ inline Landing landing(Table table, double t, int k, double h, const Point& part
     }
     const Vec half = straight(table, t, k, 0.5 * tau, part, force, n);
     rest = std::abs(rest);
-    // If the slip decreases linearly, its angle changes in proportion to 1/(tau - t). The integral
-    // of this is a logarithm.
+    // If the slip decreases linearly, the rate of its angle is proportional to 1/(tau - t), so its
+    // angle changes by a logarithm.
     double share = rest > 0 ? rest / r * (1 + std::log(std::max(1.0, r / rest))) : 0;
     share += half.x > 0 ? std::abs(half.y) / half.x : 1;
     return {tau, rest, limit * tau * share};
@@ -189,7 +191,7 @@ struct Restart {
 // Compute a step of at most h [s] from a slip of nearly 0. The step is computed only if friction
 // cannot hold the part.
 //
-// The slip takes the direction of the surface's acceleration a at once, and then follows this
+// The slip has the direction of the surface's acceleration a from the start, and follows this
 // direction. Therefore friction is mu g a/|a|. allowed: maximum error of the velocity [m/s].
 inline Restart restart(Table table, double t, int k, double h, const Point& part, double limit,
                        double allowed) {

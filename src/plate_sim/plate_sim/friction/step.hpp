@@ -1,12 +1,13 @@
 // Time step of a finite part that slides and rotates, moves with the plate, or begins to stick.
 //
-// A part that slides steadily is advanced by the midpoint rule, which is of second order. The rule
-// is explicit. If the friction changes much with the slip, it is implicit. If the slip rotates
-// quickly, the step is bisected, at most `HALVINGS` times. If the slip reverses, the step is split
-// just before the reversal. The shortest substeps use the implicit Euler method (patch.hpp). A part
-// that sticks at both ends of a step moves exactly with the plate. Therefore it cannot creep.
+// A part that slides steadily is advanced by the midpoint rule, which is of second order. The
+// explicit form is used unless the friction changes much with the slip. Otherwise the implicit form
+// is used. If the slip rotates quickly, the step is bisected, at most `HALVINGS` times. If the slip
+// reverses, the step is split just before the reversal. The shortest substeps use the implicit
+// Euler method (patch.hpp). A part that sticks at both ends of a step moves exactly with the plate,
+// so it cannot creep.
 //
-// In most steps, most parts are discs that slide steadily. `glide` (glide.hpp) advances them
+// In most steps, most parts are discs that slide steadily. `glide` (glide.hpp) advances these discs
 // together. `advance` advances the other parts one by one.
 #pragma once
 #include <plate/view.hpp>
@@ -44,8 +45,9 @@ static_assert(sizeof(Body) == 10 * sizeof(double));
 // Group of parts that are advanced together: their states, and constants for `glide` (glide.hpp).
 struct Group {
     double state[6][LANES];
-    // mu g times the step [m/s]; minimum squared slip [m2/s2] for `glide`, infinite for parts that
-    // are not discs; squared radius and squared radius of gyration [m2], and their ratio.
+    // dv: mu g times the step [m/s]. least: minimum squared slip for `glide` [m2/s2], infinite for
+    // parts that are not discs. radius2, gyration2: squared radius and squared radius of gyration
+    // [m2]. ratio: their ratio.
     double dv[LANES], least[LANES], radius2[LANES], gyration2[LANES], ratio[LANES];
     double moved[LANES];    // 1 if `glide` has advanced the part in this step, else 0
     double away[LANES];     // 0 if the part is on the plate, else infinite
@@ -69,10 +71,10 @@ namespace plate::stepping {
 // Maximum number of bisections of a step. With this number, times of reversals are exact to 1/512
 // of the step.
 constexpr int HALVINGS = 9;
-// Minimum cosine of the angle between the slip at the start of a step and the slips in the middle
-// and at the end. If it is smaller, the step is bisected.
+// Minimum cosine of the angle between the slip at the start of a step and the slip in the middle or
+// at the end. If a cosine is smaller, the step is bisected.
 constexpr double STEADY = 0.9;
-// Minimum slip, as a fraction of mu g dt. A smaller slip is a rounding error and counts as 0.
+// A slip below this fraction of mu g dt is a rounding error and counts as 0.
 constexpr double STUCK = 1e-3;
 // If friction changes by less than this fraction of the slip in a step, the explicit rule is used.
 constexpr double GENTLE = 0.5;
@@ -220,7 +222,7 @@ inline Attempt ride(const PlateSample* plate, Vec fall, double static_dv, const 
 
 // Try one step of h [s].
 //
-// last: if true, the step is always accepted. The implicit Euler method is then used if necessary.
+// last: if true, the step is always accepted, and the implicit Euler method is used if necessary.
 // none: slip [m/s] that counts as 0.
 inline Attempt attempt(const PlateSample* plate, double h, bool last, double none,
                        const GroundEffect& ground, const Motion& m, const Body& body,
@@ -274,7 +276,8 @@ inline int shorter(int size, double ahead) {
     return ahead > 0 ? std::max(1, std::min(size - 1, static_cast<int>(size * ahead))) : size >> 1;
 }
 
-// Split a step into substeps until each one is accurate enough. Return the state at its end.
+// Split a step into substeps until each substep is accurate enough. Return the state at the end of
+// the step.
 //
 // first: the plate at the start of the step. ahead: result of `attempt` for the whole step.
 inline Motion advance_in_parts(const Course& course, double start, double step, double none,
@@ -296,8 +299,8 @@ inline Motion advance_in_parts(const Course& course, double start, double step, 
         motion = made.after;
         done += size;
         if (done == FINEST) return motion;
-        // After a substep that ends before a reversal, one finest substep passes the reversal, and
-        // one more substep computes the rest.
+        // After a substep that ends just before a reversal, a substep of the minimum size passes
+        // the reversal, and one more substep computes the rest of the step.
         size = !to_end ? 2 * size : size > 1 ? 1 : FINEST - done;
         to_end = to_end && size == 1;
         size = std::min(size, FINEST - done);
@@ -324,8 +327,8 @@ namespace plate {
 
 // Advance part i by a step, in place.
 //
-// start, step [s]: time in the course at which the step begins, and length of the step. plate:
-// samples of the plate's motion at its start, in its middle and at its end.
+// start: time in the course at which the step begins [s]. step: length of the step [s]. plate:
+// samples of the plate's motion at the start, in the middle and at the end of the step.
 inline void advance(const Course& course, double start, double step, const PlateSample* plate,
                     const GroundEffect& ground, const State& state, int i, const Body& body,
                     const Mesh& mesh) {

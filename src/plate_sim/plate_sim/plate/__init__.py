@@ -1,6 +1,7 @@
 """The plate: its motion, its drive, the check of motor tables, and its surface.
 
-The names below are public. For compiled code, `pieces.hpp` and `course.hpp` evaluate the motion."""
+This package exports the public names. For compiled code, `pieces.hpp` and `course.hpp` evaluate the
+motion."""
 
 from .check_table import check_table
 from .drive import PlateState

@@ -7,9 +7,8 @@ from plate_core import CycleError, PlateCycle, Rig
 from plate_core.motion import CycleUsage, usage
 
 SLACK = 1.02
-"""Maximum use of a limit by a table, as a fraction of the limit. If a table uses more, it is
-refused. The fraction is above 1, because the computed peaks of a table are upper bounds that are up
-to 1 % too high."""
+"""Maximum use of a limit by an accepted table, as a fraction of the limit. It is above 1, because
+the computed peaks of a table are upper bounds that are up to 1 % too high."""
 
 PERIOD = (0.01, 10.0)
 """Allowed length of a table [s]. One image is taken per table."""

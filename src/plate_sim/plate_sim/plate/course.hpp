@@ -14,9 +14,9 @@ struct PlateSample {
     double x, y, theta, vx, vy, spin;
 };
 
-// Motion between two knots: times of its start and end [s]; coefficients of the powers of the time
-// since its start, for x, y [m], theta [rad] and a zero for padding; and the same coefficients for
-// the rates.
+// Motion between two knots: the times of its start and end [s], and coefficients of the powers of
+// the time since its start. Each power has coefficients for x, y [m] and theta [rad], and a zero
+// for padding. There is a second set of coefficients for the rates.
 struct Leg {
     double start, end, pose[6][4], twist[5][4];
 

@@ -3,12 +3,13 @@
     M q'' + C q' + K q = B f,      f_i' = w (g_i u_i - f_i),
     u = B^+ (s_M M c'' + s_C C c' + s_K K c) + k B^T (c - q) + d B^T (c' - q')
 
-q is the pose of the plate, c the commanded pose, and f the forces of the motors. B is the map from
-these forces to the plate at home, B^+ is its least-squares inverse, and w is the bandwidth of the
-motors. The other quantities are defined in `Suspension`. The state is the deviation e = q - c. If
-the motors have a bandwidth, the state also contains the deviation of their forces f - g B^+ (...).
-The state z follows z' = A z + b(t), where b is the error of the feedforward. If the drive knows the
-plate exactly, and if the motors are equal and have no lag, e is exactly 0.
+q is the pose of the plate, c the commanded pose, and f the forces of the motors. B is the matrix
+that maps these forces to the wrench on the plate at home, B^+ is its least-squares inverse, and w
+is the bandwidth of the motors. The class `Suspension` defines the other quantities. The state is
+the deviation e = q - c. If the motors have a bandwidth, the state also contains the deviation of
+their forces f - g B^+ (...). The state z follows z' = A z + b(t), where b is the error of the
+feedforward. If the drive knows the plate exactly, and if the motors are equal and have no lag, e is
+exactly 0.
 """
 
 from __future__ import annotations
@@ -28,8 +29,8 @@ DEGREE = 5
 """Degree of the polynomials of the commanded motion in a piece, and of the forces in a piece."""
 
 HELD = 1e-6
-"""Minimum ratio of the slowest to the fastest rate of the system. A smaller ratio means that
-nothing holds the plate in place."""
+"""Minimum ratio of the slowest to the fastest rate of the system. With a smaller ratio, nothing
+holds the plate in place."""
 
 
 @dataclass(frozen=True)
@@ -80,7 +81,8 @@ class Plant:
     ----------
     suspension : Suspension
     push : (3, 4)
-        B: force and torque about home per newton of force of each motor [N, N, N m].
+        The matrix B: force and torque on the plate about home, per newton of force of each motor
+        [N, N, N m].
     """
 
     suspension: Suspension
@@ -128,7 +130,7 @@ class Plant:
 
     @cached_property
     def known(self) -> np.ndarray:
-        """Parts of K, C and M that the feedforward compensates (3, 3, 3)."""
+        """K, C and M, multiplied by the fractions that the feedforward compensates (3, 3, 3)."""
         return self.matrices * np.array(self.suspension.feedforward[::-1])[:, None, None]
 
     @cached_property
@@ -177,8 +179,8 @@ class Plant:
 
 @dataclass(frozen=True)
 class Command:
-    """A commanded cycle and the errors of its feedforward. The command and the errors are given by
-    their derivatives at the starts of the pieces.
+    """A commanded cycle and the errors of its feedforward. Both are described by their derivatives
+    at the starts of the pieces.
 
     Attributes
     ----------

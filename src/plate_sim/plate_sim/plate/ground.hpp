@@ -9,13 +9,13 @@ namespace plate {
 struct GroundEffect {
     double gravity_x, gravity_y, static_ratio, slope, heave;
 
-    // Dynamic friction at a slip [m/s], relative to the friction at zero slip. See
+    // Dynamic friction at a slip [m/s], as a fraction of the friction at zero slip. See
     // `Ground.friction_slope`.
     double share(double slip) const {
         return slope < 0 ? 1 / (1 - slope * slip) : 1 + slope * slip;
     }
 
-    // Weight at a plate acceleration along x [m/s2], relative to the weight at rest. See
+    // Weight at a plate acceleration along x [m/s2], as a fraction of the weight at rest. See
     // `Ground.heave`.
     double weight(double accel) const { return std::max(0.0, 1 + heave * accel); }
 

@@ -1,6 +1,6 @@
-"""Surface effects beyond one friction coefficient: static friction, friction that depends on the
-slip speed, tilt and heave. `Ground` describes them. `Ground.effect` returns the numbers that the
-kernels use."""
+"""Surface effects in addition to one friction coefficient: static friction, friction that depends
+on the slip speed, tilt and heave. `Ground` describes these effects. `Ground.effect` returns the
+numbers that the kernels use."""
 
 from __future__ import annotations
 
@@ -17,8 +17,8 @@ SLOPE = (-5.0, 5.0)
 """Allowed change of friction with the slip [1/(m/s)]."""
 
 HEAVE = (-0.1, 0.1)
-"""Allowed ratio of vertical to horizontal motion of the plate. A larger ratio would throw parts
-up."""
+"""Allowed ratio of vertical to horizontal motion of the plate. With a larger ratio, the plate would
+throw parts up."""
 
 TILT = 0.5
 """Maximum tilt [rad], about 29 degrees."""

@@ -1,5 +1,5 @@
-"""Actual motion of the plate during one cycle, described by quintic pieces. The motion need not be
-periodic."""
+"""Actual motion of the plate during one cycle, described by quintic pieces. It can be
+non-periodic."""
 
 from __future__ import annotations
 
@@ -11,15 +11,15 @@ from plate_core import CycleError, PlateCycle, Rig
 from plate_core.motion import evaluate_pieces, plate_state, quintic_pieces
 
 ROUNDING_S = 1e-12
-"""Maximum difference of equal times [s]."""
+"""Maximum difference of two times that count as equal [s]."""
 
 
 @dataclass(frozen=True)
 class PlateMotion:
     """Actual motion of the plate over one cycle in plate_home, described by quintic pieces.
 
-    Integrators accept it instead of a `PlateCycle` for one cycle. Both classes have `period`,
-    `times`, `coefficients`, `pose`, `twist` and `accel`.
+    For a single cycle, integrators accept a `PlateMotion` in place of a `PlateCycle`. Both classes
+    have `period`, `times`, `coefficients`, `pose`, `twist` and `accel`.
 
     Attributes
     ----------
@@ -69,7 +69,8 @@ class PlateMotion:
 
     @classmethod
     def piece(cls, motion: PlateCycle | PlateMotion, begin: float, end: float) -> PlateMotion:
-        """Return the part of a motion from `begin` to `end` [s], both within it."""
+        """Return the part of a motion from `begin` to `end` [s]. Both times are within the
+        motion."""
         times = motion.times
         # If a knot is equal to an end up to rounding, remove the knot.
         first = int(np.searchsorted(times, begin + ROUNDING_S, "right")) - 1

@@ -29,8 +29,8 @@ struct Point {
     Vec place, velocity;
 };
 
-// A motion counts as motion on a line if its acceleration across the line is at most this fraction.
-// The fraction allows for rounding.
+// A motion counts as motion on a line if its acceleration perpendicular to the line is at most this
+// fraction of its acceleration. The fraction allows for rounding.
 constexpr double STRAIGHT = 1e-11;
 
 // Value, first and second derivative of the polynomial c at the time u [s] after its knot.
@@ -44,7 +44,8 @@ inline double bend(const double* c, double u) {
     return 2 * c[2] + u * (6 * c[3] + u * (12 * c[4] + u * (20 * c[5])));
 }
 
-// Index of the piece at a fraction of the motion, if all pieces had the same length.
+// Estimated index of the piece at a fraction of the motion. The estimate assumes that all pieces
+// have the same length.
 inline int piece_at(Table table, double share) {
     const int last = static_cast<int>(table.size()) - 1;
     const double k = share * (last + 1);

@@ -1,12 +1,12 @@
 """Actual motion of the plate on flexures and motors for a commanded cycle. The model is described
 in `drive`.
 
-At the ends of the command's pieces, the deviation from the command is computed exactly. With z' = A
-z + b(t), b(t) = sum_k b_k t^k/k!, the state and all b_k together form an autonomous linear system.
-The exponential of its matrix advances it by one step (Higham, Functions of Matrices, section
-10.7.4). Between the ends, the deviation is approximated by a quintic through pose, twist and
-acceleration at both ends. If the quintic differs too much from the exact state in the middle, the
-piece is bisected.
+At the ends of the command's pieces, the deviation from the command is computed exactly. Because z'
+= A z + b(t) with b(t) = sum_k b_k t^k/k!, the state and all b_k together form an autonomous linear
+system. The exponential of its matrix advances it by one step (Higham, Functions of Matrices,
+section 10.7.4). Between the ends, the deviation is approximated by a quintic through pose, twist
+and acceleration at both ends. If the quintic differs too much from the exact state in the middle,
+the piece is bisected.
 """
 
 from __future__ import annotations
@@ -28,8 +28,8 @@ POSE_ERROR = 1e-9
 """Maximum error of the pose between knots [m, rad]."""
 
 TWIST_ERROR = 1e-6
-"""Maximum error of the twist between knots [m/s, rad/s]. An error of this size moves a part by 1 um
-per second."""
+"""Maximum error of the twist between knots [m/s, rad/s]. A part that follows such an error moves by
+1 um per second."""
 
 ACCEL_ERROR = 1e-2
 """Maximum error of the acceleration between knots [m/s2, rad/s2]. This error affects only the time
@@ -98,8 +98,8 @@ def _plant(rig: Rig, suspension: Suspension) -> Plant:
 
 @dataclass(frozen=True)
 class _Spans:
-    """Spans of time within the pieces of the command, and the exact deviation at the ends of the
-    spans.
+    """Spans of time within the pieces of the command, and the exact deviations at the starts and
+    ends of the spans.
 
     Attributes
     ----------
@@ -193,8 +193,7 @@ def _misses(
     middle.
 
     The error of a quintic is proportional to (t (h - t))^3. Therefore the maximum error of the
-    twist is not in the middle. The maximum error of the twist is 3.4 times the maximum pose error
-    divided by h.
+    twist is not in the middle. It is 3.4 times the maximum pose error divided by h.
     """
     h = step[:, None]
     p, q = spans.before[:, :3], spans.after[:, :3]
@@ -219,8 +218,8 @@ def _accel(
 
 
 def _halves(spans: _Spans, middle: np.ndarray, half: np.ndarray) -> _Spans:
-    """Cut spans in the middle. There z is `middle` (m, n), and the time is `half` (m,) [s] after
-    the start of the span."""
+    """Cut spans in the middle. The deviation z in the middle is `middle` (m, n), and the time from
+    the start of the span to its middle is `half` (m,) [s]."""
     return _Spans(
         np.concatenate([spans.piece, spans.piece]),
         np.concatenate([spans.offset, spans.offset + half]),

@@ -1,10 +1,10 @@
-"""Simulated world: the state of the parts, its steps, disturbances, and a run with a camera. The
-names below are public."""
+"""Simulated world: the state of the parts, the steps of this state, disturbances, and a run with a
+camera."""
 
 from .bodies import STEP, BodyTrajectory, simulate_bodies
+from .camera_view import Shot, VisibleParts
 from .disturbances import NONE, RANGES, Disturbances
 from .robot import Grip, Move
-from .sight import Shot, Sight
 from .simulation import WORLD_RANGES, Simulation
 from .state import WorldState
 from .step import record_cycle, run_cycle
@@ -19,8 +19,8 @@ __all__ = [
     "Grip",
     "Move",
     "Shot",
-    "Sight",
     "Simulation",
+    "VisibleParts",
     "WorldState",
     "record_cycle",
     "run_cycle",

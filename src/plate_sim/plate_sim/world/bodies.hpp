@@ -20,7 +20,7 @@
 
 namespace plate {
 
-// Data of the parts' footprints: `Shapes` of bodies.py.
+// Footprints of the parts. The fields are those of `Shapes` in bodies.py.
 struct Shapes {
     std::span<const Body> bodies;
     View<const double, 2> mesh;
@@ -28,8 +28,9 @@ struct Shapes {
     contacts::Corners corners;
 };
 
-// Inputs and outputs of one plate, see bodies.py: states (M, 6), mu g (M,), `here` (M,) and records
-// (k, M, 6), all in the order of the caller's parts.
+// Inputs and outputs of one plate. The arrays are those of `run_plates` in bodies.py without the
+// first axis: states (M, 6), limits (M,), `here` (M,) and the record (k, M, 6). They are in the
+// order of the caller's parts.
 struct Job {
     const double *times, *factors;  // arguments of `Course`
     int legs, steps, cycles, every;
@@ -40,11 +41,11 @@ struct Job {
     View<double, 3> record;
 };
 
-// Upper bound of 1 that covers the rounding errors of a few sums and products.
+// Factor slightly above 1 that covers the rounding errors of a few sums and products.
 constexpr double ROUNDED = 1 + 1e-12;
 
-// Minimum and maximum over the parts on the plate, of x and y [m] and of the displacements from the
-// marks along x and y [m].
+// Minimum and maximum over all parts on the plate of four values: x and y of the part, and its
+// displacements along x and y from its mark [m].
 struct Extent {
     double low[4], high[4];
 
@@ -69,9 +70,10 @@ struct Extent {
         }
     }
 
-    // Upper bound of the approach [m] of any two parts since they were at their marks.
+    // Upper bound of the distance by which two parts have approached each other since they were at
+    // their marks [m].
     double approach() const {
-        if (high[2] < low[2]) return 0.0;  // no parts
+        if (high[2] < low[2]) return 0.0;  // there are no parts
         const double wide = high[2] - low[2], tall = high[3] - low[3];
         return std::sqrt(wide * wide + tall * tall);
     }
@@ -85,9 +87,10 @@ struct Extent {
     }
 };
 
-// Make up to `most` steps. Stop if one of the `count` parts does not glide, if two parts approach
-// each other by `gap` [m] or more, or if a part is near an edge. Return the number of complete
-// steps. The next step is incomplete: the gliding parts have already moved in it.
+// Makes up to `most` steps. Stops if one of the `count` parts does not glide, if two parts can have
+// approached each other by `gap` [m] or more, or if a part is not clearly inside the edges. Returns
+// the number of complete steps. If this is less than `most`, the gliding parts have already moved
+// in the next step.
 PLATE_WIDE inline int cruise(std::span<Group> groups, const PlateSample* plate, double step,
                              const GroundEffect& ground, const double* half, double gap, int count,
                              int most) {
@@ -99,7 +102,7 @@ PLATE_WIDE inline int cruise(std::span<Group> groups, const PlateSample* plate, 
     return most;
 }
 
-// Remove parts whose centre is beyond the edge of the plate. Return whether any part was removed.
+// Removes parts whose centre is beyond an edge of the plate. Returns whether a part was removed.
 inline bool drop(const State& state, View<bool, 1> here, const PlateSample& plate,
                  const double* half) {
     const double c = std::cos(plate.theta), s = std::sin(plate.theta);
@@ -119,15 +122,17 @@ inline bool drop(const State& state, View<bool, 1> here, const PlateSample& plat
     return any;
 }
 
-// Advance parts during cycles of the plate, in place, as described in bodies.py. Return the deepest
-// overlap at the start. If its fraction exceeds `allowed`, no part has moved.
+// Advances the parts during cycles of the plate, in place, as described in bodies.py. Returns the
+// deepest overlap at the start. If the fraction of this overlap exceeds `allowed`, no part is
+// moved.
 inline contacts::Overlap run(const Job& job, const Shapes& shapes, const contacts::Rules& rules,
                              double allowed, const double* half) {
     const int count = job.states.size(0);
     const Course course(job.times, job.factors, job.legs);
     const double step = course.period() / job.steps;
     const std::vector<PlateSample> plate = samples(course, 2 * job.steps);
-    // Sort parts by position, so that results do not depend on names.
+    // The parts are sorted by position, so that the result does not depend on the order of the
+    // caller's parts.
     std::vector<int> order(count);
     std::iota(order.begin(), order.end(), 0);
     std::stable_sort(order.begin(), order.end(), [&](int i, int j) {
@@ -149,7 +154,7 @@ inline contacts::Overlap run(const Job& job, const Shapes& shapes, const contact
         together |= describe(state, i, bodies[i], step, i < count && here(i));
     }
     together &= job.ground.even();
-    // Number of parts, without the walls.
+    // The groups of the parts. The groups also contain the walls, which are not parts.
     const std::span<Group> parts(groups.data(), (count + LANES - 1) / LANES);
     const int points = shapes.mesh.size(1);
     std::vector<double> forces(7 * points);

@@ -1,11 +1,11 @@
 """Simulation of all parts during cycles of the plate. Each step computes friction, then contacts.
 
-One model covers all scenes. Friction acts on the whole footprint of a part. Therefore parts slide,
-rotate and stick. The exact motion of the plate (equation (2) of the paper, with its pose) moves the
-surface under the parts. All steps have the same length. Within a step, the friction of each part is
-integrated in as many substeps as necessary (`friction.step`). At the end of the step, touching
-parts collide (`contacts`). Two parts are checked only if they may have approached each other. Parts
-that slide steadily are advanced together.
+One model covers all scenes. Friction acts on the whole footprint of a part, so that parts slide,
+rotate and stick. The surface under the parts moves as the plate does (equation (2) of the paper,
+with the pose of the plate). All steps have the same length. Within a step, the friction of each
+part is integrated in as many substeps as necessary (`friction.step`). At the end of the step,
+touching parts collide (`contacts`). Two parts are checked for contact only if they can have moved
+close enough since their last check. Parts that slide steadily are advanced together.
 """
 
 from __future__ import annotations
@@ -28,15 +28,14 @@ from ..plate.ground import LEVEL, Ground, GroundEffect
 from ..plate.motion import PlateMotion
 
 STEP = 2e-4
-"""Default maximum integration step [s]. Between two checks of contacts, parts move by at most about
-0.2 mm."""
+"""Default maximum integration step [s]. During one step, parts move by at most about 0.2 mm."""
 
 SAMPLES = 64
-"""Default number of output samples per cycle. This number gives eight samples per period of the
-highest harmonic of a usual motion."""
+"""Default number of output samples per cycle. For usual cycles, this is eight samples per period of
+the highest harmonic."""
 
 START_OVERLAP = 0.1
-"""Maximum overlap of two parts at the start, as a fraction of half the slimmer part's width."""
+"""Maximum overlap of two parts at the start, divided by half the width of the slimmer part."""
 
 COLUMNS: tuple[slice | int, ...] = slice(2), 2, slice(3, 5), 5
 """Columns of position, angle, velocity and spin in a state."""
@@ -47,14 +46,14 @@ ENDLESS = np.full(2, np.inf)
 
 @dataclass(frozen=True)
 class BodyTrajectory:
-    """Motion of M finite parts in plate_home.
+    """Motion of M parts in plate_home.
 
     Attributes
     ----------
     time : (k,)
         Times [s], from 0.
     position, velocity : (k, M, 2)
-        Positions [m] and velocities [m/s] of the centres of mass.
+        Centres of mass: positions [m] and velocities [m/s].
     angle, spin : (k, M)
         Angles [rad] (not wrapped) and spins [rad/s], counter-clockwise.
     on_plate : (M,)
@@ -90,14 +89,15 @@ class Shapes(NamedTuple):
     bodies : (M, 10)
         Record `BODY` for each part.
     mesh : (4, n)
-        Points of all footprints except discs: x, y [m, part's axes], fraction of the weight, size
-        of the cell (see `Footprint.blur`) [m].
+        Points of all footprints except discs. The rows are x and y [m, part's axes], the fraction
+        of the part's weight, and the size of the cell around the point [m] (see `Footprint.blur`).
     pieces : (p, 2)
-        First corner, and last corner + 1, of each convex piece of all outlines except discs.
+        Index of the first corner and index after the last corner, for each convex piece of all
+        outlines except discs.
     corners : (c, 5)
-        Position, and outward normal of the side that begins there, in the part's axes. The last
-        column is 1 if that side belongs to the outline, and 0 if it adjoins another piece of the
-        part.
+        Corners of the pieces in the part's axes. Columns 0 and 1: position [m]. Columns 2 and 3:
+        outward normal of the side that begins at the corner. Column 4: 1 if this side belongs to
+        the outline, 0 if it adjoins another piece of the part.
     """
 
     bodies: np.ndarray
@@ -147,7 +147,7 @@ def simulate_bodies(
     ground: Ground = LEVEL,
     half: np.ndarray | None = None,
 ) -> BodyTrajectory:
-    """Integrate the motion of finite parts.
+    """Integrate the motion of parts.
 
     Parameters
     ----------
@@ -156,7 +156,8 @@ def simulate_bodies(
     footprint : Footprint, or M of them
         Footprint of all parts, or of each part.
     position, velocity : (M, 2)
-        Centres of mass at the start of the first cycle [m], [m/s], plate_home.
+        Positions [m] and velocities [m/s] of the centres of mass at the start of the first cycle,
+        plate_home.
     angle, spin : float or (M,)
         Angles [rad] and spins [rad/s] at the start.
     friction : float or (M,)
@@ -172,21 +173,22 @@ def simulate_bodies(
     contacts : Contacts, optional
         Contact parameters of the parts. Default: parts do not collide.
     ground : Ground
-        Tilt, static friction, and dependence of friction on the slip.
+        Tilt, static friction, and dependence of friction on the slip speed.
     half : (2,), optional
-        Half sides of the plate [m]. A part is removed if its centre passes the edge, unless
-        contacts have walls. Default: unbounded.
+        Half sides of the plate [m]. A part is removed if its centre passes an edge, unless the
+        contacts have walls. Default: a plate without edges.
 
     Returns
     -------
     BodyTrajectory
-        Motion at the start and at all samples, k = cycles * samples + 1; or only at the end, k = 1.
+        Motion at the start and at all samples, k = cycles * samples + 1. If `samples` is 0: motion
+        at the end, k = 1.
 
     Raises
     ------
     PlateError
-        If shapes disagree, a value is not finite, a count or coefficient is out of range, parts
-        overlap at the start, or contacts have walls on an unbounded plate.
+        If shapes disagree, if a value is not finite, if a count or coefficient is out of range, if
+        parts overlap at the start, or if the contacts have walls but the plate has no edges.
     """
     cycles = whole("cycles", cycles)
     check_motion(cycle, cycles)
@@ -234,11 +236,11 @@ def run_plates(
     names: Sequence[Any],
     threads: int = 1,
 ) -> np.ndarray:
-    """Advance parts on N plates during cycles of the plates, in place. Each plate has the same M
-    parts.
+    """Advance the parts on N plates during cycles of the plates, in place. All plates have the same
+    M parts.
 
-    The kernel first sorts the parts by position, so that results do not depend on the order of the
-    names.
+    The kernel sorts the parts by position, so that the results do not depend on the order of the
+    parts.
 
     Parameters
     ----------
@@ -246,10 +248,10 @@ def run_plates(
         Motion, number of equal steps per cycle, and ground of each plate.
     shapes : Shapes
     states : (N, M, 6)
-        x, y, angle and their rates. The states are modified.
+        x, y, angle and their rates. The array is modified.
     here : (N, M) bool
-        Whether each part is on the plate. The mask is modified. A removed part stays at its place,
-        at rest, and does not touch other parts.
+        Whether each part is on the plate. The array is modified. A removed part remains at its
+        place at rest, and does not touch other parts.
     limit : (N, M)
         mu g of each part [m/s2].
     contacts, half
@@ -294,8 +296,8 @@ def run_plates(
 
 
 def columns(starts: Sequence[tuple[Any, Any, Any, Any]]) -> np.ndarray:
-    """Check and combine position, angle, velocity and spin of the parts on N plates. The arguments
-    are given as in `simulate_bodies`. Return states (N, M, 6)."""
+    """Check the starts of N plates, and return their states (N, M, 6). Each start consists of
+    position, angle, velocity and spin of the parts, with the shapes of `simulate_bodies`."""
     count = len(starts[0][0])
     shapes = (count, 2), (count,), (count, 2), (count,)
     fields = [np.asarray(each) for each in zip(*starts, strict=True)]
@@ -305,13 +307,14 @@ def columns(starts: Sequence[tuple[Any, Any, Any, Any]]) -> np.ndarray:
             states[..., own] = field
         if np.abs(states).max(initial=0.0) <= LARGEST:
             return states
-    return np.stack([_columns(*start) for start in starts])  # `_columns` raises a detailed error
+    # `_columns` raises an error that names the wrong value.
+    return np.stack([_columns(*start) for start in starts])
 
 
 def _columns(
     position: np.ndarray, angle: float | np.ndarray, velocity: np.ndarray, spin: float | np.ndarray
 ) -> np.ndarray:
-    """Return states (M, 6) after a check."""
+    """Check position, angle, velocity and spin of the parts, and return their states (M, 6)."""
     position = pairs("position", position)
     count = len(position)
     velocity = pairs("velocity", velocity, count)

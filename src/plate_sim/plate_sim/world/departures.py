@@ -12,19 +12,19 @@ from plate_core.tasks import Side
 from .state import WorldState
 
 OVER_EDGE_M = 0.03
-"""Maximum distance of a lost part from a side, inside the plate [m]. Within it, the part counts as
-having left over this side. The distance is measured from the part's last position. The distance
-covers the motion of the plate."""
+"""A part that left the plate counts as having left over a side if its last position is at most this
+distance inside the side at home [m]. The distance is necessary because the plate moves."""
 
 
 def went_over(side: Side, position: np.ndarray, rig: Rig) -> np.ndarray:
-    """Return whether parts that left at positions (M, 2) [m, plate_home] left over a side."""
+    """Return for each part whether it left over the side (M,). `position` contains the positions at
+    which the parts left (M, 2) [m, plate_home]."""
     sign = np.array([side.x, side.y])
     return np.asarray(np.any(sign * position > rig.plate.half - OVER_EDGE_M, axis=1))
 
 
 class Departures:
-    """Counts of parts that left the plate. Parts that were removed by hand or by the robot are not
+    """Counts of the parts that left the plate. Parts that the hand or the robot removed are not
     counted.
 
     Parameters
@@ -36,9 +36,11 @@ class Departures:
     Attributes
     ----------
     dropped : int
-        Number of forgotten parts that did not leave over the chute.
+        Number of parts that did not leave over the chute, without the parts that are still in the
+        state.
     chuted : Counter of str
-        Number of forgotten parts that left over the chute, by class.
+        Number of parts that left over the chute, by class, without the parts that are still in the
+        state.
     """
 
     def __init__(self, rig: Rig, chute: Side | None) -> None:
@@ -46,8 +48,8 @@ class Departures:
         self.dropped, self.chuted = 0, Counter[str]()
 
     def count(self, state: WorldState, left: np.ndarray) -> tuple[int, Counter[str]]:
-        """Return the number of parts of `left` (M,) bool that did not leave over the chute. Also
-        return the numbers of parts that left over the chute, by class."""
+        """Count the parts of the mask `left` (M,). Return the number of those that did not leave
+        over the chute, and the numbers of those that left over the chute, by class."""
         if self._chute is None:
             return int(np.count_nonzero(left)), Counter()
         over = went_over(self._chute, state.position, self._rig)
@@ -55,6 +57,7 @@ class Departures:
         return int(np.count_nonzero(left & ~over)), labels
 
     def forget(self, state: WorldState, left: np.ndarray) -> None:
-        """Add parts (M,) bool to the counts before they are forgotten."""
+        """Add the parts of the mask `left` (M,) to the counts. Afterwards the caller removes them
+        from the state."""
         dropped, chuted = self.count(state, left)
         self.dropped, self.chuted = self.dropped + dropped, self.chuted + chuted

@@ -59,12 +59,12 @@ RANGES: dict[str, tuple[float, float]] = {
 """Allowed range of each disturbance."""
 
 FLICKER_HZ = 97.0
-"""Default frequency of flicker [Hz]. The frequency is close to the frequency of lamps on mains
-power, but it is not a multiple of the image rate."""
+"""Default frequency of flicker [Hz]. It is close to the frequency of lamps on mains power, and is
+not a multiple of usual image rates."""
 
 SLOWEST_RATE = 1.0
-"""Minimum image rate of a free-running camera [1/s]. At a lower rate, the next image would count as
-missing."""
+"""Minimum image rate of a free-running camera [1/s]. At a lower rate, the other nodes would report
+missing images."""
 
 
 @dataclass(frozen=True)
@@ -81,14 +81,14 @@ class Disturbances:
     static_ratio : float
         Ratio of static to dynamic friction.
     friction_slope : float
-        Change of friction with the slip [1/(m/s)], see `Ground`.
+        Relative change of friction per slip speed [1/(m/s)], see `Ground`.
     heave : float
-        Ratio of the vertical to the horizontal motion of the plate along x, see `Ground`.
+        Upward motion of the plate divided by its motion along x, see `Ground`.
     tilt_x, tilt_y : float
         Tilt of the plate [rad]. Positive values pull parts along +x and +y.
     latency : float
-        Age of an image at its delivery [s]. The stamp of the image is the time of its delivery. A
-        real camera driver that does not know the time of exposure does the same.
+        Age of an image at its delivery [s]. The image is stamped with the time of its delivery, as
+        by a real camera driver that does not know the time of exposure.
     image_rate : float
         Image rate of a free-running camera [1/s]. 0 means that the start of each cycle triggers an
         image. The latency of a free-running camera counts from the middle of the exposure. The
@@ -100,31 +100,31 @@ class Disturbances:
     missed_images : float
         Fraction of images that are not delivered.
     missed_parts : float
-        Fraction of parts that are missing in an image.
+        Fraction of the parts that an image does not show.
     false_parts : float
         Number of false parts per true part in an image. False parts are reflections and specks.
     highlights : float
         Fraction of the area of each part that shows a highlight.
     shadows : float
-        Fraction by which the plate is darker in the shadows of parts.
+        Fraction of the light that is missing in the shadows of parts.
     pick_failure : float
         Fraction of the robot's grips in which the part slips.
     part_height_m : float
         Height of all parts in images [m]. 0 means that the height in the rig file is used. The
         height affects only images, because parts neither roll nor topple.
     side_shade : float
-        Brightness of the parts' side faces, relative to their top faces.
+        Brightness of the parts' side faces, divided by the brightness of their top faces.
     size_spread : float
         Maximum relative deviation of the sizes of parts from their types in images, uniformly
         distributed. In contacts, parts have the sizes of their types.
     gloss : float
-        Radius of the lamp's image on each part, relative to the part's radius (see `Lighting`).
+        Radius of the lamp's image on each part, divided by the part's radius (see `Lighting`).
     shadow_length_m, shadow_deg, penumbra_m : float
-        Length [m], direction from x [degrees], and width of the soft edge [m] of the shadows that
-        `shadows` sets.
+        Length of the shadows [m], their direction from x [degrees], and the width of their soft
+        edge [m].
     light_step, light_step_s : float
-        Relative change of the light, and time of this change after the start of the simulation [s].
-        The change is permanent.
+        Relative change of the light, and the time from the start of the simulation to this change
+        [s]. The change is permanent.
     flicker, flicker_hz : float
         Relative amplitude and frequency [Hz] of a sinusoidal change of the light from image to
         image.
@@ -183,21 +183,22 @@ class Disturbances:
             raise PlateError(f"image_rate is {self.image_rate:g}, allowed: {allowed}")
         if not isinstance(self.blur, bool):
             raise PlateError(f"blur is {self.blur!r}, allowed: true or false")
-        self.ground  # also checks the total tilt  # noqa: B018
+        self.ground  # the property checks the total tilt # noqa: B018
 
     @cached_property
     def ground(self) -> Ground:
-        """Return the surface of the plate."""
+        """Friction and tilt of the plate's surface."""
         tilt = self.tilt_x, self.tilt_y
         return Ground(self.static_ratio, tilt, self.friction_slope, self.heave)
 
     @cached_property
     def greys(self) -> dict[str, float]:
-        """Return the grey values of parts, by class."""
+        """Grey values of the parts, by class."""
         return {"black": self.black_grey, "grey": self.grey_grey}
 
     def lighting(self, time_s: float) -> Lighting:
-        """Return the light of an image taken at `time_s` [s] after the start of the simulation."""
+        """Return the light of an image that is taken `time_s` [s] after the start of the
+        simulation."""
         level = 1 + self.flicker * math.sin(2 * math.pi * self.flicker_hz * time_s)
         if time_s >= self.light_step_s:
             level *= 1 + self.light_step

@@ -1,12 +1,13 @@
 """Variation of friction between parts and over the plate.
 
-Friction varies from part to part. Friction also varies over the plate, as a smooth field that is
-fixed to the plate. The field is evaluated only once per cycle at the position of each part,
-although the plate moves by up to 1 cm under the part. This was compared with 200 evaluations per
-cycle. The part with the largest difference in a cycle ends 0.02 mm (4 parts) to 0.08 mm (10 parts)
-away (medians of 34 cycles of sort_4 and sort_10, +-10 %). The maximum is 0.2 mm, or 0.3 mm in
-random cycles that use the whole stroke. An error of mu of 1 to 3 % has the same effect. The field
-itself displaces the most affected part by 0.1 to 0.2 mm.
+Friction varies from part to part. It also varies over the plate, as a smooth field that is fixed to
+the plate. The field is evaluated once per cycle at the position of each part, although the plate
+moves by up to 1 cm under the part. This was compared with 200 evaluations per cycle in 34 cycles of
+each of two scenarios with a variation of 10 %. After a cycle, the positions differ by 0.02 mm in
+sort_4 and by 0.08 mm in sort_10 (maximum over the parts, median over the cycles). The largest
+difference in any cycle is 0.2 mm, and 0.3 mm in random cycles that use the whole stroke. An error
+of mu of 1 to 3 % has the same effect. For comparison: the field displaces the most affected part by
+0.1 to 0.2 mm per cycle.
 """
 
 from __future__ import annotations
@@ -21,21 +22,21 @@ from plate_core.rig import to_plate
 from .disturbances import Disturbances
 
 WAVELENGTH = 0.1
-"""Wavelength of the variation of friction over the plate [m]. A few waves fit along the plate."""
+"""Wavelength of the variation of friction over the plate [m]. The plate is a few wavelengths
+long."""
 
 WAVES = 32
-"""Number of waves in the field. The number is large enough for a field that is isotropic and
-homogeneous."""
+"""Number of waves in the field. With this number, the field is nearly isotropic and homogeneous."""
 
 
 @dataclass(frozen=True)
 class FrictionField:
-    """Friction field of a run. The field is drawn once.
+    """Friction of the parts and of the plate's surface in a run.
 
     Attributes
     ----------
     unit : (M,)
-        Relative deviation of each part's friction in units of `spread`, from -1 to 1.
+        Relative deviation of each part's friction divided by `spread`, -1 to 1.
     spread : float
         Maximum relative deviation of friction between parts.
     share : float
@@ -57,7 +58,7 @@ class FrictionField:
         cls, disturbances: Disturbances, count: int, rng: np.random.Generator
     ) -> FrictionField:
         """Draw the field of the plate and the friction of `count` parts. The random numbers do not
-        depend on the magnitudes of the variations."""
+        depend on `friction_spread` and `friction_patches`."""
         unit = rng.uniform(-1, 1, count)
         direction, phase = rng.uniform(0, 2 * pi, (2, WAVES))
         wave = 2 * pi / WAVELENGTH * np.column_stack([np.cos(direction), np.sin(direction)])
@@ -65,7 +66,7 @@ class FrictionField:
 
     @property
     def part(self) -> np.ndarray:
-        """Friction of each part (M,), relative to the nominal friction."""
+        """Friction of each part (M,), divided by the nominal friction."""
         return 1 + self.spread * self.unit
 
     def friction(
@@ -89,10 +90,11 @@ class FrictionField:
         """
         if self.share == 0:
             return np.asarray(mu * self.part)
-        from scipy.special import erf  # import takes 0.2 s, and uneven friction is rare
+        # Imported here because the import takes 0.2 s and few runs need it.
+        from scipy.special import erf
 
         place = to_plate(pose, position)
-        # The sum of many waves is normally distributed with variance 1. erf converts it to a
-        # uniform distribution from -1 to 1.
+        # `height` is a sum of many waves, and therefore normally distributed with variance 1. erf
+        # converts it to a value that is uniformly distributed from -1 to 1.
         height = np.sqrt(2 / len(self.phase)) * np.cos(place @ self.wave.T + self.phase).sum(1)
         return np.asarray(mu * self.part * (1 + self.share * erf(height / np.sqrt(2))))

@@ -39,7 +39,7 @@ class Hand:
         angle: float,
         number: Callable[[str], int],
     ) -> tuple[WorldState, str, float | None]:
-        """Place a part at rest. The parameters are the same as in `Simulation.place`.
+        """Place a part at rest. The other parameters are those of `Simulation.place`.
 
         `number` is a function that returns the number of the next part of a class.
 
@@ -76,7 +76,7 @@ class Hand:
     def _checked(
         self, state: WorldState, part_id: str, label: str, position: np.ndarray, angle: float
     ) -> str:
-        """Return the class of a part, after a check of its id, class, place and angle."""
+        """Check the id, class, place and angle of a part, and return its class."""
         if part_id:
             check_id(state, part_id)
         kinds = tuple(self._rig.types) or CLASSES

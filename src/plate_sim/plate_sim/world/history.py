@@ -1,4 +1,5 @@
-"""Recent motion of parts and plate. The history is needed for images of a camera with latency.
+"""Recent motion of parts and plate. A camera with latency needs it, because its images show an
+earlier time.
 
 `History` stores the motions of the last cycles. `History.ago` interpolates the positions and angles
 of the parts and the pose of the plate at an earlier time.
@@ -57,13 +58,13 @@ class View:
 
 @dataclass(frozen=True)
 class History:
-    """The last cycles, oldest first. The cycles cover at least the requested time."""
+    """The last cycles, oldest first."""
 
     passages: tuple[Passage, ...] = ()
 
     def after(self, passage: Passage, keep: float) -> History:
-        """Return the history one cycle later. Cycles that ended more than `keep` [s] ago are
-        removed."""
+        """Return the history with one more cycle, but without the cycles that ended more than
+        `keep` [s] ago."""
         kept: tuple[Passage, ...] = (passage,)
         age = passage.motion.period
         for older in reversed(self.passages):
@@ -73,7 +74,7 @@ class History:
         return History(kept)
 
     def take(self, rows: np.ndarray) -> History:
-        """Return the history of the parts in these rows (M,), bool."""
+        """Return the history of the parts of the mask `rows` (M,)."""
         return History(
             tuple(
                 Passage(
@@ -90,8 +91,8 @@ class History:
         )  # fmt: skip
 
     def joined(self, position: np.ndarray) -> History:
-        """Return the history with one more part at (2,) [m]. The part was not on the plate
-        before."""
+        """Return the history with one more part at (2,) [m], which was not on the plate before
+        now."""
 
         def beside(values: np.ndarray, value: np.ndarray | float) -> np.ndarray:
             new = np.broadcast_to(value, (len(values), 1, *values.shape[2:]))
@@ -114,14 +115,16 @@ class History:
         )  # fmt: skip
 
     def shows(self, count: int) -> np.ndarray:
-        """Return whether each of M parts was on the plate at the end of a kept cycle (M,)."""
+        """Return for each of `count` parts whether it was on the plate at the end of any cycle in
+        the history."""
         return np.any([np.zeros(count, bool), *(each.on_plate for each in self.passages)], axis=0)
 
     def ago(self, age: float) -> View:
-        """Return the state `age` [s] before the end of the last cycle.
+        """Return parts and plate `age` [s] before the end of the last cycle.
 
-        Before the first kept cycle everything is at rest. If `age` is below 0, the last velocities
-        are extrapolated. The history must contain at least one cycle.
+        For times before the first cycle in the history, parts and plate are assumed to be at rest.
+        If `age` is below 0, they continue with their last velocities. The history must contain at
+        least one cycle.
         """
         first = self.passages[0]
         for passage in reversed(self.passages):
@@ -134,7 +137,7 @@ class History:
         position, velocity = _between(run.time, run.position, run.velocity, inside)
         angle, spin = _between(run.time, run.angle, run.spin, inside)
         pose, twist = passage.motion.pose(inside)[0], passage.motion.twist(inside)[0]
-        # A part that left the plate keeps the position at which it left. The part left at the first
+        # A part that left the plate keeps the position at which it left. It left at the first
         # sample with this position.
         left = ~passage.on_plate & np.all(position == run.position[-1], axis=1)
         return View(
@@ -147,9 +150,9 @@ def _between(
 ) -> tuple[np.ndarray, np.ndarray]:
     """Return positions and rates (M, ...) at t [s].
 
-    Between two samples the rate is linear: v = v_0 + u (v_1 - v_0) with u from 0 to 1. With the
-    interval h between the samples, the position is x = x_0 + u (x_1 - x_0) - h u (1 - u) (v_1 -
-    v_0)/2.
+    Between two samples 0 and 1, the rate is linear: v = v_0 + u (v_1 - v_0), with u from 0 to 1.
+    With the interval h between the samples, the position is x = x_0 + u (x_1 - x_0) - h u (1 - u)
+    (v_1 - v_0)/2.
     """
     k = int(np.clip(np.searchsorted(time, t, "right") - 1, 0, len(time) - 2))
     h = time[k + 1] - time[k]

@@ -1,7 +1,7 @@
 """Simulated hopper that drops parts onto the plate.
 
-All parts end in one plane: a part that falls on another part slides off it. Heaps are dense and
-their parts touch, but no part is on top of another.
+A part that falls on another part slides off it. Therefore no part lies on another part, but parts
+can touch and form dense heaps.
 """
 
 from __future__ import annotations
@@ -19,17 +19,17 @@ from plate_core.tasks import MAX_OPEN_S, Hopper
 from .state import WorldState
 
 WHOLE = 1e-6
-"""Tolerance for a whole part [parts]. The tolerance is needed because times are sums of rounded
-times."""
+"""Rounding tolerance of the number of parts that have dropped. The number is computed from a sum of
+rounded times."""
 
 TRIES = 20
 """Maximum number of places that are tried for a dropped part."""
 
 SLIDE_STEP_M = 1e-3
-"""Step [m] in which a part slides off another part."""
+"""Length of the steps in which a part slides off another part [m]."""
 
 TOUCH_M = 1e-6
-"""Maximum gap between two parts after one of them has slid off the other [m]."""
+"""Maximum gap between two parts after one part has slid off the other [m]."""
 
 
 @dataclass(frozen=True)
@@ -48,8 +48,8 @@ class Flow:
     waited_s: float = 0.0
 
     def after(self, time_s: float, rate: float) -> tuple[Flow, np.ndarray]:
-        """Return the state `time_s` [s] later, and the times in this interval at which parts drop
-        (n,) [s]. While the hopper is open, parts drop at `rate` [1/s]."""
+        """Return the state `time_s` [s] later, and the times from now at which parts drop until
+        then (n,) [s]. While the hopper is open, parts drop at `rate` [1/s]."""
         open_s = min(self.left_s, time_s)
         waited = self.waited_s + open_s
         count = int(waited * rate + WHOLE)
@@ -80,7 +80,7 @@ class Dropped:
 
 
 def check_duration(duration_s: float) -> None:
-    """Raise a PlateError if a hopper cannot be opened for this time [s]."""
+    """Raise a PlateError if a hopper cannot be opened for `duration_s` [s]."""
     if not 0 <= duration_s <= MAX_OPEN_S:  # this condition also refuses NaN
         raise PlateError(
             f"duration is {duration_s:g} s, allowed: 0 (closes it) to {MAX_OPEN_S:g} s"
@@ -92,13 +92,13 @@ def drop_part(
 ) -> Dropped | None:
     """Drop a part. Return None if there is no free place for the part.
 
-    The place is drawn uniformly from the disc of radius `spread_m` around the place of the hopper.
-    If the part hits another part there, it slides away from the centre of that part until it
-    touches no part.
+    The place of the fall is drawn uniformly from the disc of radius `spread_m` around the place of
+    the hopper. If the part falls on another part, it slides away from the centre of the other part
+    until it touches no part.
     """
     label = str(rng.choice(list(hopper.mix), p=list(hopper.mix.values())))
     kind, angle, unit = rig.part_type(label), rng.uniform(-np.pi, np.pi), rng.uniform(-1, 1)
-    room, others = rig.plate.half - kind.reach_m, Lying.of(state, rig)
+    room, others = rig.plate.half - kind.reach_m, PartsOnPlate.of(state, rig)
     for _ in range(TRIES):
         radius, way = hopper.spread_m * np.sqrt(rng.random()), rng.uniform(-np.pi, np.pi)
         place = np.array(hopper.place) + radius * np.array([np.cos(way), np.sin(way)])
@@ -109,10 +109,10 @@ def drop_part(
 
 
 def _slid_off(
-    others: Lying, kind: PartType, place: np.ndarray, angle: float, room: np.ndarray
+    others: PartsOnPlate, kind: PartType, place: np.ndarray, angle: float, room: np.ndarray
 ) -> np.ndarray | None:
-    """Return the final position of a part that falls on the place (2,) [m]. None if this position
-    is off the plate."""
+    """Return the final position of a part that falls on the place (2,) [m]. Return None if the part
+    slides off the plate."""
     hit = others.met(kind, place, angle)
     if not hit:
         return place if np.all(np.abs(place) <= room) else None
@@ -136,7 +136,7 @@ def _slid_off(
 
 
 @dataclass(frozen=True)
-class Lying:
+class PartsOnPlate:
     """Parts on the plate.
 
     Attributes
@@ -144,10 +144,10 @@ class Lying:
     position : (M, 2)
         Positions of the parts [m, plate_home].
     reach, radius : (M,)
-        Maximum distance of each outline from its centre, and radius of each disc [m]. The radius of
-        other parts is 0.
+        `reach` is the maximum distance of a part's outline from its centre [m]. `radius` is the
+        radius of a disc [m], and 0 for other parts.
     shape : (M,)
-        Outlines, and centres of discs (`PartType.placed`) [m, plate_home].
+        Outline of each part. For a disc: its centre (see `PartType.placed`) [m, plate_home].
     """
 
     position: np.ndarray
@@ -156,8 +156,8 @@ class Lying:
     shape: np.ndarray
 
     @classmethod
-    def of(cls, state: WorldState, rig: Rig, but: str = "") -> Lying:
-        """Return the parts on the plate without the part `but`."""
+    def of(cls, state: WorldState, rig: Rig, but: str = "") -> PartsOnPlate:
+        """Return the parts on the plate, without the part with the id `but`."""
         rows = [i for i, name in enumerate(state.ids) if state.on_plate[i] and name != but]
         types = [rig.part_type(part_class(state.ids[i])) for i in rows]
         shapes = map(PartType.placed, types, state.position[rows], state.angle[rows])
@@ -165,14 +165,14 @@ class Lying:
         return cls(state.position[rows], reach, radius, np.array(list(shapes), dtype=object))
 
     def met(self, kind: PartType, place: np.ndarray, angle: float) -> list[int]:
-        """Return the indices of the parts that a part at this place would overlap. The nearest part
-        is first."""
+        """Return the indices of the parts that a part of type `kind` at `place` and `angle` would
+        overlap. The nearest part is first."""
         apart = np.hypot(*(self.position - place).T)
         near = np.argsort(apart)
         near = near[apart[near] < self.reach[near] + kind.reach_m]
         other, shape = self.shape[near], kind.placed(place, angle)
         met = shapely.distance(other, shape) < self.radius[near] + kind.radius_m
-        # This DE-9IM pattern is true if the interiors intersect.
+        # This pattern (DE-9IM) is true if the interiors of two shapes intersect.
         met |= shapely.relate_pattern(other, shape, "T********")
         return [int(i) for i in near[met]]
 
@@ -194,12 +194,13 @@ class Dispenser:
 
     @property
     def is_open(self) -> bool:
-        """Whether parts may fall."""
+        """Whether the hopper is open, so that parts drop."""
         return self._flow.left_s > 0
 
     def open(self, duration_s: float, state: WorldState) -> int:
-        """Open the hopper for `duration_s` from now [s]. This replaces an earlier opening. Return
-        the number of parts that will fall if there is enough free space.
+        """Open the hopper for `duration_s` from now [s]. If it is still open, the new duration
+        replaces the remaining time. Return the number of parts that will drop if there is enough
+        free space.
 
         Raises
         ------
@@ -216,16 +217,16 @@ class Dispenser:
         return len(self._flow.after(duration_s, self._hopper.rate)[1])
 
     def after(self, time_s: float) -> np.ndarray:
-        """Advance the time by `time_s` [s]. Return the times in this interval at which parts drop
-        (n,) [s]."""
+        """Advance the time by `time_s` [s]. Return the times from the start of this interval at
+        which parts drop (n,) [s]."""
         assert self._hopper is not None
         self._flow, drops = self._flow.after(time_s, self._hopper.rate)
         return drops
 
     def drop(self, state: WorldState) -> Dropped | None:
-        """Drop a part. Return None if there is no free space for it."""
+        """Drop a part. Return None if there is no free space for the part."""
         assert self._hopper is not None
         if np.count_nonzero(state.on_plate) >= MAX_PARTS:
             return None
-        rng = self._rng.spawn(1)[0]  # the random numbers of one part do not depend on other parts
+        rng = self._rng.spawn(1)[0]  # each part has random numbers of its own
         return drop_part(self._hopper, state, self._rig, rng)

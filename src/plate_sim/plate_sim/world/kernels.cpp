@@ -12,12 +12,12 @@ namespace plate {
 
 namespace {
 
-// Returns whether [first, end) is a range within `count`.
+// Returns whether [first, end) is a range of indices from 0 to count - 1, with at least one index.
 bool within(std::int64_t first, std::int64_t end, size_t count) {
     return 0 <= first && first <= end && end <= static_cast<std::int64_t>(count);
 }
 
-// Entry k of the first axis.
+// Returns entry k of the first axis.
 template <class T, int N>
 View<T, N - 1> entry(const View<T, N>& all, int k) {
     View<T, N - 1> one{all[k], {}};
@@ -25,10 +25,10 @@ View<T, N - 1> entry(const View<T, N>& all, int k) {
     return one;
 }
 
-// Simulate the parts on N plates with several threads, as described in bodies.py. All arguments are
-// checked before the first plate starts. Return for each plate the two parts with the deepest
-// overlap at the start, its depth [m], and the depth as a fraction of half the slimmer part's
-// width.
+// Simulates the parts on N plates with several threads, as described in bodies.py. All arguments
+// are checked before the first plate starts. Returns four values for each plate: the indices of the
+// two parts with the deepest overlap at the start, the depth of this overlap [m], and the depth
+// divided by half the width of the slimmer part.
 nb::ndarray<nb::numpy, double, nb::ndim<2>> run_plates(
     Array<const double, 1> times, Array<const double, 3> coefficients,
     Array<const int64_t, 2> counts, int cycles, int every, Array<const double, 2> ground,

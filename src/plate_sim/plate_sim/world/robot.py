@@ -11,20 +11,20 @@ import numpy as np
 from plate_core import Parts, PlateError, Rig, part_class
 from plate_core.tasks import free_gap
 
-from .hopper import Lying
+from .hopper import PartsOnPlate
 from .state import WorldState
 
 GRIP_REACH_M = 5e-3
 """Maximum distance of a part's centre from the gripper for a grip [m]."""
 
 FINGER_M = 3e-3
-"""Thickness of a gripper's finger [m]. The finger must fit between the part and its neighbours."""
+"""Thickness of a finger of the gripper [m]. A finger must fit between a part and its neighbours."""
 
 NUDGE_M = 2e-3
-"""Maximum displacement of a part by a failed grip [m]."""
+"""Maximum displacement of a part that slips from the gripper [m]."""
 
 NUDGE_RAD = 0.1
-"""Maximum rotation of a part by a failed grip [rad]."""
+"""Maximum rotation of a part that slips from the gripper [rad]."""
 
 
 class Move(IntEnum):
@@ -42,15 +42,15 @@ class Grip:
     Attributes
     ----------
     success : bool
-        Whether a grip has picked a part. True for other moves.
+        Whether the robot has taken a part. True for moves without a grip.
     id : str
-        Id of the gripped part or of the part that slipped. Empty if no part was found.
+        Id of the part that was taken or that slipped. Empty if no part was in reach.
     error_m : float
-        True distance of the centre of this part from the gripper [m]. If no part was found, it is
-        the distance of the nearest part. The distance is infinite if there is no part.
+        True distance of the part's centre from the gripper [m]. If no part was in reach, this is
+        the distance of the nearest part. It is infinite if the plate is empty.
     error_rad : float
-        True angle from the gripper to the part [rad], reduced by the symmetry of the part to the
-        range -pi to pi. 0 if no part was found.
+        True angle from the gripper to the part [rad], -pi to pi, reduced by the symmetry of the
+        part. 0 if no part was in reach.
     message : str
         Description of the result or of the failure.
     """
@@ -63,7 +63,7 @@ class Grip:
 
 
 def check_gripper(x: float, y: float, angle: float, rig: Rig) -> None:
-    """Raise a PlateError if the gripper cannot be at this place."""
+    """Raise a PlateError if the gripper would not be over the plate."""
     half = rig.plate.half
     if not (abs(x) <= half[0] and abs(y) <= half[1]):
         raise PlateError(
@@ -75,10 +75,10 @@ def check_gripper(x: float, y: float, angle: float, rig: Rig) -> None:
 
 
 def grip(state: WorldState, rig: Rig, gripper: Sequence[float], slips: bool, marked: bool) -> Grip:
-    """Close a gripper at (x, y, angle) [m, m, rad, plate_home] on the nearest part. The part may
-    slip.
+    """Grip the nearest part with a gripper at (x, y, angle) [m, m, rad, plate_home]. If `slips`,
+    the part slips and is not taken.
 
-    If `marked`, round parts also have an angle.
+    If `marked`, round parts have marks and thus an angle.
     """
     x, y, turn = gripper
     apart = np.where(state.on_plate, np.hypot(*(state.position - (x, y)).T), np.inf)
@@ -109,9 +109,9 @@ def grip(state: WorldState, rig: Rig, gripper: Sequence[float], slips: bool, mar
 def nudged(
     state: WorldState, rig: Rig, part_id: str, rng: np.random.Generator
 ) -> tuple[np.ndarray, float]:
-    """Return the position (2,) [m, plate_home] and angle [rad] of a part after a failed grip.
-    Position and angle are unchanged if the random displacement would lead to an overlap or off the
-    plate."""
+    """Return the position (2,) [m, plate_home] and the angle [rad] of a part that slipped from the
+    gripper. The part is displaced and rotated at random. It is not moved if it would overlap
+    another part or leave the plate."""
     row = state.ids.index(part_id)
     place, angle = state.position[row], float(state.angle[row])
     radius, way = NUDGE_M * np.sqrt(rng.random()), rng.uniform(-np.pi, np.pi)
@@ -119,13 +119,13 @@ def nudged(
     turned = angle + rng.uniform(-NUDGE_RAD, NUDGE_RAD)
     kind = rig.part_type(part_class(part_id))
     free = np.all(np.abs(new) <= rig.plate.half - kind.reach_m)
-    if free and not Lying.of(state, rig, part_id).met(kind, new, turned):
+    if free and not PartsOnPlate.of(state, rig, part_id).met(kind, new, turned):
         return new, turned
     return place, angle
 
 
 class Robot:
-    """Robot with its past positions and the parts that it has taken.
+    """Robot, with its past positions and the ids of the parts that it has taken.
 
     Parameters
     ----------
@@ -138,10 +138,10 @@ class Robot:
     Attributes
     ----------
     taken : frozenset of str
-        Ids of the parts that the robot has taken. The ids are kept until these parts are forgotten.
+        Ids of the parts that the robot has taken, as long as these parts are in the state.
     stations : list of (float, (2,) or None)
-        Start times [s] and positions [m, plate_home]. A position is None while the robot is away.
-        Images may still show the oldest position.
+        Past positions of the robot: the time from which the robot was at the position [s], and the
+        position [m, plate_home]. While the robot is away, the position is None.
     """
 
     def __init__(self, rig: Rig, marked: bool, rng: np.random.Generator) -> None:
@@ -158,7 +158,7 @@ class Robot:
         now: float,
         shown: float,
     ) -> tuple[WorldState, Grip]:
-        """Move the robot. If `to` is `Move.GRIP`, also grip a part.
+        """Move the robot. If `to` is `Move.GRIP`, grip a part there.
 
         Parameters
         ----------
@@ -170,8 +170,8 @@ class Robot:
         failure : float
             Probability that a part slips.
         now, shown : float
-            Time of the move, and earliest time that later images may still show [s]. Gripper
-            positions that were left before the time `shown` are deleted.
+            Time of the move, and the earliest time that later images can show [s]. Positions that
+            the robot left before `shown` are deleted.
 
         Raises
         ------
@@ -188,7 +188,7 @@ class Robot:
         self._go(np.array([x, y]), now, shown)
         if to == Move.OVER:
             return state, Grip(True, message=f"the robot is over ({x:.4f}, {y:.4f}) m")
-        rng = self._rng.spawn(1)[0]  # the random numbers of one grip do not depend on other grips
+        rng = self._rng.spawn(1)[0]  # each grip has random numbers of its own
         slips = bool(rng.random() < failure)
         result = grip(state, self._rig, gripper, slips, self._marked)
         row = np.array([name == result.id for name in state.ids], bool)
@@ -211,10 +211,10 @@ class Robot:
         self.stations = [*self.stations[oldest:], (now, place)]
 
     def at(self, time: float) -> np.ndarray | None:
-        """Return the position of the gripper (2,) [m, plate_home] at a time [s]. Return None if the
+        """Return the position of the gripper (2,) [m, plate_home] at a time [s], or None if the
         robot is away."""
         return [place for since, place in self.stations if since <= max(time, 0.0)][-1]
 
     def has(self, ids: tuple[str, ...]) -> np.ndarray:
-        """Return whether the robot has taken each of these parts (M,)."""
+        """Return for each of the parts `ids` whether the robot has taken it (M,)."""
         return np.array([name in self.taken for name in ids], bool)

@@ -1,6 +1,5 @@
-"""One run of the simulated world, for the node and the bench. The inputs are plate cycles, and
-commands to the hand, the hopper and the robot. The outputs are images and the state of the
-parts."""
+"""One run of the simulated world. The simulator node and the bench pass plate cycles, and commands
+to the hand, the hopper and the robot. They obtain images and the state of the parts."""
 
 from __future__ import annotations
 
@@ -18,6 +17,7 @@ from ..contacts import INELASTIC, Contacts
 from ..friction.outline import footprint_of
 from ..plate import PlateMotion, PlateState, realise
 from .bodies import BodyTrajectory, Shapes
+from .camera_view import CameraView, Shot, VisibleParts, check_height
 from .departures import Departures
 from .disturbances import NONE, Disturbances
 from .friction_field import FrictionField
@@ -25,7 +25,6 @@ from .hand import Hand, check_id
 from .history import History, Passage
 from .hopper import Dispenser
 from .robot import Grip, Robot
-from .sight import CameraView, Shot, Sight, check_height
 from .state import WorldState
 from .step import run_cycle, run_together
 
@@ -33,7 +32,8 @@ WORLD_RANGES = {"noise": (0.0, 50.0), "mu_scale": (0.1, 10.0)}
 """Allowed ranges of a simulation's parameters."""
 
 TRIAL_S = 1e-3
-"""Length of a simulated rest [s]. This rest checks whether a placed part overlaps other parts."""
+"""Length of a rest that is simulated on trial, to check whether a placed part overlaps other parts
+[s]."""
 
 MIN_S = 1e-6
 """Minimum length of a piece of a cycle that is simulated separately [s]."""
@@ -45,19 +45,18 @@ class Simulation:
     Parameters
     ----------
     rig : Rig
-        Rig model that all stages use. If the rig has a suspension, the plate deviates from its
-        commands.
+        Rig model that all stages use. If the rig has a suspension, the plate does not follow its
+        setpoints exactly.
     scenario : Scenario
         Scenario with the parts.
     seed : int
-        Random seed. Each kind of disturbance has random numbers of its own, which do not depend on
-        the other kinds.
+        Random seed. Each kind of disturbance has a random generator of its own.
     disturbances : Disturbances
         Deviations of the world from the rig model.
     noise : float
         Standard deviation of the noise of a pixel [grey values].
     mu_scale : float
-        Ratio of the true friction to the friction in the rig.
+        True friction divided by the friction in the rig.
     contacts : Contacts
 
     Raises
@@ -68,17 +67,16 @@ class Simulation:
     Attributes
     ----------
     state : WorldState
-        State of the parts. In a feed task, parts that left the plate are removed from the state
-        when the next cycle begins. In all tasks, parts that the robot has taken are also removed
-        then.
+        State of the parts. Parts that the robot has taken are removed from the state when no later
+        image can show them. In a feed task, this also applies to parts that left the plate.
     plate : PlateState
     disturbances : Disturbances
     dropped, chuted : int
-        Number of parts that left the plate after the start of the simulation. `chuted` counts the
-        parts that left over the side of the task's chute, and `dropped` all other parts. Parts that
-        were removed by hand or by the robot are not counted.
+        Number of parts that left the plate since the start of the simulation. `chuted` counts the
+        parts that left over the side of the task's chute, and `dropped` counts all other parts.
+        Parts that the hand or the robot removed are not counted.
     chuted_classes : Counter of str
-        Number `chuted`, by class.
+        Number of parts that left over the side of the chute, by class.
     """
 
     def __init__(
@@ -99,7 +97,8 @@ class Simulation:
                 f"image_rate is {disturbances.image_rate:g}, allowed: 0, because the motor "
                 "controller triggers the camera (trigger_phase in the rig file)"
             )
-        # Keep this order, because it determines the results of each seed.
+        # The order of these generators must not change, because it determines the results of each
+        # seed.
         layout, pixels, field, images, parts, stamps, hand, hopper, robot = np.random.default_rng(
             seed
         ).spawn(9)
@@ -118,25 +117,26 @@ class Simulation:
             pixels=pixels, images=images, parts=parts, stamps=stamps,
         )  # fmt: skip
         self._last_number: dict[str, int] = {}
-        self._know_types()
+        self._set_types()
 
-    def _know_types(self) -> None:
+    def _set_types(self) -> None:
         """Set shapes, friction and appearance of the current parts."""
         self._even_limit: np.ndarray | None = None  # `_limit`, if it does not depend on the places
         types = [self._rig.part_type(part_class(name)) for name in self.state.ids]
         self._shapes = Shapes.of([footprint_of(part) for part in types])
         self._mu = np.array([part.mu for part in types], dtype=float)
-        self._view.know(self.state.ids, types)
+        self._view.set_types(self.state.ids, types)
 
     @property
     def mu(self) -> np.ndarray:
-        """Current true friction coefficients (M,)."""
+        """True friction coefficients of the parts at their current positions (M,)."""
         mu = self._mu * self._mu_scale
         return self._field.friction(mu, self.state.position, self.plate.pose)
 
     @property
     def _limit(self) -> np.ndarray:
-        """Current maximum acceleration of each part by friction (M,) [m/s2]."""
+        """Maximum acceleration that friction can give each part at its current position (M,)
+        [m/s2]."""
         if self._field.share:
             return self.mu * self._rig.friction.gravity
         if self._even_limit is None:
@@ -144,8 +144,8 @@ class Simulation:
         return self._even_limit
 
     def change(self, disturbances: Disturbances, noise: float, mu_scale: float) -> None:
-        """Apply new disturbances. `latency` and `image_rate`, which determine the times of images,
-        do not change.
+        """Apply new disturbances, except `latency` and `image_rate`, which determine the times of
+        the images.
 
         Afterwards, the seed alone no longer reproduces the run.
 
@@ -162,7 +162,7 @@ class Simulation:
         self._field = replace(
             self._field, spread=disturbances.friction_spread, share=disturbances.friction_patches
         )
-        self._know_types()
+        self._set_types()
 
     def place(self, part_id: str, label: str, position: np.ndarray, angle: float = 0.0) -> str:
         """Place a part at rest, as if by hand.
@@ -170,10 +170,10 @@ class Simulation:
         Parameters
         ----------
         part_id : str
-            Id of a part on the plate, or of a part that left and is still in the state. Empty for a
-            new part.
+            Id of a part on the plate, or of a part that left the plate and is still in the state.
+            Empty for a new part.
         label : str
-            Type of the new part.
+            Type of a new part.
         position : (2,)
             Centre of the part [m, plate_home].
         angle : float
@@ -182,13 +182,13 @@ class Simulation:
         Returns
         -------
         str
-            Id of the part. A new part gets the next number of its type.
+            Id of the part. The id of a new part contains the next number of its type.
 
         Raises
         ------
         PlateError
             If there is no such part or type, if no more parts are allowed, or if the part would be
-            off the plate or overlap another part. In these cases nothing is changed.
+            off the plate or overlap another part. Then nothing is changed.
         """
         state, unit = self.state, self._field.unit
         state, part_id, own = self._hand.put(
@@ -203,8 +203,8 @@ class Simulation:
         return part_id
 
     def show(self, state: WorldState) -> None:
-        """Continue with the parts of another run. The individual friction of the present parts is
-        lost."""
+        """Replace the parts by the parts of another run. All these parts have the nominal friction,
+        without individual deviations."""
         self._take_over(state, np.zeros(len(state.ids)), History())
 
     def remove(self, part_id: str) -> None:
@@ -221,13 +221,13 @@ class Simulation:
         self._take_over(state.take(keep), self._field.unit[keep], History())
 
     def _take_over(self, state: WorldState, unit: np.ndarray, history: History) -> None:
-        """Continue with other parts."""
+        """Replace the parts, their relative friction (M,) and their history."""
         for name in self.state.ids:
             label = part_class(name)
             self._last_number[label] = max(_number(name), self._last_number.get(label, 0))
         self.state, self._field = state, replace(self._field, unit=unit)
         self._view.history = history
-        self._know_types()
+        self._set_types()
 
     def _next_number(self, label: str) -> int:
         """Return the number of the next part of a class. No number is used twice."""
@@ -235,15 +235,16 @@ class Simulation:
         return 1 + max(there, self._last_number.get(label, 0))
 
     def open_hopper(self, duration_s: float) -> int:
-        """Open the hopper for a time from now [s]. This replaces an earlier opening.
+        """Open the hopper for `duration_s` from now [s]. If it is still open, the new duration
+        replaces the remaining time.
 
-        One part drops after each 1/rate [s] of open time. There is no space if `MAX_PARTS` are on
-        the plate, or if the heap reaches the edge of the plate. The part then stays in the hopper.
+        While the hopper is open, one part drops every 1/rate [s]. If `MAX_PARTS` are on the plate,
+        or if the heap reaches the edge of the plate, the part stays in the hopper.
 
         Returns
         -------
         int
-            Number of parts that drop in that time if there is enough space.
+            Number of parts that will drop if there is enough space.
 
         Raises
         ------
@@ -253,18 +254,17 @@ class Simulation:
         return self._hopper.open(duration_s, self.state)
 
     def move_robot(self, to: int, x: float = 0.0, y: float = 0.0, angle: float = 0.0) -> Grip:
-        """Move the robot without delay. Later images show it at its new place.
+        """Move the robot without delay. Later images show the robot at its new position.
 
         Parameters
         ----------
         to : int
-            The requested `Move`. AWAY moves the robot away from the plate. OVER moves it over the
-            pose, where its arm hides the plate below. GRIP moves it in the same way and grips: it
-            removes the nearest part from the plate. With the probability `pick_failure` the part
-            slips and may be displaced slightly.
+            The requested `Move`. AWAY moves the robot away from the plate. OVER moves the gripper
+            to the pose above the plate, where the robot hides the plate in images. GRIP does the
+            same, and the robot then takes the nearest part from the plate. With the probability
+            `pick_failure`, the part slips and is displaced slightly instead.
         x, y, angle : float
-            Pose of the gripper [m, m, rad, plate_home]. The pose is not used if the robot moves
-            away.
+            Pose of the gripper [m, m, rad, plate_home]. AWAY ignores the pose.
 
         Raises
         ------
@@ -279,26 +279,27 @@ class Simulation:
 
     @property
     def dropped(self) -> int:
-        """`dropped`, see `Simulation`."""
+        """Number of parts that left the plate, but not over the side of the chute."""
         return self._departures.dropped + self._departures.count(self.state, self._left)[0]
 
     @property
     def chuted(self) -> int:
-        """`chuted`, see `Simulation`."""
+        """Number of parts that left the plate over the side of the chute."""
         return self.chuted_classes.total()
 
     @property
     def chuted_classes(self) -> Counter[str]:
-        """`chuted` by class, see `Simulation`."""
+        """Number of parts that left the plate over the side of the chute, by class."""
         return self._departures.chuted + self._departures.count(self.state, self._left)[1]
 
     @property
     def _left(self) -> np.ndarray:
-        """Whether each part (M,) left the plate. Parts that the robot took are not counted."""
+        """Whether each part left the plate (M,). It is false for parts that the robot took."""
         return ~self.state.on_plate & ~self._robot.has(self.state.ids)
 
     def _forget(self) -> None:
-        """Remove parts that left the plate, if no later image can show them."""
+        """Remove parts from the state that later images cannot show: parts that the robot took and,
+        in a feed task, parts that left the plate."""
         state, history = self.state, self._view.history
         if np.all(state.on_plate) or not (self._feeds or self._robot.taken):
             return
@@ -312,7 +313,7 @@ class Simulation:
         self._robot.taken &= set(self.state.ids)
 
     def _drop(self) -> None:
-        """Drop a part from the hopper if there is free space for it."""
+        """Drop a part from the hopper if there is free space for the part."""
         part = self._hopper.drop(self.state)
         if part is None:
             return
@@ -322,27 +323,26 @@ class Simulation:
         self._take_over(state, unit, self._view.history.joined(part.position))
 
     def shots(self, begin: float) -> Iterator[Shot]:
-        """Yield the images of a free-running camera from `begin` [s] on. The sequence has no
+        """Yield the times of the images of a free-running camera from `begin` [s] on, without
         end."""
         return self._view.shots(begin)
 
     def capture(self, age: float | None = None) -> np.ndarray | None:
-        """Return the image (height, width), uint8, that is delivered now. Return None if it is
-        missing.
+        """Return the image (height, width), uint8, that is delivered now, or None if it is missing.
 
-        `age` is the time since the middle of the exposure of the image [s]. If it is None, the
+        `age` is the time since the middle of the image's exposure [s]. If `age` is None, the
         exposure began `latency` ago.
         """
         return self._view.capture(self.state, self.plate, self._robot, self._time, age)
 
-    def sight(self, age: float | None = None) -> Sight | None:
-        """Return the exact content of the image that `capture` would return. Call only one of the
-        two for an image."""
-        return self._view.sight(self.state, self.plate, age)
+    def visible_parts(self, age: float | None = None) -> VisibleParts | None:
+        """Return the exact positions of the parts in the image that `capture` would return. For
+        each image, call either `capture` or this method."""
+        return self._view.visible_parts(self.state, self.plate, age)
 
     def capture_bare(self) -> np.ndarray:
-        """Return an image (height, width) or (height, width, 3), uint8, of the bare plate at
-        home."""
+        """Return an image of the bare plate at home, (height, width) or (height, width, 3),
+        uint8."""
         return self._view.capture_bare(self._time)
 
     def run(self, cycle: PlateCycle | PlateMotion) -> None:
@@ -384,8 +384,8 @@ class Simulation:
     def run_together(
         simulations: Sequence[Simulation], cycles: Sequence[PlateCycle], threads: int
     ) -> None:
-        """Do the same as `run` for several plates with one rig, in parallel threads. The results
-        are equal to the last bit."""
+        """Run several simulations with the same rig for one cycle each, in parallel threads. The
+        results are identical to those of `run`."""
         plain: dict[tuple[str, ...], list[tuple[Simulation, PlateCycle]]] = {}
         for own, cycle in zip(simulations, cycles, strict=True):
             if own._view.past or own._feeds or own._robot.taken or own._rig.suspension is not None:
@@ -405,7 +405,8 @@ class Simulation:
         threads: int,
         every: int = 0,
     ) -> list[BodyTrajectory]:
-        """Simulate the same parts on several plates with one rig, see `step.run_together`."""
+        """Move the parts of several simulations with the same rig and the same ids of parts, see
+        `step.run_together`."""
         own = worlds[0]
         states, paths = run_together(
             [world.state for world in worlds], motions, own._shapes, limits, own._rig,

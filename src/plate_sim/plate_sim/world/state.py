@@ -1,5 +1,5 @@
-"""State of all parts of a run at the start of a plate cycle: names, positions, velocities, angles
-and spins. A state is never modified. Each change returns a new state."""
+"""State of all parts of a run at the start of a plate cycle. A state is never modified: each change
+returns a new state."""
 
 from __future__ import annotations
 
@@ -22,8 +22,8 @@ class WorldState:
     ids : tuple of str
         True names of the M parts, such as `black_3`.
     position : (M, 2)
-        Positions of the centres [m], plate_home. For a part that left the plate, it is the position
-        at which it left.
+        Positions of the centres [m], plate_home. A part that left the plate has the position at
+        which it left.
     velocity : (M, 2)
         Velocities of the centres [m/s], plate_home.
     on_plate : (M,)
@@ -46,12 +46,12 @@ class WorldState:
 
     @classmethod
     def at_rest(cls, ids: tuple[str, ...], position: np.ndarray) -> WorldState:
-        """Return parts at rest at given places (M, 2) [m, plate_home].
+        """Return parts at rest at the positions (M, 2) [m, plate_home].
 
         Raises
         ------
         PlateError
-            If the numbers of places and names differ, if a name is given twice, or if a place is
+            If the numbers of positions and ids differ, if an id is given twice, or if a position is
             not finite.
         """
         if len(set(ids)) != len(ids):
@@ -61,10 +61,11 @@ class WorldState:
 
     @classmethod
     def of_scenario(cls, scenario: Scenario, rig: Rig, rng: np.random.Generator) -> WorldState:
-        """Return the parts of a scenario at rest. Their names are black_1, black_2, ...
+        """Return the parts of a scenario at rest. Their ids are, for example, black_1, black_2 and
+        grey_1.
 
-        The places are given by the scenario, or random if the scenario gives none. Their angles are
-        random, unless all parts are round and have no marks.
+        If the scenario contains no places, the positions are random. The angles are random too,
+        unless all parts are round and have no marks.
         """
         labels, position = start_positions(scenario, rig, rng)
         ids = tuple(f"{label}_{labels[:i].count(label) + 1}" for i, label in enumerate(labels))
@@ -75,7 +76,7 @@ class WorldState:
         return replace(state, angle=rng.uniform(-np.pi, np.pi, len(ids)))
 
     def take(self, rows: np.ndarray) -> WorldState:
-        """Return the parts in these rows (M,), bool."""
+        """Return the parts of the mask `rows` (M,)."""
         ids = tuple(name for name, kept in zip(self.ids, rows, strict=True) if kept)
         return WorldState(
             ids, self.position[rows], self.velocity[rows], self.on_plate[rows], self.angle[rows],
@@ -83,7 +84,7 @@ class WorldState:
         )  # fmt: skip
 
     def joined(self, part_id: str, position: np.ndarray, angle: float) -> WorldState:
-        """Return these parts and one more part, which is at rest at a place (2,) [m,
+        """Return the state with one more part, which is at rest at `position` (2,) [m,
         plate_home]."""
         return WorldState(
             (*self.ids, part_id), np.vstack([self.position, position]),

@@ -1,8 +1,7 @@
-"""Steps of the state of the parts from one plate cycle to the next. The steps are pure functions.
+"""Steps of the state of the parts from one plate cycle to the next, as pure functions.
 
-The inputs are the state, the motion of the plate, the rig and the contact parameters. `run_cycle`
-returns the next state, `record_cycle` also returns the motion, and `run_together` returns the
-states on several plates.
+`run_cycle` returns the next state, `record_cycle` also returns the motion of the parts, and
+`run_together` returns the next states on several plates.
 """
 
 from __future__ import annotations
@@ -38,13 +37,12 @@ def run_cycle(
     cycle : PlateCycle or PlateMotion
         Motion of the plate. Only a PlateCycle can be repeated.
     mu : float or (M,), optional
-        True friction coefficient, of all parts or of each part. Default: the coefficients of their
-        types.
+        True friction coefficient of all parts or of each part. Default: the coefficients of the
+        parts' types.
     step : float
         Maximum integration step [s].
     contacts : Contacts
-        Contact parameters of the parts. The parameters state whether walls keep the parts on the
-        plate.
+        Contact parameters of the parts, and whether walls keep the parts on the plate.
     cycles : int
         Number of cycles.
 
@@ -67,7 +65,7 @@ def record_cycle(
     contacts: Contacts = INELASTIC,
     cycles: int = 1,
 ) -> tuple[WorldState, BodyTrajectory]:
-    """Return the result of `run_cycle`, and the motion at each step."""
+    """Return the state of `run_cycle`, and the motion of the parts with one sample per step."""
     after, (path,) = _run(state, cycle, rig, mu, step, contacts, cycles, 1)
     return after, path
 
@@ -111,8 +109,9 @@ def run_together(
     cycles: int = 1,
     every: int = 0,
 ) -> tuple[list[WorldState], list[BodyTrajectory]]:
-    """Apply `run_cycle` to the same parts on many plates, in one call. Return the states and,
-    unless `every` is 0, the motions at every `every` steps.
+    """Apply `run_cycle` to the same parts on many plates in one call. Return the states and the
+    motions. The motions contain a sample after every `every` steps; if `every` is 0, there are no
+    motions.
 
     Parameters
     ----------

@@ -1,8 +1,8 @@
 """The paper's averaged forces: the mean friction over a cycle, and motions of Methods A and B that
-produce it.
+produce requested forces.
 
 This package computes the averaged forces of a motion, finds motions for requested forces, and
-proves that a request is infeasible. The controller does not use it.
+proves that a request is infeasible. The controller does not use this package.
 """
 
 from .manipulability import Manipulability, library_force, manipulability

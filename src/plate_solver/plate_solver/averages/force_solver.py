@@ -1,8 +1,8 @@
 """Base class of the solvers for requested mean forces, common to both methods.
 
-`ForceSolver.solve` checks a request and solves it on one of three force maps (`none`, `velocity` or
-`cycle`). If this fails, it solves the largest feasible fraction of the request. A subclass
-implements the search on the map `none`.
+`ForceSolver.solve` checks a request and searches for a motion on one of three force maps (`none`,
+`velocity` or `cycle`). If it finds no motion for the request, it searches for the largest feasible
+fraction of the request. Subclasses implement the search on the map `none`.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ from .refinement import (
     MAX_ON_CYCLE,
     REFINED_TOLERANCE,
     REFINEMENTS,
-    judged,
+    evaluated,
     on_cycle,
     on_mean_velocity,
 )
@@ -31,7 +31,7 @@ from .request import Request
 
 
 class ForceSolver(MotionSolver):
-    """Solver that finds closed plate motions with requested average forces. The solver inherits
+    """Solver that finds closed plate motions with requested average forces. It also has the method
     `steer` for goals on the cycle map.
 
     Attributes
@@ -55,9 +55,9 @@ class ForceSolver(MotionSolver):
         """Find a closed motion with the requested average forces, equations (5) and (9).
 
         If the request is infeasible, the solver returns a motion for the largest feasible fraction
-        of it that it finds. On the maps `velocity` and `cycle`, it returns the motion for the whole
-        request instead if the error of this motion is smaller. If zero force is requested, the
-        plate rests.
+        that it finds. There is one exception on the maps `velocity` and `cycle`: if the motion for
+        the whole request has a smaller error, the solver returns this motion. If zero force is
+        requested, the plate rests.
 
         Parameters
         ----------
@@ -111,13 +111,13 @@ class ForceSolver(MotionSolver):
         return largest_fraction(request, self.library, attempt, nothing, 3 * own, most, prove)
 
     def proven_out_of_reach(self, request: Request) -> bool:
-        """Whether it is proven that no motion of this kind meets a request. False means that there
-        is no proof."""
+        """Whether it is proven that no motion of this method meets a request. False means that
+        there is no proof."""
         return False
 
     def _map(self, refine: str) -> tuple[float, float, Callable[[Request], Solution]]:
-        """Return the tolerance [mu m g], the maximum force [mu m g] and the solving function of a
-        map."""
+        """Return three properties of a map: its tolerance [mu m g], its maximum force [mu m g], and
+        the function that solves a request on it."""
         own, friction = self.options.tolerance, self._rig.friction.accel
         wide = max(own, REFINED_TOLERANCE)
 
@@ -142,10 +142,10 @@ class ForceSolver(MotionSolver):
         aim = easiest_force(request, self.library)
         found = self._solve(replace(request, force=aim))
         error = request.force - (aim - found.residual)
-        # Other forces within the tolerance may still be feasible, so this is no proof.
+        # A failure is no proof: other forces within the tolerance may still be feasible.
         if not found.success:
             found = replace(found, status=Status.FAILED)
-        return judged(request, found, error, self.options.tolerance)
+        return evaluated(request, found, error, self.options.tolerance)
 
     @abstractmethod
     def _solve(self, request: Request) -> Solution:

@@ -13,8 +13,8 @@ two ways:
 
 A real cycle may produce less force, because the model neglects several effects: the ramps between
 rotations, the closure of the motion, the limits, and the displacement of parts within a cycle. A
-real cycle may also produce a few per cent more, because its rotations may be between the rotations
-of the library.
+real cycle may also produce a few per cent more force, because it can rotate about points between
+the centres of the library.
 """
 
 from __future__ import annotations
@@ -42,7 +42,7 @@ direction is an additional start."""
 
 @dataclass(frozen=True)
 class Manipulability:
-    """Measures of how independently M parts can be pushed in different directions.
+    """Measures for pushing M parts independently in different directions.
 
     The forces on all parts form one vector (2 M,): part 1 x, part 1 y, part 2 x, and so on. A unit
     of force is a vector whose mean square over the parts is one (mu m g)^2.
@@ -57,8 +57,8 @@ class Manipulability:
         force.
     weakest_force : float
         Maximum force of the library in its weakest direction [mu m g]. The force is a local
-        minimum: the search may miss a smaller one. Ramps between rotations, the closure of the
-        motion, and the limits are neglected.
+        minimum, because the search may miss a smaller one. It neglects ramps between rotations, the
+        closure of the motion, and the limits.
     weakest_direction : (2 M,)
         Direction of `weakest_force`. The direction is a unit of force.
     """
@@ -72,7 +72,7 @@ class Manipulability:
 def manipulability(
     rig: Rig, position: np.ndarray, library: Library | None = None, seed: int = 0
 ) -> Manipulability:
-    """Compute how independently parts at given positions can be pushed.
+    """Compute the measures of manipulability for parts at given positions.
 
     Parameters
     ----------

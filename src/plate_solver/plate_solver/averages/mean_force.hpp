@@ -22,20 +22,20 @@ constexpr double NODE_WEIGHTS[NODE_COUNT] = {0.10122853629037706, 0.222381034453
                                              0.36268378337836166, 0.3137066458778869,
                                              0.22238103445337443, 0.10122853629037706};
 
-// Minimum distance of the integrand's singularities from a panel, in half lengths of the panel. The
-// singularities are the complex times at which the slip is zero. At this distance, the relative
-// error of the Gauss-Legendre rule is (1.2 + 1.56)^-16 = 9e-8.
+// Minimum distance between a panel and the singularities of the integrand, in half lengths of the
+// panel. The singularities are the complex times at which the slip is zero. At this distance, the
+// relative error of the Gauss-Legendre rule is (1.2 + 1.56)^-16 = 9e-8.
 constexpr double FAR = 1.2;
 
-// Maximum number of bisections of a piece of the spline. This number locates a jump of the
-// direction to within 1e-9 of the piece's length.
+// Maximum number of bisections of a piece of the spline. With this number, the error of a time at
+// which the direction jumps is below 1e-9 of the piece's length.
 constexpr int DEEPEST = 32;
 
 struct Force {
     double x, y;
 };
 
-constexpr int EIGHT = 8;  // sums use eight partial sums, for vector instructions
+constexpr int EIGHT = 8;  // each sum has eight partial sums, for vector instructions
 
 [[gnu::always_inline]] inline double sum_of_eight(const double* part) {
     return ((part[0] + part[4]) + (part[2] + part[6])) +
@@ -79,7 +79,7 @@ template <int DEGREE>
                                                    double first, double (*gradient)[DEGREE + 1]) {
     Force force{0, 0};
     int level = 0;         // number of bisections
-    long long number = 0;  // number of panels of this length left of the panel
+    long long number = 0;  // number of panels of the same length to the left
     double half = 0.5;     // half of the panel's length
     while (true) {
         const double middle = first + static_cast<double>(2 * number + 1) * half;
@@ -156,8 +156,8 @@ inline double total_time(const double* dt, int count) {
     return total;
 }
 
-// Force x, force y and curl of PARTS consecutive parts, which are computed together. The first one
-// is part `first`.
+// Force x, force y and curl of PARTS consecutive parts, which are computed together. Their first
+// index is `first`.
 template <int PARTS>
 [[gnu::always_inline]] inline void step_forces_from(int first, View<const double, 2> position,
                                                     View<const double, 2> velocity,

@@ -1,11 +1,10 @@
-// Quadrature error of the mean over equal steps. It arises at times at which the slip of a part
-// nearly vanishes.
+// Error of a mean over equal steps, caused by times at which the slip of a part nearly vanishes.
 //
-// The slip's direction w/|w| is an analytic function of time, except at branch points with
-// wx^2 + wy^2 = 0. A dip is a time at which the slip nearly vanishes. A dip corresponds to a pair of
+// The slip's direction w/|w| is an analytic function of time, except at branch points with wx^2 +
+// wy^2 = 0. A dip is a time at which the slip nearly vanishes. A dip corresponds to a pair of
 // branch points a + i b and a - i b near the real axis. The mean over n equal steps minus the true
-// mean is exactly a sum of integrals along the cuts that go up from the branch points. With
-// t = a + i b cosh u the integral of a dip is
+// mean is exactly a sum of integrals along the cuts that go up from the branch points. With t = a +
+// i b cosh u, the integral of a dip is
 //
 //     -2/pi Re integral of w / sqrt(Q) q / (1 + q) du from 0 to infinity,   q = exp(i n t)
 //     Q = (wx^2 + wy^2) / (-(b sinh u)^2)
@@ -42,24 +41,25 @@ constexpr int PLACES = 44;
 // as a jump.
 constexpr double NARROWEST = 1e-10;
 
-// Maximum n b cosh u of the integral over u. n is the number of steps per period. For larger values
-// the integrand is neglected, because it is below 4e-8.
+// Maximum value of n b cosh u up to which the integral over u is summed. n is the number of steps
+// per period. Beyond it, the integrand is below 4e-8 and neglected.
 constexpr double FADED = 17.0;
 
-// Maximum product of the number n of steps and the distance b [rad] of a dip that needs a
-// correction. For larger products, the error of equal steps is exp(-n b) and negligible.
+// Maximum product n b of a dip that needs a correction. n is the number of steps per period, and b
+// [rad] is the distance of the branch point from the real axis. The error of equal steps is exp(-n
+// b), so it is negligible for larger products.
 constexpr double NEAR = 14.0;
 
-// Value of b^2/2 at n b = NEAR, with b in steps. The value is estimated from three squared samples,
-// as the minimum of the parabola through them divided by its second difference.
+// Value of b^2/2 at n b = NEAR, with b in steps. `dip_of` estimates b^2/2 from three samples of the
+// squared slip: it is the minimum of the parabola through them, divided by its second difference.
 constexpr double STEPS_NEAR = (NEAR / (2 * PI)) * (NEAR / (2 * PI)) / 2;
 
 // Minimum distance [steps] between two dips. If they are closer, one of them may not appear as a
 // minimum of the samples.
 constexpr double CLOSE = 4.0;
 
-// Maximum number of Newton steps to a zero of the slip. Three steps are usually enough, because the
-// start is a minimum of the samples.
+// Maximum number of Newton steps to a zero of the slip. Usually three steps are enough, because the
+// search starts at a minimum of the samples.
 constexpr int NEWTON_STEPS = 10;
 
 struct Nodes {
@@ -159,8 +159,8 @@ inline BranchPoint branch_point(View<const double, 2> slip, Complex start, doubl
     }
     const double radius = std::sqrt(square(z)) + 1e-300;
     const bool done = last < 1e-8 * off * off || last < 1e-22;
-    // bend / slope is the sum of 1 / (z - z_k) over all other zeros z_k. If another zero is close,
-    // this sum is large.
+    // bend / slope is the sum of 1 / (z - z_k) over all other zeros z_k. This sum is large if
+    // another zero is close.
     const bool lonely = square(bend) * close * close < square(slope);
     return {1 / radius * z, std::max(std::abs(std::log(radius)), NARROWEST), done && lonely};
 }
@@ -228,8 +228,8 @@ inline Complex inverse_root(Complex value) {
     return {real * share, -0.5 * value.imag / real * share};
 }
 
-// Adds `share` times [y y, -x y, x x] to the derivatives. The even harmonics receive the real part
-// times cosh, the odd ones the imaginary part times sinh.
+// Adds `share` times [y y, -x y, x x] to the derivatives. Even parts of harmonics receive the real
+// part times cosh, and odd parts the imaginary part times sinh.
 inline void add_slopes(Complex share, Complex x, Complex y, double depth,
                        std::vector<Turned>& turned) {
     const Complex by[3] = {share * y * y, -1 * share * x * y, share * x * x};
@@ -243,7 +243,7 @@ inline void add_slopes(Complex share, Complex x, Complex y, double depth,
 }
 
 // Adds the contribution of the double pole at u = 0 to the derivatives. A sum over equal steps with
-// nodes on both sides of the pole misses pi^2 / STEP times the pole's coefficient.
+// nodes on both sides of the pole lacks pi^2 / STEP times the coefficient of the pole.
 inline void add_pole(Complex phase, double b, int n, std::vector<Turned>& turned) {
     const ComplexSlip at = complex_slip(turned, b, n);
     Complex dx, dy;  // derivative of the slip with respect to depth
@@ -274,12 +274,12 @@ inline void take_off(const std::vector<Turned>& turned, View<double, 2> gradient
 
 struct Excess {
     double x, y;
-    bool good;  // false: use panels, for example if another dip is close
+    bool good;  // if false, panels must be used, for example because another dip is close
 };
 
-// Computes the error of the mean over n steps [mu m g] that is caused by the dip near a time t with
-// exp(i t) = `start`. The error is the integral at the top of this file. n is N times a power of 2.
-// Unless `gradient` is empty, the error of the derivatives is subtracted from it.
+// Computes the error of the mean over n steps [mu m g] that the dip near a time t with exp(i t) =
+// `start` causes. The error is the integral at the top of this file. n is N times a power of 2. If
+// `gradient` is not empty, the error of the derivatives is subtracted from `gradient`.
 inline Excess excess(View<const double, 2> slip, Complex start, int n, View<double, 2> gradient) {
     const BranchPoint point = branch_point(slip, start, CLOSE * 2 * PI / n);
     const double b = point.b, farthest = 1.5 * 2 * PI / n;

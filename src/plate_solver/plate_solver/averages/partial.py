@@ -18,16 +18,15 @@ from ..library import Library
 from .request import Request
 
 LEFT_OUT = 1.15
-"""Factor on the upper bound of the fraction that the library gives. Larger fractions are not
-tried. The factor is above 1 because the finite number of rotations makes the bound a few per
-cent too low."""
+"""Maximum fraction that is tried, divided by the upper bound that the library gives. The value is
+above 1 because the finite number of rotations makes the bound a few per cent too low."""
 
 BISECTIONS = 5
 """Maximum number of bisections. The bisections determine the largest fraction to within 1/32 of the
 upper bound."""
 
 CAUTION = 0.95
-"""First fraction to try, relative to the fraction that the solution for the whole request
+"""First fraction that is tried, divided by the fraction that the solution for the whole request
 achieves."""
 
 WORTH_IT = 0.5
@@ -46,9 +45,9 @@ def easiest_force(request: Request, library: Library) -> np.ndarray:
     if not request.flags.slack:
         return request.force
     rows = library.forces(request.position)
-    wanted, slack = request.force.T.ravel(), request.tolerance.T.ravel()
+    requested, slack = request.force.T.ravel(), request.tolerance.T.ravel()
     bounded, matrix = np.isfinite(slack), np.hstack([rows, -rows])
-    most = np.concatenate([(wanted + slack)[bounded], (slack - wanted)[bounded]])
+    most = np.concatenate([(requested + slack)[bounded], (slack - requested)[bounded]])
     result = linprog(
         np.ones(matrix.shape[1]), np.vstack([matrix[bounded], -matrix[bounded]]), most,
         method="highs",
@@ -85,9 +84,9 @@ def largest_fraction(
     most : float
         Maximum force that a motion can exert on a part [mu m g].
     prove : function, optional
-        Returns whether a request is proven infeasible. The function is slow and called at most
-        once. If it is None, the solution for the whole request is returned if its error for the
-        whole request is smaller.
+        Function that returns whether a request is proven infeasible. The function is slow and
+        called at most once. Without it, the result is the solution for the whole request if this
+        solution has the smaller error for the whole request.
     """
     fits = min(1.0, most / max(request.flags.loaded, 1e-300))
     whole = attempt(request if fits == 1 else request.times(fits))
@@ -148,8 +147,9 @@ def largest_fraction(
 
 
 def _along(requested: np.ndarray, missed: np.ndarray) -> float:
-    """Return the achieved fraction of a request, in its direction."""
-    size = float(np.sum(requested**2))  # bounded, because the request was scaled
+    """Return the component of the achieved force in the direction of the request, as a fraction of
+    the request."""
+    size = float(np.sum(requested**2))  # no overflow, because the request was scaled
     return float(np.sum((requested - missed) * requested)) / size if size > 0 else 0.0
 
 

@@ -1,7 +1,8 @@
 """Solution of a request on refined force maps by repeated correction.
 
-There are three maps: `none`, `velocity` and `cycle`. Each is more accurate and more expensive than
-the previous one. The functions return a `Solution` with the errors on the refined map.
+There are three maps: `none`, `velocity` and `cycle`. `velocity` is more accurate and more expensive
+than `none`, and `cycle` more than `velocity`. The functions return a `Solution` with the errors on
+the refined map.
 """
 
 from __future__ import annotations
@@ -27,24 +28,24 @@ with finer steps."""
 
 VELOCITY_CORRECTIONS = 20
 """Maximum number of corrections on the map `velocity`. Each correction uses the mean velocities of
-the parts under the last motion. A correction approximately halves the error."""
+the parts under the last motion. Each correction approximately halves the error."""
 
 REFINED_TOLERANCE = 1e-3
-"""Maximum force error that counts as success on a refined map [mu m g]. If the solver's tolerance
-is larger, that tolerance is used instead."""
+"""Maximum force error that counts as success on a refined map [mu m g]. A larger tolerance of the
+solver replaces this value."""
 
 MISSED = 0.1
 """Error that counts as success on a refined map, as a fraction of the request (root mean square
-over parts and axes). Most requests can be met only approximately on these maps. Without
-corrections, the error would be larger than the request: a motion solved on the map `none` is not
-accurate on these maps."""
+over parts and axes). Most requests can be met only approximately on the maps `velocity` and
+`cycle`. A motion that was solved on the map `none` and is not corrected has an error that is larger
+than the request."""
 
 STALE = 4
 """Maximum number of consecutive corrections without an improvement. After that, the search ends."""
 
 MAX_ON_CYCLE = 0.5
-"""Maximum force on the map `cycle` [mu m g]. A part that starts at rest moves by at most half of mu
-g T^2, because friction is at most mu m g."""
+"""Maximum force on the map `cycle` [mu m g]. A part that starts at rest moves by at most mu g T^2 /
+2, because friction is at most mu m g."""
 
 
 def force_solution(
@@ -72,7 +73,7 @@ def force_solution(
     )
 
 
-def judged(request: Request, solution: Solution, error: np.ndarray, bound: float) -> Solution:
+def evaluated(request: Request, solution: Solution, error: np.ndarray, bound: float) -> Solution:
     """Return the solution with given force errors (M, 2) [mu m g]. The solution is a success if no
     error exceeds the request's tolerance by more than `bound` [mu m g]."""
     worst = float(np.max(np.abs(error) - request.tolerance))
@@ -92,11 +93,11 @@ def judged(request: Request, solution: Solution, error: np.ndarray, bound: float
 
 def refined(request: Request, solution: Solution, error: np.ndarray, bound: float) -> Solution:
     """Return the solution with given force errors (M, 2) [mu m g] on a refined map. The solution is
-    a success as in `judged`, or if the root mean square error is at most `MISSED` times the
+    a success as in `evaluated`, or if the root mean square error is at most `MISSED` times the
     request."""
     allowed = MISSED * float(np.sqrt(np.mean(request.force**2)))
     enough = _spill(request, error) <= allowed
-    return judged(
+    return evaluated(
         request, replace(solution, status=Status.FAILED), error, np.inf if enough else bound
     )
 
@@ -104,11 +105,11 @@ def refined(request: Request, solution: Solution, error: np.ndarray, bound: floa
 def on_mean_velocity(
     request: Request, solve: Callable[[Request], Solution], friction_accel: float, bound: float
 ) -> Solution:
-    """Solve on the map `velocity`, with the parts' mean velocities over the cycle under the
-    returned motion.
+    """Solve on the map `velocity`. The velocities are the parts' mean velocities over the cycle
+    under the returned motion.
 
-    A fixed-point iteration alternates between two computations: the motion from the velocities, and
-    the velocities from the motion.
+    A fixed-point iteration computes the motion from the velocities, then the velocities from the
+    motion, and repeats both.
     """
     velocity = request.velocity
 
@@ -175,6 +176,5 @@ def _best_of(
 
 
 def _spill(request: Request, error: np.ndarray) -> float:
-    """Return the root mean square of the errors (M, 2) [mu m g], after each is reduced by the
-    tolerance."""
+    """Return the root mean square of the errors (M, 2) [mu m g] beyond the tolerance."""
     return float(np.sqrt(np.mean(np.maximum(np.abs(error) - request.tolerance, 0.0) ** 2)))

@@ -8,7 +8,7 @@
 
 namespace plate {
 
-// Maximum accepted coordinate and velocity of a part. The values are the same as in request.py.
+// Maximum accepted coordinate [m] and velocity [m/s] of a part. request.py imports both values.
 constexpr double FARTHEST_M = 1e3, FASTEST_MPS = 1e3;
 
 // Compiled counterpart of `RequestFlags` in request.py.
@@ -27,15 +27,15 @@ inline RequestFlags request_flags(View<const double, 2> position, View<const dou
         flags.sound &= !std::isinf(curl(i));
         double least = 0;
         for (int axis = 0; axis < 2; axis++) {
-            const double wanted = std::abs(force(i, axis)), free = tolerance(i, axis);
+            const double requested = std::abs(force(i, axis)), free = tolerance(i, axis);
             flags.sound &= std::abs(position(i, axis)) <= FARTHEST_M;
             flags.sound &= std::abs(velocity(i, axis)) <= FASTEST_MPS;
-            flags.sound &= std::isfinite(wanted) && free >= 0;
+            flags.sound &= std::isfinite(requested) && free >= 0;
             flags.moving |= velocity(i, axis) != 0;
             flags.slack |= free != 0;
-            flags.within &= wanted <= free;
+            flags.within &= requested <= free;
             // Magnitudes are at most this value, so that `scaled_length` does not overflow.
-            least = scaled_length(least, std::max(wanted - free, 0.0));
+            least = scaled_length(least, std::max(requested - free, 0.0));
         }
         flags.loaded = std::max(flags.loaded, least);
     }

@@ -1,5 +1,5 @@
-"""A checked request for average forces on parts, and its properties. `Request.check` raises an
-error for wrong shapes and values."""
+"""A request for average forces on parts, and its properties. `Request.check` raises an error for
+wrong shapes and values."""
 
 from __future__ import annotations
 
@@ -22,15 +22,16 @@ FASTEST_MPS: float = _kernels.FASTEST_MPS
 
 
 class RequestFlags(NamedTuple):
-    """Properties of a request. The properties are computed in one pass in C++, because the same
-    checks in numpy would take longer than a search from a good start.
+    """Properties of a request. C++ computes them in one pass, because the same checks in numpy
+    would take longer than a search from a good start.
 
     Attributes
     ----------
     sound : bool
         Whether all values are allowed.
     moving, curled, slack : bool
-        Whether any part moves; whether a curl is requested; whether any force has a tolerance.
+        Whether any part moves, whether any curl is requested, and whether any force has a
+        tolerance.
     within : bool
         Whether zero force is within all tolerances.
     loaded : float
@@ -67,7 +68,7 @@ class Request:
     curl : (M,)
         Requested curls [mu m g / m]. NaN accepts any curl.
     tolerance : (M, 2)
-        Forces within +-tolerance [mu m g] of the request have no error.
+        Forces within +-tolerance [mu m g] of `force` have no error.
     """
 
     position: np.ndarray
@@ -79,18 +80,18 @@ class Request:
     @property
     def rows(self) -> np.ndarray:
         """Mask of the requested rows (3 M,), bool: force x, force y and curl of each part."""
-        requested = np.ones((len(self.position), 3), bool)
-        requested[:, 2] = np.isfinite(self.curl)
-        return requested.ravel()
+        mask = np.ones((len(self.position), 3), bool)
+        mask[:, 2] = np.isfinite(self.curl)
+        return mask.ravel()
 
     @property
-    def wanted(self) -> np.ndarray:
+    def requested(self) -> np.ndarray:
         """Requested force x, force y and curl (3 M,), part by part."""
         return np.column_stack([self.force, self.curl]).ravel()
 
     @property
     def scale(self) -> np.ndarray:
-        """Factors (3 M,) that convert errors in `wanted` to force errors [mu m g]."""
+        """Factors (3 M,) that convert errors in `requested` to force errors [mu m g]."""
         return np.tile([1.0, 1.0, CURL_LENGTH_M], len(self.position))
 
     @cached_property
@@ -110,7 +111,7 @@ class Request:
         return self.flags.moving or self.flags.curled
 
     def times(self, fraction: float) -> Request:
-        """Return the request multiplied by a fraction: forces and curls keep their directions."""
+        """Return the request with forces and curls multiplied by a fraction."""
         return replace(self, force=fraction * self.force, curl=fraction * self.curl)
 
     @classmethod

@@ -8,17 +8,17 @@ namespace plate {
 
 using namespace rotations;
 
-// Indices of the requested rows: true entries of a mask (3 M,).
-static std::vector<int> rows_of(const Array<const bool, 1>& requested, size_t parts) {
-    check("requested", requested, {3 * parts});
+// Returns the indices of the true entries of a mask (3 M,).
+static std::vector<int> rows_of(const Array<const bool, 1>& mask, size_t parts) {
+    check("rows", mask, {3 * parts});
     std::vector<int> rows;
     for (size_t row = 0; row < 3 * parts; row++)
-        if (requested.data()[row]) rows.push_back(static_cast<int>(row));
+        if (mask.data()[row]) rows.push_back(static_cast<int>(row));
     return rows;
 }
 
 static nb::object slopes_of_forces(Numbers theta, nb::tuple record, Numbers times, Table knots,
-                                   Table position, Table velocity, Array<const bool, 1> requested) {
+                                   Table position, Table velocity, Array<const bool, 1> mask) {
     const SequencesRecord family(record);
     const size_t parts = position.shape(0);
     check("position", position, {parts, 2}), check("velocity", velocity, {parts, 2});
@@ -26,7 +26,7 @@ static nb::object slopes_of_forces(Numbers theta, nb::tuple record, Numbers time
     if (line.segments() != 2 * (*family).count() + 2)
         throw nb::value_error("the number of knots does not match the number of rotations");
     const Parameters own = family.parameters(theta);
-    const std::vector<int> rows = rows_of(requested, parts);
+    const std::vector<int> rows = rows_of(mask, parts);
     Matrix jacobian;
     {
         nb::gil_scoped_release others_may_run;
@@ -39,15 +39,16 @@ static nb::object slopes_of_forces(Numbers theta, nb::tuple record, Numbers time
 class ForcesRecord {
 public:
     explicit ForcesRecord(const nb::tuple& record)
-        : family(nb::cast<nb::tuple>(field(record, 0))), position(nb::cast<Table>(field(record, 1))),
-          velocity(nb::cast<Table>(field(record, 2))), wanted(nb::cast<Numbers>(field(record, 4))),
+        : family(nb::cast<nb::tuple>(field(record, 0))),
+          position(nb::cast<Table>(field(record, 1))), velocity(nb::cast<Table>(field(record, 2))),
+          requested(nb::cast<Numbers>(field(record, 4))),
           scale(nb::cast<Numbers>(field(record, 5))) {
         const size_t parts = position.shape(0);
         check("position", position, {parts, 2}), check("velocity", velocity, {parts, 2});
         std::vector<int> rows = rows_of(nb::cast<Array<const bool, 1>>(field(record, 3)), parts);
-        check("wanted", wanted, {rows.size()}), check("scale", scale, {rows.size()});
+        check("requested", requested, {rows.size()}), check("scale", scale, {rows.size()});
         problem = {*family,      view(position), view(velocity), std::move(rows),
-                   view(wanted), view(scale)};
+                   view(requested), view(scale)};
     }
 
     const SequenceForces& operator*() const { return problem; }
@@ -56,7 +57,7 @@ public:
 
 private:
     Table position, velocity;
-    Numbers wanted, scale;
+    Numbers requested, scale;
     SequenceForces problem;
 };
 

@@ -27,8 +27,8 @@ from .rotations import fit_mean_force, mean_force_error
 from .tour import filled, nearest_order
 
 COARSE = (20, 4)
-"""Number of steps in each ramp and in each hold of the sequence during the search. Ramps need more
-steps than holds, because the slip of a part may nearly vanish in them."""
+"""Number of steps in each ramp and in each hold of the sequence during the search. A ramp needs
+more steps than a hold, because the slip of a part may nearly vanish during a ramp."""
 
 FINE = (60, 20)
 """Number of steps in each ramp and in each hold of the sequence during the final correction."""
@@ -98,14 +98,14 @@ class RotationSolver(ForceSolver, RotationCycles):
         best, iterations = basin_hopping(propose, attempt, begin, 1 + options.restarts)
         family, found = best
         self._last = request.position, Start(family, found.parameters)
-        cycle, error = self._judged(request, family, found.parameters)
-        if np.max(np.abs(error)) > tolerance:  # the search steps missed a dip of the slip
+        cycle, error = self._evaluated(request, family, found.parameters)
+        if np.max(np.abs(error)) > tolerance:  # the steps of the search missed a dip of the slip
             fine = family.finer(FINE)
             found = fit_mean_force(
                 request, fine, found.parameters, tolerance / 10, options.iterations
             )
             iterations += found.iterations
-            cycle, error = self._judged(request, fine, found.parameters)
+            cycle, error = self._evaluated(request, fine, found.parameters)
         solution = force_solution(request, error, cycle, tolerance, iterations, found.condition)
         if solution.success or np.any(request.velocity):
             return solution
@@ -116,7 +116,7 @@ class RotationSolver(ForceSolver, RotationCycles):
             solution, message=f"{solution.message}; a fraction of about {fraction:.2g} is possible"
         )
 
-    def _judged(
+    def _evaluated(
         self, request: Request, family: RotationFamily, parameters: np.ndarray
     ) -> tuple[PlateCycle, np.ndarray]:
         """Return the motion within the limits, and its errors in the requested rows [mu m g].

@@ -11,8 +11,8 @@
 
 namespace plate::rotations {
 
-// Damping options that detect a stall later. With the usual criterion, the search would stop
-// although the forces are feasible.
+// Damping options that also stop a slow search: it ends if ten steps leave more than 0.9 of the
+// squared error. With a stricter criterion, searches for feasible forces would end too early.
 constexpr Damping PATIENT = [] {
     Damping damping = DAMPING;
     damping.stall_steps = 10, damping.stall_fraction = 0.9;
@@ -23,9 +23,10 @@ constexpr Damping PATIENT = [] {
 struct SequenceForces {
     Sequences family;
     View<const double, 2> position, velocity;  // (M, 2)
-    // Indices of the requested components in the list of all forces x, all forces y and all curls.
-    std::vector<int> requested;
-    View<const double, 1> wanted, scale;       // (R,)
+    // Indices of the R requested values in the list of all values: force x, force y and curl of
+    // part 1, then of part 2, and so on.
+    std::vector<int> rows;
+    View<const double, 1> requested, scale;  // (R,)
 };
 
 // Computes the errors (R,) of the mean forces for twists (n, 3) over steps dt (n,).
@@ -34,9 +35,9 @@ inline void missed(const SequenceForces& problem, View<const double, 2> twist, c
     const int count = problem.position.size(0);
     Matrix mean(count, 3);
     step_forces(problem.position, problem.velocity, twist, dt, {mean[0], {count, 3}});
-    error.resize(problem.requested.size());
+    error.resize(problem.rows.size());
     for (size_t r = 0; r < error.size(); r++)
-        error[r] = (problem.wanted(r) - mean[0][problem.requested[r]]) * problem.scale(r);
+        error[r] = (problem.requested(r) - mean[0][problem.rows[r]]) * problem.scale(r);
 }
 
 // Positions and velocities of the parts, as one array per coordinate.
@@ -51,9 +52,9 @@ struct Parts {
     }
 };
 
-// Rows of `value` in `directions`. The rows are the derivatives of force x with respect to u and v,
-// of force y with respect to v, of both forces with respect to the spin, and of the curl with
-// respect to u, v and the spin. The rows of the curl are used only if curls are requested.
+// Rows of `value` in `directions`: derivatives of force x (X), force y (Y) and curl with respect to
+// the twist (u, v, spin). For example, XY is d force x / d v. The rows of the curl are used only if
+// curls are requested.
 enum Row { XX, XY, YY, X_SPIN, Y_SPIN, CURL_U, CURL_V, CURL_SPIN };
 
 // Writes the derivatives (8, M) of each part's force and curl with respect to the twist, for a step
@@ -93,7 +94,7 @@ template <bool TURNING>
 }
 
 // Adds the contribution of the steps of segment k to the derivatives with respect to its knots.
-// `total` (5, 8 M) contains the sums of the steps' derivatives with five weights, `way` (3, M) the
+// `total` (5, 8 M) contains five weighted sums of the steps' derivatives. `way` (3, M) contains the
 // sums of forces and curls. The results are ordered: force x of all parts, force y of all parts,
 // curls of all parts.
 inline void to_knots(int k, double steps_period, const double* gap, const Matrix& total,
@@ -162,17 +163,17 @@ template <bool TURNING>
     return by;
 }
 
-// Derivatives (R, P) of the requested rows of `step_forces` with respect to the parameters. `line`
-// contains the knots that belong to these parameters.
+// Derivatives (R, P) of R results of `step_forces` with respect to the parameters. `rows` are the
+// indices of these results. `line` contains the knots that belong to the parameters.
 PLATE_WIDE inline void force_slopes(const Parameters& theta, const Sequences& family,
                                     const Line& line, View<const double, 2> position,
                                     View<const double, 2> velocity,
-                                    const std::vector<int>& requested, Matrix& jacobian) {
+                                    const std::vector<int>& rows, Matrix& jacobian) {
     const int count = position.size(0);
     const Parts parts(position, velocity);
     bool turning = false;
-    std::vector<int> results;  // index of each requested row in the results of `forces_back`
-    for (int row : requested) {
+    std::vector<int> results;  // index of each row in the results of `forces_back`
+    for (int row : rows) {
         results.push_back(row % 3 * count + row / 3);
         turning = turning || row % 3 == 2;
     }
@@ -192,7 +193,7 @@ inline Fit descend(const SequenceForces& problem, Parameters theta, double toler
     };
     const auto slopes = [&](Matrix& jacobian) {
         force_slopes(run.theta, problem.family, run.line, problem.position, problem.velocity,
-                     problem.requested, jacobian);
+                     problem.rows, jacobian);
         for (int r = 0; r < jacobian.rows; r++)
             for (int p = 0; p < jacobian.columns; p++) jacobian[r][p] *= problem.scale(r);
     };

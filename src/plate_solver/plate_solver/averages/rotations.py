@@ -23,17 +23,19 @@ class SequenceForces(NamedTuple):
     ----------
     family : Sequences
     position, velocity : (M, 2)
-    requested : (3 M,) bool
-        Whether force x, force y and curl of each part are requested.
-    wanted, scale : (R,)
-        Requested values, and factors that convert their errors to force errors [mu m g].
+    rows : (3 M,) bool
+        Whether force x, force y and curl of each part are requested, part by part.
+    requested : (R,)
+        Requested values, one for each true entry of `rows`.
+    scale : (R,)
+        Factors that convert the errors of these values to force errors [mu m g].
     """
 
     family: Sequences
     position: np.ndarray
     velocity: np.ndarray
+    rows: np.ndarray
     requested: np.ndarray
-    wanted: np.ndarray
     scale: np.ndarray
 
     @classmethod
@@ -42,7 +44,7 @@ class SequenceForces(NamedTuple):
         rows = request.rows
         return cls(
             family.plain, request.position, request.velocity, rows,
-            request.wanted[rows], request.scale[rows],
+            request.requested[rows], request.scale[rows],
         )  # fmt: skip
 
 
@@ -53,8 +55,8 @@ def fit_mean_force(
     tolerance: float,
     iterations: int,
 ) -> Fit:
-    """Adjust a sequence until its average forces (5) match the request. `Fit.error` and
-    `tolerance` are in mu m g."""
+    """Adjust a sequence until its average forces (5) match the request. `tolerance` and `Fit.error`
+    have the unit mu m g."""
     forces = SequenceForces.of(request, family)
     return Fit(*_kernels.fit_mean_force(forces, parameters, tolerance, iterations))
 

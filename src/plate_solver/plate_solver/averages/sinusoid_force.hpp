@@ -26,9 +26,9 @@ struct Rules {
     int pieces;
 };
 
-// Writes the coefficients (2 N + 1, 2) of the slip velocity of the plate relative to a part at
-// (x, y) with velocity (vx, vy). The last row is the constant term. The motion of the plate has
-// `coefficients` (2 N, 3) in plate_home.
+// Writes the coefficients (2 N + 1, 2) of the slip velocity: the velocity of the plate relative to
+// a part at (x, y) with velocity (vx, vy). The last row is the constant term. The motion of the
+// plate has `coefficients` (2 N, 3) in plate_home.
 [[gnu::always_inline]] inline void slip_at(View<const double, 2> coefficients, double x, double y,
                                            double vx, double vy, View<double, 2> slip) {
     const int rows = coefficients.size(0);
@@ -40,9 +40,9 @@ struct Rules {
     slip(rows, 0) = -vx, slip(rows, 1) = -vy;
 }
 
-// Returns the mean direction of the slip over the nodes from `start` to `stop` (exclusive). Their
-// number is a multiple of eight. Writes to the rows of `work`: slip x, slip y, its square, and the
-// reciprocal of its magnitude.
+// Returns the mean direction of the slip over the nodes from `start` to `stop` (exclusive). The
+// number of nodes is a multiple of eight. The function writes four rows of `work`: slip x, slip y,
+// the squared slip, and the reciprocal of its magnitude.
 [[gnu::always_inline]] inline Force equal_steps(View<const double, 2> slip,
                                                 View<const double, 2> waves, int start, int stop,
                                                 View<double, 2> work) {
@@ -149,9 +149,9 @@ PLATE_WIDE inline Force by_panels(View<const double, 2> slip, const Rules& rule,
 }
 
 // Returns the average force [mu m g] of a slip (2 N + 1, 2) [m/s] by the quadrature `grid`. `work`
-// (5, K) is a buffer. Unless `gradient` (3, 2 N) is empty, it receives the derivatives with respect
-// to the slip's rows: d f_x / d slip_x, d f_x / d slip_y = d f_y / d slip_x, d f_y / d slip_y
-// [s/m].
+// (5, K) is a buffer. If `gradient` (3, 2 N) is not empty, it receives the derivatives with respect
+// to the first 2 N rows of `slip` [s/m]: d f_x / d slip_x, d f_x / d slip_y (equal to d f_y / d
+// slip_x), and d f_y / d slip_y.
 PLATE_WIDE inline Force force_of(View<const double, 2> slip, const Rules& rule, int grid,
                                  View<double, 2> work, View<double, 2> gradient) {
     if (grid == PANELS) return by_panels(slip, rule, gradient);

@@ -1,11 +1,11 @@
 """Averaged force map of sinusoidal motions: equations (3) to (5) with (13).
 
-The mean over n equal steps of a smooth periodic function has an error of exp(-n b), where b is the
-distance of its nearest singularity from the real axis. Here the singularities are the complex times
-at which the slip of the part is zero. At a dip, the slip nearly vanishes and b is small. Therefore
-dips are detected in the samples, and the error that each dip causes is subtracted
-(near_zero_slip.hpp). If two dips are too close to be separated, the adaptive quadrature of
-`mean_force` is used instead. The quadrature represents the slip by Taylor polynomials.
+The mean of a smooth periodic function over n equal steps has an error of exp(-n b). b is the
+distance between the real axis and the nearest singularity of the function. Here the singularities
+are the complex times at which the slip of the part is zero. At a dip, the slip nearly vanishes and
+b is small. Therefore dips are detected in the samples, and the error that each dip causes is
+subtracted (near_zero_slip.hpp). If two dips are too close to be separated, the adaptive quadrature
+of `mean_force` is used instead. The quadrature represents the slip by Taylor polynomials.
 
 The slip of a part is an array `slip` (2 N + 1, 2): rows sin 1..N, cos 1..N, constant; columns x, y
 [m/s].
@@ -22,11 +22,11 @@ import numpy as np
 from .. import _kernels
 
 STEPS_PER_HARMONIC = 64
-"""Number of equal steps per harmonic. With this number, most random motions with N = 2 need at most
+"""Number of equal steps per harmonic. With this value, most random motions with N = 2 need at most
 one correction."""
 
 FEW_STEPS_PER_HARMONIC = 16
-"""Number of equal steps per harmonic if motions are compared only roughly."""
+"""Number of equal steps per harmonic for a rough comparison of motions."""
 
 PIECES_PER_HARMONIC = 8
 """Number of pieces of the period per harmonic in the adaptive quadrature."""
@@ -48,8 +48,8 @@ class Rules(NamedTuple):
         Number of steps of the coarse grid.
     taylor : (D + 1, N)
         Taylor coefficients of each harmonic about the middle of a piece. The unit of time is the
-        length of the piece. Even rows are factors of the harmonic's value at the middle, odd rows
-        are factors of its quadrature component.
+        length of the piece. Even rows are factors of the harmonic's value at the middle. Odd rows
+        are factors of the harmonic shifted by a quarter of its period.
     pieces : int
         Number of pieces of the period in the adaptive quadrature.
     """

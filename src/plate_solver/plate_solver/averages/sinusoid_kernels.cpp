@@ -9,7 +9,7 @@ using averages::Found;
 using averages::Inversion;
 using averages::Motions;
 using averages::Request;
-using sinusoids::Looks;
+using sinusoids::SampledBasis;
 
 static Matrix matrix_of(View<const double, 2> from) {
     Matrix result(from.size(0), from.size(1));
@@ -27,7 +27,8 @@ static Matrix across(const Table& array, size_t first, size_t rows) {
 }
 
 // Converts the bases (n, h) of pose, twist and acceleration.
-static Looks looks_of(const Table& pose, const Table& twist, const Table& accel, size_t size) {
+static SampledBasis sampled_basis_of(const Table& pose, const Table& twist, const Table& accel,
+                                     size_t size) {
     const size_t n = pose.shape(0);
     for (const Table* basis : {&pose, &twist, &accel}) check("basis", *basis, {n, size});
     return {across(pose, 0, n), across(twist, 0, n), across(accel, 0, n)};
@@ -52,9 +53,10 @@ static Motions motions_of(nb::tuple rules_record, nb::handle basis, nb::tuple li
         .few = rules.few,
         .pieces = rules.pieces,
         .span = matrix_of(view(span)),
-        .steps = looks_of(table("pose"), table("twist"), table("accel"), size),
-        .knots = looks_of(nb::cast<Table>(field(knots, 0)), nb::cast<Table>(field(knots, 1)),
-                          nb::cast<Table>(field(knots, 2)), size),
+        .steps = sampled_basis_of(table("pose"), table("twist"), table("accel"), size),
+        .knots =
+            sampled_basis_of(nb::cast<Table>(field(knots, 0)), nb::cast<Table>(field(knots, 1)),
+                             nb::cast<Table>(field(knots, 2)), size),
         .hull = {across(hull, 0, third), across(hull, third, third),
                  across(hull, 2 * third, third)},
         .spline = across(spline, 0, 6 * pieces),

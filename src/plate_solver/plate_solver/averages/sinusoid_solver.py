@@ -1,8 +1,8 @@
 """Method B (section 3.2 of the paper) on the averaged map: sinusoids with requested mean forces.
 
-Requests without curls are solved in C++ (`sinusoids.invert`). Requests with curls are fitted on
-equal steps, by the Levenberg-Marquardt method and basin hopping. The input is a `Request`, and the
-output is a `Solution`.
+Requests without curls are solved in C++ (`sinusoids.invert`). For requests with curls, a motion is
+fitted on equal steps by the Levenberg-Marquardt method and basin hopping. The input is a `Request`,
+and the output is a `Solution`.
 """
 
 from __future__ import annotations
@@ -30,18 +30,18 @@ from .unreachable import is_out_of_reach
 
 CURL_SAMPLES = 8192
 """Number of samples for the evaluation of curls. A curl is the mean of u3/slip. Therefore times at
-which the slip nearly vanishes affect it more than a force."""
+which the slip nearly vanishes change a curl more than a force."""
 
 SPREAD = 0.7
-"""Size of a perturbation of the best motion, relative to a random motion. The size applies only if
-curls are requested."""
+"""Size of a perturbation of the best motion, as a fraction of a random motion. It applies only to
+requests with curls."""
 
 STARTS = 3
 """Number of starts of the averaged search per restart. One start takes a tenth of a millisecond."""
 
 MAX_STARTS = 200
-"""Maximum number of random starts that are drawn. If more starts are needed, the same starts are
-used again."""
+"""Maximum number of random starts that are drawn. If a search needs more starts, it uses the same
+starts again."""
 
 
 @dataclass(frozen=True)
@@ -51,8 +51,8 @@ class SinusoidForceOptions(SinusoidOptions):
     Attributes
     ----------
     at_rest : bool
-        Whether cycles start and end with the plate at home and at rest. This condition uses two
-        parameters per degree of freedom. The cycles of `steer` always satisfy it.
+        Whether cycles start and end with the plate at home and at rest. This condition reduces the
+        number of parameters by two per degree of freedom. The cycles of `steer` always satisfy it.
     tolerance : float
         Maximum force error that counts as success [mu m g].
 
@@ -171,7 +171,7 @@ class SinusoidSolver(ForceSolver, SinusoidCycles):
         def attempt(start: np.ndarray, _: int) -> tuple[Fit, float, int, bool]:
             found = fit_curl(request, family, start, tolerance / 10, most)
             steps, good = found.iterations, np.max(np.abs(found.error)) <= tolerance
-            if good:  # repeat with fine samples, because coarse samples do not resolve dips
+            if good:  # coarse samples do not resolve dips: repeat with fine samples
                 found = fit_curl(request, fine, found.parameters, tolerance / 10, most)
                 steps, good = steps + found.iterations, np.max(np.abs(found.error)) <= tolerance
             return found, found.cost, steps, bool(good)
@@ -197,7 +197,7 @@ def curl_error(request: Request, twist: np.ndarray) -> np.ndarray:
     """Return the errors of the requested rows [mu m g]. The twists (n, 3) are sampled at equal
     steps."""
     got = step_forces(request.position, request.velocity, twist, np.ones(len(twist))).ravel()
-    return np.asarray(((request.wanted - got) * request.scale)[request.rows])
+    return np.asarray(((request.requested - got) * request.scale)[request.rows])
 
 
 def fit_curl(

@@ -32,14 +32,14 @@ constexpr int FIRST = 0;  // number of the first start
 // Maximum number of consecutive failed perturbations. After that, a round ends.
 constexpr int HOPS = 12;
 
-// Size of a perturbation relative to the best motion of the round.
+// Size of a perturbation as a fraction of the best motion of the round.
 constexpr double HOP = 0.15;
 
 // A perturbation is successful if its cost is below this factor times the best cost of the round.
 constexpr double BETTER = 0.99;
 
-// A motion on equal steps is evaluated with corrected dips if its error exceeds this fraction of
-// the tolerance.
+// If the error with corrected dips exceeds this fraction of the tolerance, the descent continues
+// with corrected dips.
 constexpr double SURE = 0.7;
 
 // Number of equal legs of a continuation from a fresh start to the request.
@@ -56,10 +56,10 @@ struct Motions {
     Matrix waves, taylor;  // the same as in `Rules`
     int few, pieces;
     Matrix span;                // (2 N, h)
-    Looks steps, knots, hull;   // basis at equal steps, at the knots, and at control points
+    SampledBasis steps, knots, hull;   // basis at equal steps, at the knots, and at control points
     Matrix spline;              // (h, 6 k): powers of the time since the knot
     std::vector<double> times;  // (k + 1,): times of the knots [s]
-    Limits limits;              // MARGIN times the limits of the rig
+    Limits limits;              // `MARGIN` times the limits of the rig
     int candidates;             // number of random motions per fresh start
 
     int size() const { return span.columns; }
@@ -82,7 +82,7 @@ struct Request {
 // its errors (M, 2) [mu m g].
 struct Found {
     std::vector<double> theta;  // parameters (3 h,), at full amplitude
-    Looked knots;
+    SampledMotion knots;
     std::vector<double> spline, error;
     double worst, condition;
     int iterations, tries;
@@ -99,7 +99,7 @@ public:
           coefficients(motions.span.rows, 3), by_span(3, size) {
         const double* velocity = request.velocity.data;
         moving = std::any_of(velocity, velocity + 2 * parts, [](double v) { return v != 0; });
-        wanted.assign(request.force.data, request.force.data + 2 * parts);
+        requested.assign(request.force.data, request.force.data + 2 * parts);
     }
 
     // Finds a motion with the requested average forces. `warm` (3 h,) is the last solution; null if
@@ -110,13 +110,14 @@ public:
             search(warm ? std::vector<double>(warm, warm + 3 * size) : fresh(FIRST));
         Found found = finished(fit, done, tried);
         if (found.worst > request.tolerance && worst(fit.error) <= request.tolerance) {
-            fit = descend(PANELS, wanted, fit.parameters, NEAR, request.tolerance / 3,
+            fit = descend(PANELS, requested, fit.parameters, NEAR, request.tolerance / 3,
                           request.iterations);
             done += fit.iterations;
             found = finished(fit, done, tried);
         }
         if (found.worst > request.tolerance && worst(fit.error) <= request.tolerance) {
-            // The finished motion exceeds the tolerance, so search again from other starts.
+            // The error of the finished motion exceeds the tolerance: search again from other
+            // starts.
             is_warm = false, backwards = true;
             const auto [other, more, others] = search(fresh(FIRST));
             found = finished(other, done + more, tried + others);
@@ -130,11 +131,11 @@ private:
     const View<const double, 2> pool;
     const Request request;
     const int size, parts;
-    // If `backwards`, motions are taken from the end of the pool.
+    // If `backwards`, starts use motions from the end of the pool.
     bool moving, is_warm = false, backwards = false;
-    std::vector<double> wanted;
+    std::vector<double> requested;
     Matrix slip_rows, samples_of, gradient, own, coefficients, by_span, now;  // buffers
-    Looked looked;
+    SampledMotion checked;
 
     const double* random(int number) const {
         return pool[backwards ? pool.size(0) - 1 - number : number];
@@ -154,8 +155,8 @@ private:
         int steps, tried;
     };
 
-    // Basin hopping: perturbs the best motion of a round until `HOPS` perturbations in a row have
-    // failed. Then a new round begins from a fresh motion.
+    // Basin hopping: perturbs the best motion of a round until `HOPS` consecutive perturbations
+    // have failed. Then a new round begins with a fresh start.
     Searched search(const std::vector<double>& begin) {
         Attempted now = attempted(begin, FIRST, std::numeric_limits<double>::infinity());
         Attempted near = now;
@@ -175,20 +176,20 @@ private:
         return all;
     }
 
-    // Runs a descent from a start on equal steps. If the error on equal steps is small enough, the
-    // result is evaluated with corrected dips. If necessary, the descent continues with them.
-    // `least` is the minimum cost of all starts so far.
+    // Runs a descent from a start on equal steps. If the result is good enough, it is evaluated
+    // with corrected dips, and the descent continues with corrected dips if necessary. `least` is
+    // the minimum cost of all previous starts.
     Attempted attempted(const std::vector<double>& start, int number, double least) {
         const double tolerance = request.tolerance;
         const bool known = number == FIRST && is_warm;
-        Fit fit = descend(known ? ADAPTIVE : USUAL, wanted, start, known ? NEAR : AFRESH,
+        Fit fit = descend(known ? ADAPTIVE : USUAL, requested, start, known ? NEAR : AFRESH,
                           tolerance / 3, request.iterations);
         int done = fit.iterations;
         double cost = squared(fit.error), greatest = worst(fit.error);
         if (greatest <= tolerance || cost < least) {
-            cost = force_error(ADAPTIVE, wanted, fit.parameters, fit.error, nullptr);
+            cost = force_error(ADAPTIVE, requested, fit.parameters, fit.error, nullptr);
             if (greatest <= 30 * tolerance && worst(fit.error) > SURE * tolerance) {
-                fit = descend(ADAPTIVE, wanted, fit.parameters, NEAR, tolerance / 3,
+                fit = descend(ADAPTIVE, requested, fit.parameters, NEAR, tolerance / 3,
                               request.iterations);
                 done += fit.iterations;
                 cost = squared(fit.error);
@@ -205,12 +206,12 @@ private:
         return theta;
     }
 
-    // Returns a fresh start that continuation has moved towards the request.
+    // Returns a fresh start after its continuation towards the request.
     std::vector<double> led(int number) {
-        std::vector<double> theta = fresh(number), part = wanted;
-        const double left = LEG_ERROR * std::sqrt(squared(wanted) / (2 * parts));
+        std::vector<double> theta = fresh(number), part = requested;
+        const double left = LEG_ERROR * std::sqrt(squared(requested) / (2 * parts));
         for (int leg = 1; leg < LEGS; leg++) {
-            for (int r = 0; r < 2 * parts; r++) part[r] = wanted[r] * leg / LEGS;
+            for (int r = 0; r < 2 * parts; r++) part[r] = requested[r] * leg / LEGS;
             theta = descend(USUAL, part, theta, AFRESH, left, LEG_STEPS).parameters;
         }
         return theta;
@@ -220,7 +221,7 @@ private:
     // the smallest force error.
     std::vector<double> fresh(int number) {
         const int count = pool.size(0), most = motions.candidates;
-        // Every fresh start takes its motions from another place in the pool.
+        // Every fresh start uses other motions of the pool.
         const int first = number / (HOPS + 1) * most % count;
         double least = 1e300, sign = 1;
         int index = first;
@@ -228,12 +229,13 @@ private:
         for (int i = first; i < std::min(first + most, count); i++) {
             std::vector<double> theta(random(i), random(i) + 3 * size);
             if (moving) to_full_amplitude(theta);
-            const double cost = force_error(FEW, wanted, theta, error, nullptr);
+            const double cost = force_error(FEW, requested, theta, error, nullptr);
             if (cost < least) least = cost, index = i, sign = 1;
-            // The achieved force is g = f - error, and the opposite motion produces -g: |f + g|^2 =
-            // |f - g|^2 + 4 f.g
+            // The motion produces the force g = f - error, and the opposite motion produces -g. So
+            // the squared error of the opposite motion is |f + g|^2 = |f - g|^2 + 4 f.g
             double opposite = cost;
-            for (int r = 0; r < 2 * parts; r++) opposite += 4 * wanted[r] * (wanted[r] - error[r]);
+            for (int r = 0; r < 2 * parts; r++)
+                opposite += 4 * requested[r] * (requested[r] - error[r]);
             if (opposite < least) least = opposite, index = i, sign = -1;
         }
         std::vector<double> theta(random(index), random(index) + 3 * size);
@@ -268,9 +270,9 @@ private:
             for (double& value : theta) value /= used;
     }
 
-    double use_of(const Looks& basis, View<const double, 1> weight, bool linear) {
-        look(own[0], basis, looked);
-        return limit_use(samples(looked.pose), samples(looked.twist), samples(looked.accel),
+    double use_of(const SampledBasis& basis, View<const double, 1> weight, bool linear) {
+        look(own[0], basis, checked);
+        return limit_use(samples(checked.pose), samples(checked.twist), samples(checked.accel),
                          weight, motions.limits, linear);
     }
 
@@ -329,8 +331,8 @@ private:
         Found found{.theta = fit.parameters, .iterations = iterations, .tries = tries};
         to_full_amplitude(found.theta);
         set_coefficients(found.theta);
-        // A few rounds suffice, because the utilisation is nearly linear in the factor. Only
-        // rotation has a quadratic effect.
+        // Four rounds suffice, because the utilisation is nearly linear in the factor. Only the
+        // effect of the rotation is quadratic.
         for (int round = 0; round < 4; round++) {
             const double used = MARGIN * use_of(motions.hull, weights(HULL_WEIGHT), false);
             if (used <= CERTAIN) break;
@@ -348,7 +350,7 @@ private:
         spline_force(motions.times.data(), {found.spline.data(), {pieces, 6, 3}},
                      request.position, request.velocity, {force[0], {parts, 2}});
         found.error.resize(2 * parts);
-        for (int r = 0; r < 2 * parts; r++) found.error[r] = wanted[r] - force[0][r];
+        for (int r = 0; r < 2 * parts; r++) found.error[r] = requested[r] - force[0][r];
         found.worst = worst(found.error);
         found.condition = condition_of(fit.jacobian);
         return found;

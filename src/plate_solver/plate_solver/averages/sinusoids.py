@@ -1,15 +1,15 @@
 """Inversion of the averaged map with Method B (section 3.2.3), from the first start to the finished
 spline.
 
-The first start is the last solution. Rounds of the search follow. Each round has one fresh start
-and several perturbations of the best motion of this round. A fresh start is moved towards the
-request by continuation: it is solved for increasing fractions of the request. The result is
-converted to a spline within the rig's limits. A different quadrature than in the search evaluates
-the forces of this spline.
+The first start is the last solution. After that, the search consists of rounds. Each round has one
+fresh start and several perturbations of the best motion of this round. A fresh start is moved
+towards the request by continuation: it is solved for increasing fractions of the request. The
+result of the search is converted to a spline within the rig's limits. The forces of this spline are
+evaluated with another quadrature than in the search.
 
 The averaged forces of parts at rest do not change if the motion is scaled or shifted in time. Steps
-of minimum norm are orthogonal to these two directions. Motions are kept at the largest amplitude
-that the limits allow. At this amplitude, the velocities of the parts have the least influence.
+of minimum norm are orthogonal to these two directions. All motions have the largest amplitude that
+the limits allow, because the velocities of the parts then have the smallest influence.
 """
 
 from __future__ import annotations
@@ -47,7 +47,7 @@ class Found(NamedTuple):
     spline : (k, 6, 3)
         Polynomial coefficients, as in `PlateCycle.coefficients`.
     error : (M, 2)
-        Request minus the force of this spline [mu m g].
+        Requested force minus the force of the spline [mu m g].
     worst : float
         Maximum absolute force error [mu m g].
     condition : float
@@ -88,10 +88,11 @@ def invert(
     Parameters
     ----------
     warm : (F, 3 h)
-        The last solution (F = 1). If there is none, F is 0.
+        The last solution. F is 1 if there is a last solution, otherwise 0.
     pool : (S, 3 h)
-        Pool of random motions. A fresh start is the best of the next `FEW_CANDIDATES` motions of
-        the pool and their opposites. Perturbations are also taken from the pool.
+        Pool of random motions. For a fresh start, the next `FEW_CANDIDATES` motions of the pool and
+        their opposites are compared, and the best one is used. Perturbations are also taken from
+        the pool.
     position, velocity, force : (M, 2)
         Positions [m] and velocities [m/s] of the parts, plate_home; requested forces [mu m g].
     motions : Motions

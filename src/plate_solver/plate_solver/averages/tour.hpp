@@ -30,8 +30,8 @@ inline Matrix changes(View<const double, 2> twists, const double* half) {
     return change;
 }
 
-// Returns a short closed tour that begins and ends at 0. The tour visits the nearest neighbour
-// first. Then the 2-opt method reverses sections while this shortens the tour.
+// Returns a short closed tour that begins and ends at 0. The initial tour goes to the nearest
+// neighbour each time. Then the 2-opt method reverses sections while this shortens the tour.
 inline std::vector<int> short_tour(const Matrix& change) {
     const int count = change.rows;
     std::vector<int> tour(count + 1);

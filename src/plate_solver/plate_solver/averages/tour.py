@@ -13,11 +13,11 @@ from ..rotations.plan import RotationPlan
 
 
 def filled(plan: RotationPlan) -> RotationPlan:
-    """Return the plan with the rest of the cycle filled by its longest rotation. Half of this time
-    the rotation is reversed.
+    """Return the plan without rest: in the remaining time of the cycle, the longest rotation is
+    added, half of this time forwards and half of it backwards.
 
-    The average force of the added rotation is 0. The plate must not rest in this time, because the
-    slightest motion of a resting plate would cause full friction.
+    The average force of this addition is 0. The plate must not rest, because the slightest motion
+    of a resting plate would cause full friction.
     """
     left, j = 1 - float(np.sum(plan.fraction)), int(np.argmax(plan.fraction))
     fraction = np.append(plan.fraction, left / 2)

@@ -18,11 +18,11 @@ constexpr double PI = std::numbers::pi;
 // Number of points on each great circle.
 constexpr int POINTS = 48;
 
-// Maximum number of times that a proof subdivides a cell (a set of great circles).
+// Maximum number of subdivisions of a cell in a proof. A cell is a set of great circles.
 constexpr int HALVINGS = 4;
 
-// Maximum number of pairs of points in a proof. A proof that exceeds it is abandoned. This number
-// of pairs takes some hundredths of a second.
+// Maximum number of pairs of points in a proof. A proof that needs more pairs is abandoned. The
+// maximum takes some hundredths of a second.
 constexpr double MAX_WORK = 2e8;
 
 // Number of middle points that `greatest_triple` processes together.
@@ -84,8 +84,8 @@ inline void unit_slips(View<const double, 2> twists, View<const double, 2> posit
     }
 }
 
-// Computes an upper bound of lambda . n around each point of a circle. The bound holds for all
-// twists within `radius` [rad] of the point.
+// Computes an upper bound of lambda . n for each point of a circle. The bound holds for all twists
+// within `radius` [rad] of the point.
 PLATE_WIDE inline void upper(const Circle& circle, View<const double, 2> position, double arm_m,
                              const double* separating, double radius, double* __restrict most) {
     const int count = circle.count();
@@ -102,8 +102,8 @@ PLATE_WIDE inline void upper(const Circle& circle, View<const double, 2> positio
         for (int c = 0; c < count; c++) {
             const double spin = z[c] / arm_m, wx = x[c] - spin * py, wy = y[c] + spin * px;
             const double square = wx * wx + wy * wy;
-            // Angle between the slip and lambda, minus the maximum rotation of the slip within the
-            // radius.
+            // The bound uses the angle between the slip and lambda, minus the maximum rotation of
+            // the slip within the radius.
             const double along = lx * wx + ly * wy, across = std::abs(lx * wy - ly * wx);
             const double free = std::sqrt(square - reach * reach);
             const bool all = (square <= reach * reach) |
@@ -116,10 +116,10 @@ PLATE_WIDE inline void upper(const Circle& circle, View<const double, 2> positio
 // Returns T (see unreachable.py) for values (C,) at points around a great circle. C is a multiple
 // of SIDE_BY_SIDE.
 //
-// T contains the value of the middle point with a negative sign. Here it is replaced by the value
-// of the opposite point, so that upper bounds of the values give an upper bound of T. The angle
-// between the outer two points may be up to half a turn plus one step, so that the result also
-// covers points between the given ones.
+// In T, the value of the middle point has a negative sign. The function uses the value of the
+// opposite point instead, so that upper bounds of the values give an upper bound of T. The angle
+// between the two outer points may be up to half a turn plus one step. Therefore the result is also
+// valid for points between the given points.
 PLATE_WIDE inline double greatest_triple(const double* values, int points) {
     const int half = points / 2, reach = half + 1;
     // Values on the circle. The first and last `reach` values are repeated beyond the ends.

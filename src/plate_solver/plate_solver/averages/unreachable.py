@@ -17,10 +17,10 @@ Four twists are equivalent to two triples with a common m, so
     h(lambda) <= (N - 1)/(N + 1) T(lambda).
 
 For one part T is 1, which gives the known bound (N - 1)/(N + 1). The search for lambda uses a
-coarse grid of twists, but the proof does not rely on samples. The proof bounds T over whole cells
-of great circles, which are subdivided until the bound is below the request. If there is no proof,
-the request may still be infeasible, because the convex set is larger than the set of forces of N
-harmonics.
+coarse grid of twists. The proof does not rely on these samples: it bounds T over cells, which are
+sets of great circles. Cells are subdivided until the bound is below the request. If there is no
+proof, the request may still be infeasible, because the convex set is larger than the set of forces
+of N harmonics.
 """
 
 from __future__ import annotations
@@ -34,7 +34,7 @@ from scipy.optimize import nnls
 from .. import _kernels
 
 SAME = 1e-6
-"""Forces that differ by less count as equal [mu m g]."""
+"""Forces that differ by less than this value count as equal [mu m g]."""
 
 ROUNDS = 10
 """Maximum number of directions lambda that are tried. Most feasible requests are recognised
@@ -44,11 +44,11 @@ SPACING = 0.12
 """Spacing [rad] of the great circles' normals."""
 
 WITHIN = 1e-2
-"""A request counts as feasible if it differs from a mean of the forces found by at most this
-fraction of the request."""
+"""A request counts as feasible if it differs from a mean of forces in the convex set by less than
+this fraction of the request."""
 
 PENALTY = 30.0
-"""Weight of the row that keeps the sum of the fractions of a mean at one."""
+"""Weight of the equation that requires the sum of the fractions of a mean to be one."""
 
 
 def is_out_of_reach(position: np.ndarray, force: np.ndarray, number: int, arm_m: float) -> bool:
@@ -67,8 +67,8 @@ def is_out_of_reach(position: np.ndarray, force: np.ndarray, number: int, arm_m:
     sizes = np.hypot(force[:, 0], force[:, 1])
     if np.max(sizes) > (number - 1) / (number + 1) + 1e-9:
         return True
-    wanted = force.ravel()
-    if not np.any(wanted) or len(position) == 1:
+    requested = force.ravel()
+    if not np.any(requested) or len(position) == 1:
         return False
     if number < 2 or _apart(position, force):
         return True
@@ -76,22 +76,22 @@ def is_out_of_reach(position: np.ndarray, force: np.ndarray, number: int, arm_m:
     cells = _cells()
     vectors = _vectors(_circles(cells), position, arm_m)
     found: list[np.ndarray] = []
-    separating = wanted / np.linalg.norm(wanted)
+    separating = requested / np.linalg.norm(requested)
     for _ in range(ROUNDS):
         bound, three = _best(vectors @ separating)
-        if separating @ wanted > most * bound:
-            return _proves(cells, position, arm_m, separating, separating @ wanted / most)
+        if separating @ requested > most * bound:
+            return _proves(cells, position, arm_m, separating, separating @ requested / most)
         force = most * sum(vectors[three[0], k] for k in three[1:])
         found += [force, -force]
-        # Find the mean of the forces found that is nearest to the request. The sum of its fractions
-        # is at most 1.
-        columns = np.column_stack([*found, np.zeros(len(wanted))])
+        # Find the mean of `found` that is nearest to the request. The zero column allows fractions
+        # with a sum below 1.
+        columns = np.column_stack([*found, np.zeros(len(requested))])
         fractions, _ = nnls(
-            np.vstack([columns, np.full(columns.shape[1], PENALTY)]), np.append(wanted, PENALTY)
+            np.vstack([columns, np.full(columns.shape[1], PENALTY)]), np.append(requested, PENALTY)
         )
-        missing = wanted - columns @ fractions
+        missing = requested - columns @ fractions
         size = float(np.linalg.norm(missing))
-        if size < WITHIN * float(np.linalg.norm(wanted)):
+        if size < WITHIN * float(np.linalg.norm(requested)):
             return False
         separating = missing / size
     return False
@@ -129,8 +129,8 @@ def _vectors(twists: np.ndarray, position: np.ndarray, arm_m: float) -> np.ndarr
 
 
 def _best(value: np.ndarray) -> tuple[float, tuple[int, int, int, int]]:
-    """Return the maximum of T over great circles, from values (Q, C). Also return the indices of
-    the circle and of its three points."""
+    """Return the maximum of T over great circles with values (Q, C), the index of the circle, and
+    the indices of its three points."""
     return _kernels.best_triple(value)
 
 

@@ -16,7 +16,7 @@ LANES: int = _kernels.LANES
 """Number of parts in a block."""
 
 STATE: int = _kernels.STATE
-"""Size of a block's state, in rows of `LANES`: see blocks.hpp."""
+"""Size of the state of a block: number of rows of `LANES` numbers. blocks.hpp lists the rows."""
 
 
 def blocks_of(

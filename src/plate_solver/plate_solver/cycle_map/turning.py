@@ -1,10 +1,10 @@
 """The cycle map of parts that rotate: position and angle after a cycle, and their derivatives.
 
-Let s be the sliding velocity of a part relative to the plate, and c its relative angular velocity.
-To first order in c, friction exerts the torque mu m g c J/s. J is the second moment of the contact
-in the sliding direction: the mean square of the distances of its points from the centre, measured
-in this direction. Therefore a bar receives the largest torque if it slides along its length. Force
-and torque are combined by the ellipse model (Howe and Cutkosky 1996):
+Let s be the sliding speed of a part relative to the plate, and c its angular velocity relative to
+the plate. To first order in c, friction exerts the torque mu m g c J/s. J is the second moment of
+the contact in the sliding direction: the mean square of the distances of its points from the
+centre, measured in this direction. Therefore a bar receives the largest torque if it slides along
+its length. Force and torque are combined by the ellipse model (Howe and Cutkosky 1996):
 
     q^2 = s^2 + J c^2,    force = mu m g s/q,    torque = mu m g J c/q
 
@@ -22,7 +22,7 @@ from .. import _kernels
 from .blocks import LANES
 
 TURNING_STATE: int = _kernels.TURNING_STATE
-"""Size of a block's state, in rows of `LANES`: see turning.hpp."""
+"""Size of the state of a block: number of rows of `LANES` numbers. turning.hpp lists the rows."""
 
 
 def room_spread(spread: np.ndarray, angle: np.ndarray) -> np.ndarray:

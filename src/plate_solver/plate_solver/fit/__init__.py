@@ -1,8 +1,8 @@
 """Least squares with few errors and many parameters, by the Levenberg-Marquardt method and basin
 hopping.
 
-Both methods take the problem as functions. These are Python functions here and kernel functions in
-C++.
+Both methods receive the problem as functions: Python functions in this package, and C++ functions
+in the kernels.
 """
 
 from .basin_hopping import basin_hopping

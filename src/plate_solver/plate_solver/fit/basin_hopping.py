@@ -1,5 +1,5 @@
-"""Basin hopping: a series of local searches. Each starts from a perturbation of the best result or
-from a fresh start. The series ends when a result is good enough."""
+"""Basin hopping: a series of local searches. Each search begins at a perturbation of the best
+result or at a fresh start. The series ends when a result is good enough."""
 
 from __future__ import annotations
 

@@ -26,9 +26,9 @@ static nb::tuple fit(nb::callable evaluate, nb::callable admissible, Numbers sta
                      double tolerance, int iterations) {
     nb::object slopes;
     const auto evaluate_there = [&](std::vector<double>& parameters, std::vector<double>& error) {
-        std::vector<double> wanted = parameters;
-        const size_t count = wanted.size();
-        const nb::object trial = admissible(to_numpy<1>(std::move(wanted), {count}));
+        std::vector<double> trial_parameters = parameters;
+        const size_t count = trial_parameters.size();
+        const nb::object trial = admissible(to_numpy<1>(std::move(trial_parameters), {count}));
         const nb::object answer = evaluate(trial);
         parameters = numbers_of(trial);
         error = numbers_of(answer[0]);

@@ -16,8 +16,8 @@ struct Damping {
     double stall_fraction;      // `stall_fraction` of the squared error, the search stops
 };
 
-// Options for expensive evaluations. The search tries more damping before it stops, and it never
-// stops because of a stall.
+// Options for expensive evaluations. The maximum damping is high, and the search never stops
+// because of slow progress.
 constexpr Damping DAMPING{.first = 1e-2, .least = 1e-6, .most = 1e3, .shrink = 3.0, .grow = 4.0,
                           .stall_steps = 1'000'000, .stall_fraction = 1.0};
 
@@ -80,10 +80,10 @@ template <class Number>
 using Slopes = std::function<void(MatrixOf<Number>& jacobian)>;
 
 // Searches from `start` (P,) for errors of at most `tolerance`, with at most `iterations`
-// evaluations after the first. `evaluate(parameters, error)` changes the parameters to values that
-// the rig can run and computes their errors (R,). `slopes(jacobian)` computes the negative
-// derivatives (R, P) at the last evaluated parameters. The search calls `slopes` only before it
-// takes a step.
+// evaluations after the evaluation at `start`. `evaluate(parameters, error)` changes the parameters
+// to values that the rig can run and computes their errors (R,). `slopes(jacobian)` computes the
+// negative derivatives (R, P) at the last evaluated parameters. The search calls `slopes` only
+// before it takes a step.
 template <class Number>
 FitOf<Number> levenberg_marquardt(const Evaluate& evaluate, const Slopes<Number>& slopes,
                                   std::vector<double> start, const Damping& damping,

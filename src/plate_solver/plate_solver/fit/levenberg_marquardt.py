@@ -4,8 +4,8 @@ With the negative Jacobian J of the errors e and the damping d, the step of mini
 
     J' (J J' + d mean(diag(J J')) 1)^-1 e.
 
-Steps are orthogonal to all directions that do not change the errors. For the averaged map, these
-directions are a change of amplitude and a shift in time.
+These steps are orthogonal to all directions that do not change the errors. For the averaged map,
+these directions are a change of amplitude and a shift in time.
 """
 
 from __future__ import annotations
@@ -45,7 +45,7 @@ def fit(
     tolerance: float,
     iterations: int,
 ) -> Fit:
-    """Minimise the errors of Python functions.
+    """Minimise errors that a Python function computes.
 
     Parameters
     ----------
@@ -58,7 +58,7 @@ def fit(
     tolerance : float
         The search stops when the largest absolute error is at most this value.
     iterations : int
-        Maximum number of evaluations after the first one.
+        Maximum number of evaluations after the evaluation at `start`.
     """
     return Fit(*_kernels.fit(evaluate, admissible, start, tolerance, iterations))
 

@@ -1,7 +1,7 @@
 """The goal of one cycle: required end positions and angles of the parts, and the cost of errors.
 
-The cycle map evaluates motions. `Solution` contains the motion found and the fraction of the
-request that it meets.
+The cycle map evaluates motions. `Solution` contains a motion and the fraction of the request that
+it meets.
 """
 
 from .ends import Ends, end_errors

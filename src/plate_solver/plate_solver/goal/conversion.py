@@ -12,7 +12,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from plate_core import AngleTargets, Forces, PlateError, Rig, Targets, Wanted
+from plate_core import AngleTargets, CycleRequest, Forces, PlateError, Rig, Targets
 
 from ..start import StartState, contact_spread, part_types
 from .goal import Goal, Turns
@@ -33,7 +33,7 @@ class RequestFacts:
     Attributes
     ----------
     lasting : bool
-        Whether targets are requested. Later cycles may complete them.
+        Whether targets are requested. Later cycles can complete a motion to a target.
     rotating : int or None
         Number of parts with a requested rotation. None if there are no angle targets and all
         torques are 0.
@@ -50,52 +50,57 @@ class RequestFacts:
     exact: bool
 
     @classmethod
-    def of(cls, rig: Rig, wanted: Wanted) -> RequestFacts:
+    def of(cls, rig: Rig, request: CycleRequest) -> RequestFacts:
         """Return the properties that determine the search."""
-        request = wanted.request
-        if isinstance(request, Forces):
-            rotating = int(np.count_nonzero(request.torque)) or None
-            exact = not np.all(np.any(request.tolerance > 0, axis=1))
+        content = request.forces_or_targets
+        if isinstance(content, Forces):
+            rotating = int(np.count_nonzero(content.torque)) or None
+            exact = not np.all(np.any(content.tolerance > 0, axis=1))
             return cls(False, rotating, False, exact)
-        angles = request.angles
+        angles = content.angles
         rotating = None if angles is None else int(np.count_nonzero(angles.weight))
-        return cls(True, rotating, bool(np.any(_to_go(rig, wanted, request) > NEAR_M)), False)
+        return cls(True, rotating, bool(np.any(_to_go(rig, request, content) > NEAR_M)), False)
 
 
 def form_goal(
-    rig: Rig, wanted: Wanted, start: StartState, period: float, coast: float, free_end: bool
+    rig: Rig, request: CycleRequest, start: StartState, period: float, coast: float, free_end: bool
 ) -> Goal:
     """Convert a request into the goal of one cycle.
 
     Parameters
     ----------
     rig : Rig
-    wanted : Wanted
+    request : CycleRequest
         The request, for M parts.
     start : StartState
         Predicted state at the start of the cycle.
     period : float
         Length P of the cycle [s].
     coast : float
-        If targets are requested: as in `Goal` [s].
+        Time of the extrapolation, as in `Goal` [s]. It is used only for targets.
     free_end : bool
-        If targets are requested: whether the plate may end in motion.
+        Whether the plate may end in motion. It is used only for targets.
 
     Raises
     ------
     PlateError
-        If a value is not finite or exceeds `MAX_REQUEST` (a force tolerance may be infinite). If
-        the high end of an interval is below its low end. If a weight, a tolerance or the clearance
-        is negative. If `forces.period` is not positive.
+        If the request is invalid: a value is not finite or exceeds `MAX_REQUEST` (a force tolerance
+        may be infinite), the high end of an interval is below its low end, a weight, a tolerance or
+        the clearance is negative, or `forces.period` is not positive.
     """
-    request = wanted.request
-    if isinstance(request, Targets):
-        return _goal_of_targets(rig, request, wanted, start, coast, free_end)
-    return _goal_of_forces(rig, request, wanted, start, period)
+    content = request.forces_or_targets
+    if isinstance(content, Targets):
+        return _goal_of_targets(rig, content, request, start, coast, free_end)
+    return _goal_of_forces(rig, content, request, start, period)
 
 
 def _goal_of_targets(
-    rig: Rig, targets: Targets, wanted: Wanted, start: StartState, coast: float, free_end: bool
+    rig: Rig,
+    targets: Targets,
+    request: CycleRequest,
+    start: StartState,
+    coast: float,
+    free_end: bool,
 ) -> Goal:
     """Convert targets to a goal. With the predicted position x0 and angle a0 at the start of the
     cycle, the displacement d and the rotation are
@@ -103,10 +108,10 @@ def _goal_of_targets(
         d = target - x0,    turn = target angle - a0,
 
     for the low and the high end of each interval. The goal is lasting, because later cycles
-    complete the motion. Therefore every motion counts as a success. Positions too close to edges or
-    to other parts cause additional errors.
+    complete the motion. For a lasting goal, every motion counts as a success. Positions too close
+    to edges or to other parts cause additional errors.
     """
-    ids, types = wanted.parts.ids, part_types(rig, wanted.parts.ids)
+    ids, types = request.parts.ids, part_types(rig, request.parts.ids)
     _check_targets(ids, "target", targets)
     _check(("targets",), "gap_m", np.array([targets.gap_m]), 0.0)
     radius = np.array([t.reach_m for t in types])
@@ -114,7 +119,7 @@ def _goal_of_targets(
     turns = None
     if start.spin is not None and targets.angles is not None:
         _check_targets(ids, "target angle", targets.angles)
-        angle, spread = wanted.parts.angle, contact_spread(types, wanted.parts.angle + start.turn)
+        angle, spread = request.parts.angle, contact_spread(types, request.parts.angle + start.turn)
         low = targets.angles.low - angle - start.turn
         high = targets.angles.high - angle - start.turn
         turns = Turns(start.spin, spread, low, high, targets.angles.weight)
@@ -136,7 +141,7 @@ def _goal_of_targets(
 
 
 def _goal_of_forces(
-    rig: Rig, forces: Forces, wanted: Wanted, start: StartState, period: float
+    rig: Rig, forces: Forces, request: CycleRequest, start: StartState, period: float
 ) -> Goal:
     """Convert forces to a goal. A mean force F over a period T changes the drift v of a part of
     mass m by F T/m. A mean torque N changes its spin w by N T/J. Over a cycle of length P, the
@@ -148,7 +153,7 @@ def _goal_of_forces(
     tolerance f T P/m. Displacements have weight 1. The weight of a requested rotation is the radius
     of the part.
     """
-    parts, types = wanted.parts, part_types(rig, wanted.parts.ids)
+    parts, types = request.parts, part_types(rig, request.parts.ids)
     if not 0 < forces.period <= MAX_REQUEST:
         raise PlateError(
             f"period of forces is {forces.period:g}, allowed: above 0, at most {MAX_REQUEST:g}"
@@ -159,8 +164,8 @@ def _goal_of_forces(
     gain = forces.period / np.array([[t.mass_kg] for t in types])
     displacement = (parts.velocity + gain * forces.force) * period
     tolerance = gain * forces.tolerance * period
-    # Clip displacements at the edge of the plate. Otherwise parts near the edge would limit the
-    # displacements of all parts.
+    # Clip the end positions at the edges of the plate. Without this, a part that cannot reach its
+    # end position would limit the displacements of all parts.
     edge = rig.plate.half - np.array([[t.reach_m] for t in types])
     low = np.clip(displacement - tolerance, -edge - start.position, edge - start.position)
     high = np.clip(displacement + tolerance, -edge - start.position, edge - start.position)
@@ -182,20 +187,20 @@ def _goal_of_forces(
     )
 
 
-def _to_go(rig: Rig, wanted: Wanted, to: Targets) -> np.ndarray:
+def _to_go(rig: Rig, request: CycleRequest, to: Targets) -> np.ndarray:
     """Return the distance (M,) [m] of each part from its target.
 
     If the arc length of the remaining rotation at the part's edge is larger, this arc length is
     returned instead.
     """
-    place = wanted.parts.position if wanted.start is None else wanted.start[:, :2]
+    place = request.parts.position if request.start is None else request.start[:, :2]
     distance = np.maximum(np.maximum(to.low - place, place - to.high), 0.0)
     distance = np.hypot(*np.where(to.weight > 0, distance, 0.0).T)
     if to.angles is None:
         return np.asarray(distance)
-    angle = wanted.parts.angle
+    angle = request.parts.angle
     turn = np.maximum(np.maximum(to.angles.low - angle, angle - to.angles.high), 0.0)
-    reach = np.array([kind.reach_m for kind in part_types(rig, wanted.parts.ids)])
+    reach = np.array([kind.reach_m for kind in part_types(rig, request.parts.ids)])
     return np.maximum(distance, np.where(to.angles.weight > 0, reach * turn, 0.0))
 
 

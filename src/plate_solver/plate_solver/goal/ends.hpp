@@ -9,9 +9,9 @@
 
 namespace plate {
 
-// Distance b beyond a wall [m]. At this distance, the error b + b^2 / STEEP_M is twice as large as
-// b. With a linear error, several parts with long distances could push a part that is already at
-// its target over the edge.
+// Constant of the error b + b^2 / STEEP_M of a part that is b beyond a wall [m]. At b = STEEP_M,
+// the error is 2 b. If the error were only b, several parts with long distances could push a part
+// that is already at its target over the edge.
 constexpr double STEEP_M = 0.01;
 
 // Requested end coordinates (C,) of M parts: see `Ends` in ends.py.

@@ -1,13 +1,14 @@
 """Errors of the parts' positions and angles at the end of a cycle.
 
-With the interval [l, h] and the weight w of a coordinate q, the distance b beyond a wall, the
-centre distance r of two parts and their minimum distance c, the errors are
+A coordinate q has the interval [l, h] and the weight w. b is the distance of a part's centre beyond
+a wall. r is the distance between the centres of two parts, and c is its minimum. The errors are
 
     w (nearest point of [l, h] - q),    +-(b + b^2 / 0.01 m),    c - r  if r < c.
 
 An exact drift is requested by an interval of zero width with weight 1. A distant target region has
-a small weight. As the errors are squared, the parts with the longest distances still dominate.
-Angles are coordinates like x and y, but their weight has the unit metres per radian.
+a small weight. The search minimises the sum of the squared errors, so parts with long distances
+still dominate it. Angles are coordinates like x and y, but their weight has the unit metres per
+radian.
 """
 
 from __future__ import annotations
@@ -30,11 +31,11 @@ class Ends(NamedTuple):
     low, high : (C,)
         Interval in which a coordinate has no error [m, plate_home; rad]. Infinite ends are allowed.
     weight : (C,)
-        Error per metre outside the interval [-], or per radian [m].
+        Error per metre outside the interval [-]. For angles: error per radian [m].
     edge_low, edge_high : (C,)
         Positions of the walls [m]; infinite for angles.
     pair : (K, 2)
-        Indices of two parts that may come too close to each other.
+        Indices of the two parts of each pair that may come too close to each other.
     clear : (K,)
         Minimum distance of the centres of each pair [m].
     parts : int

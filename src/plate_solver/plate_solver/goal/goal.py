@@ -29,8 +29,8 @@ from .ends import Ends, end_errors
 from .solution import Solution
 
 COMING_M = 0.05
-"""A pair of parts is ignored if its distance exceeds the minimum distance by more than this [m].
-Within one cycle, two parts approach each other by less than this."""
+"""If the distance of two parts exceeds their minimum distance by more than this value, the pair is
+ignored [m]. Within one cycle, two parts approach each other by less than this value."""
 
 
 @dataclass(frozen=True)
@@ -85,7 +85,7 @@ class Goal:
     friction_accel : (M,)
         mu g of each part [m/s2]; a scalar applies to all parts.
     turns : Turns, optional
-        Requested rotations; None models the parts as points.
+        Requested rotations. If None, the parts are modelled as points.
     lasting : bool
         Whether several cycles may complete the goal. If so, every motion counts as a success.
     weight : (M, 2)
@@ -148,12 +148,12 @@ class Goal:
         clear = np.broadcast_to(self.clear, (len(middle), len(middle)))
         near = np.hypot(gap[..., 0], gap[..., 1]) < clear + COMING_M
         pair = np.ascontiguousarray(np.argwhere(np.triu(near & (clear > 0), 1)))
-        wanted = np.array([flat(low), flat(high), flat(self.weight), flat(-below), flat(above)])
+        requested = np.array([flat(low), flat(high), flat(self.weight), flat(-below), flat(above)])
         if self.turns is not None:
             turns, free = self.turns, np.full(len(self.position), np.inf)
             angles = np.array([turns.low, turns.high, turns.weight, -free, free])
-            wanted = np.ascontiguousarray(np.hstack([wanted, angles]))
-        low, high, weight, edge_low, edge_high = wanted
+            requested = np.ascontiguousarray(np.hstack([requested, angles]))
+        low, high, weight, edge_low, edge_high = requested
         clear = clear[pair[:, 0], pair[:, 1]]
         return Ends(low, high, weight, edge_low, edge_high, pair, clear, len(self.position))
 
@@ -180,11 +180,11 @@ class Goal:
         """Return the goal reduced to a fraction.
 
         If the goal is lasting, its weights w are multiplied by the square of the fraction f. Errors
-        at edges and between parts then dominate. Consider a part that is b beyond a wall and d from
-        its target. For small b its squared errors are (w d)^2 + b^2, and their minimum is at b =
-        w^2 d. With the weight f^2 w, the minimum is at b = f^4 w^2 d: with half a goal, the part is
-        only 1/16 as far beyond the wall. If the goal is not lasting, displacements and rotations
-        are multiplied by the fraction.
+        at edges and between parts then dominate. Consider a target at the distance d beyond a wall,
+        and a part that moves by b beyond the wall. Its squared errors are about (w (d - b))^2 +
+        b^2. For a small weight w, the minimum is at b = w^2 d. With the weight f^2 w, the minimum
+        is at b = f^4 w^2 d. If f is 1/2, the part moves only 1/16 as far beyond the wall. If the
+        goal is not lasting, displacements and rotations are multiplied by the fraction.
         """
         turns = self.turns
         if self.lasting:
@@ -209,14 +209,15 @@ class Goal:
         return np.asarray(way * (most / max(float(np.max(np.hypot(*way.T))), 1e-12)))
 
     def left(self, end: np.ndarray) -> np.ndarray:
-        """Return the signed distance (M, 2) [m] from an end to the nearest point of the requested
-        interval."""
+        """Return the signed distance (M, 2) [m] from an end of the cycle to the nearest point of
+        the requested interval."""
         miss = self.position + self.displacement - end[: self.position.size].reshape(2, -1).T
         beyond = np.sign(miss) * np.maximum(np.abs(miss) - self.tolerance, 0.0)
         return np.where(np.asarray(self.weight) > 0, beyond, 0.0)
 
     def left_to_turn(self, end: np.ndarray) -> np.ndarray:
-        """Return the signed errors (Q,) [rad] of the Q requested rotations."""
+        """Return the signed errors (Q,) [rad] of the Q requested rotations at an end of the
+        cycle."""
         if self.turns is None:
             return np.zeros(0)
         turns, turn = self.turns, end[self.position.size :]
@@ -312,7 +313,7 @@ def fit_goal(
     """Fit the parameters of a motion to a goal by Levenberg-Marquardt.
 
     The errors are `Goal.error` and the family's penalty [m]. The search stops when the largest
-    error is below `tolerance` [m].
+    error is at most `tolerance` [m].
     """
 
     def evaluate(theta: np.ndarray) -> tuple[np.ndarray, Callable[[], np.ndarray]]:
@@ -333,9 +334,9 @@ def goal_solution(
 ) -> Solution:
     """Return the solution of a finished cycle that is within the limits.
 
-    The cycle is evaluated with finer time steps than in the search. `residual` is the distance left
-    divided by mu g T^2. `success` requires a root mean square error of at most `good_enough` [m],
-    or a lasting goal.
+    The cycle is evaluated with finer time steps than in the search. `residual` is the remaining
+    distance divided by mu g T^2. `success` is True if the goal is lasting, or if the root mean
+    square error is at most `good_enough` [m].
     """
     end = goal.end(*finely_sampled(cycle))
     left, unit = goal.left(end), goal.friction_accel[:, None] * cycle.period**2

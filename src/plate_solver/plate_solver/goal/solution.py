@@ -1,5 +1,5 @@
-"""Result of a solver: the motion found, and the fraction of the request that it meets. `Status` is
-the outcome: solved, partially solved, infeasible or failed."""
+"""Result of a solver: the motion, and the fraction of the request that it meets. `Status` is the
+outcome: solved, partially solved, infeasible or failed."""
 
 from __future__ import annotations
 
@@ -35,8 +35,7 @@ class Solution:
     message : str
         Accuracy of the result, or the reason of a failure.
     cycle : PlateCycle
-        The motion found. The motion is closed and within the limits of the rig, even if `success`
-        is False.
+        The motion. It is closed and within the limits of the rig, even if `success` is False.
     residual : (M, 2)
         Request minus predicted result [mu m g]. The residual refers to the whole request, even if
         only a fraction is met.
@@ -49,8 +48,8 @@ class Solution:
         Outcome of the request.
     fraction : float
         Feasible fraction of the request; 1 if the request is met. The motion achieves this
-        fraction. With `refine`, it may instead be another motion that has a smaller error for the
-        whole request.
+        fraction. There is one exception: with the argument `refine` of `ForceSolver.solve`, `cycle`
+        may be a motion that has a smaller error for the whole request.
     predicted : (C,), optional
         Predicted end of the parts on the cycle map: x of all parts [m], y of all parts and, if
         rotations are requested, the rotations of all parts [rad].

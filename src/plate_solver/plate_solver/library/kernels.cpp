@@ -14,14 +14,14 @@ static void check_basis(const View<const int64_t, 1>& basis, size_t columns) {
             throw nb::value_error("the basis contains the index of a column that does not exist");
 }
 
-static int improve(Table matrix, Numbers wanted, Numbers price, Array<int64_t, 1> basis,
+static int improve(Table matrix, Numbers right_side, Numbers price, Array<int64_t, 1> basis,
                    Array<double, 1> sense, int pivots) {
     const size_t rows = matrix.shape(0), columns = matrix.shape(1) + 2 * rows;
-    check("wanted", wanted, {rows}), check("price", price, {columns});
+    check("right_side", right_side, {rows}), check("price", price, {columns});
     check("basis", basis, {rows}), check("sense", sense, {rows});
     check_basis({basis.data(), {static_cast<int>(rows)}}, columns);
     nb::gil_scoped_release others_may_run;
-    Programme programme{view(matrix), view(wanted), view(price), view(basis), view(sense)};
+    Programme programme{view(matrix), view(right_side), view(price), view(basis), view(sense)};
     return programme.simplex(pivots);
 }
 
@@ -37,7 +37,7 @@ static nb::object chosen(Table matrix, Array<const int64_t, 1> basis) {
 
 void bind_library(nb::module_& m) {
     m.def("columns_of", chosen);
-    m.def("simplex", improve, arg("matrix"), arg("wanted"), arg("price"),
+    m.def("simplex", improve, arg("matrix"), arg("right_side"), arg("price"),
           arg("basis").noconvert(), arg("sense").noconvert(), arg("pivots"));
 }
 

@@ -3,8 +3,8 @@
 The average force on a part at rest is the mean of unit vectors. Each twist of the plate's motion
 contributes one unit vector. The force does not depend on the plate's speed. Therefore the forces of
 any motion are a mean of the library's columns (equations (5), (9)), if the library's twists are
-dense enough. With N rotations of weight k_j and their unit tangents t_j at a part, the average
-force on it is
+dense enough. Let rotation j of N rotations have the weight k_j and the unit tangent t_j at a part.
+The average force on the part is
 
     F = mu m g / N  sum_j k_j t_j.
 
@@ -35,13 +35,13 @@ CURL_LENGTH_M = 0.05
 """Length that converts a curl error [mu m g / m] to a force error [mu m g]."""
 
 OUT_OF_REACH = 1e4
-"""Price of a unit of force error [cycles / (mu m g)]. The price is so high that force errors are 0
-whenever that is feasible."""
+"""Price of a unit of force error [cycles / (mu m g)]. This price is so high that force errors are 0
+if they can be 0."""
 
 
 @dataclass(frozen=True)
 class Library:
-    """Rotations and translations. Each may be used in both directions of rotation or translation.
+    """Rotations and translations. Each can be used in both directions.
 
     Attributes
     ----------
@@ -101,11 +101,11 @@ class Library:
         are a mean of the library's columns. The finite number of rotations causes an error of a few
         per cent.
         """
-        rows, wanted = self.forces(position), force.T.ravel()
-        if not np.any(wanted):
+        rows, right_side = self.forces(position), force.T.ravel()
+        if not np.any(right_side):
             return float("inf")
         dear = np.full(len(rows), OUT_OF_REACH)
-        return 1 / least_time(rows, wanted, np.ones(rows.shape[1]), dear, dear).cost
+        return 1 / least_time(rows, right_side, np.ones(rows.shape[1]), dear, dear).cost
 
 
 def rotation_matrix(position: np.ndarray, centre: np.ndarray) -> np.ndarray:
@@ -137,7 +137,7 @@ def curl_matrix(position: np.ndarray, centre: np.ndarray) -> np.ndarray:
 
 
 def solve_weights(
-    matrix: np.ndarray, wanted: np.ndarray, most_gain: float = np.inf
+    matrix: np.ndarray, right_side: np.ndarray, max_gain: float = np.inf
 ) -> tuple[np.ndarray, float]:
     """Return the minimum-norm weights that solve the system, and its condition number.
 
@@ -145,16 +145,17 @@ def solve_weights(
     ----------
     matrix : (R, N)
         For example `rotation_matrix`, with rows of `curl_matrix` below.
-    wanted : (R,)
+    right_side : (R,)
         Right-hand side: N / (mu m g) times the requested forces.
-    most_gain : float
-        Upper bound of the reciprocal singular values (section 3.1.5). Singular directions that
-        exceed it are omitted. Otherwise two close parts would cause very large weights.
+    max_gain : float
+        Upper bound of the reciprocal singular values (section 3.1.5). Singular directions with a
+        larger reciprocal are omitted, because two close parts would otherwise cause very large
+        weights.
     """
     left, values, right = np.linalg.svd(matrix, full_matrices=False)
-    keep = values * most_gain >= 1 if np.isfinite(most_gain) else values > 1e-12 * values[0]
+    keep = values * max_gain >= 1 if np.isfinite(max_gain) else values > 1e-12 * values[0]
     inverse = np.where(keep, 1 / np.where(values > 0, values, 1.0), 0.0)
-    weights = right.T @ (inverse * (left.T @ wanted))
+    weights = right.T @ (inverse * (left.T @ right_side))
     condition = float(values[0] / values[-1]) if values[-1] > 0 else float("inf")
     return weights, condition
 

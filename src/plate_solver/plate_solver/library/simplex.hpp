@@ -14,8 +14,8 @@ namespace plate::library {
 // Minimum gain per unit that a column needs to enter the basis, in units of cost.
 constexpr double OPTIMAL = 1e-9;
 
-// Minimum absolute value of a pivot. This value is also the minimum reciprocal of the largest entry
-// of an inverse.
+// Minimum absolute value of a pivot. A basis is unusable if an entry of its inverse is 1 / PIVOT or
+// larger.
 constexpr double PIVOT = 1e-9;
 
 // Number of pivots after which the inverse of the basis is recomputed.
@@ -91,7 +91,7 @@ struct Entering {
 // A linear programme, and the state of the method: the amounts (R,) of the basis columns.
 struct Programme {
     View<const double, 2> matrix;          // (R, K)
-    View<const double, 1> wanted, price;   // (R,), (K + 2 R,)
+    View<const double, 1> right_side, price;   // (R,), (K + 2 R,)
     Basis basis;                           // (R,)
     View<double, 1> sense;                 // (R,)
     Matrix chosen, inverse;
@@ -104,7 +104,7 @@ struct Programme {
 private:
     bool restart();
     Entering best_column();
-    void find_column(int q, double way);
+    void find_column(int q, double direction);
     void pivot_on(int leave, double amount_in);
 };
 
@@ -117,7 +117,7 @@ inline bool Programme::restart() {
     if (!invert_matrix(chosen, inverse)) return false;
     double most = 0;
     for (int i = 0; i < rows() * rows(); i++) most = std::max(most, std::abs(inverse[0][i]));
-    times_vector(inverse, wanted.data, 1, amount.data());
+    times_vector(inverse, right_side.data, 1, amount.data());
     for (int i = 0; i < rows(); i++) {
         sense(i) = 1;
         if (!(amount[i] < 0)) continue;
@@ -131,7 +131,7 @@ inline bool Programme::restart() {
     return most * PIVOT < 1;
 }
 
-// The column with the largest gain, its direction, and its gain per unit.
+// Returns the column with the largest gain, its direction, and its gain per unit.
 inline Entering Programme::best_column() {
     for (int c = 0; c < rows(); c++) dual[c] = 0;
     for (int i = 0; i < rows(); i++) {
@@ -154,11 +154,11 @@ inline Entering Programme::best_column() {
     return {best, sense, gain};
 }
 
-// Expresses column q, in the direction `way`, as a combination of the basis columns.
-inline void Programme::find_column(int q, double way) {
+// Expresses column q, in the direction `direction`, as a combination of the basis columns.
+inline void Programme::find_column(int q, double direction) {
     if (q < count()) {
         times_vector(inverse, matrix.data + q, count(), column.data());
-        for (double& entry : column) entry *= way;
+        for (double& entry : column) entry *= direction;
     } else {
         const bool over = q < count() + rows();
         const int c = over ? q - count() : q - count() - rows();
@@ -166,7 +166,8 @@ inline void Programme::find_column(int q, double way) {
     }
 }
 
-// Brings the column into the basis and removes another column.
+// Replaces column `leave` of the basis by the column that `find_column` expressed, with amount
+// `amount_in`.
 inline void Programme::pivot_on(int leave, double amount_in) {
     double* __restrict own = inverse[leave];
     for (int i = 0; i < rows(); i++) {

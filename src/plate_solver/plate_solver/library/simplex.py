@@ -4,9 +4,9 @@
     subject to  A w + s - r = b,    s, r >= 0
 
 The columns of A are rotations, and the rows are requested quantities. A negative weight w reverses
-the rotation. The amounts s and r of the rows are unmet and exceeded, and each has a price. If all
-costs are one, abs(w) is time, and the solution is the plan of minimum time. The solution uses at
-most as many rotations as there are rows.
+the rotation. s is the unmet amount of each row, r is the exceeded amount, and `over` and `under`
+are their prices. If all costs are one, abs(w) is time, and the solution is the plan of minimum
+time. The solution uses at most as many rotations as there are rows.
 
 The solver is a revised simplex method that stores the inverse of the basis. Because the signs of w
 are free, any basis is a feasible start, for example the basis of the last cycle.
@@ -39,10 +39,10 @@ class TimeFractions:
         Dual solution y: the additional cost per unit of each row's right-hand side. The product y .
         b is a lower bound of the cost of b for any motion that is composed of these columns.
     cost : float
-        Value of the objective. The value equals y . b.
+        Value of the objective. It equals y . b.
     basis : (R,)
-        Columns of the solution. The columns are a start for the next problem. The indices K + r and
-        K + R + r are the slack variables of row r.
+        Indices of the columns in the basis of the solution. The basis is a start for the next
+        problem. The indices K + r and K + R + r are the slack variables of row r.
     pivots : int
     optimal : bool
         False if the number of pivots reached its maximum. The solution is feasible in both cases.
@@ -59,7 +59,7 @@ class TimeFractions:
 
 def least_time(
     matrix: np.ndarray,
-    wanted: np.ndarray,
+    right_side: np.ndarray,
     cost: np.ndarray,
     over: np.ndarray,
     under: np.ndarray,
@@ -72,7 +72,7 @@ def least_time(
     ----------
     matrix : (R, K)
         Matrix of the rotations, for example `rotation_matrix`.
-    wanted : (R,)
+    right_side : (R,)
         Right-hand side b.
     cost : (K,)
         Cost of each column, above 0.
@@ -85,29 +85,29 @@ def least_time(
     """
     rows, count = matrix.shape
     matrix = np.ascontiguousarray(matrix, dtype=float)
-    wanted = np.array(wanted, dtype=float)
+    right_side = np.array(right_side, dtype=float)
     price = np.concatenate([cost, over, under]).astype(float)
     # Multiples of the golden ratio give each row a different shift.
-    scale = max(float(np.max(np.abs(wanted), initial=0.0)), 1e-12)
+    scale = max(float(np.max(np.abs(right_side), initial=0.0)), 1e-12)
     shift = PERTURBATION * scale * (1 + (np.arange(1, rows + 1) * 0.6180339887498949) % 1)
-    shifted = wanted + np.where(wanted < 0, -shift, shift)
+    shifted = right_side + np.where(right_side < 0, -shift, shift)
     basis = np.arange(count, count + rows)
     sense, used = np.ones(rows), -1
     if start is not None and len(start) == rows:
         basis = np.array(start)
         used = _kernels.simplex(matrix, shifted, price, basis, sense, pivots)
-    if used < 0:  # without a start, or if its columns are dependent
+    if used < 0:  # there is no start, or its columns are dependent
         basis = np.arange(count, count + rows)
         used = _kernels.simplex(matrix, shifted, price, basis, sense, pivots)
     chosen = _kernels.columns_of(matrix, basis)
-    amount = np.linalg.solve(chosen, wanted)
+    amount = np.linalg.solve(chosen, right_side)
     inside = basis < count
     weights = np.zeros(count)
     weights[basis[inside]] = amount[inside]
     signed = price[basis] * sense
     return TimeFractions(
         weights=weights,
-        miss=wanted - matrix @ weights,
+        miss=right_side - matrix @ weights,
         price=np.linalg.solve(chosen.T, signed),
         cost=float(signed @ amount),
         basis=basis,

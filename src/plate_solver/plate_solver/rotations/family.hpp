@@ -5,10 +5,10 @@
 
 namespace plate::rotations {
 
-// Minimum duration of a rotation, in units of its usual value.
+// Minimum relative duration of a rotation. The unit is 1/J, the mean duration of J rotations.
 constexpr double SHORTEST = 0.02;
 
-// Maximum speed of a rotation, in units of its usual value.
+// Maximum speed of a rotation, in units of the usual speed (`RotationOptions.speed`).
 constexpr double FASTEST = 2.5;
 
 // Maximum fraction of the period that the ramps take.

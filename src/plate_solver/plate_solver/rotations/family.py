@@ -27,8 +27,8 @@ HOLD_STEP = 1e-3
 """Length of a step [s] in a hold of mean length."""
 
 RAMP_PART = 0.95
-"""Fraction of the acceleration limit for ramps. The rest is reserved for the correction that closes
-the motion."""
+"""Fraction of the acceleration limit that ramps may use. The correction that closes the motion
+needs the rest."""
 
 UNLIMITED_M = 1e9
 """Stroke limit that disables the check of the stroke [m]."""
@@ -46,11 +46,11 @@ class Sequences(NamedTuple):
     period, accel : float
         Length of the cycle [s] and peak acceleration of ramps [m/s2].
     loads : (m, 3)
-        Rows for the motors' forces, as in sequence.hpp. Empty if the forces are not checked.
+        Rows that limit the motors' forces, as in sequence.hpp. Empty if the forces are not checked.
     steps : (int, int)
         Number of steps in each ramp, and number of steps in each hold.
     limits : Limits
-        Limits of the rig. Their stroke is `UNLIMITED_M` if it is not checked.
+        Limits of the rig. The stroke is `UNLIMITED_M` if it is not checked.
     """
 
     basis: np.ndarray
@@ -118,8 +118,8 @@ class RotationFamily:
         return len(self.plain.basis)
 
     def finer(self, steps: tuple[int, int] | int) -> RotationFamily:
-        """Return the family with other numbers of steps. An integer multiplies the present
-        numbers."""
+        """Return the family with other numbers of steps per ramp and hold. If `steps` is an
+        integer, it multiplies the present numbers."""
         if isinstance(steps, int):
             steps = self.plain.steps[0] * steps, self.plain.steps[1] * steps
         other = object.__new__(RotationFamily)
@@ -168,8 +168,8 @@ class RotationFamily:
         return self._known[0]
 
     def penalty(self, parameters: np.ndarray) -> np.ndarray:
-        """Return the negative errors: the gap between end and start of the sequence (3,), and the
-        motors' travel beyond the stroke (4,) [m]."""
+        """Return the additional errors (7,) [m], all with a negative sign: the gap between end and
+        start of the sequence (3,), and the motors' travel beyond the stroke (4,)."""
         pose, _, _, _, gap = self._motion(parameters)
         travel = pose @ self._limits.levers.T
         stroke = self._limits.stroke_m

@@ -93,12 +93,12 @@ def plan_rotations(
     twist = np.vstack([speed * library.twist for speed in SPEEDS])
     matrix = np.vstack([np.tile(rows, len(SPEEDS)), twist.T])
     turn = np.zeros(0) if curl is None else curl[with_curl] * CURL_LENGTH_M
-    wanted = np.concatenate([force.T.ravel(), turn, np.zeros(3)])
+    right_side = np.concatenate([force.T.ravel(), turn, np.zeros(3)])
     dear = np.append(np.full(len(rows), price), np.full(3, CLOSURE_PRICE))
     cost = np.ones(len(library.twist)) if cost is None else cost
-    times = least_time(matrix, wanted, np.tile(cost, len(SPEEDS)), dear, dear, start)
+    times = least_time(matrix, right_side, np.tile(cost, len(SPEEDS)), dear, dear, start)
     used = np.flatnonzero(np.abs(times.weights) > 1e-9)
-    if not len(used):  # for a zero request, use one rotation of duration 0
+    if not len(used):  # a zero request has no rotations: use one of duration 0
         used = np.zeros(1, dtype=int)
     weight = times.weights[used]
     total = float(np.sum(np.abs(weight)))

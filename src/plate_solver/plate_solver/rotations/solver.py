@@ -30,10 +30,10 @@ FEW = (2, 4)
 period. A few parts require only a few rotations. A short cycle gives an earlier result."""
 
 SETTLE = 0.05
-"""Approximate time in which friction removes the initial velocity of a part [s]."""
+"""Approximate time in which friction stops a part that has an initial velocity [s]."""
 
 PUSH = 0.04
-"""In plans towards targets: drift of the part that moves the longest distance [m/s]."""
+"""Drift in plans towards targets, of the part that moves the longest distance [m/s]."""
 
 FINER = 3
 """Factor on the number of steps if the evaluation with fine steps contradicts the search. The
@@ -46,8 +46,8 @@ SHAKE = 0.3
 """Standard deviation of a random change of the best parameters, in units of the parameters."""
 
 SPREAD = 0.3
-"""In further plans, the cost of each rotation is increased at random. This is the maximum increase.
-The linear programme then selects other rotations of similar quality."""
+"""Maximum random increase of the cost of each rotation in further plans. With the changed costs,
+the linear programme selects other rotations of similar quality."""
 
 
 @dataclass(frozen=True)
@@ -57,24 +57,26 @@ class RotationOptions:
     Attributes
     ----------
     period : float
-        Length of the cycle [s]. On the cycle map, the length is half of this for up to two parts
-        and three quarters of this for up to four parts.
+        Length of the cycle [s]. On the cycle map, the length is half of this value for one or two
+        parts, and three quarters of it for three or four parts.
     speed : float
         Usual speed of the plate's fastest corner in a rotation [m/s].
-    most_price : float
+    max_price : float
         Maximum time per unit of force on a part [cycles / (mu m g)]. The plan does not meet forces
         that cost more. An example is a force that separates two parts that almost touch.
     iterations : int
-        Maximum number of iterations from one start.
+        Maximum number of iterations from the last motion. For all other starts, the maximum is
+        twice this number.
     restarts : int
-        Maximum number of further starts if the first fails.
+        Maximum number of further starts if the first one fails. If the first start is the last
+        motion, one more is permitted.
     seed : int
         Random seed of the further starts.
     """
 
     period: float = 0.2
     speed: float = 0.25
-    most_price: float = 30.0
+    max_price: float = 30.0
     iterations: int = 40
     restarts: int = 4
     seed: int = 0
@@ -84,7 +86,7 @@ class RotationOptions:
             self,
             period=(1e-3, 10.0),
             speed=(1e-3, 10.0),
-            most_price=(1.0, 1e6),
+            max_price=(1.0, 1e6),
             iterations=(1, 10_000),
             restarts=(0, 10_000),
             seed=(0, 2**31 - 1),
@@ -139,7 +141,7 @@ class RotationCycles(MotionSolver):
         options, enough = self.options, good_enough**2 * goal.requested_count
         period = self.steering_period(len(goal.position))
         if self._warm is not None and self._warm.family.period != period:
-            self._warm = None  # number of parts has changed
+            self._warm = None  # another number of parts has another period
         warm = self._warm is not None
 
         def attempt(start: Start | Try, n: int) -> tuple[Try, float, int, bool]:
@@ -161,7 +163,7 @@ class RotationCycles(MotionSolver):
         family, found = best
         self._warm = Start(family, found.parameters)
         solution = self._finished(goal, best, good_enough, iterations)
-        if found.cost <= enough and not solution.success:  # the search steps were too coarse
+        if found.cost <= enough and not solution.success:  # the steps of the search were too coarse
             fine = family.finer(FINER)
             found = fit_goal(goal, fine, found.parameters, tolerance, POLISH)
             iterations += found.iterations
@@ -178,7 +180,7 @@ class RotationCycles(MotionSolver):
         return Start(near.family, near.family.admissible(shaken))
 
     def planned(self, goal: Goal, spread: bool = False) -> Start:
-        """Return a start for the search. Its plan uses averaged forces.
+        """Return a start for the search from a plan that uses averaged forces.
 
         The requested force F on a part of mass m is constant. The force moves the part by the
         displacement d from rest in the period T: F = 2 m d / T^2. If targets are requested, d is in
@@ -212,9 +214,8 @@ class RotationCycles(MotionSolver):
         cost = None
         if spread:
             cost = 1 + SPREAD * self._rng.random(len(self.library.twist))
-        plan = plan_rotations(
-            self.library, position, force, curl, self.options.most_price, self._basis, cost
-        )
+        price, basis = self.options.max_price, self._basis
+        plan = plan_rotations(self.library, position, force, curl, price, basis, cost)
         self._basis = plan.times.basis
         return plan
 

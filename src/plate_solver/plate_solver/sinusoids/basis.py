@@ -4,16 +4,16 @@
 
 A free family has 2 N parameters per degree of freedom. A family that starts at rest satisfies u(0)
 = 0 and u'(0) = 0, which leaves 2 N - 2 parameters. Its poses are relative to the pose at the start.
-Therefore the plate is at home, at rest and without acceleration at both ends of a cycle. Any cycle
-may follow any other cycle.
+Therefore the plate is at home, at rest and without acceleration at both ends of a cycle, and any
+such cycle can follow any other.
 
-A family with a free end has three more functions per degree of freedom. The functions describe the
-final state of the cycle and the tail, which leads from this state to rest. A cycle that begins in
-motion is the sum of two motions: the tail of the previous cycle and the motion of the basis.
+A family with a free end has three more functions per degree of freedom. These functions describe
+the final state of the cycle and the tail, which leads from this state to rest. A cycle that begins
+in motion is the sum of two motions: the tail of the previous cycle and a motion of the family.
 
-The same coefficients may be executed several times in succession. Each execution is a play. B is
-the basis, and E a is the state at the end of a play. S is the motion from a state to rest. With
-them, the plate's motion in play k is
+The same coefficients a can be executed several times in succession. Each execution is a play. B a
+is the motion of the basis, E a is the state at its end, and S p is the motion from a state p to
+rest. The plate's motion in play k is
 
     u_k = B a + S p_k,    p_0 given,    p_k = E a  for k > 0,
 
@@ -36,27 +36,28 @@ STEPS_PER_HARMONIC = 26
 """Minimum number of samples per period of the highest harmonic."""
 
 MAX_STEP = 0.4e-3
-"""Maximum step [s]. The friction model is integrated by first-order steps. At a step of 1 ms, their
-error would be 10 % of a drift."""
+"""Maximum step [s]. The friction model is integrated by first-order steps. Steps of 1 ms would
+cause an error of 10 % of a drift."""
 
 TAIL_S = 0.05
 """Duration of the quintic from any state to rest, and of the quintic from rest to any final state
 [s]."""
 
 TAIL_PERIOD_S = 0.1
-"""Length of a tail, including the rest after it [s]. The tail is long enough for the solver to
-reply to the image that is taken at the start of the tail."""
+"""Length of a tail, including the rest at its end [s]. In this time, the solver can compute the
+result for the image that is taken at the start of the tail."""
 
 END_UNITS = np.array([TAIL_S / 1.875, 1.0, 5.0625 / TAIL_S])
 """Units of the final state in a search: pose [m], velocity [m/s], acceleration [m/s2]. The units
-determine only the relative size of the steps of the search. The quintic to one unit of pose,
-velocity and acceleration has a maximum speed of 1, 1 and 0.34 m/s (15/8 pose/TAIL_S, velocity,
-0.068 acceleration TAIL_S). Its maximum acceleration is 3.1, 3.9 and 5.1 m/s divided by TAIL_S."""
+determine only the relative size of the steps of the search. A quintic from rest to one unit of pose
+has the maximum speed 1 m/s (15/8 pose/TAIL_S), to one unit of velocity 1 m/s, and to one unit of
+acceleration 0.34 m/s (0.068 acceleration TAIL_S). The maximum accelerations of these quintics are
+3.1, 3.9 and 5.1 m/s divided by TAIL_S."""
 
-LOOKS_PER_HARMONIC = 8
+CHECKS_PER_HARMONIC = 8
 """Number of instants per period of the highest harmonic at which the limits are checked."""
 
-TAIL_LOOKS = 12
+TAIL_CHECKS = 12
 """Number of instants in a tail at which the limits are checked."""
 
 KNOTS_PER_HARMONIC = 8
@@ -94,15 +95,15 @@ class SinusoidBasis:
         Control points of pose, twist and acceleration, as `PlateCycle.control_points`.
     free_end : bool
         Whether motions may end in any state. If so, they have a tail.
-    looks : tuple of (l, h)
-        Basis (pose, twist, acceleration) at the instants where limits are checked, including the
-        tail.
+    checks : tuple of (l, h)
+        Basis (pose, twist, acceleration) at the instants at which limits are checked, including the
+        instants of the tail.
     settling : tuple of (n, 3)
-        Pose, twist and acceleration at the middles of the steps, while the plate comes to rest. The
-        three columns belong to an initial pose of 1 m, an initial velocity of 1 m/s and an initial
-        acceleration of 1 m/s2.
-    settling_knots, settling_looks : tuple of (k + 1, 3), (l, 3)
-        Columns for the same three initial states, at the knots and at the instants where limits are
+        Pose, twist and acceleration at the middles of the steps, while the plate comes to rest.
+        Column 1 is the motion from an initial pose of 1 m, column 2 from an initial velocity of 1
+        m/s, and column 3 from an initial acceleration of 1 m/s2.
+    settling_knots, settling_checks : tuple of (k + 1, 3), (l, 3)
+        The same columns as in `settling`, at the knots and at the instants at which limits are
         checked.
     """
 
@@ -117,10 +118,10 @@ class SinusoidBasis:
     spline: np.ndarray
     hull: np.ndarray
     free_end: bool
-    looks: Matrices
+    checks: Matrices
     settling: Matrices
     settling_knots: Matrices
-    settling_looks: Matrices
+    settling_checks: Matrices
 
     @property
     def dt(self) -> float:
@@ -151,7 +152,7 @@ class SinusoidBasis:
             spline = spline + quintic_pieces(self.times, *more)
             states = [state + own for state, own in zip(states, more, strict=True)]
             for state, first in zip(states, plate, strict=True):
-                state[0] = first  # start exact to the last bit, like the end
+                state[0] = first  # remove the rounding error of the initial state
         for state in states:
             if not self.free_end:
                 state[-1] = state[0] if plate is None else 0
@@ -174,8 +175,7 @@ class SinusoidBasis:
 
 def settling(t: np.ndarray) -> Matrices:
     """Return pose, twist and acceleration (n, 3) of the plate at times t (n,) [s] while it comes to
-    rest. The three columns belong to an initial pose of 1 m, an initial velocity of 1 m/s and an
-    initial acceleration of 1 m/s2."""
+    rest. The columns are the same as in `SinusoidBasis.settling`."""
     edge = np.stack([np.eye(3), np.zeros((3, 3))], axis=1)
     powers, before_rest = quintic_pieces(np.array([0.0, TAIL_S]), *edge)[0], t < TAIL_S
     pose, twist, accel = (
@@ -232,27 +232,27 @@ def sinusoid_basis(
     times = np.arange(knots + 1) / knots * period
     times.setflags(write=False)
     ends = basis(times if free_end else times % period)
-    looks = t[:: max(1, steps // (LOOKS_PER_HARMONIC * number))]
+    checks = t[:: max(1, steps // (CHECKS_PER_HARMONIC * number))]
     if free_end:
-        looks = np.append(looks, period + TAIL_S * (np.arange(TAIL_LOOKS) + 0.5) / TAIL_LOOKS)
+        checks = np.append(checks, period + TAIL_S * (np.arange(TAIL_CHECKS) + 0.5) / TAIL_CHECKS)
     # The spline is linear in the coefficients. Therefore one spline per coefficient is sufficient.
     spline = quintic_pieces(times, *ends).reshape(-1, ends[0].shape[1])
-    # With 16 knots per period, the control points are only 0.1 % too high. Therefore one piece is
-    # sufficient.
+    # One piece per knot interval is sufficient for two harmonics: the control points are only 0.1 %
+    # too high.
     pieces = 1 if number <= 2 else PIECES
     own = spline.reshape(knots, 6, -1)
     hull = np.vstack([control_points(times, own, order, pieces) for order in range(3)])
     one = SinusoidBasis(
-        period, steps, twist, pose, accel, span, times, ends, spline, hull, free_end, basis(looks),
-        settling(t), settling(times), settling(looks),
+        period, steps, twist, pose, accel, span, times, ends, spline, hull, free_end, basis(checks),
+        settling(t), settling(times), settling(checks),
     )  # fmt: skip
     return one if plays == 1 else repeated(one, plays)
 
 
 def repeated(one: SinusoidBasis, plays: int) -> SinusoidBasis:
-    """Return the basis of the same motions, played `plays` times in succession."""
+    """Return the basis of `plays` consecutive plays of the motions of `one`."""
     end, more = np.stack([knots[-1] for knots in one.knots]), plays - 1
-    inner = len(one.looks[0]) - TAIL_LOOKS * one.free_end
+    inner = len(one.checks[0]) - TAIL_CHECKS * one.free_end
 
     def again(own: Matrices, way: Matrices, inner: int) -> Matrices:
         first, second, third = (
@@ -270,15 +270,15 @@ def repeated(one: SinusoidBasis, plays: int) -> SinusoidBasis:
     pose, twist, accel = again((one.pose, one.twist, one.accel), one.settling, one.steps)
     return replace(
         one, period=plays * one.period, steps=plays * one.steps, pose=pose, twist=twist,
-        accel=accel, looks=again(one.looks, one.settling_looks, inner),
-        settling=once(one.settling, one.steps), settling_looks=once(one.settling_looks, inner),
+        accel=accel, checks=again(one.checks, one.settling_checks, inner),
+        settling=once(one.settling, one.steps), settling_checks=once(one.settling_checks, inner),
     )  # fmt: skip
 
 
 class SinusoidFamily:
     """The motions of a basis at the largest amplitude that the limits allow.
 
-    Averaged forces do not depend on the amplitude. The influence of the parts' velocity decreases
+    Averaged forces do not depend on the amplitude. The error from the parts' velocities decreases
     with the speed of the plate. Therefore the largest amplitude is the best. Parameters (3 h,) are
     scaled coefficients. The scale makes rotations comparable to translations.
     """

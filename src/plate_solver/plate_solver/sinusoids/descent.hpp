@@ -17,18 +17,18 @@ namespace plate::descent {
 
 using namespace sinusoids;
 
-// Options of the Levenberg-Marquardt method. If the parts are much farther from their targets than
-// one cycle can move them, each step covers a small fraction of the distance. If the initial
-// damping were 1e-2, most of the first five steps would be rejected.
+// Options of the Levenberg-Marquardt method. One cycle often moves the parts by only a small
+// fraction of the distance to their targets. With an initial damping of 1e-2, the first steps would
+// be too long, and most of the first five would be rejected.
 constexpr Damping DAMPING{.first = 1.0, .least = 1e-6, .most = 1e3, .shrink = 3.0, .grow = 4.0,
                           .stall_steps = 6, .stall_fraction = 0.9999};
 
-// A basis of h sinusoidal motions, and the rig's limits. The matrices that are used to move parts
+// A basis of h sinusoidal motions, and the rig's limits. The matrices for the motion of the parts
 // have single precision.
 struct Motions {
     MatrixOf<float> pose, twist;  // (h, n): basis at the middles of steps
     MatrixOf<float> twist_bins;   // (bins, h): means of `twist` over bins of steps
-    Looks looks;                  // basis where limits are checked
+    SampledBasis checks;                  // basis at the instants at which limits are checked
     double scale[3];              // coefficients of a parameter along x, y and theta
     double dt;                    // length of a step [s]
     Limits limits;
@@ -38,10 +38,11 @@ struct Motions {
     int bins() const { return twist_bins.rows; }
 };
 
-// Motion of the plate from its initial state to rest. The motion of the basis is added to it.
+// Motion of the plate from its initial state to rest. The motion of the basis is added to this
+// motion.
 struct Settling {
     MatrixOf<float> pose, twist;  // (3, n) at the middles of steps
-    Looked looked;                // motion where limits are checked
+    SampledMotion checked;                // motion at the instants at which limits are checked
     bool moves;                   // whether the motion is not zero
 };
 
@@ -66,7 +67,7 @@ struct Room {
     std::vector<double> own, place;
     MatrixOf<float> state, pose, twist, on_twist, ends;
     Matrix by_place, used;
-    Looked looked;
+    SampledMotion checked;
     Excess excess;
 };
 
@@ -81,19 +82,19 @@ public:
         room.own.resize(3 * motions.size());
         room.place.resize(axes * problem.ends.parts);
         steps = {room.steps.data(), {motions.steps(), blocks, trace}};
-        if (problem.settling.moves) settling_use = use_of(problem.settling.looked);
+        if (problem.settling.moves) settling_use = use_of(problem.settling.checked);
     }
 
     // Scales a motion down to the permitted utilisation of the limits, and computes its errors [m].
     void evaluate(std::vector<double>& theta, std::vector<double>& error) {
         const Limits& limits = motions.limits;
-        look_at(theta);
-        const Looked& at = room.looked;
+        sample_checks(theta);
+        const SampledMotion& at = room.checked;
         const double use = use_of(at);
         if (use > problem.most) {
             const double share = (problem.most - settling_use) / (use - settling_use);
             for (double& value : theta) value *= std::max(share, 0.0);
-            look_at(theta);
+            sample_checks(theta);
         }
         room.moving.assign(room.own.begin(), room.own.end());
         combine(room.moving.data(), motions.pose, room.pose);
@@ -104,10 +105,10 @@ public:
         }
         move_parts();
         end_errors(room.place, problem.ends, error, room.by_place);
-        const int looks = motions.looks.count();
-        room.excess.begin(most_excesses(looks) + most_force_excesses(looks), 3 * motions.size());
-        excess(at, motions.looks, limits, room.used, room.excess);
-        if (limits.forceful) force_excess(at, motions.looks, limits, room.excess);
+        const int checks = motions.checks.count();
+        room.excess.begin(max_excesses(checks) + max_force_excesses(checks), 3 * motions.size());
+        excess(at, motions.checks, limits, room.used, room.excess);
+        if (limits.forceful) force_excess(at, motions.checks, limits, room.excess);
         for (int k = 0; k < room.excess.found; k++)
             error.push_back(-EXCESS_M * room.excess.value[k]);
     }
@@ -141,20 +142,20 @@ private:
     double settling_use = 0;  // largest utilisation of any limit by the settling motion
     View<float, 3> steps;
 
-    double use_of(const Looked& at) const {
-        const std::vector<double>& weight = motions.looks.weight;
+    double use_of(const SampledMotion& at) const {
+        const std::vector<double>& weight = motions.checks.weight;
         return limit_use(samples(at.pose), samples(at.twist), samples(at.accel),
                          {weight.data(), {static_cast<int>(weight.size())}}, motions.limits, true);
     }
 
-    // Computes the motion at the instants where limits are checked.
-    void look_at(const std::vector<double>& theta) {
+    // Computes the motion at the instants at which limits are checked.
+    void sample_checks(const std::vector<double>& theta) {
         for (size_t p = 0; p < theta.size(); p++) room.own[p] = theta[p] * motions.scale[p % 3];
-        look(room.own.data(), motions.looks, room.looked);
+        look(room.own.data(), motions.checks, room.checked);
         if (!problem.settling.moves) return;
-        add_to(room.looked.pose, problem.settling.looked.pose);
-        add_to(room.looked.twist, problem.settling.looked.twist);
-        add_to(room.looked.accel, problem.settling.looked.accel);
+        add_to(room.checked.pose, problem.settling.checked.pose);
+        add_to(room.checked.twist, problem.settling.checked.twist);
+        add_to(room.checked.accel, problem.settling.checked.accel);
     }
 
     template <class Number>

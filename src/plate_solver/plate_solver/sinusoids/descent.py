@@ -1,4 +1,4 @@
-"""One descent of a sinusoidal motion on the cycle map. C++ kernels compute it.
+"""One descent of a sinusoidal motion on the cycle map, computed by C++ kernels.
 
 One call runs the Levenberg-Marquardt method on the coefficients of the motion. The errors are the
 errors of the parts' final positions and rotations (`goal.ends`), and the limit violations. The
@@ -17,7 +17,7 @@ from ..cycle_map import blocks_of, turning_blocks_of
 from ..fit import Fit
 from ..goal import Ends, Goal
 from ..limits import Limits
-from .basis import TAIL_LOOKS, SinusoidBasis
+from .basis import TAIL_CHECKS, SinusoidBasis
 
 BIN = 4
 """Number of steps whose derivatives are summed before they are multiplied by the basis."""
@@ -42,8 +42,8 @@ class Motions(NamedTuple):
         twist_bins = basis.twist.reshape(-1, BIN, basis.size).mean(axis=1)
         scale = np.array([1.0, 1.0, 1 / limits.arm_m])
         kept = _kernels.motions_of(
-            basis.pose, basis.twist, twist_bins, *basis.looks,
-            TAIL_LOOKS * basis.free_end, scale, basis.dt, limits,
+            basis.pose, basis.twist, twist_bins, *basis.checks,
+            TAIL_CHECKS * basis.free_end, scale, basis.dt, limits,
         )  # fmt: skip
         return cls(basis, kept)
 
@@ -60,7 +60,7 @@ class Problem(NamedTuple):
         Parts at the start, in blocks.
     ends : Ends
     coast : float
-        As in `Goal` [s].
+        Time of the extrapolation, as in `Goal` [s].
     most : float
         Largest permitted utilisation of any rig limit during the search (1: exactly at the limit).
     """
@@ -82,7 +82,7 @@ class Problem(NamedTuple):
         else:
             start = turning_blocks_of(*state, goal.turns.spin, goal.turns.spread)
         plate = np.zeros((3, 3)) if goal.plate is None else goal.plate
-        moved = (matrix @ plate for matrix in (*basis.settling[:2], *basis.settling_looks))
+        moved = (matrix @ plate for matrix in (*basis.settling[:2], *basis.settling_checks))
         settling = _kernels.settling_of(*moved)
         return cls(motions, settling, start, goal.ends, goal.coast, most)
 

@@ -25,9 +25,10 @@ static MatrixOf<Number> transposed(const Table& array) {
     return result;
 }
 
-// Converts the bases (n, h) at the instants where limits are checked. The last `tail` instants
-// belong to the tail. The tail's instants do not count for the heat of the motors.
-static Looks looks_of(const Table& pose, const Table& twist, const Table& accel, int tail) {
+// Converts the bases (n, h) at the instants at which limits are checked. The last `tail` instants
+// belong to the tail, and do not count for the heat of the motors.
+static SampledBasis sampled_basis_of(const Table& pose, const Table& twist, const Table& accel,
+                                     int tail) {
     check("twist", twist, {pose.shape(0), pose.shape(1)});
     check("accel", accel, {pose.shape(0), pose.shape(1)});
     if (tail < 0 || static_cast<size_t>(tail) >= pose.shape(0))
@@ -39,32 +40,32 @@ static Looks looks_of(const Table& pose, const Table& twist, const Table& accel,
             matrix_of(twist), matrix_of(accel),  std::move(weight), heated};
 }
 
-static Motions motions_of(Table pose, Table twist, Table twist_bins, Table look_pose,
-                          Table look_twist, Table look_accel, int tail, Numbers scale, double dt,
+static Motions motions_of(Table pose, Table twist, Table twist_bins, Table check_pose,
+                          Table check_twist, Table check_accel, int tail, Numbers scale, double dt,
                           nb::tuple limits) {
     const size_t size = pose.shape(1), bins = twist_bins.shape(0);
     check("twist", twist, {pose.shape(0), size});
     check("twist_bins", twist_bins, {bins, size});
-    check("looks", look_pose, {look_pose.shape(0), size});
+    check("checks", check_pose, {check_pose.shape(0), size});
     check("scale", scale, {3});
     if (bins == 0 || pose.shape(0) % bins)
         throw nb::value_error("the number of steps is not a multiple of the number of bins");
     return {transposed<float>(pose), transposed<float>(twist), matrix_of<float>(twist_bins),
-            looks_of(look_pose, look_twist, look_accel, tail), {scale(0), scale(1), scale(2)}, dt,
-            limits_of(limits)};
+            sampled_basis_of(check_pose, check_twist, check_accel, tail),
+            {scale(0), scale(1), scale(2)}, dt, limits_of(limits)};
 }
 
-// Converts samples (n, 3) at the middles of the steps, and samples at the instants where limits are
-// checked.
-static descent::Settling settling_of(Table pose, Table twist, Table look_pose, Table look_twist,
-                                     Table look_accel) {
+// Converts two sets of samples of the settling motion: (n, 3) at the middles of the steps, and (l,
+// 3) at the instants at which limits are checked.
+static descent::Settling settling_of(Table pose, Table twist, Table check_pose, Table check_twist,
+                                     Table check_accel) {
     for (const Table* each : {&pose, &twist}) check("settling", *each, {pose.shape(0), 3});
-    for (const Table* each : {&look_pose, &look_twist, &look_accel})
-        check("settling", *each, {look_pose.shape(0), 3});
+    for (const Table* each : {&check_pose, &check_twist, &check_accel})
+        check("settling", *each, {check_pose.shape(0), 3});
     const auto moves = [](double value) { return value != 0; };
     return {transposed<float>(pose), transposed<float>(twist),
-            {transposed(look_pose), transposed(look_twist), transposed(look_accel)},
-            std::any_of(look_accel.data(), look_accel.data() + look_accel.size(), moves)};
+            {transposed(check_pose), transposed(check_twist), transposed(check_accel)},
+            std::any_of(check_accel.data(), check_accel.data() + check_accel.size(), moves)};
 }
 
 static nb::tuple descend(const Motions& motions, const descent::Settling& settling,
@@ -79,7 +80,7 @@ static nb::tuple descend(const Motions& motions, const descent::Settling& settli
     if (ends != axes * parts || start.shape(0) * LANES < parts)
         throw nb::value_error("the numbers of parts, blocks and ends do not match");
     if (settling.pose.columns != motions.steps() ||
-        settling.looked.pose.columns != motions.looks.count())
+        settling.checked.pose.columns != motions.checks.count())
         throw nb::value_error("the sizes of settling and motions do not match");
     check("theta", theta, {3 * static_cast<size_t>(motions.size())});
     FitOf<float> fit;

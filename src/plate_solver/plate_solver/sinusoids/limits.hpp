@@ -12,13 +12,14 @@
 
 namespace plate::sinusoids {
 
-// Displacement error that is equivalent to a violation of a limit by 100 %, and fraction of a limit
-// that a motion may use without a violation. The values are the same as in limits.py.
+// EXCESS_M is the displacement error [m] that is equivalent to a violation of a limit by 100 %. AIM
+// is the utilisation of a limit above which the search counts a violation. limits.py imports both
+// values.
 constexpr double EXCESS_M = 2e-3, AIM = 0.95;
 
-// Basis of one degree of freedom at the n instants where limits are checked: (h, n) each, and the
-// transposed matrices, (n, h).
-struct Looks {
+// Basis of one degree of freedom at n instants: matrices (h, n), and the transposed matrices (n,
+// h).
+struct SampledBasis {
     Matrix pose, twist, accel, pose_at, twist_at, accel_at;
     std::vector<double> weight;  // (n,): weight of each instant in the motors' heat
     double heated;               // sum of the weights
@@ -28,7 +29,7 @@ struct Looks {
 };
 
 // Samples (3, n) of a motion: rows x, y and theta.
-struct Looked {
+struct SampledMotion {
     Matrix pose, twist, accel;
 };
 
@@ -60,22 +61,23 @@ void combine(const Number* coefficients, const MatrixOf<Number>& basis, MatrixOf
             basis.columns);
 }
 
-inline void look(const double* coefficients, const Looks& basis, Looked& at) {
+inline void look(const double* coefficients, const SampledBasis& basis, SampledMotion& at) {
     combine(coefficients, basis.pose, at.pose);
     combine(coefficients, basis.twist, at.twist);
     combine(coefficients, basis.accel, at.accel);
 }
 
 // Maximum number of violations that `excess` and `force_excess` add.
-inline int most_excesses(int looks) { return looks * (2 * MOTORS + 4); }
-inline int most_force_excesses(int looks) { return (looks + 1) * MOTORS; }
+inline int max_excesses(int checks) { return checks * (2 * MOTORS + 4); }
+inline int max_force_excesses(int checks) { return (checks + 1) * MOTORS; }
 
-// Adds the violations of the motors' strokes and speeds, and of the corners' accelerations. With
-// the pose q = (x, y, theta), the lever l of a motor and the acceleration b of a corner, these are
-//     |l . q| / stroke - AIM, |l . q'| / speed limit - AIM, |b| / acceleration limit - AIM,
-// if they are above 0. `used` is a buffer.
-PLATE_WIDE inline void excess(const Looked& at, const Looks& basis, const Limits& limits,
-                              Matrix& used, Excess& result) {
+// Adds the violations of the motors' strokes and speeds, and of the corners' accelerations. q = (x,
+// y, theta) is the pose, l the lever of a motor, and b the acceleration of a corner. The violations
+// are the values above 0 of
+//     |l . q| / stroke - AIM, |l . q'| / speed limit - AIM, |b| / acceleration limit - AIM.
+// `used` is a buffer.
+PLATE_WIDE inline void excess(const SampledMotion& at, const SampledBasis& basis,
+                              const Limits& limits, Matrix& used, Excess& result) {
     const int n = basis.count(), size = basis.size();
     used.resize(2 * MOTORS + 4, n);
     for (int i = 0; i < MOTORS; i++)
@@ -151,16 +153,16 @@ PLATE_WIDE inline void excess(const Looked& at, const Looks& basis, const Limits
 }
 
 // Adds the violations of the motors' peak forces and of their root mean square forces.
-PLATE_WIDE inline void force_excess(const Looked& at, const Looks& basis, const Limits& limits,
-                                    Excess& result) {
-    const int looks = basis.count(), size = basis.size();
+PLATE_WIDE inline void force_excess(const SampledMotion& at, const SampledBasis& basis,
+                                    const Limits& limits, Excess& result) {
+    const int checks = basis.count(), size = basis.size();
     Matrix each(3, size), by_own(3, size);
     for (int i = 0; i < MOTORS; i++) {
         const double *on_pose = limits.loads[0][i], *on_twist = limits.loads[1][i];
         const double* on_accel = limits.loads[2][i];
         double square = 0;
         std::fill_n(by_own[0], 3 * size, 0.0);
-        for (int k = 0; k < looks; k++) {
+        for (int k = 0; k < checks; k++) {
             const double *__restrict pose = basis.pose_at[k], *__restrict twist = basis.twist_at[k];
             const double* __restrict accel = basis.accel_at[k];
             double force = 0;

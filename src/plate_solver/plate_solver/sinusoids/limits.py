@@ -1,9 +1,9 @@
 """Sinusoidal motions close to the limits of the rig, for the search on the cycle map.
 
 On the cycle map, the displacement depends on the amplitude. If each step of the search were scaled
-down to the limits, the progress of the step would be lost. Therefore the search may exceed the
-limits slightly. Each violation is an additional error, and the final motion is scaled to the
-limits.
+down to the limits, the step would bring no progress. Therefore motions may exceed the limits
+slightly during the search. Each violation is an additional error, and the final motion is scaled
+down to the limits.
 """
 
 from __future__ import annotations
@@ -52,6 +52,7 @@ class LimitedSinusoids(SinusoidFamily):
         return parameters * min(1.0, self._most / max(self.use(parameters), 1e-300))
 
     def nearest(self, twist: np.ndarray) -> np.ndarray:
-        """Return the parameters whose twists are closest to samples (n, 3), by least squares."""
+        """Return the parameters whose twists are closest to the sampled twists (n, 3), by least
+        squares."""
         own = self.basis.inverse @ (twist - self.basis.settling[1] @ self.plate)
         return (own / self._scale).ravel()

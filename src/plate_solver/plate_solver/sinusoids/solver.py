@@ -20,19 +20,18 @@ HARMONIC_S = 0.025
 option."""
 
 EXACT_CYCLES = (8, 8, 0.1), (16, 8, 0.15), (24, 12, 0.3), (math.inf, 16, 0.4)
-"""Cycles from rest to rest for force requests (rank 6 N - 7). Each entry is the maximum number of
-requested coordinates, the number of harmonics N, and the period [s]. The values were tuned in
-closed loop. Few harmonics make the search fast, short cycles correct friction errors early, and
-long cycles use the stroke."""
+"""Cycles from rest to rest for force requests. Their forces have rank 6 N - 7. Each entry contains
+the maximum number of requested coordinates, the number of harmonics N, and the period [s]. The
+values were tuned in closed loop. Few harmonics make the search fast, short cycles correct friction
+errors early, and long cycles use the stroke."""
 
 LASTING_CYCLES = (4, 4, 0.1), (8, 6, 0.15), (math.inf, 8, 0.2)
-"""Cycles from rest to rest for lasting goals. Each entry is the maximum number of requested
-coordinates, the number of harmonics N and the period [s], as in `EXACT_CYCLES`."""
+"""Cycles from rest to rest for lasting goals. The entries are the same as in `EXACT_CYCLES`."""
 
 GOING_ON = (15.0, 8, 0.2), (math.inf, 8, 0.1)
-"""Cycles with a free end. Each entry is the maximum shaking ratio Gamma, the number of harmonics
-and the period [s]. The values were tuned in closed loop. If the shaking ratio is low, long cycles
-move parts farther."""
+"""Cycles with a free end. Each entry contains the maximum shaking ratio Gamma, the number of
+harmonics and the period [s]. The values were tuned in closed loop. If the shaking ratio is low,
+long cycles move parts farther."""
 
 
 @dataclass(frozen=True)
@@ -42,14 +41,14 @@ class SinusoidOptions:
     Attributes
     ----------
     harmonics : int
-        Number of harmonics N of equation (13). 0 selects it by the number of parts.
+        Number of harmonics N of equation (13). 0 selects it by the number of requested coordinates.
     period : float
         Length of the cycle [s]. 0 selects it by the number of harmonics.
     iterations : int
         Maximum number of iterations from one start.
     restarts : int
-        Maximum number of further starts if the first one fails. If two plays are evaluated, this
-        number is halved.
+        Maximum number of further starts if the first one fails. A motion with a free end uses half
+        of this number, because two plays are evaluated.
     threads : int
         Number of threads of `steer`. The number does not change the results.
     seed : int
@@ -119,13 +118,13 @@ class SinusoidCycles(MotionSolver):
         return self._steering_key(2 * count + turns, lasting, free_end)[1]
 
     def _steering_key(self, constraints: int, lasting: bool, free_end: bool) -> tuple[int, float]:
-        """Return harmonics and period of the cycles of `steer`."""
+        """Return the number of harmonics and the period [s] of the cycles of `steer`."""
         if lasting and free_end and not self.options.harmonics:
             return next((n, s) for most, n, s in GOING_ON if self._gamma <= most)
         return self._rest_key(constraints, lasting)
 
     def _rest_key(self, constraints: int, lasting: bool = False) -> tuple[int, float]:
-        """Return harmonics and period [s] of cycles from rest to rest."""
+        """Return the number of harmonics and the period [s] of cycles from rest to rest."""
         number = self.options.harmonics
         if number:
             number, period = max(number, 2), max(HARMONIC_S * number, 0.1)

@@ -1,16 +1,16 @@
 """Multi-start search for sinusoidal motions on the cycle map.
 
-The first descent starts from the last motion. The others start from random perturbations of the
-best result. A play is one execution of a motion. Each play begins in the state in which the
-previous one ends. A motion with a free end is evaluated by the state of the parts after `PLAYS`
+The first descent starts from the last motion. All other descents start from random perturbations of
+the best result. A play is one execution of a motion. Each play begins in the state in which the
+previous play ends. A motion with a free end is evaluated by the state of the parts after `PLAYS`
 plays:
 
     minimise J(x_PLAYS) over a,    x_{k+1} = F(x_k, p_k; a),    p_{k+1} = E a,
 
 Here x_k is the state of the parts, p_k is the state of the plate, and a are the coefficients of
 `SinusoidBasis`. Only the first play becomes the cycle. The next result of the solver replaces the
-second play. With a single play, the search would not consider whether the final state of the plate
-is suitable for the next cycle. Sorting would take longer.
+second play. If only one play were evaluated, the search would not consider whether the final state
+of the plate is suitable for the next cycle, and sorting would take longer.
 """
 
 from __future__ import annotations
@@ -40,8 +40,8 @@ Grid = tuple[float, int, int]
 number of knots of the finished cycle per such period."""
 
 EXACT: Grid = (0.4e-3, 26, 8)
-"""Grid for force requests. The friction model is integrated by first-order steps. At a step of 1
-ms, their error would be 10 % of a drift. The final corrections compensate the error of the coarse
+"""Grid for force requests. The friction model is integrated by first-order steps. Steps of 1 ms
+would cause an error of 10 % of a drift. The final corrections (`AIMS`) compensate the error of the
 grid."""
 
 ROUGH: Grid = (0.8e-3, 16, 5)
@@ -63,12 +63,12 @@ finished descents. This number does not depend on the number of threads, so that
 the same motions."""
 
 SPREAD = 0.15
-"""Size of a perturbation, relative to the parameters of the best motion. Both sizes are root mean
-squares."""
+"""Root mean square of a perturbation, divided by the root mean square of the best motion's
+parameters."""
 
 PLAYS = 2
-"""Number of consecutive plays of a motion with a free end. The motion is evaluated after them. A
-third play brings no improvement: see docs/results.md."""
+"""Number of consecutive plays after which a motion with a free end is evaluated. A third play
+brings no improvement: see docs/results.md."""
 
 FORCE_LOOKAHEAD_S = 0.01
 """Time by which the search extrapolates the parts if forces are requested [s] (`Goal.ahead`). The
@@ -93,9 +93,9 @@ class SinusoidSteering:
     iterations : int
         Maximum number of iterations of a descent.
     restarts : int
-        Maximum number of further descents. If there is no last motion, `RANDOM_STARTS` more are
-        made. If a motion is evaluated after `PLAYS` plays, the number is divided by `PLAYS`,
-        because each descent takes longer.
+        Maximum number of further descents. For motions that are evaluated after `PLAYS` plays, this
+        number is divided by `PLAYS`, because each descent takes longer. If there is no last motion,
+        the search makes up to `RANDOM_STARTS` descents more.
     threads : int
         Number of threads, at most `AT_ONCE`.
     clock : callable
@@ -104,7 +104,7 @@ class SinusoidSteering:
     Attributes
     ----------
     cut_short : int
-        Number of searches that ended at the deadline.
+        Number of searches that the deadline ended early.
     """
 
     def __init__(
@@ -122,7 +122,7 @@ class SinusoidSteering:
         self._clock = clock
         self.cut_short = 0
         self._finishing = 0.0  # duration of the final corrections in the previous search [s]
-        # Twists of the last result for each key.
+        # Twists of the last motion, by number of harmonics, period, grid and `free_end`.
         self._warm: dict[tuple[int, float, Grid, bool], np.ndarray] = {}
         self._motions: dict[tuple[int, float, Grid, bool], Motions] = {}
 
@@ -228,7 +228,8 @@ class SinusoidSteering:
                 index += 1
             found = running.popleft()()
             if found is None:
-                # Each search counts only once, because `most` is 0 afterwards.
+                # The deadline has passed. Setting `most` to 0 ends the search, and it counts only
+                # once.
                 self.cut_short += most > 0
                 most = 0
             else:

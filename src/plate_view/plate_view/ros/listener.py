@@ -27,7 +27,7 @@ from plate_core.ros import (
     msg_to_cycle,
     msg_to_parts,
     msg_to_reports,
-    msg_to_wanted,
+    msg_to_request,
     nanoseconds,
     seconds,
 )
@@ -40,7 +40,7 @@ from ..scene import (
     motors_scene,
     nodes_scene,
     parts_scene,
-    wanted_scene,
+    request_scene,
 )
 from ..server import PageServer
 from ..top_view import TopView
@@ -215,7 +215,7 @@ class Listener:
         self._publish({"kind": "truth", "parts": parts})
 
     def _show_wanted(self, msg: PartForces) -> None:
-        self._publish(wanted_scene(self._rig, seconds(msg.header.stamp), msg_to_wanted(msg)))
+        self._publish(request_scene(self._rig, seconds(msg.header.stamp), msg_to_request(msg)))
 
     def _show_targets(self, msg: Targets) -> None:
         targets = [

@@ -337,8 +337,8 @@ class CameraNode(SafeLifecycleNode[CameraParameters]):
                 return worst(findings, "waiting for a subscriber of image_raw")
             if self._ended:
                 return worst(findings, f"the last of {self._watch.total} images was played")
-        if rivals := self.rivals("image_raw"):
-            findings.append(Finding(Level.WARN, rivals))
+        if second_publisher := self.second_publisher("image_raw"):
+            findings.append(Finding(Level.WARN, second_publisher))
         return worst(findings, f"images from {self.options.device}")
 
     def _silent(self, now: float) -> bool:

@@ -1,6 +1,6 @@
-"""Camera of the simulated world: times and content of images. The inputs are the state and history
-of parts, plate and robot, and the disturbances. The outputs are images, or the exact places of the
-parts that an image shows."""
+"""Camera of the simulated world: times and contents of images. From the state and history of parts,
+plate and robot, `CameraView` computes images, or the exact positions of the parts that an image
+would show."""
 
 from __future__ import annotations
 
@@ -23,37 +23,47 @@ from .robot import Robot
 from .state import WorldState
 
 EXPOSURES = 5
-"""Minimum number of sample times of parts and plate during an image."""
+"""Minimum number of times at which parts and plate are sampled during the exposure of an image."""
 
 MAX_STEP_S = 3e-3
-"""Maximum time between two samples [s]. The period of the plate's motion is at least 20 ms."""
+"""Maximum time between two samples [s]. It is short compared with the periods of the plate's
+motion, which are at least 20 ms."""
 
-DRAWN = ("plate_grey", "room_grey", "defocus_px")
-"""Disturbances that require a new `Camera`. The camera caches images that depend on them."""
+NEEDS_NEW_CAMERA = ("plate_grey", "room_grey", "defocus_px")
+"""Disturbances whose change requires a new `Camera`, because the images that the camera caches
+depend on them."""
 
 FINEST_STAMP_S = 1e-4
-"""Minimum difference between two stamps [s]."""
+"""Minimum difference between the stamps of two consecutive images [s]."""
 
 BANDS = 8
-"""Number of bands of image rows. If the camera has a rolling shutter, the pose of the plate is
-sampled once per band."""
+"""Number of bands of image rows. If the camera has a rolling shutter, each band has poses of the
+plate of its own."""
 
 
 @dataclass(frozen=True)
 class Shot:
-    """An image of a free-running camera: middle of its exposure, stamp, and delivery time [s]."""
+    """Times of an image of a free-running camera: the middle of its exposure, its stamp, and its
+    delivery [s]."""
 
     middle: float
     stamp: float
     delivered: float
 
 
-class Sight(NamedTuple):
-    """Exact content of an image.
+class VisibleParts(NamedTuple):
+    """Exact positions of the parts in an image.
 
-    - positions (M, 2) [m, plate_home] and angles (M,) [rad] of the parts
-    - `seen` (M,): whether the image shows each part
-    - positions (F, 2) of false parts [m]
+    Attributes
+    ----------
+    position : (M, 2)
+        Positions of the parts [m, plate_home].
+    angle : (M,)
+        Angles of the parts [rad].
+    seen : (M,)
+        Whether the image shows each part.
+    false : (F, 2)
+        Positions of false parts [m, plate_home].
     """
 
     position: np.ndarray
@@ -63,13 +73,13 @@ class Sight(NamedTuple):
 
 
 class CameraView:
-    """Camera of a simulation. The object also stores the appearance and the history of the parts.
+    """Camera of a simulation, with the appearance and the history of the parts.
 
     Parameters
     ----------
     rig : Rig
     seed : int
-        Seed of the sizes of the parts.
+        Random seed of the sizes of the parts.
     marked : bool
         Whether round parts show their angle.
     disturbances : Disturbances
@@ -82,9 +92,9 @@ class CameraView:
     Attributes
     ----------
     history : History
-        Past motion of parts and plate. The history covers the time that an image may show.
+        Past motion of parts and plate, as far back as an image can show.
     past : float
-        Maximum age of the state that an image may show [s].
+        Maximum age of the states that an image can show [s].
     """
 
     def __init__(
@@ -106,7 +116,7 @@ class CameraView:
         self._part_rng, self._stamp_rng = parts, stamps
         self.history = History()
 
-    def know(self, ids: tuple[str, ...], types: list[PartType]) -> None:
+    def set_types(self, ids: tuple[str, ...], types: list[PartType]) -> None:
         """Set the appearance of the current parts, and `past`."""
         world, camera = self._disturbances, self._rig.camera
         anytime = world.image_rate > 0 or camera.trigger is not None
@@ -124,16 +134,16 @@ class CameraView:
         self._nothing = np.zeros(len(ids), bool), np.zeros((0, 2)), np.zeros(0, np.int64)
 
     def change(self, disturbances: Disturbances, noise: float) -> None:
-        """Apply new disturbances. The caller must call `know` afterwards."""
+        """Apply new disturbances. Afterwards the caller must call `set_types`."""
         before, self._disturbances, self._noise = self._disturbances, disturbances, noise
-        if any(getattr(before, name) != getattr(disturbances, name) for name in DRAWN):
+        if any(getattr(before, name) != getattr(disturbances, name) for name in NEEDS_NEW_CAMERA):
             self.__dict__.pop("_camera", None)  # the images of the cached camera are outdated
         self._camera.noise = noise
 
     @cached_property
     def _camera(self) -> Camera:
-        """Camera. The camera is created for the first image, because its creation takes as long as
-        a hundred cycles."""
+        """Renderer. It is created at the first image, because its creation takes as long as a
+        hundred cycles and simulations without images do not need it."""
         world = self._disturbances
         return Camera(
             self._rig, self._noise, plate=world.plate_grey, room=world.room_grey,
@@ -141,7 +151,7 @@ class CameraView:
         )  # fmt: skip
 
     def shots(self, begin: float) -> Iterator[Shot]:
-        """Yield the images of a free-running camera from `begin` [s] on. The sequence has no
+        """Yield the times of the images of a free-running camera from `begin` [s] on, without
         end."""
         camera, world, rng = self._rig.camera, self._disturbances, self._stamp_rng
         interval, last = 1 / max(world.image_rate, 1e-9), -np.inf
@@ -149,7 +159,7 @@ class CameraView:
         middle = begin + interval * rng.random()
         while True:
             jitter = world.stamp_jitter * rng.standard_normal()
-            # Stamps increase, as with a real camera driver.
+            # The jitter cannot change the order of the stamps.
             last = max(middle + world.latency + jitter, last + FINEST_STAMP_S)
             yield Shot(middle, last, middle + max(world.latency, shown / 2))
             middle += interval
@@ -157,9 +167,9 @@ class CameraView:
     def capture(
         self, state: WorldState, plate: PlateState, robot: Robot, now: float, age: float | None
     ) -> np.ndarray | None:
-        """Return the image (height, width), uint8, that is delivered at `now` [s]. Return None if
-        it is missing. See `Simulation.capture`."""
-        shown = self._chance()
+        """Return the image (height, width), uint8, that is delivered at `now` [s], or None if it is
+        missing. See `Simulation.capture`."""
+        shown = self._draw_errors()
         if shown is None:
             return None
         hidden, place, like = shown
@@ -185,19 +195,21 @@ class CameraView:
             size=None if self._size is None else self._size[drawn],
         )
 
-    def sight(self, state: WorldState, plate: PlateState, age: float | None) -> Sight | None:
-        """Return the exact content of the image that `capture` would return. Return None if the
-        image is missing."""
-        shown = self._chance()
+    def visible_parts(
+        self, state: WorldState, plate: PlateState, age: float | None
+    ) -> VisibleParts | None:
+        """Return the exact positions of the parts in the image that `capture` would return, or None
+        if the image is missing."""
+        shown = self._draw_errors()
         if shown is None:
             return None
         hidden, place, _ = shown
         if self._shows_past:
             path, angle, seen, _ = self._view(state, plate, age)
-            return Sight(path[len(path) // 2], angle, seen & ~hidden, place)
+            return VisibleParts(path[len(path) // 2], angle, seen & ~hidden, place)
         position = state.position + self._exposure * state.velocity
         seen = state.on_plate if shown is self._nothing else state.on_plate & ~hidden
-        return Sight(position, state.angle, seen, place)
+        return VisibleParts(position, state.angle, seen, place)
 
     def capture_bare(self, now: float) -> np.ndarray:
         """Return an image of the bare plate at home at `now` [s]."""
@@ -206,10 +218,11 @@ class CameraView:
             lighting=self._disturbances.lighting(now),
         )  # fmt: skip
 
-    def _chance(self) -> tuple[np.ndarray, np.ndarray, np.ndarray] | None:
-        """Draw random numbers for an image: whether each part is hidden (M,), the positions (F, 2)
-        of false parts [m], and for each false part the index (F,) of the part with the same
-        appearance. Return None if the image is missing."""
+    def _draw_errors(self) -> tuple[np.ndarray, np.ndarray, np.ndarray] | None:
+        """Draw the random errors of an image, or return None if the image is missing. The first
+        result states for each part whether it is hidden (M,). The second result contains the
+        positions of the false parts (F, 2) [m]. The third result contains for each false part the
+        index (F,) of a part with the same appearance."""
         count, world = len(self._types), self._disturbances
         if not (world.missed_images or world.missed_parts or world.false_parts):
             return self._nothing
@@ -233,9 +246,9 @@ class CameraView:
     def _view(
         self, state: WorldState, plate: PlateState, age: float | None
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray | None]:
-        """Return the positions over the exposure (s, M, 2), the angles (M,), whether each part is
-        on the plate, and the poses of the plate. The poses are (s, 3), or (b, s, 3) for bands of
-        rows, or None if the plate is at home."""
+        """Return four arrays: positions of the parts over the exposure (s, M, 2), their angles
+        (M,), whether each part is on the plate (M,), and poses of the plate. The poses are (s, 3),
+        or (b, s, 3) for b bands of image rows, or None if the plate is at home."""
         camera, exposure = self._rig.camera, self._exposure
         if self._shows_past:
             shown = exposure + camera.readout_s
@@ -251,18 +264,17 @@ class CameraView:
     def _past_view(
         self, state: WorldState, first: float, exposure: float, shown: float
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-        """Return the same as `_view` for an image that is exposed row by row. The exposure of the
+        """Return the arrays of `_view` for an image that shows an earlier time. The exposure of its
         first row started `first` [s] ago.
 
-        The exposure of the last row ends `shown` [s] after the exposure of the first row has
-        started.
+        The exposure of its last row ended `shown` [s] after the exposure of its first row started.
         """
         count = max(EXPOSURES, 1 + int(np.ceil(shown / MAX_STEP_S)))
         time = shown * np.linspace(0, 1, count)
         views = [self.history.ago(first - t) for t in time]
         path, pose = (np.stack([getattr(v, n) for v in views]) for n in ("position", "pose"))
         middle, readout = views[count // 2], self._rig.camera.readout_s
-        # The history does not contain changes of parts since the last cycle.
+        # The history does not contain changes of the parts since the last cycle, but `state` does.
         there = middle.on_plate if first >= time[count // 2] else state.on_plate
         if readout == 0:
             return path, middle.angle, there, pose
@@ -282,7 +294,8 @@ class CameraView:
 
 
 def check_height(rig: Rig, disturbances: Disturbances) -> None:
-    """Raise an error if parts have a height and the position of the camera is unknown."""
+    """Raise an error if parts have a height and the position of the camera is unknown, or if a part
+    is as high as the camera."""
     named = {f"types: {name}: height_m": part.height_m for name, part in rig.types.items()}
     heights = {
         "part_height_m": disturbances.part_height_m,
@@ -303,7 +316,7 @@ def check_height(rig: Rig, disturbances: Disturbances) -> None:
 
 
 def _own_number(seed: int, part_id: str) -> float:
-    """Return a number for a part, uniform in -1 to 1. The number depends only on the seed and on
-    the part's id."""
+    """Return a random number for a part, uniformly distributed from -1 to 1. It depends only on the
+    seed and on the id of the part."""
     rng = np.random.default_rng([seed, zlib.crc32(part_id.encode())])
     return float(rng.uniform(-1, 1))

@@ -1,7 +1,8 @@
 """The planner's request for the next cycle: a mean force or a target for each part.
 
-`Wanted` is the input of the solver. It contains the parts and `Forces` or `Targets`. If known, it
-also contains the predicted state of the parts and the plate at the start of the cycle.
+The solver computes a cycle from a `CycleRequest`. The request contains the parts and `Forces` or
+`Targets`. It also contains the predicted state of the parts and the plate at the start of the
+cycle, if this state is known.
 """
 
 from __future__ import annotations
@@ -31,7 +32,7 @@ class Forces:
     tolerance : (M, 2)
         Half width of the accepted interval [N]. All forces inside it are equally good.
     torque : (M,)
-        Mean torque [N m]. 0: all rotations are equally good.
+        Mean torque [N m]. If it is 0, all rotations are equally good.
     period : float
         Length T of the cycle [s].
     """
@@ -44,7 +45,7 @@ class Forces:
 
 @dataclass(frozen=True)
 class AngleTargets:
-    """Requested angles of M parts at the end of this cycle or of a later one.
+    """Requested angles of M parts at the end of this cycle or of a later cycle.
 
     Attributes
     ----------
@@ -52,8 +53,8 @@ class AngleTargets:
         Bounds of the accepted interval [rad]. All angles inside it are equally good. The bounds
         differ from the part's angle by at most half a turn.
     weight : (M,)
-        Position error that costs as much as an angle error of one radian [m]. 0: all angles are
-        equally good.
+        Position error that costs as much as an angle error of one radian [m]. If it is 0, all
+        angles are equally good.
     """
 
     low: np.ndarray
@@ -63,7 +64,7 @@ class AngleTargets:
 
 @dataclass(frozen=True)
 class Targets:
-    """Requested positions of M parts at the end of this cycle or of a later one.
+    """Requested positions of M parts at the end of this cycle or of a later cycle.
 
     Each cycle minimises the sum of the squared weighted distances to the targets.
 
@@ -73,13 +74,13 @@ class Targets:
         Bounds of the accepted interval along x and y [m, plate_home]. All positions inside it are
         equally good.
     weight : (M, 2)
-        Weight of the remaining distance along x and y [-]. A violation of the clearance to an edge
-        or to another part has weight 1 per metre. 0: all positions along this axis are equally
-        good.
+        Weight of the remaining distance along x and y [-]. If it is 0, all positions along this
+        axis are equally good. A violation of the clearance to an edge or to another part has the
+        weight 1.
     gap_m : float
         Minimum clearance between any two parts, each modelled as a disc about its centre [m].
     angles : AngleTargets or None
-        Requested angles. They are None if no angles are requested.
+        Requested angles. None if no angles are requested.
     """
 
     low: np.ndarray
@@ -90,7 +91,7 @@ class Targets:
 
 
 @dataclass(frozen=True)
-class Wanted:
+class CycleRequest:
     """The planner's request for the next cycle.
 
     Attributes
@@ -98,19 +99,19 @@ class Wanted:
     parts : Parts
         The M parts for which forces or targets are requested.
     forces : Forces
-        The request, if `targets` is None. If `targets` is given, the solver ignores the forces.
-        They are then the forces that would move the parts towards their targets, for display only
+        Requested forces, if `targets` is None. If `targets` is given, the solver ignores the
+        forces. In this case they would move the parts towards their targets, and are only displayed
         (markers, the page, recordings).
     targets : Targets or None
-        The request. It is None if forces are requested.
+        Requested targets. None if forces are requested.
     start : (M, 4) or None
-        Position and velocity of each part at the start of the cycle [m, m/s]. It is None if
-        unknown. In this case `parts` is the state in an image, and the solver predicts the state at
-        the start.
+        Position and velocity of each part at the start of the cycle [m, m/s]. None if unknown. In
+        this case `parts` is the state in an image, and the solver predicts the state at the start
+        of the cycle.
     plate : (3, 3) or None
         Pose, twist and acceleration of the plate at the start of the cycle, in the form of
-        `PlateCycle.state`. It is None if they are uncertain. In this case the cycle starts at rest
-        at home.
+        `PlateCycle.state`. None if they are uncertain. In this case the cycle starts at rest at
+        home.
     """
 
     parts: Parts
@@ -130,8 +131,8 @@ class Wanted:
         start: np.ndarray | None = None,
         targets: Targets | None = None,
         plate: np.ndarray | None = None,
-    ) -> Wanted:
-        """Build a request; missing forces, tolerances and torques are zero.
+    ) -> CycleRequest:
+        """Build a request. Omitted forces, tolerances and torques are zero.
 
         Raises
         ------
@@ -149,7 +150,7 @@ class Wanted:
         return cls(parts, forces, targets, start, None if plate is None else _state(plate))
 
     @property
-    def request(self) -> Forces | Targets:
+    def forces_or_targets(self) -> Forces | Targets:
         """The targets if they are given, otherwise the forces."""
         return self.forces if self.targets is None else self.targets
 

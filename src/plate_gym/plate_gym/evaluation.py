@@ -1,4 +1,4 @@
-"""Evaluation of tasks by the true positions of the parts."""
+"""Evaluation of tasks with the true positions of the parts."""
 
 from __future__ import annotations
 
@@ -27,25 +27,25 @@ from plate_sim.world import Simulation, WorldState
 
 from .tasks import FEED_S
 
-__all__ = ["Judge", "Memory"]
+__all__ = ["Memory", "TaskEvaluator"]
 
 START_S = 0.2
-"""Time at which the references leave the starts of their paths [s]. At this time the reply to the
-second image takes effect."""
+"""Time at which the references leave the starts of their paths [s]. At this time, the first cycle
+that depends on the second image begins."""
 
 AHEAD_S = 0.1
-"""Look-ahead of the second reference point [s]. The first point is the reference at the start of
-the next cycle."""
+"""Agents receive two references per part: at the start of the next cycle, and this time later
+[s]."""
 
 ROUNDING_S = 1e-6
-"""Tolerance for rounding errors in sums of periods [s]."""
+"""Tolerance for rounding errors of sums of periods [s]."""
 
 ROBOT_S = 2.0
 """Cycle time of the robot that receives the parts [s]."""
 
 MAX_PICKS = 1 + int(FEED_S / ROBOT_S - (1 - ASKS))
-"""Maximum number of parts that the robot can take in a feed task. The robot requests the first part
-at the beginning of the task."""
+"""Maximum number of parts that the robot can take during a feed task. The robot requests the first
+part at the beginning of the task."""
 
 ENOUGH = 0.9
 """Minimum fraction of `MAX_PICKS` that the robot must pick for success."""
@@ -53,17 +53,17 @@ ENOUGH = 0.9
 
 @dataclass(frozen=True)
 class Followed:
-    """State of the paths that parts follow.
+    """State of a task in which parts follow paths.
 
     Attributes
     ----------
     memory : FollowMemory
-        The references on the paths. The references wait for parts that are behind, as in the loop
-        of this project.
+        References on the paths. If parts are behind, the references advance more slowly, as in the
+        planner of this project.
     time : float
         Time of the last evaluation [s].
     square_m2 : (M,)
-        Sum of the squared distances of each part from its reference [m2].
+        Squared distance of each part from its reference, summed over all evaluations [m2].
     """
 
     memory: FollowMemory
@@ -72,19 +72,20 @@ class Followed:
 
 
 class Feeding:
-    """The surroundings of a plate that feeds a robot: hopper, robot, and the rules of the feeder.
-    The object is mutable: `advance` changes it.
+    """State of a feed task: hopper, robot, and the rules of the feeder. The object is mutable:
+    `advance` changes it.
 
     Attributes
     ----------
     ids : (M,) of str
-        Id of the part in each row of observations and actions. Empty if there is no part. A new
-        part takes the first row that was empty before. Otherwise it takes a row that has just
-        become empty.
+        Id of the part in each row of observations and actions. The id is empty if the row has no
+        part. A new part takes the first row that was empty in the last cycle or, if there is no
+        such row, a row that has just become empty.
     rests : bool
-        Whether the plate rests in the next cycle, because a robot picks or enough parts are ready.
+        Whether the plate rests in the next cycle, because the robot picks or enough parts are
+        ready.
     made : Production
-        Production so far.
+        Production since the start.
     time : float
         Present time [s].
     """
@@ -95,8 +96,8 @@ class Feeding:
         self.ids = np.full(rows_of(task), "", object)
 
     def advance(self, world: Simulation, time: float, running: PlateCycle) -> None:
-        """Advance to a time [s] at which a cycle begins. Record the places of the parts, and let
-        the robot act as in `plate_bringup.loop`, but with the true positions."""
+        """Advance to a time at which a cycle begins [s]. Record the positions of the parts. The
+        robot acts as in `plate_bringup.loop`, but with the true positions."""
         self.time = time
         self._cell.act(world, time)
         if time > 0:
@@ -120,44 +121,45 @@ class Feeding:
         return {"ids": self.ids, "rests": self.rests, "order": order, "waiting": waiting}
 
     @property
-    def wanted(self) -> np.ndarray:
-        """Return a number for each row (M, 1): 1 for a part that must be picked, -1 for a part that
-        must be discharged, 0 for an empty row."""
+    def pick_column(self) -> np.ndarray:
+        """Column (M, 1) of observations: 1 for a part that must be picked, -1 for a part that must
+        be discharged, and 0 for an empty row."""
         labels = [pick.label for pick in self._rules.task.picks]
         kinds = [(part_class(name) in labels) - 0.5 if name else 0.0 for name in self.ids]
         return np.sign(kinds)[:, None]
 
 
 def rows_of(task: FeedTask) -> int:
-    """Return the maximum number of parts."""
+    """Return the maximum number of parts on the plate in a feed task."""
     if task.hopper is None:
         raise PlateError("a task of kind feed requires a hopper")
     return task.hopper.fill
 
 
 Memory = PoseMemory | Followed | Feeding | None
-"""State of a task: the assignment of parts to poses or paths, or the surroundings in a feed
-task."""
+"""State of a task: the assignment of parts to poses, the state of the paths, or the state of a feed
+task. Other tasks have no state."""
 
 
 class Score(NamedTuple):
-    """State of a task on each of N plates with M parts.
+    """Evaluation of a task on each of N plates with M parts.
 
     Attributes
     ----------
     error_m : (N, M)
-        Distance of each part from its target [m]. For paths, it is the root mean square distance
-        from its reference so far.
+        Distance of each part from its target [m]. For paths: root mean square distance from the
+        reference since the start.
     turn_error : (N, M)
         Error of the angle of each part [rad]. 0 without a target angle.
     there : (N, M)
-        Whether each part fulfils the task. For feeding, (N, 1): number of picked parts.
+        Whether each part is where the task requires it. For feeding: number of picked parts (N, 1).
     to_go : (N,)
-        Remaining distance [m], summed over the parts. A rotation counts as the distance that the
-        contour moves. For paths, it is the remaining length of the reference that has the longest
-        one. For feeding, it is the number of parts that could have been picked and were not.
+        Remaining distance, summed over the parts [m]. A rotation counts as the distance that the
+        contour of the part moves. For paths: the longest remaining length of a path [m]. For
+        feeding: the maximum number of parts that the robot can take minus the number of picked
+        parts.
     met : (N,) bool
-        Whether the task is fulfilled.
+        Whether the requirements of the task are fulfilled now.
     failed : (N,) bool
         Whether a part is farther from its path than allowed.
     """
@@ -170,17 +172,17 @@ class Score(NamedTuple):
     failed: np.ndarray
 
 
-class Judge:
-    """Evaluates one task in the same way as the planner's supervision, but with the true positions.
+class TaskEvaluator:
+    """Evaluates a task as the planner's supervision does, but with the true positions.
 
-    The errors of the camera, `SIGHT_M` and `SIGHT_RAD`, are added to the tolerances.
+    The errors of the camera (`SIGHT_M`, `SIGHT_RAD`) are added to the tolerances.
 
     Attributes
     ----------
     hold_s : float
-        Time for which all parts must be in place until the task is done [s].
+        Time for which the requirements must be fulfilled until the task is done [s].
     follows, feeds : bool
-        Whether parts follow paths. Whether parts are fed to a robot.
+        Whether the task is to follow paths, and whether it is to feed a robot.
 
     Raises
     ------
@@ -223,8 +225,8 @@ class Judge:
         return None
 
     def update(self, memory: Memory, world: Simulation, time: float, running: PlateCycle) -> Memory:
-        """Record the places of the parts at a time [s] at which a cycle begins. The references
-        advance slowly if parts are behind."""
+        """Record the positions of the parts at a time at which a cycle begins [s]. If parts are
+        behind, the references advance more slowly."""
         if isinstance(memory, Feeding):
             memory.advance(world, time, running)
         if not isinstance(memory, Followed) or not isinstance(self._rules, Follower):
@@ -235,8 +237,8 @@ class Judge:
         return Followed(follow, time, memory.square_m2 + error**2)
 
     def agent_info(self, memory: Memory) -> dict[str, Any]:
-        """Return the information for an agent. The information contains `path_s` and `pace` for
-        paths, and `Feeding.agent_info` for feeding."""
+        """Return information for an agent: `path_s` and `pace` for paths, `Feeding.agent_info` for
+        feeding, and nothing otherwise."""
         if isinstance(memory, Feeding):
             return memory.agent_info()
         if not isinstance(memory, Followed):
@@ -245,10 +247,11 @@ class Judge:
         return {"path_s": np.array(follow.progress), "pace": np.array(follow.scaling)}
 
     def references(self, memory: Memory, ids: tuple[str, ...]) -> np.ndarray:
-        """Return the references (M, 4) [m, plate_home]: x and y at the start of the next cycle, and
-        at `AHEAD_S` later. For feeding, return `Feeding.wanted`. Otherwise return (M, 0)."""
+        """Return the additional columns of observations. For paths (M, 4): the reference x, y at
+        the start of the next cycle, and the reference `AHEAD_S` later [m, plate_home]. For feeding
+        (M, 1): see `Feeding.pick_column`. Otherwise (M, 0)."""
         if isinstance(memory, Feeding):
-            return memory.wanted
+            return memory.pick_column
         if not isinstance(memory, Followed) or not isinstance(self._rules, Follower):
             return np.zeros((len(ids), 0))
         follow = memory.memory
@@ -257,16 +260,17 @@ class Judge:
         return places[[follow.match.index(name) for name in ids]]
 
     def score(self, memories: list[Memory], states: list[WorldState]) -> Score:
-        """Evaluate the parts of N plates. `memories` are the results of `begin` and `update`."""
+        """Evaluate the task on N plates. `memories` are the results of `begin` or `update` for each
+        plate."""
         rules, names = self._rules, states[0].ids
         if isinstance(rules, Follower):
-            return _followed(rules, memories, states)
+            return _evaluate_paths(rules, memories, states)
         if isinstance(rules, Feeder):
-            return _fed(rules, memories)
+            return _evaluate_feeding(rules, memories)
         shape = len(states), len(names)
         error, turn = np.zeros(shape), np.zeros(shape)
         near_m, near_rad = SIGHT_M, np.inf
-        if isinstance(rules, Sorter):  # evaluate all plates at once
+        if isinstance(rules, Sorter):  # the rules evaluate all plates in one call
             to_go = rules.distances(names, np.array([state.position for state in states]))
             error = np.where(np.isnan(to_go), 0.0, to_go)
         else:
@@ -287,8 +291,8 @@ class Judge:
         return Score(error, turn, there, to_go, np.all(there, axis=1), never)
 
 
-def _followed(rules: Follower, memories: list[Memory], states: list[WorldState]) -> Score:
-    """Evaluate paths on N plates."""
+def _evaluate_paths(rules: Follower, memories: list[Memory], states: list[WorldState]) -> Score:
+    """Evaluate a task in which parts follow paths on N plates."""
     shape = len(states), len(states[0].ids)
     rms, now = np.zeros(shape), np.zeros(shape)
     to_go, at_end = np.zeros(len(states)), np.zeros(len(states), bool)
@@ -303,8 +307,8 @@ def _followed(rules: Follower, memories: list[Memory], states: list[WorldState])
     return Score(rms, np.zeros(shape), there, to_go, at_end & kept, ~kept)
 
 
-def _fed(rules: Feeder, memories: list[Memory]) -> Score:
-    """Evaluate feeding on N plates."""
+def _evaluate_feeding(rules: Feeder, memories: list[Memory]) -> Score:
+    """Evaluate a feed task on N plates."""
     none = np.zeros((len(memories), rows_of(rules.task)))
     never = np.zeros(len(memories), bool)
     fed = [memory for memory in memories if isinstance(memory, Feeding)]
@@ -315,9 +319,8 @@ def _fed(rules: Feeder, memories: list[Memory]) -> Score:
 
 
 def _situation(parts: Parts, time: float, period: float, tail: float = 0.0) -> Situation:
-    """Return the input of the planner's rules. The input contains the parts at a time [s] at which
-    a cycle begins. The cycle lasts for a period. If the plate then stops, it rests after a tail of
-    further `tail` [s]."""
+    """Return the input of the planner's rules at a time at which a cycle of the length `period`
+    begins [s]. If the plate is stopped after this cycle, it rests `tail` later [s]."""
     return Situation(
         parts=parts, stamp=time, start=time + period, rests=time + period + tail, period=period,
         motion_known=True, latency_known=True, predicted=parts.position,
