@@ -152,7 +152,7 @@ def test_nothing_starts_where_nobody_can_enable_the_motors(monkeypatch, capsys):
     [
         (["--camera", "nowhere.mp4"], "nowhere.mp4: no such device or file, allowed: a number or"),
         (["--camera", "/dev/video99"], "/dev/video99: no such device; check that it is plugged in"),
-        (["--camera", "0", "--transport", "sim"], "camera is '0', but transport sim requires no"),
+        (["--camera", "0", "--transport", "sim"], "camera is '0', but with transport sim "),
         (["--camera", "0", "--image-rate", "30"], "image rate is 30, but --camera requires"),
     ],
 )
