@@ -73,7 +73,7 @@ def test_a_robot_waits_outside_the_view_for_its_answer():
 def test_a_robot_that_is_refused_asks_again_later():
     robot, _ = Robot(2.0, 0.0, Act.ASK).step(1.2)
     assert robot.due == math.inf
-    robot = robot.told(None, 1.5)
+    robot = robot.after_reply(None, 1.5)
     assert robot.due == pytest.approx(1.7)
 
 

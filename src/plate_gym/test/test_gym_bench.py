@@ -143,7 +143,7 @@ def test_what_is_claimed_and_made_of_other_code_is_told(bench, result, monkeypat
     took = f"{result['tasks']['Sort4-v1']['decision_ms']:.3g}"
     assert told == [
         f"agent A, commit {result['commit'] or 'unknown'}",
-        f"sources: 00 in the result, {bench.sources()} here",
+        f"sources is 00 in the result, and {bench.sources()} here",
         "Sort4-v1: the result has seeds 0:2",
         f"Sort4-v1: 2 seeds repeated, 0 differences so far; {took} ms per decision in the result, "
         f"{took} ms here",

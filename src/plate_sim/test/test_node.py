@@ -395,7 +395,11 @@ def test_diagnostics_tell_silence_and_refusals():
         assert loop.spin(heard), loop.reports[-1:]
 
     with Loop(idle_period=0.05, input_timeout_s=0.3) as loop:
-        told(loop, DiagnosticStatus.STALE, "no motor table yet on motor_setpoints; check that the driver")
+        told(
+            loop,
+            DiagnosticStatus.STALE,
+            "no motor table yet on motor_setpoints; check that the driver",
+        )
         loop.answer = good
         assert loop.spin(lambda: 50_000_000 in np.diff(loop.stamps))
         assert loop.spin(lambda: loop.reports[-1].status[0].level != DiagnosticStatus.STALE)
