@@ -4,7 +4,7 @@ import harmonic
 import numpy as np
 import pytest
 from footprints import on_feet
-from hypothesis import given, settings
+from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
 from plate_core import PlateCycle
@@ -154,6 +154,7 @@ def mirrored(part: Footprint) -> Footprint:
 
 @few
 @given(scenes, st.floats(-3, 3), st.booleans())
+@example(([4, 2], 66660, 1.0, 1.0), 0.0, True)
 def test_turned_and_mirrored_rooms_are_alike(scene, turn, mirror):
     kinds, seed, bounce, rub = scene
     kinds = kinds[:2]  # which meet once: more would magnify rounding
@@ -174,5 +175,7 @@ def test_turned_and_mirrored_rooms_are_alike(scene, turn, mirror):
     )  # fmt: skip
     near = 1e-6 + 3 * np.max(np.abs(shifted.position - run.position))
     assert like.position == pytest.approx(run.position @ q.T, abs=near)
-    near = 1e-4 + 3 * np.max(np.abs(shifted.angle - run.angle))
+    # A contact ends with an overlap of up to 1e-5 m, which depends on the order of the corners.
+    reach = [max(p.radius, *(np.max(np.hypot(*c.T)) for c in p.outline), 0.0) for p in parts]
+    near = 1e-5 / min(reach) + 3 * np.max(np.abs(shifted.angle - run.angle))
     assert like.angle == pytest.approx(sign[1] * run.angle + turn, abs=near)
