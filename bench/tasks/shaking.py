@@ -219,7 +219,7 @@ class Shaker:
             if act is Act.ASK:
                 self._asked = True
             if self._asked and self.listed:
-                self.robot = self.robot.told(self.listed[0], self.tally.time_s)
+                self.robot = self.robot.after_reply(self.listed[0], self.tally.time_s)
                 self._asked = False
             if act is None:
                 return
