@@ -142,7 +142,7 @@ class Robot:
             if act is Act.ASK:
                 reply = dict(VALUE.findall(self._done("get_part")))
                 x, y, name = 1e-3 * float(reply["x"]), 1e-3 * float(reply["y"]), reply["id"]
-                arm = arm.told((x, y, math.radians(float(reply["angle"]))), self._now())
+                arm = arm.after_reply((x, y, math.radians(float(reply["angle"]))), self._now())
             elif act is Act.LEAVE:
                 self._move(MoveRobot.Request.AWAY)
                 self._done(f"part_taken {name} {'ok' if self.grips[-1].taken else 'failed'}")
