@@ -89,7 +89,7 @@ class Options(NodeOptions):
     streams: bool = parameter(False, "Whether to stream setpoints instead of sending whole cycles.")
     hold_cycles: int = parameter(
         HOLD_CYCLES,
-        "Number of times that a cycle from rest to rest is executed if no new cycle arrives.",
+        "Plays of a cycle from rest to rest if no new one arrives.",
         1,
         20,
     )

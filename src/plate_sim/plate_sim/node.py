@@ -94,7 +94,7 @@ class Options(NodeOptions):
         0, 2**31 - 1, live=True,
     )  # fmt: skip
     driven_by: str = parameter(
-        "setpoints", "Source of the plate's motion: motor_setpoints or the simulated device.",
+        "setpoints", "Source of the plate's motion.",
         choices=("setpoints", "device"),
     )  # fmt: skip
     lockstep: bool = parameter(
@@ -102,11 +102,11 @@ class Options(NodeOptions):
         "Whether the simulator waits for the reply to each image. If false, it runs in real time.",
     )
     rate: float = parameter(
-        1.0, "Simulated seconds per second. It can be changed only if time is simulated.", 0.01,
+        1.0, "Simulated seconds per second, if time is simulated.", 0.01,
         100, live=True,
     )  # fmt: skip
     simulated_time: bool = parameter(
-        False, "Whether time is simulated (/clock) even at rate 1, so that rate can be changed."
+        False, "Whether time is simulated (/clock), so that rate can change."
     )
     noise: float = parameter(
         NOISE, "Standard deviation of the image noise [grey values].", *WORLD_RANGES["noise"],
@@ -114,18 +114,18 @@ class Options(NodeOptions):
     )  # fmt: skip
     mu_scale: float = parameter(
         1.0,
-        "True friction divided by the friction in the rig file.",
+        "True friction divided by that of the rig file.",
         *WORLD_RANGES["mu_scale"],
         live=True,
     )
     hold_cycles: int = parameter(
         HOLD_CYCLES,
-        "Number of times that a cycle from rest to rest is executed if no new cycle arrives.",
+        "Plays of a cycle from rest to rest if no new one arrives.",
         1,
         1000,
     )
     input_timeout_s: float = parameter(
-        INPUT_TIMEOUT_S, "Time without motion until diagnostics are STALE [s, wall].", 0.1, 3600.0
+        INPUT_TIMEOUT_S, "Time without motion until STALE [s, wall].", 0.1, 3600.0
     )
     idle_period: float = parameter(
         IDLE_S, "Length of a cycle while the plate is at rest [s].", 0.01, 10
@@ -134,23 +134,17 @@ class Options(NodeOptions):
         "friction_spread", "Maximum relative deviation of friction between parts."
     )
     friction_patches: float = _disturbance(
-        "friction_patches", "Maximum relative deviation of friction over the plate."
+        "friction_patches", "Maximum relative friction deviation on the plate."
     )
     static_ratio: float = _disturbance(
         "static_ratio", "Static friction divided by dynamic friction."
     )
     friction_slope: float = _disturbance(
-        "friction_slope", "Relative change of friction per slip speed [1/(m/s)]."
+        "friction_slope", "Relative friction change per slip speed [1/(m/s)]."
     )
-    heave: float = _disturbance(
-        "heave", "Upward motion of the plate divided by its motion along x."
-    )
-    tilt_x: float = _disturbance(
-        "tilt_x", "Tilt of the plate [rad]. If positive, parts slide towards +x."
-    )
-    tilt_y: float = _disturbance(
-        "tilt_y", "Tilt of the plate [rad]. If positive, parts slide towards +y."
-    )
+    heave: float = _disturbance("heave", "Upward motion of the plate per motion along x.")
+    tilt_x: float = _disturbance("tilt_x", "Tilt [rad]; if positive, parts slide towards +x.")
+    tilt_y: float = _disturbance("tilt_y", "Tilt [rad]; if positive, parts slide towards +y.")
     latency: float = _disturbance(
         "latency", "Age of an image when it is published and stamped [s].", live=False
     )
@@ -160,7 +154,7 @@ class Options(NodeOptions):
         live=False,
     )  # fmt: skip
     stamp_jitter: float = _disturbance(
-        "stamp_jitter", "Standard deviation of the stamps of a free-running camera [s].",
+        "stamp_jitter", "Noise of a free-running camera's stamps [s].",
         live=False,
     )  # fmt: skip
     blur: bool = parameter(
@@ -181,9 +175,7 @@ class Options(NodeOptions):
     false_parts: float = _image_parameter(
         "false_parts", "Number of false parts per true part in an image."
     )
-    pick_failure: float = _disturbance(
-        "pick_failure", "Fraction of the robot's grips in which the part slips."
-    )
+    pick_failure: float = _disturbance("pick_failure", "Fraction of grips in which the part slips.")
 
     part_height_m: float = _image_parameter(
         "part_height_m", "Height of parts in images [m]. 0 uses the height in the rig file."
