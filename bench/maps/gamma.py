@@ -113,7 +113,7 @@ def measure(quick: bool) -> list[Grid]:
 
 MAP = StabilityMap(
     key="gamma",
-    title="Averages fail: shaking ratio and number of parts",
+    title="Error of average forces: shaking ratio and number of parts",
     x_label="parts",
     y_label="shaking ratio Γ = a_max/(mu g) [-]",
     z_label="force error divided by requested force [-]",

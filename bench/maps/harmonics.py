@@ -63,7 +63,7 @@ MAP = StabilityMap(
     x_label="harmonics N",
     y_label="parts M",
     z_label="fraction of solved requests [-]",
-    line_label="2 M = 6 N - 2",
+    line_label="2 M = 6 N - 2 for N > 1, and no part for N = 1",
     level=0.5,
     measure=measure,
     bounds=(0.0, 1.0),

@@ -109,7 +109,9 @@ MAP = StabilityMap(
     x_label="parts",
     y_label="natural frequency [Hz]",
     z_label="velocity error divided by velocity [-]",
-    line_label="|H - 1| over the motion's harmonics",
+    line_label=f"the root mean square of abs(H - 1) over the motion's harmonics, weighted by their "
+    f"power in the velocity, is {LEVEL:g}. H is the transfer function of the soft suspension in "
+    "docs/model.md",
     level=LEVEL,
     measure=measure,
     bounds=(0.0, 2.0),

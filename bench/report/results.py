@@ -85,7 +85,8 @@ def section(chart: Chart, facts: Data, commit: str) -> str:
         lines.append(f"Default: {chart.default}\n")
     measurements = [f"`{name}`{measured(facts.get(name), commit)}" for name in chart.sources]
     rows = f"[{len(chart.sheet.rows)} rows]({FOLDER}/{chart.key}.csv)"
-    lines.append(f"The data are {rows} of {' and '.join(measurements)}.\n")
+    plural = "s" if len(measurements) > 1 else ""
+    lines.append(f"Data: {rows} of the measurement{plural} {' and '.join(measurements)}.\n")
     return "\n".join(lines)
 
 

@@ -33,8 +33,9 @@ MOTOR = Section(
             "[x, y], of any length except 0.",
         ),
         Key(
-            "drive", Choice(("bridge", "cia402", "odrive")), "A bridge of the board, a "
-            "CiA 402 drive on CANopen, or an ODrive on CAN; the same for all motors.", "bridge",
+            "drive", Choice(("bridge", "cia402", "odrive")), "Type of the amplifier: an H-bridge "
+            "on the motor controller's board, a CiA 402 drive on CANopen, or an ODrive on CAN. It "
+            "must be the same for all motors.", "bridge",
         ),
         Key(
             "node", Whole(1, 126), "Node number of the drive on the bus; up to 62 for an ODrive.",

@@ -88,8 +88,8 @@ GROUP = Section(
     (
         Key(
             "class", Text("black, grey, or a type of the rig's `types`"), "`black` and `grey` "
-            "are round, as `parts` in the rig file defines, and differ in brightness. If the rig "
-            "has `types`, only its types are allowed.",
+            "are round parts that differ in brightness. The key `parts` of the rig file defines "
+            "their mass, radius and height. If the rig has `types`, only its types are allowed.",
         ),
         Key(
             "count", Whole(0, 100), "Number of parts at random places (by `seed`). Their centres "
@@ -290,8 +290,8 @@ PICK = Section(
     "Ready parts of one class.",
     (
         class_key(),
-        Key("window_m", Numbers((2, 2), -FAR_M, FAR_M), "Corners [x, y] of the pick window for the "
-            "centres, lower left and upper right.", None,
+        Key("window_m", Numbers((2, 2), -FAR_M, FAR_M), "Lower left and upper right corner [x, y] "
+            "of the pick window. The centres of ready parts are inside it.", None,
             "the plate without the stroke and 1.25 radii along its edges"),
         Key("ready", Whole(1, 100), "Number of parts that are ready at the same time.", 1),
         Key("angle_deg", Number(-360, 360), "Angle of ready parts.", None, "any"),
@@ -304,8 +304,8 @@ HOPPER = Section(
     "Source of new parts. It opens when parts are missing, until enough parts have dropped.",
     (
         Key("fill", Whole(1, 100), "Number of parts on the plate after a refill."),
-        Key("least", Whole(1, 100), "The hopper opens when fewer parts are on the plate.", None,
-            "`fill`"),
+        Key("least", Whole(1, 100), "Minimum number of parts on the plate. If there are fewer, the "
+            "hopper opens.", None, "`fill`"),
         Key("rate_ps", Number(0.1, 1000), "Number of dropped parts per second."),
         Key("place_m", PLACE, "Centre of the drop area [x, y]."),
         Key("spread_m", Number(0.001, 1), "Radius of the drop area."),
