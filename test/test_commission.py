@@ -368,9 +368,7 @@ def test_a_motor_that_does_not_move_is_said(bench, rig_file, capsys):
     bench.only(1)
     assert bench.run(rig_file) == 1
     said = capsys.readouterr().out
-    assert (
-        "error: motor_1: travel by its own counts is +0.000 mm, allowed: at least 0.25 mm" in said
-    )
+    assert "motor_1: travel measured by the drive is +0.000 mm, allowed: at least 0.25 mm" in said
     assert all_off(bench)
 
 

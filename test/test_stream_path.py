@@ -136,7 +136,7 @@ def test_a_stream_goes_on_in_motion_or_is_brought_to_rest():
         bench.transport.send(second, 1)
     bench.run(1.0)
     assert bench.state is State.READY
-    with pytest.raises(CycleError, match="the stream has ended at rest"):
+    with pytest.raises(CycleError, match="begins in motion, but the plate is at rest"):
         bench.transport.send(second, 1)
     assert bench.transport.troubles() == []
     assert bench.judge.verdict().kept

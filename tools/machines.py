@@ -136,7 +136,8 @@ def do(*words: str) -> str:
 
 
 def enter(pid: int) -> list[str]:
-    """Return the words before a command that run it on a machine."""
+    """Return the prefix of a command (`nsenter ...`) that runs the command in the network and mount
+    namespaces of a process. Each such process represents a machine."""
     return ["nsenter", f"--target={pid}", "--net", "--mount", "--wd"]
 
 

@@ -38,10 +38,10 @@ MODULES = (
     "plotly", "kaleido", "pandas", "tabulate", "numba", "skimage", "gymnasium", "distributed",
     "playwright", "axe_playwright_python", "can", "canopen", "cantools", "odrive_can",
 )  # fmt: skip
-"""Modules of `WHEELS` and `BROWSER_WHEELS`."""
+"""Import names of the packages in the requirements files `WHEELS` and `BROWSER_WHEELS`."""
 
 LAUNCH = "launch_ros"
-"""Module without a wheel. tools/cli.sh fetches its sources."""
+"""Import name of a package without a wheel. tools/cli.sh fetches its sources."""
 
 
 def program(need: str) -> str | None:

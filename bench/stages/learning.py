@@ -28,7 +28,7 @@ from plate_sim import PlateState, motor_record, realise
 HZ, DAMPING, MISMATCH, BANDWIDTH_HZ = 35.0, 0.03, 0.15, 200.0
 SAMPLE_S = 0.01
 NOISE = 0.2
-"""Standard deviation of an accelerometer [m/s2]."""
+"""Standard deviation of the noise of an accelerometer [m/s2]."""
 
 PERIOD, HARMONICS = 0.2, 8
 CYCLES = 10

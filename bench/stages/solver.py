@@ -37,7 +37,8 @@ SAMPLES = 1024
 """Number of samples in scipy's final steps. They resolve most dips of the slip."""
 
 JUDGE_SAMPLES = 6007
-"""Number of samples of the check, which is not a multiple of any method's number of samples."""
+"""Number of samples per cycle from which the error of each solution is computed. It is not a
+multiple of any method's number of samples, so the error between the method's samples is visible."""
 
 OURS, PEER, ROTATIONS = METHODS = "SinusoidSolver", "scipy lm", "RotationSolver"
 """Methods. scipy is least_squares(method='lm') with the project's Jacobian on the same samples,

@@ -15,8 +15,8 @@ SAMPLES = 1000
 """Number of equally spaced samples per cycle."""
 
 PIECE_SAMPLES = 8
-"""Number of samples per piece between two knots. A piece can be shorter than the equally spaced
-samples: the motion can change its velocity within a nanosecond."""
+"""Number of samples per piece between two knots. A piece can be shorter than the interval between
+the equally spaced samples, because the velocity of the motion can change within a nanosecond."""
 
 Motion = tuple[np.ndarray, np.ndarray, np.ndarray]
 """Pose, twist and acceleration of the plate (n, 3) at n instants."""

@@ -75,7 +75,7 @@ class Cluster(Executor):
     ------
     PlateError
         If Dask is missing, if the scheduler does not answer or has another version, or if all
-        workers would give other results.
+        workers are refused, because their versions or code differ from this process.
     """
 
     def __init__(

@@ -34,7 +34,7 @@ LIBRARIES = ("numpy", "scipy", "cv2", "shapely")
 """Modules whose versions can change a result."""
 
 MAX_PATH = 200
-"""Longer texts in a module are not taken for paths [characters]."""
+"""Maximum length of a text in a module that may be the path of a file [characters]."""
 
 TRIAL, TRIAL_CYCLES = "sort_4", 4
 """Scenario of the short runs whose results are compared, and their number of cycles."""

@@ -207,7 +207,8 @@ class OwnFile:
 
 
 def _lock(number: int) -> bool:
-    """Lock an open file. Return whether that is possible. The lock ends when the file is closed."""
+    """Try to lock an open file, without waiting. Return False only if another process holds the
+    lock. On a file system without locks, return True. The lock ends when the file is closed."""
     try:
         fcntl.flock(number, fcntl.LOCK_EX | fcntl.LOCK_NB)
     except BlockingIOError:

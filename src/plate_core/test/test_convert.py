@@ -279,7 +279,10 @@ def test_wrong_cycles(change, message):
 @pytest.mark.parametrize(
     ("change", "message"),
     [
-        (lambda m: setattr(m.forces[2], "id", "black_1"), "ids are .*allowed: each part once"),
+        (
+            lambda m: setattr(m.forces[2], "id", "black_1"),
+            "ids are .*allowed: each part at most once",
+        ),
         (lambda m: setattr(m.forces[1], "x", float("nan")), "white_1 has x nan"),
         (lambda m: setattr(m.forces[1], "vy", float("inf")), "white_1 has vy inf"),
         (

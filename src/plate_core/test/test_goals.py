@@ -121,7 +121,7 @@ def test_targets_there_and_back(limit, marked):
             "id is 'red_1', allowed: a class and a num",
         ),
         (lambda g: setattr(g.targets[0], "x", math.inf), "place_m is .*inf"),
-        (lambda g: setattr(g.targets[1], "id", "black_1"), "allowed: each part once"),
+        (lambda g: setattr(g.targets[1], "id", "black_1"), "allowed: each part at most once"),
         (lambda g: setattr(g, "targets", 51 * g.targets), "at most 100"),
     ],
 )

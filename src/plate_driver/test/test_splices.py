@@ -555,7 +555,7 @@ def test_a_stream_that_has_sent_beyond_the_splice_takes_nothing_back(pair, rng):
     stream, more = stream.followed_by(swing, 2).until(50.0)
     assert stream.time == pytest.approx(PERIOD + TAIL + 2 * PERIOD + 0.01)
     judge(sampled([*sent, *more]))
-    with pytest.raises(CycleError, match="begins in motion, but the stream has ended at rest"):
+    with pytest.raises(CycleError, match="begins in motion, but the plate is at rest"):
         SetpointStream.of(second, 1)
 
 

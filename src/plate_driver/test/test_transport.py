@@ -152,7 +152,9 @@ def test_a_transport_from_outside_is_found_and_driven(outside):
         check_transport("can", "")
     with pytest.raises(PlateError, match="but transport drives requires a bus"):
         make_transport("drives", context())
-    with pytest.raises(PlateError, match=r"entry point foreign_drives:nothing loads \(module"):
+    with pytest.raises(
+        PlateError, match=r"entry point foreign_drives:nothing cannot be loaded: module"
+    ):
         make_transport("broken", context())
     transport = make_transport("drives", context(port="bus0"))
     latch = Latch()

@@ -135,7 +135,7 @@ class Dialogue:
                 before = part
             if axis.travel < size / 2:
                 raise PlateError(
-                    f"motor_{number}: travel by its own counts is {1e3 * axis.travel:+.3f} mm, "
+                    f"motor_{number}: travel measured by the drive is {1e3 * axis.travel:+.3f} mm, "
                     f"allowed: at least {500 * size:g} mm (commanded: {1e3 * size:g} mm). The "
                     "motor does not follow, or counts_per_m is too small"
                 )

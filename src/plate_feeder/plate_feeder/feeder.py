@@ -540,7 +540,8 @@ class Feeder:
     def _answer_purge(self, waiting: _Waiting, now: float) -> None:
         purging = self._in_force and self._sent.mode is FeedMode.PURGE
         left = self._status.total if self._status is not None else 0
-        # No opening is pending, so no more parts will fall.
+        # `_total_before_opening` is None if no opening is pending. Only then will no more parts
+        # fall.
         if purging and not left and self._total_before_opening is None:
             self._answer_waiting(Code.DONE, "the plate is empty")
             self._end()

@@ -74,15 +74,17 @@ STOPPED = "the feeder was deactivated"
 NEED_A_PERSON = (
     TaskStatus.STOPPED, TaskStatus.CANCELED, TaskStatus.PREEMPTED, TaskStatus.DRIVER_STOPPED,
 )  # fmt: skip
-"""Reasons of `TaskStatus` for the end of the planner's task. After an end for one of these reasons,
-a person must call resume_feeding. Either another client has requested the end, or a person must
-enable the motors anyway."""
+"""Values of `TaskStatus.reason` at the end of the planner's task after which a person must call
+resume_feeding. Either another client has requested the end, or a person must enable the motors
+anyway."""
 
 BY_PERSON = (
     DriverStatus.SWITCHED_OFF, DriverStatus.EMERGENCY_STOP, DriverStatus.POWER_CUT,
     DriverStatus.STOP_UNANSWERED,
 )  # fmt: skip
-"""Reasons of `DriverStatus` for which a person has switched the motors off."""
+"""Values of `DriverStatus.reason` after which a person must call resume_feeding. The motors were
+switched off or stopped on request, the driver was deactivated, or the motor controller did not
+acknowledge a stop."""
 
 Replied = Callable[[Reply], None]
 

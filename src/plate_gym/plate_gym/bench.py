@@ -75,7 +75,8 @@ RESULT: dict[str, type] = {
 """Keys and types of a result."""
 
 LATER: dict[str, type] = {"limits": dict, "files": dict}
-"""Keys and types of a result that results of earlier versions of this module lack."""
+"""Additional keys of a result and their types. Results of earlier versions of this module do not
+contain these keys."""
 
 SHOWN = 5
 """Maximum number of differences in an error message."""
@@ -648,7 +649,7 @@ def brief(value: Any) -> str:
 def ranges(seeds: list[int]) -> str:
     """Return ascending seeds as a text with ranges `FIRST:END`."""
     ends = [k for k in range(1, len(seeds)) if seeds[k] > seeds[k - 1] + 1]
-    # The type object allows the type object allows integers of any size.
+    # The type object allows integers of any size.
     runs = np.split(np.array(seeds, object), ends)
     return ", ".join(f"{run[0]}:{run[-1] + 1}" if len(run) > 1 else f"{run[0]}" for run in runs)
 

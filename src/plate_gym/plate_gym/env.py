@@ -311,7 +311,8 @@ def drawn(chance: np.random.Generator) -> int:
 
 
 def first(info: dict[str, np.ndarray]) -> dict[str, Any]:
-    """Return the values of the plate of an environment with one plate."""
+    """Return the first element of each array in `info`, which belongs to the environment's only
+    plate."""
     return {name: values[0] for name, values in info.items()}
 
 

@@ -150,9 +150,12 @@ class PlannerNode(SafeLifecycleNode[PlannerParameters]):
     service stop ends the task. The node subscribes to parts, plate_cycle, cycle_started,
     driver_status, diagnostics, targets (for move_parts) and feed_orders (for feed_parts). If images
     are taken at cycle starts, the node sends one request per image. Otherwise it sends one request
-    per cycle, shortly before the cycle ends. As long as cycle_started reports the plate's motion,
-    the next cycle starts from this motion. Otherwise the next cycle starts from rest. The node
-    publishes part_forces, task_status, part_targets, feed_status, markers and diagnostics.
+    per cycle, shortly before the cycle ends. The next cycle starts from the plate's motion only if
+    this motion is certain, images are taken at cycle starts or `answer_s` is below 0.1 s, and there
+    are at most 40 parts. Otherwise the next cycle starts from rest. The motion is certain if
+    cycle_started has reported the running or the previous cycle, and recent results were not
+    delayed. The node publishes part_forces, task_status, part_targets, feed_status, markers and
+    diagnostics.
     """
 
     def __init__(self) -> None:
@@ -547,7 +550,7 @@ class PlannerNode(SafeLifecycleNode[PlannerParameters]):
         self._reports.publish_targets(self._tasks, self._stamp)
 
     def _on_order(self, msg: FeedOrder) -> None:
-        """Change the order of a running feed."""
+        """Apply a received order (mode and picks) to the running feed task."""
         self._monitor.inputs = self._monitor.inputs.order_received(self._wake())
         try:
             self._tasks.order(msg_to_order(msg))

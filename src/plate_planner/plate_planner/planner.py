@@ -70,8 +70,8 @@ TAKEN_COAST = Coast(parts=1, unknown=1)
 part that is not detected may have been picked."""
 
 IN_MOTION_S = 0.1
-"""Length of cycles that start from a moving plate [s]. With images that are not taken at cycle
-starts, cycles start from rest if `answer_s` is at least this length."""
+"""Length of cycles that start from a moving plate [s]. If images are not taken at cycle starts and
+`answer_s` is at least this length, all cycles start from rest."""
 
 MAX_GAP_S = 10.0
 """Maximum difference between the stamps of two images of a running task [s]. An interruption of

@@ -205,7 +205,7 @@ def test_parts_for_which_there_is_no_room_stay_in_the_hopper():
     simulation.open_hopper(5.0)
     run(simulation, 40)
     assert np.count_nonzero(simulation.state.on_plate) == MAX_PARTS
-    with pytest.raises(PlateError, match="100 parts are on the plate, allowed: at most 100"):
+    with pytest.raises(PlateError, match="100 parts are on the plate, allowed: fewer than 100"):
         simulation.open_hopper(0.1)
     simulation.open_hopper(0.0)
     assert simulation.move_robot(Move.GRIP, *simulation.state.position[0]).success

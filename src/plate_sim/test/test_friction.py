@@ -165,7 +165,8 @@ def test_a_cycle_that_ends_in_motion_is_not_repeated():
     simulate(cycle, [[0, 0]], [[0, 0]], MU)
     message = (
         r"cycles is 2, allowed: 1, because the cycle does not close\. .* 0 m or rad in pose, "
-        r"0\.2 in twist, 0 in acceleration, allowed: 1e-06 m and 1e-05 rad"
+        r"0\.2 m/s or rad/s in twist, 0 m/s2 or rad/s2 in acceleration, allowed: 1e-06 m and "
+        r"1e-05 rad, 0\.0001 m/s and 0\.001 rad/s, 0\.01 m/s2 and 0\.1 rad/s2"
     )
     with pytest.raises(PlateError, match=message):
         simulate(cycle, [[0, 0]], [[0, 0]], MU, cycles=2)

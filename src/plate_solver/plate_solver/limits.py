@@ -32,9 +32,10 @@ search may slightly miss a peak."""
 
 HEADROOM = 1.1
 """If the motors can accelerate the plate by at least this factor times the acceleration limit in
-the rig file, their force and heat are not checked. The factor covers two errors of `motor_reach`:
-it neglects that the plate's spin needs up to 2 % more force, and that the heat limit needs up to 3
-% more (test_motors.py, test_weak_motors.py)."""
+the rig file, their force and heat are not checked. The factor covers two errors of `motor_reach`.
+Because of the plate's spin, the peak force can be 2 % higher than `motor_reach` assumes
+(test_motors.py). The RMS force, which determines the heat, can be 3 % higher
+(test_weak_motors.py)."""
 
 CERTAIN: float = _kernels.CERTAIN
 """Largest permitted utilisation of any rig limit by a finished cycle (1: exactly at the limit). It

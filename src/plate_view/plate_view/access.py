@@ -37,7 +37,8 @@ class Access:
     address : str
         IP address on which the page is served.
     operator_token, viewer_token : str
-        Token at the end of the address in a browser, `?token=...`. Empty if there is no such token.
+        Tokens that give a browser the role of operator or viewer. They are at the end of the page's
+        address, `?token=...`. If a token is empty, no token gives this role.
 
     Raises
     ------

@@ -55,8 +55,9 @@ class Options(NodeOptions):
         "If it is empty, every browser on this machine may send commands.",
     )  # fmt: skip
     viewer_token: str = parameter(
-        "", "Token of read-only browsers. If it is empty, there is no such token."
-    )
+        "", "Token of read-only browsers: they require ?token=TOKEN at the end of the page's "
+        "address. If it is empty, no token gives read-only access.",
+    )  # fmt: skip
     scenario: str = parameter("", "Scenario that is selected initially")
     bag: str = parameter("", "Folder of a bag to replay instead of showing the graph")
 

@@ -278,7 +278,8 @@ class Door(tornado.httpserver.HTTPServer):
 
 
 class PageServer:
-    """Server of the page. The server is created and closed on the graph's thread.
+    """Server of the page. Create and close it on the thread of the ROS node, not on the server's
+    own thread.
 
     Parameters
     ----------

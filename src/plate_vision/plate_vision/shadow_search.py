@@ -74,7 +74,8 @@ UNLIKE = 0.15
 """Minimum difference in darkness by which a part is distinguished from its shadow."""
 
 UNLIKE_FRACTION = 0.3
-"""Minimum fraction of the parts whose darkness differs from their shadow by more than `UNLIKE`."""
+"""Minimum fraction of parts that differ from their shadows in darkness by more than `UNLIKE`. With
+a smaller fraction, the sign of the shadow's direction is unknown, and no shadow is returned."""
 
 EQUAL = 1.05
 """Maximum misfit of the shadow with the measured length, relative to the misfit of the shadow with

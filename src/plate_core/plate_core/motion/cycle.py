@@ -196,7 +196,7 @@ class PlateCycle:
         if not (closes or rests):
             raise CycleError(
                 f"motion is not closed: end and start differ by {gap[0]:.3g} m or rad in pose, "
-                f"{gap[1]:.3g} in twist, {gap[2]:.3g} in acceleration"
+                f"{gap[1]:.3g} m/s or rad/s in twist, {gap[2]:.3g} m/s2 or rad/s2 in acceleration"
             )
         for state in states:
             state[-1] = state[0] if closes and not at_rest else 0

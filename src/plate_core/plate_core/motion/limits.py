@@ -158,8 +158,9 @@ def corner_accel(rig: Rig, pose: np.ndarray, twist: np.ndarray, accel: np.ndarra
 
 
 def _corner_peak(rig: Rig, pose: np.ndarray, steps: np.ndarray) -> float:
-    """Maximum acceleration of the plate's corners [m/s2] for pieces of the plate's pose (k, 6, 3)
-    with the lengths `steps` (k,) [s].
+    """Maximum acceleration of the plate's corners [m/s2]. `pose` (k, 6, 3) contains the polynomial
+    coefficients of k pieces of the plate's pose. `steps` (k,) contains the lengths of the pieces
+    [s].
 
     Let r be a corner of the plate, S = R r, w = theta', and J the rotation by 90 degrees. The
     corner has the acceleration A = a + w' J S - w^2 S. If abs is the magnitude, the second

@@ -204,9 +204,10 @@ def read_part_types(fields: Fields) -> Mapping[str, PartType]:
     for name in names:
         if not NAME.fullmatch(name) or len(name) > LONGEST or name in TAKEN:
             raise RigError(
-                f"{fields.where}: type {name!r}, allowed: small letters and digits, at most "
-                f"{LONGEST}, such as nut or nut_m4, with a letter in each word; reserved: "
-                f"{', '.join(TAKEN)} (classes of parts without a type)"
+                f"{fields.where}: type {name!r}, allowed: small letters and digits, first a "
+                f"letter; words joined by _, a letter in each; at most {LONGEST} characters, "
+                f"such as nut or nut_m4; reserved: {', '.join(TAKEN)} (classes of parts without a "
+                "type)"
             )
         types[name] = _part_type(name, fields.child(name))
     return types

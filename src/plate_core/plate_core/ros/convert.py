@@ -287,7 +287,7 @@ def msg_to_targets(msg: TargetsMsg) -> tuple[PartTarget, ...]:
         raise PlateError(f"targets: frame is {frame[:50]!r}, allowed: {FRAME}")
     if len(set(ids)) < len(ids):
         again = next(name for name in ids if ids.count(name) > 1)
-        raise PlateError(f"targets: {again[:50]} occurs twice, allowed: each part once")
+        raise PlateError(f"targets: {again[:50]} occurs twice, allowed: each part at most once")
     return tuple(
         PartTarget(each.id, (each.x, each.y), None if math.isnan(each.angle) else each.angle)
         for each in msg.targets
@@ -350,7 +350,7 @@ def _checked(
     """Return the fields `keys` (M, n) of the parts in a message. Raise an error if an id occurs
     twice or a value is not allowed."""
     if len(set(ids)) < len(ids):
-        raise PlateError(f"{what}: ids are {list(ids)}, allowed: each part once")
+        raise PlateError(f"{what}: ids are {list(ids)}, allowed: each part at most once")
     rows = [[getattr(item, key) for key in keys] for item in items]
     array = np.array(rows, dtype=float).reshape(len(ids), len(keys))
     sane = np.abs(array) <= MAX_MAGNITUDE  # this condition is false for NaN

@@ -100,7 +100,7 @@ class Diagnostics:
             if finding.level.rank > self._level.rank:
                 self._send(finding)
             return
-        # After a stall, the next report follows after half a period or more, not immediately.
+        # If a stall delayed this report, the next one follows at least half a period after it.
         self._due = max(self._due, now - DIAGNOSTICS_PERIOD_S / 2) + DIAGNOSTICS_PERIOD_S
         self._send(finding)
         self._reported()

@@ -66,12 +66,14 @@ def edge_problem(label: str, point: Point, rig: Rig) -> str:
 
 
 def nowhere_text(label: str, rig: Rig) -> str:
-    """Return the message for a region into which parts of a class cannot be moved."""
+    """Return the message for a region into which parts of a class cannot be moved, to follow "NAME
+    has"."""
     least = rig.edge_margin(label).least_m
     limit = rig.plate.half - least
     return (
-        f"everywhere nearer than {1e3 * least:.3g} mm to an edge of the plate, so parts would be "
-        f"lost, allowed: some area with |x| up to {limit[0]:g}, |y| up to {limit[1]:g} m"
+        f"no point that is at least {1e3 * least:.3g} mm from all edges of the plate, so parts "
+        f"would be lost, allowed: a region that overlaps |x| up to {limit[0]:g}, |y| up to "
+        f"{limit[1]:g} m"
     )
 
 

@@ -177,7 +177,7 @@ def pick_problem(pick: Pick, rig: Rig) -> str:
         )
     least = rig.plate.half - rig.edge_margin(pick.label).least_m
     if np.any(low > least) or np.any(high < -least):
-        return f"window of {pick.label} is {nowhere_text(pick.label, rig)}"
+        return f"window of {pick.label} has {nowhere_text(pick.label, rig)}"
     if not 1 <= pick.ready <= MAX_PARTS:
         return f"ready of {pick.label} is {pick.ready}, allowed: 1 to {MAX_PARTS}"
     if pick.angle is None:

@@ -333,7 +333,7 @@ def _move(fields: Fields, parts: tuple[PartGroup, ...]) -> MoveTask:
         targets.append(PartTarget(name, place, None if angle is None else math.radians(angle)))
         child.finish()
     if len({target.id for target in targets}) < len(targets) or len(targets) > MAX_PARTS:
-        raise fields.fail("targets", f"each part once, at most {MAX_PARTS}")
+        raise fields.fail("targets", f"each part at most once, at most {MAX_PARTS} targets")
     return MoveTask(
         targets=tuple(targets),
         tolerance_m=fields.value(keys.TOLERANCE),
@@ -484,7 +484,7 @@ def _check_bins(scenario: Scenario, task: SortTask, rig: Rig) -> None:
         limit = rig.plate.half - rig.edge_margin(label).least_m
         if np.any(limit < 0) or not Polygon(region.corner).intersects(box(*-limit, *limit)):
             raise ScenarioError(
-                f"{scenario.where}: task: regions: bin_m of {label} is {nowhere_text(label, rig)}"
+                f"{scenario.where}: task: regions: bin_m of {label} has {nowhere_text(label, rig)}"
             )
 
 

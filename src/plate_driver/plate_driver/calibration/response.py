@@ -265,7 +265,8 @@ def closed_at_rest(frequency: np.ndarray, amplitude: np.ndarray, cost: np.ndarra
         Weight of the squared change.
     """
     rate = 2 * np.pi * frequency
-    # Pose, twist and acceleration at the start of the cycle, from the real and imaginary parts.
+    # Coefficients (3, k) that map the amplitudes' real and imaginary parts to pose, twist and
+    # acceleration at the start of the cycle.
     real = np.stack([np.ones_like(rate), np.zeros_like(rate), -(rate**2)])
     imag = np.stack([np.zeros_like(rate), -rate, np.zeros_like(rate)])
     rows = np.hstack([real, imag])

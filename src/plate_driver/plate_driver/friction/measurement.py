@@ -94,7 +94,9 @@ STILL_M = 5e-4
 """Maximum standard deviation of the position of a part at rest over several images [m]."""
 
 STUCK_FACTOR = 3.0
-"""If a part does not slide at this multiple of the typical mu g, it is excluded."""
+"""A part that has not slid yet is excluded if the next push would accelerate the plate by more than
+this multiple of the median mu g of the parts that have slid. At least half of the parts must have
+slid."""
 
 HERE_M = 0.005
 """Radius around a part's place within which measured values count as local friction [m]."""

@@ -52,10 +52,11 @@ MAX_WAIT_S = 5.0
 """Maximum time to wait for images that show the parts at rest [s]."""
 
 STILL_CALLS = 250
-"""Maximum number of consecutive calls of `watch` at the same time: 5 s of wall time. Simulated time
-stops if the simulator is not active or has ended. In lockstep it always stops: the simulator waits
-for a cycle, which the driver refuses during a measurement, or which the planner does not request
-before the first goal. Calls are counted, because this process may have been suspended."""
+"""Maximum number of consecutive calls of `watch` during which the node's time does not change. 250
+calls take 5 s of wall time. After more calls, the measurement fails. Simulated time stops if the
+simulator is not active or has ended. In lockstep it always stops: the simulator waits for a cycle,
+which the driver refuses during a measurement, or which the planner does not request before the
+first goal. Calls are counted, because this process may have been suspended."""
 
 
 class FrictionServer:

@@ -78,7 +78,7 @@ class SetpointStream:
             If the table begins in motion.
         """
         if not table.cycle.starts_at_rest:
-            raise CycleError("plate_cycle: begins in motion, but the stream has ended at rest")
+            raise CycleError("plate_cycle: begins in motion, but the plate is at rest")
         return cls(table, refined(table), table, repeats - 1)
 
     @property

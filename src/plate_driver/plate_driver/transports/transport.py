@@ -270,8 +270,8 @@ def make_transport(name: str, context: TransportContext) -> Transport:
         make = known[name].load()
     except (ImportError, AttributeError) as error:
         raise PlateError(
-            f"transport is {name!r}, allowed: one whose entry point {known[name].value} loads "
-            f"({error})"
+            f"transport is {name!r}, but its entry point {known[name].value} cannot be loaded: "
+            f"{error}"
         ) from None
     made: Transport = make(context)
     return made

@@ -143,8 +143,8 @@ class CycleLog:
         """Whether the state of the plate at the start of the next result is known.
 
         This requires a report of the last run or of the run before it, because the log is uncertain
-        without recent reports. It also requires results without delay. If results are delayed, the
-        start of a result depends on an earlier result that has not begun.
+        without recent reports. Recent results must also be without delay (`delay`), because the
+        start of a delayed result depends on an earlier result that has not begun.
         """
         return self.known and self.last_report >= self.runs[-2:][0][0] and not self.delay
 
@@ -255,8 +255,8 @@ class CycleLog:
         self, answer: int | None, kept: tuple[tuple[float, PlateCycle], ...]
     ) -> tuple[int, ...]:
         """Return the delays after a result has begun. `answer` is the index of the result in
-        `sent`. `kept` are the runs before the result. A cycle at rest adds no delay, because cycles
-        at rest cannot be distinguished."""
+        `sent`. `kept` contains the start [s] and the cycle of each remembered run before the
+        result. A cycle at rest adds no delay, because cycles at rest cannot be distinguished."""
         if answer is None or not self.sent[answer].cycle.moves:
             return self.delays
         requested = self.sent[answer].requested

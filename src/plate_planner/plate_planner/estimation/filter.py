@@ -146,7 +146,8 @@ class StateEstimate:
         friction_accel : float
             mu g of the rig [m/s2].
         most : Coast
-            A part is removed after more consecutive images without a detection.
+            Maximum numbers of consecutive images without a detection. A part with more such images
+            is removed.
         jitter : float
             Standard deviation of the images' stamps [s].
         friction : (P,)

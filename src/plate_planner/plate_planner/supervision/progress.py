@@ -22,9 +22,9 @@ class Progress:
     time_s : float
         Time from the start of the task until now or until its end [s].
     parts_total, parts_seen, parts_sorted : int
-        `parts_total` is the number of parts that the scenario or the task counts, whichever is
-        larger. `parts_seen` is the number of parts on the plate in this image. `parts_sorted` is
-        the number of parts at their goals.
+        `parts_total` is the larger of two numbers: the parts in the scenario, and the parts that
+        the task counts. `parts_seen` is the number of parts on the plate in this image.
+        `parts_sorted` is the number of parts at their goals.
     to_go_m : float
         Distance to the goal, summed over parts [m]. For a path-following task, it is the maximum
         remaining path length.

@@ -41,8 +41,8 @@ struct Sprites {
     View<const double, 1> grey, opacity;
 };
 
-// Add `noise` times the deviates `bank` (n,) to the canvas (n,). Write the rounded result to the
-// image (n,).
+// Add `noise` times the standard normal random numbers `bank` (n,) to the canvas (n,). Write the
+// rounded result to the image (n,).
 PLATE_WIDE inline void expose(View<const float, 1> canvas, View<const float, 1> bank, float noise,
                               View<uint8_t, 1> image) {
     const float *__restrict from = canvas.data, *__restrict deviate = bank.data;
@@ -69,9 +69,10 @@ struct Pixels {
     }
 };
 
-// Position on a path. The path has `last` pieces that take equal times, and is divided into
-// `copies` equal intervals. The position is the middle of interval k. It is stored as the index of
-// the piece that contains it, and the fraction of this piece before it, 0 to 1.
+// Position on a path. The path has `last` pieces of equal duration, and is divided into `copies`
+// intervals of equal duration. The position is the middle of interval k. `piece` is the index of
+// the piece that contains the position. `part` is the fraction of this piece before the position, 0
+// to 1.
 struct Along {
     int piece;
     double part;
@@ -184,8 +185,8 @@ struct Shape {
     int begin, hole, end;
     double radius, cos, sin, scale;
 
-    // Radius [m] of a circle around the centre. The circle is inside the shape and outside its
-    // holes.
+    // Radius [m] of a circle around the centre that is inside the shape, if the shape has no holes.
+    // Holes are ignored.
     double inner_radius() const {
         if (begin == hole) return radius;
         double inner = 0.0;

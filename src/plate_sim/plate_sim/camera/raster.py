@@ -167,8 +167,8 @@ def edges_of(corner: np.ndarray) -> np.ndarray:
 
 
 def expose(canvas, bank, noise, image):
-    """Add `noise` times the normal deviates `bank` (n,) to the canvas (n,). Write the rounded
-    result to the image (n,), uint8."""
+    """Add `noise` times the standard normal random numbers `bank` (n,) to the canvas (n,). Write
+    the rounded result to the image (n,), uint8."""
     _kernels.expose(canvas, bank, noise, image)
 
 

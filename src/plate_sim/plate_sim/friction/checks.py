@@ -34,9 +34,10 @@ def check_motion(cycle: PlateCycle | PlateMotion, cycles: int) -> None:
             most, most_angle = REST_TOLERANCE[0], REST_TOLERANCE[2]
             raise PlateError(
                 f"cycles is {cycles}, allowed: 1, because the cycle does not close. Its end and "
-                f"start differ by {pose:.3g} m or rad in pose, {twist:.3g} in twist, {accel:.3g} "
-                f"in acceleration, allowed: {most:g} m and {most_angle:g} rad, 100 times that per "
-                "s, 10 000 times that per s2"
+                f"start differ by {pose:.3g} m or rad in pose, {twist:.3g} m/s or rad/s in "
+                f"twist, {accel:.3g} m/s2 or rad/s2 in acceleration, allowed: {most:g} m and "
+                f"{most_angle:g} rad, {1e2 * most:g} m/s and {1e2 * most_angle:g} rad/s, "
+                f"{1e4 * most:g} m/s2 and {1e4 * most_angle:g} rad/s2"
             )
         return
     if cycles > 1:

@@ -10,14 +10,16 @@
 
 namespace plate::sliding {
 
-// Allowed error of one step, as a fraction of the tolerance for a cycle. The errors of the steps in
-// a cycle add up and decay.
+// Allowed error of one step, as a fraction of the tolerance for a cycle. The errors of a cycle's
+// steps add up, but each error decays in the following steps, so the error of a cycle is about the
+// tolerance.
 constexpr double STEP_SHARE = 0.05;
 // A part is set to stick if it would slide at most this distance, as a fraction of the allowed
 // error of a step.
 constexpr double SNAP_SHARE = 0.1;
-// Maximum velocity change by friction while a slip that counts as zero vanishes. It is a fraction
-// of the allowed error of a step divided by the period.
+// Determines which slip counts as zero (`zero_slip`). While such a slip vanishes, friction changes
+// the velocity by at most this fraction of e / T. e is the allowed error of a step, and T is the
+// period.
 constexpr double ZERO_SHARE = 0.2;
 // A part is set to stick only if friction can still hold it after this time, as a fraction of the
 // period.
@@ -100,8 +102,7 @@ inline double zero_slip(double limit, double a, double allowed, double period) {
 
 // Whether a slip r [m/s] counts as zero at an acceleration a [m/s2] of the surface. It counts as
 // zero if the stopping distance r^2/(2 (limit - a)) is at most `SNAP_SHARE` of the allowed error,
-// or
-// if the slip is at most `zero_slip`.
+// or if the slip is at most `zero_slip`.
 inline bool calm(double r, double limit, double a, double allowed, double period) {
     return r * r <= 2 * SNAP_SHARE * allowed * (limit - a) ||
            r <= zero_slip(limit, a, allowed, period);

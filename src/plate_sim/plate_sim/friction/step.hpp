@@ -174,8 +174,9 @@ struct Middle {
     Slip half, push;
 };
 
-// Apply the midpoint rule. slip: slip at the start, at `angle` [rad]. free: slip in the middle
-// without friction, at `angle + turn` [rad].
+// Apply the midpoint rule. `slip` is the slip at the start of the step, when the part's angle is
+// `angle` [rad]. `free` is the slip in the middle of the step without friction, when the part's
+// angle is `angle + turn`.
 inline Middle midpoint(const Slip& slip, const Slip& free, double angle, double turn, double dv,
                        const Body& body, const Mesh& mesh) {
     patch::Friction now = friction(slip, angle, body, mesh);

@@ -9,15 +9,16 @@
 
 namespace plate {
 
-// A piece between two knots. A piece is one row of a table (K, 24), which pieces.py describes.
+// A piece between two knots. It is one row of a table (K, 24). pieces.py describes the columns.
 struct Piece {
     double start, end, x[6], y[6], theta[6], line, push, turns, wraps;
 };
 static_assert(sizeof(Piece) == 24 * sizeof(double));
 using Table = std::span<const Piece>;
 
-// Scales of a cycle, which pieces.py describes: four bounds, the direction of the line along which
-// the plate accelerates, and gravity along the plate.
+// Scales of a cycle (see `tabulate` in pieces.py): bounds of the rates of O', theta', O'' and
+// theta'', the direction of the line along which the plate accelerates (0 if there is no such
+// line), and gravity along the plate.
 struct Scales {
     double accel, push, jerk, push_rate;
     Vec line, gravity;
@@ -30,7 +31,7 @@ struct Point {
 };
 
 // A motion counts as motion on a line if its acceleration perpendicular to the line is at most this
-// fraction of its acceleration. The fraction allows for rounding.
+// fraction of its maximum acceleration. The fraction allows for rounding.
 constexpr double STRAIGHT = 1e-11;
 
 // Value, first and second derivative of the polynomial c at the time u [s] after its knot.
@@ -182,7 +183,8 @@ inline void bound(Piece& piece, Scales& scales) {
     piece.line = line, piece.push = push + spin * spin;
 }
 
-// Whether the plate accelerates only along the unit vector n, with at most `accel` [m/s2].
+// Whether the plate accelerates only along the unit vector n. `accel` is the plate's maximum
+// acceleration [m/s2].
 inline bool on_line(Table table, Vec n, double accel) {
     for (const Piece& piece : table) {
         const double h = piece.end - piece.start;

@@ -312,7 +312,9 @@ def check_height(rig: Rig, disturbances: Disturbances) -> None:
         return
     for name, value in high:
         if value >= place[2]:
-            raise PlateError(f"{name} is {value:g}, allowed: below the camera, {place[2]:.3g} m")
+            raise PlateError(
+                f"{name} is {value:g}, allowed: less than the camera's height, {place[2]:.3g} m"
+            )
 
 
 def _own_number(seed: int, part_id: str) -> float:

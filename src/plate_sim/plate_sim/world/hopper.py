@@ -212,7 +212,10 @@ class Dispenser:
         check_duration(duration_s)
         there = int(np.count_nonzero(state.on_plate))
         if duration_s > 0 and there >= MAX_PARTS:
-            raise PlateError(f"{there} parts are on the plate, allowed: at most {MAX_PARTS}")
+            raise PlateError(
+                f"hopper cannot open: {there} parts are on the plate, allowed: fewer than "
+                f"{MAX_PARTS}"
+            )
         self._flow = replace(self._flow, left_s=float(duration_s))
         return len(self._flow.after(duration_s, self._hopper.rate)[1])
 

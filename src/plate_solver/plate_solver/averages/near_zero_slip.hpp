@@ -165,9 +165,10 @@ inline BranchPoint branch_point(View<const double, 2> slip, Complex start, doubl
     return {1 / radius * z, std::max(std::abs(std::log(radius)), NARROWEST), done && lonely};
 }
 
-// Harmonic j of the slip as a function of the time since a: its even part (x, y), its odd part (x,
-// y), cos j a and sin j a. `by_even` and `by_odd` are sums of the derivatives (xx, xy, yy) with
-// respect to the even and the odd part.
+// Harmonic j of the slip, with the time t counted from a, the real part of a branch point. `even`
+// and `odd` are the coefficients (x, y) of cos j t and sin j t. `cosine` and `sine` are cos j a and
+// sin j a. `by_even` and `by_odd` are sums of the derivatives (xx, xy, yy) with respect to `even`
+// and `odd`.
 struct Turned {
     double even[2], odd[2], cosine, sine, by_even[3], by_odd[3];
 };
@@ -228,8 +229,8 @@ inline Complex inverse_root(Complex value) {
     return {real * share, -0.5 * value.imag / real * share};
 }
 
-// Adds `share` times [y y, -x y, x x] to the derivatives. Even parts of harmonics receive the real
-// part times cosh, and odd parts the imaginary part times sinh.
+// Adds the terms p = `share` times (y y, -x y, x x) to the derivatives of each harmonic j: Re(p)
+// cosh(j depth) to `by_even`, and -Im(p) sinh(j depth) to `by_odd`.
 inline void add_slopes(Complex share, Complex x, Complex y, double depth,
                        std::vector<Turned>& turned) {
     const Complex by[3] = {share * y * y, -1 * share * x * y, share * x * x};

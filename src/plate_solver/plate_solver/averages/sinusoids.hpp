@@ -262,7 +262,7 @@ private:
         for (int h = 0; h < size; h++) own[h][2] /= motions.limits.arm_m;
     }
 
-    // Scales parameters so that the samples reach the first limit exactly.
+    // Scales the parameters so that the sampled motion exactly reaches the most restrictive limit.
     void to_full_amplitude(std::vector<double>& theta) {
         set_coefficients(theta);
         const double used = use_of(motions.steps, weights(EQUAL_WEIGHT), true);

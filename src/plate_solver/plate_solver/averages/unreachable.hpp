@@ -25,7 +25,8 @@ constexpr int HALVINGS = 4;
 // maximum takes some hundredths of a second.
 constexpr double MAX_WORK = 2e8;
 
-// Number of middle points that `greatest_triple` processes together.
+// Number of triples that `greatest_triple` processes together. They differ in their middle points
+// on the great circle.
 constexpr int SIDE_BY_SIDE = 8;
 
 constexpr double NOTHING = -std::numeric_limits<double>::infinity();
@@ -224,8 +225,9 @@ inline bool proves(View<const double, 2> cells, View<const double, 2> position, 
             const double tilt = (low + high) / 2, turn = (left + right) / 2;
             work += static_cast<double>(n) * n;
             circle.turn_to(tilt, turn);
-            // Maximum angle between any normal in the cell and the normal in its middle, plus half
-            // a step on the circle.
+            // `radius` is an upper bound of the angle between the normal of any great circle in the
+            // cell and the normal of the middle circle, plus half the spacing of the points on the
+            // circle.
             const double widest = high < PI / 2 ? std::max(std::sin(low), std::sin(high)) : 1.0;
             const double radius = length_of(high - low, widest * (right - left)) / 2 + PI / n;
             upper(circle, position, arm_m, separating, radius, most.data());

@@ -50,8 +50,8 @@ def fit(
     Parameters
     ----------
     evaluate : function
-        Function that returns the errors for given parameters, and a function that returns their
-        negative derivatives. The second function is called only if a step is taken.
+        Function of the parameters that returns a pair: the errors, and a function that returns the
+        negative derivatives of the errors. The second function is called only if a step is taken.
     admissible : function
         Function that maps parameters to the nearest ones that the rig can run.
     start : (P,)

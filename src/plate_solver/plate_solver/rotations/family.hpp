@@ -66,7 +66,9 @@ struct Run {
     Moved moved;
 };
 
-// Returns parameters with positive durations and a motion within the limits.
+// Corrects the parameters: raises durations to at least SHORTEST, and slows the twists down until
+// the motion is within the limits, in at most 8 attempts. Returns the corrected parameters with the
+// knots and samples of their motion.
 inline Run runnable(Parameters theta, const Sequences& family) {
     const int count = family.count(), own = family.own();
     for (int j = 0; j <= count; j++) theta[j] = std::max(theta[j], SHORTEST);

@@ -53,7 +53,7 @@ SamplesOf<Number> samples(const MatrixOf<Number>& path) {
     return {path[0], path.columns, 1, path.columns};
 }
 
-// path (3, n) is the transposed product of the coefficients (h, 3) and the basis (h, n).
+// path (3, n) is the product of the transposed coefficients (3, h) and the basis (h, n).
 template <class Number>
 void combine(const Number* coefficients, const MatrixOf<Number>& basis, MatrixOf<Number>& path) {
     path.resize(3, basis.columns);

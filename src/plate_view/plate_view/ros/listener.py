@@ -246,7 +246,8 @@ class Listener:
         self._publish(aim_scene(msg), keep=False)
 
     def tick_slowly(self) -> None:
-        """Send the states of the nodes and the times to the browsers."""
+        """Send the states of the nodes, the latency of the setpoints, the rate of cycles and the
+        number of browsers to the browsers."""
         if not self._server.browsers:
             return
         now = time.monotonic()

@@ -400,7 +400,8 @@ def fit_lens(
     if not np.all(np.isfinite(matrix)) or not error_px <= WORST_ERROR_PX:
         raise CalibrationError(
             f"corners are {error_px:.3g} px (rms) from their predicted places, allowed: up to "
-            f"{WORST_ERROR_PX:g} px (check that the board is flat, and its numbers of squares)"
+            f"{WORST_ERROR_PX:g} px (check that the board is flat, and check the numbers of "
+            "squares)"
         )
     if not deviation[0] <= 0.05 * matrix[0, 0]:
         raise CalibrationError(

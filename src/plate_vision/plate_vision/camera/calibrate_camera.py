@@ -76,8 +76,8 @@ def _parser() -> argparse.ArgumentParser:
     _board_options(lens)
     lens.add_argument(
         "--model", choices=tuple(LENS_MODELS), default="plumb_bob",
-        help="distortion model: rational_polynomial for wide lenses, equidistant for fisheyes "
-        "(plumb_bob)",
+        help="distortion model: plumb_bob for normal lenses, rational_polynomial for wide lenses, "
+        "equidistant for fisheyes (default: plumb_bob)",
     )  # fmt: skip
     lens.add_argument("--name", default="camera", help="name of the camera (camera)")
     lens.add_argument("--out", type=Path, default=Path("camera.yaml"), help="camera_info file")

@@ -72,7 +72,7 @@ def read_opencv(content: bytes, path: Path) -> Fields:
             data[key] = _block(found[0])
     if "camera_matrix" not in data:
         raise CalibrationError(
-            f"{path.name}: camera_matrix is missing, allowed for a file of OpenCV: camera_matrix, "
+            f"{path.name}: camera_matrix is missing; a file of OpenCV requires camera_matrix, "
             "distortion_coefficients, image_width and image_height"
         )
     data["distortion_model"] = spelt.get("distortionmodel") or _model(spelt, data)

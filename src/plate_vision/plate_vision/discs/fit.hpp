@@ -147,8 +147,8 @@ inline void DiscWindow::to_darkness(const float* light) {
 
 // Numbers of a pixel that the fit sums up, directly or as products. First come the derivatives of
 // the disc's darkness with respect to the unknowns, then ERROR, the error of the darkness. The
-// others are 0 unless the pixel is near the contour: SQUARE, the squared error; NEAR, 1; and RIM,
-// the visible fraction of the pixel.
+// others are 0 for pixels far from the contour. Near the contour, RIM is the visible fraction of
+// the pixel, SQUARE is RIM times the squared, limited error, and NEAR is 1.
 enum Number { ERROR = UNKNOWNS, SQUARE, NEAR, RIM, NUMBERS };
 
 // All numbers of `Number` for each pixel of a window. Each row of numbers is padded with zeros
@@ -281,7 +281,7 @@ struct Shadows {
 constexpr double SAFE_PX = 0.1;
 
 // Subtract the neighbours' darkness from a window. Pixels in their shadows get less weight.
-// `stretch` (n,) holds the stretch of each disc.
+// `stretch` (n,) contains `Silhouette::stretch` of each disc.
 PLATE_WIDE inline void without_others(DiscWindow& window, const std::vector<DiscFit>& discs,
                                       const Silhouette* parts, const std::vector<double>& stretch,
                                       const Shadows& shadows, const std::vector<int>& neighbours) {

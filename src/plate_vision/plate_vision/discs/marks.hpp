@@ -93,8 +93,9 @@ inline void find_marks(const LitPlate& plate, View<const double, 2> seeds, const
         if (std::abs(contrast) < std::max(CONTRAST * std::abs(empty - part), clear)) continue;
         double x = u, y = v, mass = 0;
         for (int turn = 0; turn < ROUNDS; turn++) {
-            // The first iteration uses all deviating pixels of the inner part. The others use the
-            // deviating pixels around the last centre.
+            // The first iteration uses all pixels within `core` [px] of the part's centre whose
+            // excess is above MARK_NOISE. The other iterations use only such pixels near the last
+            // centre.
             const double reach = turn == 0 ? core : MARK_REACH * mark, at_x = x, at_y = y;
             const Box box(plate.grey, at_x, at_y, reach);
             x = y = 0, mass = 1e-9;

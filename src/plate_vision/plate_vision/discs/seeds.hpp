@@ -155,9 +155,10 @@ inline double nearest(const double* centres, int count, double x, double y) {
     return least;
 }
 
-// Centres x, y (n, 2) [px] in decreasing order of votes (h, w). Each centre is far enough from the
-// previous ones. The first pixel of `votes` is x0, y0 of the image. Centres are found only in
-// grid cells where `merged` (rows, columns of the grid) is true.
+// Centres x, y (n, 2) [px] in decreasing order of votes (h, w). The distances between centres are
+// above the limits in `SEPARATION`, up to the correction of a centre by less than a pixel. The
+// first pixel of `votes` is x0, y0 of the image. Centres are found only in grid cells where
+// `merged` (rows, columns of the grid) is true.
 inline std::vector<double> find_peaks(View<const float, 2> votes, int x0, int y0,
                                       View<const bool, 2> merged, const Grid& grid, double radius) {
     const double rim = 2 * std::numbers::pi * radius;

@@ -66,8 +66,11 @@ class CameraParameters(NodeOptions):
     width: int = parameter(0, "Width of the images [px]; 0: the rig file's width", 0, 16384)
     height: int = parameter(0, "Height of the images [px]; 0: the rig file's height", 0, 16384)
     rate: float = parameter(
-        0.0, "Images per second; 0: 30, the rate of a video, or 2 for a folder", 0.0, 1000.0
-    )
+        0.0,
+        "Images per second; 0: 30 for a camera, the file's rate for a video, 2 for a picture or a "
+        "folder",
+        0.0, 1000.0,
+    )  # fmt: skip
     format: str = parameter(
         AUTO,
         "Pixel format; auto: the first format that has this size and rate",

@@ -54,7 +54,8 @@ class Settings:
     width, height : int
         Size of the images [px]. A film, a picture or a folder has its own size.
     rate : float
-        Images per second; 0: `LIVE_RATE`, or the film's own rate.
+        Images per second; 0: `LIVE_RATE` for a camera, the file's rate for a film, 2 for a picture
+        or a folder.
     format : str
         Key of `FORMATS`; empty: the first format that has this size and rate.
     exposure_us : float

@@ -66,8 +66,8 @@ def find_plate_corners(
         if found is not None:
             return found
     raise CalibrationError(
-        "the plate's outline is not visible on all four sides, allowed: the whole plate in the "
-        "picture, without parts near its edges, brighter or darker than its surroundings"
+        "the plate's outline is not visible on all four sides; the picture must show the whole "
+        "plate, brighter or darker than its surroundings, with no parts near its edges"
     )
 
 

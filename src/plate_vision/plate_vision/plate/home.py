@@ -38,9 +38,9 @@ QUIET = 0.2
 the marker's side [-]."""
 
 MOVED_M = 5e-4
-"""Displacement of a corner of the plate above which a new region is made [m]. It is half a pixel of
-the default rig. Smaller displacements are ignored, because it takes longer to make a region than to
-detect the parts."""
+"""Displacement of a corner of the plate above which the plate's region of the image (`Region`) is
+computed again [m]. It is half a pixel of the default rig. Smaller displacements are ignored,
+because this computation takes longer than the detection of the parts."""
 
 AWAY_M = 2e-3
 """Maximum distance of the plate from home without a warning [m]."""
@@ -61,7 +61,8 @@ class PlateLocation:
     pose : (3,) or None
         x, y [m], theta [rad] in plate_home in the last image; None if too few markers were visible.
     region_pose : (3,) or None
-        Pose for which the present region was made; None if there is no region.
+        Pose for which the plate's region of the image (`Region`) was last computed. None if it was
+        not computed yet.
     """
 
     rig: Rig

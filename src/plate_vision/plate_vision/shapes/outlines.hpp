@@ -35,10 +35,12 @@ constexpr double MIN_STEP = 0.25;
 // fit plus the square of a tenth of the part's reach. It limits the effect of outliers.
 constexpr double CLIP = 16.0;
 
-// Maximum change in the last step of a fit [units of the fit, usually pixels].
+// A fit has converged if a step changes its parameters by less than this value [units of the fit,
+// usually pixels].
 constexpr double STILL = 0.003;
 
-// Minimum assumed RMS deviation of points from a type's outline [units].
+// Minimum RMS deviation of points from a type's outline that `turn_scatter` assumes [units of the
+// fit].
 constexpr double MIN_ERROR = 0.1;
 
 // Number of neighbouring points whose errors are correlated.

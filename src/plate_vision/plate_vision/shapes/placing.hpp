@@ -100,9 +100,10 @@ inline void find_offsets(View<const double, 2> points, View<const double, 2> to_
     }
 }
 
-// A part is placed at each of `count` places along the row of the field that begins at `row`. Add
-// the values of the field at all points of the part to `total` (count,). Elements after the end of
-// `total` are changed too, up to a multiple of PLACES.
+// Place a part at each of `count` places in a row of the field. For each place, add the values of
+// the field at all points of the part to `total` (count,). `row` points to the first place.
+// `offsets` are the points' indices relative to the place. Elements after the end of `total` are
+// changed too, up to a multiple of PLACES.
 PLATE_WIDE inline void add_rows(const int16_t* row, const std::vector<int>& offsets,
                                 int16_t* __restrict total, int count) {
     for (int first = 0; first < count; first += PLACES) {

@@ -405,8 +405,8 @@ def _patch(piece: Piece, window: Window, region: Region | None) -> Patch | None:
     here = np.s_[y0 : top + height + 1, x0 : left + width + 1]
     inside = piece.inside[here].astype(np.uint8)
     mask = (inside > 0) & ~window.holes[here]
-    # A piece that was cut from a patch may be thin around a hole. Such a piece is not a part, so
-    # the thickness is measured without the holes.
+    # A piece that was cut from a patch may be only a thin ring around a hole, which is not a part.
+    # Therefore pixels of holes do not count in the thickness of such a piece.
     body = inside if piece.alone else mask.astype(np.uint8)
     framed = cv2.copyMakeBorder(body, 1, 1, 1, 1, cv2.BORDER_CONSTANT, value=0)
     if np.max(cv2.distanceTransform(framed, cv2.DIST_L2, 3)) < MIN_DEPTH_PX:

@@ -175,7 +175,7 @@ def _teach(args: argparse.Namespace) -> None:
         examples = [Example(pixels, name=other) for other, pixels in pictures]
     lesson = add_type(args.out, args.name, examples, calibration, bare, region, args.height)
     for problem in lesson.unused:
-        print(f"warning: bare plate not used: {problem}", file=sys.stderr)
+        print(f"warning: example not used: {problem}", file=sys.stderr)
     for warning in lesson.warnings:
         print(f"warning: {warning}", file=sys.stderr)
     print(lesson_text(lesson))
