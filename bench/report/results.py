@@ -19,8 +19,8 @@ FACTS = "measured.json"
 ABOUT = """# Results: speed against accuracy
 
 This page compares each stage with baselines in speed and accuracy, and shows where methods fail.
-`make charts` writes it from its measurements; do not edit it. `out/report/index.html` has the same
-charts with zoom and all rows. Forces are in mu mg, the sliding friction of one part. A black line
+`make charts` writes it; do not edit it. `out/report/index.html` has the same charts with zoom and
+all rows. Forces are in mu mg, the sliding friction of one part. A black line
 connects the results that no other result beats in both time and error. A ring marks the default. A
 hollow mark means that not all runs ended well. Times are CPU times without ROS; on a busy machine
 (the load is given) they are up to twice as long. `make bench ARGS=NAME` repeats a measurement.
