@@ -187,8 +187,10 @@ def _seeds(text: str) -> range:
 
 def _arguments() -> argparse.Namespace:
     parser = argparse.ArgumentParser(description=(__doc__ or "").partition("\n")[0])
-    parser.add_argument("--scenario", default="sort_10", help="name or path (sort_10)")
-    parser.add_argument("--seeds", type=_seeds, default=range(3), help="A:B, B excluded (0:3)")
+    parser.add_argument("--scenario", default="sort_10", help="name or path (default: sort_10)")
+    parser.add_argument(
+        "--seeds", type=_seeds, default=range(3), help="range A:B, B excluded (default: 0:3)"
+    )
     parser.add_argument(
         "--set",
         action="append",
@@ -201,7 +203,7 @@ def _arguments() -> argparse.Namespace:
         "--rig", default="", help="name or file of a rig (default: that of the scenario)"
     )
     parser.add_argument("--planner", default="", help="Python file with a class OwnPlanner")
-    parser.add_argument("--workers", type=int, default=1, help="number of processes (1)")
+    parser.add_argument("--workers", type=int, default=1, help="number of processes (default: 1)")
     cluster_option(parser)
     args = parser.parse_args()
     if args.cluster and args.workers != 1:

@@ -58,7 +58,9 @@ def arguments() -> argparse.Namespace:
     parser = argparse.ArgumentParser(description=(__doc__ or "").partition("\n")[0])
     parser.add_argument("names", nargs="*", metavar="NAME", help=", ".join(MEASUREMENTS))
     parser.add_argument("--quick", action="store_true", help="fewer cases: half a minute in total")
-    parser.add_argument("--out", type=Path, default=ROOT / "out/bench", help="folder (out/bench)")
+    parser.add_argument(
+        "--out", type=Path, default=ROOT / "out/bench", help="folder (default: out/bench)"
+    )
     cluster_option(parser)
     return parser.parse_args()
 

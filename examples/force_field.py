@@ -12,7 +12,9 @@ from plate_core import load_rig
 from plate_solver import SinusoidSolver, average_force
 
 parser = argparse.ArgumentParser(description=(__doc__ or "").partition("\n")[0])
-parser.add_argument("picture", nargs="?", default="force_field.png", help="(force_field.png)")
+parser.add_argument(
+    "picture", nargs="?", default="force_field.png", help="default: force_field.png"
+)
 picture = parser.parse_args().picture
 rig = load_rig()
 

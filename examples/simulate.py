@@ -12,7 +12,7 @@ from plate_core import PlateCycle, load_rig
 from plate_sim import simulate
 
 parser = argparse.ArgumentParser(description=(__doc__ or "").partition("\n")[0])
-parser.add_argument("picture", nargs="?", default="simulate.png", help="(simulate.png)")
+parser.add_argument("picture", nargs="?", default="simulate.png", help="default: simulate.png")
 picture = parser.parse_args().picture
 rig = load_rig()
 

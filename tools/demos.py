@@ -44,7 +44,9 @@ def main() -> int:
     """Run the command line. Return the number of demos that failed."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").partition("\n")[0])
     known = sorted(path.stem for path in (ROOT / "config/scenarios").glob("*.yaml"))
-    parser.add_argument("scenarios", nargs="*", default=known, metavar="SCENARIO", help="(all)")
+    parser.add_argument(
+        "scenarios", nargs="*", default=known, metavar="SCENARIO", help="default: all"
+    )
     names = parser.parse_args().scenarios
     path = DOCS / "demos.json"
     runs: dict[str, Any] = json.loads(path.read_text("utf-8")) if path.exists() else {}

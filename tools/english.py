@@ -84,7 +84,9 @@ def main() -> int:
         prog="tools/english.py",
         description="Find sentences that readers do not understand at the first reading.",
     )
-    parser.add_argument("files", nargs="*", help="files to check (all files of the repository)")
+    parser.add_argument(
+        "files", nargs="*", help="files to check (default: all files of the repository)"
+    )
     return check(parser.parse_args().files)
 
 

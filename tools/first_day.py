@@ -58,7 +58,9 @@ def shoot(page: Any, graph: Session, out: Path) -> None:
 def main() -> int:
     """Run the command line. Return its exit code."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").partition("\n")[0])
-    parser.add_argument("--out", type=Path, default=Path("docs/first_day"), help="(docs/first_day)")
+    parser.add_argument(
+        "--out", type=Path, default=Path("docs/first_day"), help="folder (default: docs/first_day)"
+    )
     out = parser.parse_args().out
     out.mkdir(parents=True, exist_ok=True)
     try:

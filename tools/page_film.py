@@ -115,7 +115,9 @@ def write(frames: list[tuple[float, bytes]], out: Path) -> None:
 def main() -> int:
     """Run the command line. Return its exit code."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").partition("\n")[0])
-    parser.add_argument("--out", type=Path, default=Path("docs/results"), help="(docs/results)")
+    parser.add_argument(
+        "--out", type=Path, default=Path("docs/results"), help="folder (default: docs/results)"
+    )
     out = parser.parse_args().out
     try:
         with browsed(RunOptions(scenario="play", seed=1, view=True)) as (_, page):

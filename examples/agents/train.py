@@ -301,7 +301,9 @@ def main() -> None:
     """Run the command line."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").partition("\n")[0])
     parser.add_argument("--task", default="Sort4-v1", help="Sort4-v1 (default), Sort10-v1, ...")
-    parser.add_argument("--updates", type=int, default=8000, help="of the weights (8000)")
+    parser.add_argument(
+        "--updates", type=int, default=8000, help="number of updates of the weights (default: 8000)"
+    )
     args = parser.parse_args()
     torch.manual_seed(1)
     torch.set_num_threads(1)

@@ -69,7 +69,11 @@ def test_fractions_of_a_mix_may_be_rounded(tmp_path):
         ("[[0.0, -0.1], [0.2, 0.1]]", "[[0.2, 0.1], [0.0, -0.1]]", "lower left corner, then"),
         ("[[0.0, -0.1], [0.2, 0.1]]", "[[0.0, 0.2], [-0.1, 0.1]]", "lower left corner, then"),
         ("[0.2, 0.1]", "[0.4, 0.1]", r"window of black is .*0.4"),
-        ("[[0.0, -0.1], [0.2, 0.1]]", "[[0, 0.137], [0.2, 0.14]]", "black is .* 14 mm .*allowed"),
+        (
+            "[[0.0, -0.1], [0.2, 0.1]]",
+            "[[0, 0.137], [0.2, 0.14]]",
+            "window of black has .* 14 mm .*allowed",
+        ),
         ("ready: 2", "ready: 2, angle_deg: 10", "angles? of black"),
         ("clearance_m: 0.006", "clearance_m: 0.3", "at most 1, .* a clearance of 300 mm"),
         ("chute: left", "chute: up", "chute is 'up'"),

@@ -277,7 +277,7 @@ def test_a_bin_whose_parts_would_all_be_lost_is_refused(tmp_path, rig):
         if fits:
             check_scenario(scenario, rig)
             continue
-        with pytest.raises(ScenarioError, match=r"bin_m of grey is .* 14 mm .*allowed: "):
+        with pytest.raises(ScenarioError, match=r"bin_m of grey has .* 14 mm .*allowed: "):
             check_scenario(scenario, rig)
 
 

@@ -130,7 +130,7 @@ class Freshness:
         if not self.clock.usable:
             raise CycleError(
                 f"the clock of the image stamps stepped more than {MAX_STEPS} times in {KEPT_S:g} "
-                f"s, allowed: {MAX_STEPS}; is its synchronisation stable?"
+                f"s, allowed: at most {MAX_STEPS}; check its synchronisation"
             )
         earliest_ns = self.clock.earliest_ns(stamp_ns)
         age, limit = 1e-9 * (clock_ns - stamp_ns), age_limit(period) - SEND_S
@@ -142,10 +142,10 @@ class Freshness:
             )
         if not -AHEAD_S <= age <= limit:
             slow = 0 <= age < CLOCKS_S
-            clocks = "is the clock of the image stamps synchronised with this computer's?"
+            clocks = "check that the clock of the image stamps and this computer's are synchronised"
             raise CycleError(
                 f"plate_cycle is for an image {age:.2f} s old, allowed: -{AHEAD_S:.2f} to "
-                f"{limit:.2f} s; {'is the computer too slow?' if slow else clocks}"
+                f"{limit:.2f} s; {'check that the computer is fast enough' if slow else clocks}"
             )
         if len(self.last_cycles) > 1:
             raise CycleError(f"{len(self.last_cycles)} nodes publish plate_cycle, allowed: one")

@@ -146,8 +146,8 @@ class Dialogue:
             direction = "({:g}, {:g})".format(*motor.direction)
             travel_mm = 1e3 * axis.travel
             answer = self.ask(
-                f"By its own counts, the motor moved {travel_mm:+.3f} mm. Which distance did you "
-                f"see [mm], positive along {direction}? Enter for the same:", axis,
+                f"The drive has measured {travel_mm:+.3f} mm of travel. Which distance did you see "
+                f"[mm], positive along {direction}? Enter for the same:", axis,
             )  # fmt: skip
             axis.follow(_move(size, 0.0, seconds), seconds)
             axis.scale = _scale(scale, travel_mm, answer)
@@ -292,8 +292,12 @@ def main() -> None:
         "follows. Finally write the changes to the rig file.",
     )  # fmt: skip
     parser.add_argument("rig", help="rig file, or the name of one")
-    parser.add_argument("--bus", default="socketcan", help="python-can's interface (socketcan)")
-    parser.add_argument("--channel", default="can0", help="channel of the interface (can0)")
+    parser.add_argument(
+        "--bus", default="socketcan", help="python-can's interface (default: socketcan)"
+    )
+    parser.add_argument(
+        "--channel", default="can0", help="channel of the interface (default: can0)"
+    )
     parser.add_argument(
         "--bitrate", type=int, default=1_000_000, help="bit rate, if the interface sets it"
     )

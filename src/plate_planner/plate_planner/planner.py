@@ -304,7 +304,7 @@ class Planner:
         elif t - clock.stamp > MAX_GAP_S:
             gap = f"no parts for {t - clock.stamp:.0f} s according to the image stamps"
             state = self.stop(
-                state, Failure(Reason.NO_PARTS, f"{gap}; was the camera's clock set?")
+                state, Failure(Reason.NO_PARTS, f"{gap}; check whether the camera's clock was set")
             )
         kept = state.task.active and self.rules.keeps_last(state.memory)
         parts = state.estimator.seen if kept else parts

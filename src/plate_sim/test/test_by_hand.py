@@ -115,7 +115,7 @@ def test_no_more_parts_than_are_allowed_and_none_that_is_not_there_is_taken_off(
     grid = np.stack(np.meshgrid(np.linspace(-0.28, 0.28, 12), np.linspace(-0.12, 0.12, 9)), -1)
     for place in grid.reshape(-1, 2)[:100]:
         simulation.place("", "black", place)
-    with pytest.raises(PlateError, match="100 parts exist, allowed: at most 100"):
+    with pytest.raises(PlateError, match="100 parts exist, allowed: fewer than 100"):
         simulation.place("", "black", grid[-1, -1])
 
 

@@ -188,7 +188,7 @@ def test_a_part_stays_beyond_the_edge_only_where_that_is_asked(weight, bound):
 @pytest.mark.parametrize("wrong", [np.nan, -0.5, np.inf])
 def test_weights_that_say_nothing_are_refused(wrong):
     none, turns = np.zeros((2, 2)), np.zeros(2)
-    with pytest.raises(PlateError, match=rf"^weight has {wrong:g}, allowed: 0 and above$"):
+    with pytest.raises(PlateError, match=rf"^weight has {wrong:g}, allowed: finite, 0 and above$"):
         Goal(none, none, none, none, 2.45, weight=np.array([[1.0, 1.0], [1.0, wrong]]))
     turns = Turns(turns, np.zeros((2, 3)), turns, turns, np.array([0.01, wrong]))
     with pytest.raises(PlateError, match=f"^weight of turns has {wrong:g}, "):

@@ -241,7 +241,7 @@ def _limits(rig: Rig) -> Iterator[Doubt]:
         yield Doubt(
             "limits",
             f"limits: continuous_force_n is {limits.continuous_force:g}, more than the peak "
-            f"force_n of {limits.force:g}; does it belong to other motors?",
+            f"force_n of {limits.force:g}; check whether it belongs to other motors",
         )
     yield from _speeds(rig)
 

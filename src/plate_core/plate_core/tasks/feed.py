@@ -185,7 +185,7 @@ def pick_problem(pick: Pick, rig: Rig) -> str:
     if not (math.isfinite(pick.angle) and 0 < pick.tolerance_rad <= math.pi):
         return (
             f"angle of {pick.label} is {pick.angle:g}, its tolerance {pick.tolerance_rad:g} rad, "
-            "allowed: finite, and up to 3.14"
+            "allowed: a finite angle, and a tolerance above 0, up to 3.14 rad"
         )
     if rig.part_type(pick.label).symmetry == 0:
         return f"angle of {pick.label} is given, allowed: none, because the part is round"

@@ -391,8 +391,8 @@ class FrictionMeasurement:
             if value < -max(SLID_M, NOISE_FACTOR * error):
                 raise PlateError(
                     f"friction: {name} moved {-1e3 * value:.2f} mm in the direction of the push, "
-                    "allowed: against it; are the motors' directions and the order of corners_px "
-                    "in the rig file correct?"
+                    "allowed: against it; check the motors' directions and the order of corners_px "
+                    "in the rig file"
                 )
         rest = replace(rest, place={name: rest.place[name] for name in ids})
         _check_gaps(self.rig, rest, TOUCH_M)
@@ -434,7 +434,7 @@ class FrictionMeasurement:
             typical = float(np.median(list(guess.values()))) * gravity
             if accel > STUCK_FACTOR * typical:
                 notes = tuple(
-                    f"{name} does not slide at {trial.push.accel:.1f} m/s2 as others do: excluded"
+                    f"{name} does not slide at {trial.push.accel:.1f} m/s2, but others do: excluded"
                     for name in left
                 )
                 place = {name: new.rest.place[name] for name in guess}

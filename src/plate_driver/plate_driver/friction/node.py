@@ -212,8 +212,8 @@ class FrictionServer:
             self._now = now
             if self._still > STILL_CALLS:
                 raise PlateError(
-                    "friction: simulated time has stopped, allowed: time that advances; is the "
-                    "simulator active? In lockstep, friction cannot be measured"
+                    "friction: simulated time has stopped, allowed: time that advances; check "
+                    "that the simulator is active. In lockstep, friction cannot be measured"
                 )
             if self._plays is not None:
                 guard = self._playback.guard

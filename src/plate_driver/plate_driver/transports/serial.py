@@ -120,7 +120,7 @@ A_PORT = "allowed: the device of a serial port, such as /dev/ttyACM0"
 
 PORT_ERRORS = {
     errno.ENOENT: "is not there",
-    errno.EACCES: "is not accessible: is this user in the group dialout?",
+    errno.EACCES: "is not accessible; check that this user is in the group dialout",
     errno.EWOULDBLOCK: "is used by another program",
     errno.EBUSY: "is used by another program",
     errno.ENOTTY: f"is a device, but no serial port, {A_PORT}",

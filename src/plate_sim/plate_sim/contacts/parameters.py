@@ -38,7 +38,7 @@ class Contacts:
         if not 0 <= self.restitution <= 1:
             raise PlateError(f"contacts: restitution is {self.restitution!r}, allowed: 0 to 1")
         if not 0 <= self.friction <= LARGEST:
-            raise PlateError(f"contacts: friction is {self.friction!r}, allowed: at least 0")
+            raise PlateError(f"contacts: friction is {self.friction!r}, allowed: 0 to {LARGEST:g}")
 
 
 INELASTIC = Contacts()

@@ -71,15 +71,12 @@ def friction_accel(friction: float | np.ndarray, gravity: float, count: int) -> 
     if mu.shape not in ((), (count,)):
         raise PlateError(f"friction has shape {mu.shape}, allowed: () or ({count},)")
     if not 0 <= gravity <= LARGEST:
-        raise PlateError(f"gravity is {gravity!r} m/s2, allowed: finite and at least 0")
+        raise PlateError(f"gravity is {gravity!r} m/s2, allowed: 0 to {LARGEST:g}")
     usable = (mu >= 0) & (mu <= LARGEST)  # False for NaN
     if not usable.all():
         part = int(np.argmin(usable))
         which = f" for part {part}" if mu.ndim else ""
-        raise PlateError(
-            f"friction is {mu.flat[part]:g}{which}, allowed: finite and at least 0, "
-            f"up to {LARGEST:g}"
-        )
+        raise PlateError(f"friction is {mu.flat[part]:g}{which}, allowed: 0 to {LARGEST:g}")
     return mu * gravity if mu.ndim else np.full(count, float(mu) * gravity)
 
 

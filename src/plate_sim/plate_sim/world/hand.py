@@ -85,7 +85,10 @@ class Hand:
             hint = did_you_mean(label[:50], kinds)
             raise PlateError(f"type is {label[:50]!r}{hint}, allowed: {', '.join(kinds)}")
         if not part_id and len(state.ids) >= MAX_PARTS:
-            raise PlateError(f"{len(state.ids)} parts exist, allowed: at most {MAX_PARTS}")
+            raise PlateError(
+                f"no part can be added: {len(state.ids)} parts exist, allowed: fewer than "
+                f"{MAX_PARTS}"
+            )
         room = self._rig.plate.half - self._rig.part_type(label).reach_m
         if not np.all(np.abs(position) <= room + 1e-9):  # this condition also refuses NaN
             raise PlateError(

@@ -25,8 +25,8 @@ constexpr int HALVINGS = 4;
 // maximum takes some hundredths of a second.
 constexpr double MAX_WORK = 2e8;
 
-// Number of triples that `greatest_triple` processes together. They differ in their middle points
-// on the great circle.
+// Number of neighbouring points on a great circle whose triples `greatest_triple` processes
+// together. Each of these points is the middle point of its triples.
 constexpr int SIDE_BY_SIDE = 8;
 
 constexpr double NOTHING = -std::numeric_limits<double>::infinity();

@@ -129,7 +129,7 @@ class Goal:
             values = np.atleast_1d(weight)
             wrong = values[~((values >= 0) & (values < np.inf))]
             if len(wrong):
-                raise PlateError(f"weight{of} has {wrong[0]:g}, allowed: 0 and above")
+                raise PlateError(f"weight{of} has {wrong[0]:g}, allowed: finite, 0 and above")
 
     @cached_property
     def ends(self) -> Ends:

@@ -79,7 +79,7 @@ def _parser() -> argparse.ArgumentParser:
         help="distortion model: plumb_bob for normal lenses, rational_polynomial for wide lenses, "
         "equidistant for fisheyes (default: plumb_bob)",
     )  # fmt: skip
-    lens.add_argument("--name", default="camera", help="name of the camera (camera)")
+    lens.add_argument("--name", default="camera", help="name of the camera (default: camera)")
     lens.add_argument("--out", type=Path, default=Path("camera.yaml"), help="camera_info file")
     lens.add_argument("--errors", type=Path, default=Path("errors.png"), help="picture of errors")
     lens.set_defaults(run=_lens)
@@ -103,8 +103,14 @@ def _board_options(parser: argparse.ArgumentParser) -> None:
     add = parser.add_argument
     add("--board", type=_size, required=True, metavar="9x7", help="squares along x and y")
     add("--square", type=float, required=True, metavar="M", help="side of a square [m]")
-    add("--marker", type=float, default=0.0, metavar="M", help="side of a ChArUco marker [m] (0)")
-    add("--dictionary", default="5X5_100", help="set of markers (5X5_100)")
+    add(
+        "--marker",
+        type=float,
+        default=0.0,
+        metavar="M",
+        help="side of a ChArUco marker [m]; 0: a chessboard",
+    )
+    add("--dictionary", default="5X5_100", help="set of markers (default: 5X5_100)")
 
 
 def _size(text: str) -> tuple[int, int]:

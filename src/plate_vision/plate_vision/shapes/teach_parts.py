@@ -71,12 +71,17 @@ def _parser() -> argparse.ArgumentParser:
     add = parser.add_argument
     add("name", metavar="NAME", help="name of the type, such as nut")
     add("pictures", metavar="PICTURES", type=Path, nargs="+", help="one to five files, or a folder")
-    add("--rig", default="", help="rig file, or a name in config/rigs (default rig)")
+    add("--rig", default="", help="rig file, or a name in config/rigs (default: the default rig)")
     add("--bare", type=Path, help="picture of the bare plate, or a folder of pictures")
     add("--box", type=_box, action="append", default=[], metavar="X,Y,WIDTH,HEIGHT", help=BOX)
     add("--scale", type=_scale, metavar="PX_PER_MM", help=SCALE)
     add("--height", type=_height, metavar="M", help=HEIGHT)
-    add("--out", type=Path, default=OUT, help="file of types to write or extend (parts.yaml)")
+    add(
+        "--out",
+        type=Path,
+        default=OUT,
+        help="file of types to write or extend (default: parts.yaml)",
+    )
     parser.set_defaults(run=_teach)
     return parser
 
@@ -94,7 +99,9 @@ def _managing_parser() -> argparse.ArgumentParser:
         command = commands.add_parser(word, help=about)
         for name, meaning in names.items():
             command.add_argument(name, metavar=name.upper(), help=meaning)
-        command.add_argument("--out", type=Path, default=OUT, help="file of types (parts.yaml)")
+        command.add_argument(
+            "--out", type=Path, default=OUT, help="file of types (default: parts.yaml)"
+        )
         command.set_defaults(run=run)
     return parser
 
