@@ -36,7 +36,7 @@ def test_age_is_by_the_stamp_and_both_ways():
     fresh = ready().with_state(0, 0.1, at(0.1))
     assert fresh.remaining_s(at(10), at(10.1), PERIOD) == pytest.approx(0.48)
     assert fresh.remaining_s(at(10), at(10.57), PERIOD) == pytest.approx(0.01)
-    slow, clocks = r"is the computer too slow\?", "is the clock of the image stamps "
+    slow, clocks = "check that the computer is fast", "check that the clock of the image stamps "
     for clock, why in ((10.59, slow), (300.0, clocks), (10 - AHEAD_S - 0.01, clocks)):
         with pytest.raises(CycleError, match=rf"old, allowed: -0\.10 to 0\.58 s; {why}"):
             fresh.remaining_s(at(10), at(clock), PERIOD)
@@ -120,7 +120,7 @@ def test_a_clock_with_too_many_steps_moves_nothing():
     fresh = ready()
     for k in range(MAX_STEPS + 2):  # a step forth of 0.1 s at each reading but the first
         fresh = fresh.with_clocks(k, at(10 + 1.1 * k))
-    with pytest.raises(CycleError, match="stepped more than 20 times in 60 s, allowed: 20"):
+    with pytest.raises(CycleError, match="stepped more than 20 times in 60 s, allowed: at most 20"):
         fresh.remaining_s(at(9.99 + 1.1 * k), at(10 + 1.1 * k), 0.2)
     calm = fresh.with_clocks(k + KEPT_S, at(10 + 1.1 * k + KEPT_S))
     assert calm.remaining_s(at(9.99 + 1.1 * k + KEPT_S), at(10 + 1.1 * k + KEPT_S), 0.2) > 0
