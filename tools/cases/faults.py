@@ -64,8 +64,8 @@ class Plate:
     """Records the time until which the plate has moved [s, system clock].
 
     With a serial line, this time follows from the motion that the device has played
-    (`motor_motion`). Without one, it follows from the parts' velocities (`ground_truth`), or from
-    the driver's tables while the simulator is the node with the fault.
+    (`motor_motion`). Without a serial line, this time follows from the parts' velocities
+    (`ground_truth`), or from the driver's tables if the fault is in the simulator.
     """
 
     def __init__(self, observer: Observer, transport: str) -> None:

@@ -70,7 +70,7 @@ CORRECTED = (
     "the calibration corrects the plate's motion: cycles that begin in motion are refused, cycles "
     "from rest are played with their tails"
 )
-"""Message on activation with a calibration."""
+"""Log message at an activation with a calibration."""
 
 MIN_FACTOR = 0.99
 """If the driver scales a cycle down by a factor below this value, it logs a warning."""

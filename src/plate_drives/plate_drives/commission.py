@@ -43,8 +43,8 @@ SWING_HZ = 2.0
 ANSWER_S = 60.0
 """Maximum wait for a person's answer while a motor has current [s]."""
 ROUGH = 0.1
-"""Maximum relative error of a travel that a person reads. If the person's value differs by less,
-the scale of the rig file is kept."""
+"""Maximum relative error of a travel that a person reads. If the person's value differs from the
+measured value by at most this fraction, the scale of the rig file is kept."""
 
 
 Ask = Callable[[str, Callable[[], object]], str]

@@ -146,8 +146,8 @@ def within_limits(
     least = _use(rest, full)
     if not least <= CERTAIN:
         raise CycleError(
-            f"utilisation of the rig's limits to stop from the cycle's start is {least:.3g}, "
-            f"allowed: 0 to {CERTAIN:g}"
+            f"the fraction of the rig's limits that is necessary to stop from the cycle's start is "
+            f"{least:.3g}, allowed: 0 to {CERTAIN:g}"
         )
     for _ in range(4):  # four rounds suffice: the utilisation is nearly linear in `share`
         share = max((0.9995 * CERTAIN - least) / (used - least), 0.0)

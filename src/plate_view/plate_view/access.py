@@ -60,8 +60,8 @@ class Access:
             ) from None
         if not (self.is_local or self.operator_token):
             raise AccessError(
-                f"address is {self.address}, allowed without operator_token: 127.0.0.1; or set "
-                f"operator_token with at least {MIN_TOKEN} characters"
+                f"address is {self.address}, allowed without operator_token: 127.0.0.1; for other "
+                f"addresses set operator_token with at least {MIN_TOKEN} characters"
             )
         for name in ("operator_token", "viewer_token"):
             token = getattr(self, name)

@@ -141,7 +141,7 @@ class Lens:
             fx, fy = self.focal_px
             raise RigError(
                 f"lens: focal lengths are {fx:g} and {fy:g} px, allowed: {MIN_FOCAL_PX:g} px or "
-                "more (is the camera calibrated?)"
+                "more; check that the camera is calibrated"
             )
         object.__setattr__(self, "distortion", values)
 
@@ -232,7 +232,8 @@ class Lens:
         return (
             f"lens: distortion is {[float(f'{value:.6g}') for value in self.distortion]} "
             f"({self.model}), which folds the image of the plate{edge}, allowed: a distortion "
-            "without a fold on the plate (are K and D from this camera, at this image size?)"
+            "without a fold on the plate; check that K and D are from this camera, at this image "
+            "size"
         )
 
     def _rays(self, point_px: np.ndarray) -> np.ndarray:

@@ -52,7 +52,8 @@ LATEST = 3
 """Maximum delay of a result that predictions assume [cycles]."""
 
 SAME_POSE = 1e-9
-"""Poses that differ by less count as equal [m, rad], because the travel of a motor is rounded."""
+"""Tolerance of the comparison of two poses [m, rad]. It allows for the rounding of the motors'
+travel."""
 
 
 @dataclass(frozen=True)

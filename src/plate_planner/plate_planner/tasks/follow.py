@@ -275,8 +275,8 @@ class Follower(TaskRules):
         early = memory is None or now.stamp < memory.began - now.period / 2
         if memory is not None and not memory.leading and not (early and now.motion_known):
             return memory
-        # Until cycles run, add one cycle of waiting: the first cycle determines the length of the
-        # cycles.
+        # Until cycles run, begin one cycle later, because the length of a cycle is known only after
+        # the first cycle.
         start = now.start if now.motion_known else now.start + now.period
         again = self.begin(now.parts, start)
         if not now.latency_known:
@@ -386,9 +386,9 @@ class Follower(TaskRules):
         """Return the maximum speed scaling at a path time [s]. With this scaling, no corner ahead
         requires an acceleration above `TURN`.
 
-        With the scaling s, the path time advances by s dt. Let a be the deceleration and v the
-        speed of the path. Then s ds/dtime = a/v. Therefore s^2 may be larger by 2 a/v for each
-        second of path time before a corner.
+        With the scaling s, the path time p advances by dp = s dt. Let a be the maximum deceleration
+        of a part and v the speed of the path. Then s ds/dp = a/v. Therefore s^2 may be larger by 2
+        a/v for each second of path time before a corner.
         """
         accel, fastest = TURN * self.rig.friction.accel, float(np.max(self._speeds))
         away = np.arange(0.0, fastest / (2 * accel) + period, period / CLOSE)

@@ -30,8 +30,8 @@ constexpr double SNAP = 1e-3;
 // step.
 constexpr double CLOSE = 1e-9;
 // The iteration of the arithmetic-geometric mean ends if half the difference of its two numbers,
-// divided by their mean, is at most this value. At this value, their arithmetic and geometric means
-// are equal up to rounding.
+// divided by their mean, is at most this value. Then the arithmetic and the geometric mean of the
+// two numbers are equal up to rounding.
 constexpr double MEANS = 2e-8;
 // Maximum k^2 for the series. The omitted terms are below 2e-10 mu m g.
 constexpr double SERIES = 0.25;

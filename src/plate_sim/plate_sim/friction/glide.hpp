@@ -48,8 +48,9 @@ inline bool describe(const State& state, int i, const Body& body, double step, b
 
 // Advance the discs that slide steadily by a step. Return their number.
 //
-// plate: samples of the plate's motion at the start, in the middle and at the end of the step. step
-// [s]. Intermediate values of lanes that do not glide may be NaN or infinite.
+// `plate` contains samples of the plate's motion at the start, in the middle and at the end of the
+// step. `step` is the length of the step [s]. Intermediate values of lanes that do not glide may be
+// NaN or infinite.
 [[gnu::always_inline]] inline int glide(const PlateSample* plate, double step,
                                         const GroundEffect& ground, std::span<Group> groups) {
     using namespace gliding;

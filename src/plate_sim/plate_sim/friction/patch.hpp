@@ -222,8 +222,8 @@ inline Slip solve(double a, double b, double c, double d, double e, double f, Sl
 
 // Return the slip after a step, in the part's axes. The slip is 0 if the part sticks.
 //
-// free: slip after the step without friction. dv: mu g dt [m/s], above 0. The points of the part
-// have the indices `first` to `end` - 1 in the mesh. Their forces are updated.
+// `free` is the slip after the step without friction. `dv` is mu g dt [m/s], above 0. The points of
+// the part have the indices `first` to `end` - 1 in the mesh. Their forces are updated.
 PLATE_WIDE inline Slip slip_after(const Slip& free, double dv, double gyration2, const Mesh& mesh,
                                   int first, int end) {
     const Points all = points_of(mesh, first, end);

@@ -373,8 +373,9 @@ inline std::int64_t run_part(Table table, const Scales& scales, double limit, do
 // Compute the tracks of M parts, path and speed (rows, M, 2), from their first rows. Return the
 // number of steps.
 //
-// limit (M,): mu g of each part [m/s2]. static_ratio: ratio of static to dynamic friction. checked
-// (M,): output, whether a part's motion was computed within the maximum number of steps.
+// `limit` (M,) is mu g of each part [m/s2]. `static_ratio` is the ratio of static to dynamic
+// friction. `checked` (M,) is set to whether the part's motion was computed within the maximum
+// number of steps.
 inline std::int64_t run_points(Table table, const Scales& scales, const double* limit,
                                double static_ratio, double tolerance, int cycles, double* path,
                                double* speed, int rows, int count, bool* checked) {

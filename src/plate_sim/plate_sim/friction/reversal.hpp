@@ -7,9 +7,9 @@
 //
 // If the plate accelerates much more than friction does, w is nearly straight. The step is split at
 // the minimum of |w|. In both parts, w is approximated by a straight segment. The mean of w/|w|
-// along a segment has a closed form, which is also valid near 0. Therefore the method is exact for
-// a slip that reverses on a line, and of second order for a slip that rotates quickly, without a
-// shorter step.
+// along a segment has a closed form, which is also valid near 0. Therefore the method needs no
+// shorter steps. It is exact for a slip that reverses on a line. For a slip that rotates quickly,
+// it is of second order.
 #pragma once
 #include <algorithm>
 #include <cmath>
@@ -63,9 +63,9 @@ struct Reversal {
 
 // Compute a step of a disc with the velocity v [m/s].
 //
-// plate: samples of the plate's motion at the start, in the middle and at the end of the step.
-// fall, static_dv, dv [m/s]: velocity changes in the step by gravity along the plate, by static
-// friction and by dynamic friction.
+// `plate` contains samples of the plate's motion at the start, in the middle and at the end of the
+// step. `fall`, `static_dv` and `dv` [m/s] are the velocity changes in the step by gravity along
+// the plate, by static friction and by dynamic friction.
 inline Reversal reversal(const PlateSample* plate, Vec fall, double static_dv, double dv, Vec v) {
     // The slip without friction is s + a t + b t^2, with t from 0 to 1. Its rate of change at t = 1
     // is z.

@@ -72,8 +72,8 @@ struct Stage {
     return {part.velocity, share * w, dot(w, n) > 0};
 }
 
-// Compute stage S of a step and all later stages. v and f are the velocities and frictions of the
-// previous stages.
+// Compute stage S of a step and all later stages. `v` and `f` are the velocities of the part and
+// its accelerations by friction in the previous stages.
 template <int S>
 [[gnu::always_inline]] inline Step stages(Table table, double t, int k, double h, const Point& part,
                                           double limit, Vec n, Vec* v, Vec* f) {
@@ -94,7 +94,7 @@ template <int S>
     }
 }
 
-// Try a Runge-Kutta step h [s]. force: friction at the start [m/s2].
+// Try a Runge-Kutta step of the length h [s]. `force` is the friction at the start [m/s2].
 inline Step runge_kutta(Table table, double t, int k, double h, const Point& part, Vec force,
                         double limit) {
     Vec v[STAGES] = {part.velocity}, f[STAGES] = {force};
@@ -132,8 +132,8 @@ struct Landing {
 // Find the time within h [s] at which the slip vanishes along its present direction. Friction is
 // assumed to be constant.
 //
-// r: present slip [m/s]. none: threshold [m/s]. A smaller component of the slip along its present
-// direction counts as 0.
+// `r` is the present slip [m/s]. If the component of the slip along its present direction is below
+// `none` [m/s], it counts as 0.
 inline Landing landing(Table table, double t, int k, double h, const Point& part, Vec force,
                        double r, double limit, double none) {
     const Vec n{force.x / limit, force.y / limit};
@@ -192,7 +192,8 @@ struct Restart {
 // cannot hold the part.
 //
 // The slip has the direction of the surface's acceleration a from the start, and follows this
-// direction. Therefore friction is mu g a/|a|. allowed: maximum error of the velocity [m/s].
+// direction. Therefore friction is mu g a/|a|. `allowed` is the maximum error of the velocity
+// [m/s].
 inline Restart restart(Table table, double t, int k, double h, const Point& part, double limit,
                        double allowed) {
     const Vec q = in_plate(table, t, k, part.place), n0 = heading(table, t, k, q);

@@ -45,9 +45,9 @@ static_assert(sizeof(Body) == 10 * sizeof(double));
 // Group of parts that are advanced together: their states, and constants for `glide` (glide.hpp).
 struct Group {
     double state[6][LANES];
-    // dv: mu g times the step [m/s]. least: minimum squared slip for `glide` [m2/s2], infinite for
-    // parts that are not discs. radius2, gyration2: squared radius and squared radius of gyration
-    // [m2]. ratio: their ratio.
+    // `dv` is mu g times the step [m/s]. `least` is the minimum squared slip for `glide` [m2/s2];
+    // it is infinite for parts that are not discs. `radius2` and `gyration2` are the squared radius
+    // and the squared radius of gyration [m2]. `ratio` is radius2 / gyration2.
     double dv[LANES], least[LANES], radius2[LANES], gyration2[LANES], ratio[LANES];
     double moved[LANES];    // 1 if `glide` has advanced the part in this step, else 0
     double away[LANES];     // 0 if the part is on the plate, else infinite
@@ -223,8 +223,8 @@ inline Attempt ride(const PlateSample* plate, Vec fall, double static_dv, const 
 
 // Try one step of h [s].
 //
-// last: if true, the step is always accepted, and the implicit Euler method is used if necessary.
-// none: slip [m/s] that counts as 0.
+// If `last` is true, the step is always accepted, and the implicit Euler method is used if
+// necessary. A slip of up to `none` [m/s] counts as 0.
 inline Attempt attempt(const PlateSample* plate, double h, bool last, double none,
                        const GroundEffect& ground, const Motion& m, const Body& body,
                        const Mesh& mesh) {
@@ -280,7 +280,8 @@ inline int shorter(int size, double ahead) {
 // Split a step into substeps until each substep is accurate enough. Return the state at the end of
 // the step.
 //
-// first: the plate at the start of the step. ahead: result of `attempt` for the whole step.
+// `first` is the plate at the start of the step. `ahead` is the result of `attempt` for the whole
+// step.
 inline Motion advance_in_parts(const Course& course, double start, double step, double none,
                                const PlateSample& first, double ahead, const GroundEffect& ground,
                                Motion motion, const Body& body, const Mesh& mesh) {
@@ -328,8 +329,9 @@ namespace plate {
 
 // Advance part i by a step, in place.
 //
-// start: time in the course at which the step begins [s]. step: length of the step [s]. plate:
-// samples of the plate's motion at the start, in the middle and at the end of the step.
+// `start` is the time in the course at which the step begins [s], and `step` is the length of the
+// step [s]. `plate` contains samples of the plate's motion at the start, in the middle and at the
+// end of the step.
 inline void advance(const Course& course, double start, double step, const PlateSample* plate,
                     const GroundEffect& ground, const State& state, int i, const Body& body,
                     const Mesh& mesh) {

@@ -53,8 +53,8 @@ class Manipulability:
         Ratio of the forces in the easiest and in the most difficult direction, at least 1. Infinite
         if no force is possible in some direction.
     worst_direction : (2 M,)
-        Most difficult direction by the second moment of the forces. The direction is a unit of
-        force.
+        Most difficult direction according to the second moment of the forces. The length of this
+        vector is a unit of force.
     weakest_force : float
         Maximum force of the library in its weakest direction [mu m g]. The force is a local
         minimum, because the search may miss a smaller one. It neglects ramps between rotations, the

@@ -71,7 +71,7 @@ template <int DEGREE>
 }
 
 // Returns the mean direction of a slip that is a polynomial of s, for s from `first` to `first` +
-// 1. Gauss-Legendre panels are bisected while the slip nearly vanishes in or near them. Unless
+// 1. A Gauss-Legendre panel is bisected if the slip nearly vanishes in or near it. Unless
 // `gradient` is null, the derivatives with respect to the coefficients are added to it: d f_x / d
 // slip_x, d f_x / d slip_y = d f_y / d slip_x, d f_y / d slip_y.
 template <int DEGREE>

@@ -156,8 +156,8 @@ PLATE_WIDE inline double greatest_triple(const double* values, int points) {
     return triple;
 }
 
-// Maximum of T over the great circles. places: index of the circle, and indices of its three
-// points.
+// Maximum of T over the great circles. `places` contains the index of the circle and the indices of
+// its three points.
 struct Best {
     double triple;
     std::array<int, 4> places;

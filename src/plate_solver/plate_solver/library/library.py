@@ -139,7 +139,8 @@ def curl_matrix(position: np.ndarray, centre: np.ndarray) -> np.ndarray:
 def solve_weights(
     matrix: np.ndarray, right_side: np.ndarray, max_gain: float = np.inf
 ) -> tuple[np.ndarray, float]:
-    """Return the minimum-norm weights that solve the system, and its condition number.
+    """Return the minimum-norm weights that solve the system, and the condition number of the
+    matrix.
 
     Parameters
     ----------

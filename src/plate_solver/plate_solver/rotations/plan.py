@@ -19,7 +19,7 @@ SPEEDS = (1.0, 0.5)
 not depend on the speed, but the closure of the motion does."""
 
 CLOSURE_PRICE = 1e4
-"""Price of a gap between the start and the end of the sequence. The price is so high that the gap
+"""Price of a gap between the start and the end of the sequence. With this high price, the gap
 becomes 0."""
 
 
@@ -98,7 +98,7 @@ def plan_rotations(
     cost = np.ones(len(library.twist)) if cost is None else cost
     times = least_time(matrix, right_side, np.tile(cost, len(SPEEDS)), dear, dear, start)
     used = np.flatnonzero(np.abs(times.weights) > 1e-9)
-    if not len(used):  # a zero request has no rotations: use one of duration 0
+    if not len(used):  # the request is zero: use one rotation of duration 0
         used = np.zeros(1, dtype=int)
     weight = times.weights[used]
     total = float(np.sum(np.abs(weight)))

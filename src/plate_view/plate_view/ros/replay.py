@@ -144,7 +144,8 @@ class Replay:
         self._played_at = time.monotonic()
 
     def step(self) -> None:
-        """Play the messages that are due. If a place is damaged, stop and set `problem`."""
+        """Play the messages that are due. If a part of the bag is damaged, stop and set
+        `problem`."""
         now = time.monotonic()
         elapsed, self._played_at = now - self._played_at, now
         try:

@@ -30,8 +30,8 @@ constexpr double CORE = 0.6;
 // would increase the centre's error by half.
 constexpr double MIN_DARKENING = 0.04;
 
-// Minimum darkness of a part, also used as the minimum of divisors. A fitted disc with less
-// darkness is a shadow.
+// Minimum darkness of a part, also used as the minimum of divisors. A fitted disc that is less dark
+// is a shadow.
 constexpr double MIN_DARKNESS = 0.05;
 
 // A measured disc: see `DISC` of measure.py.
@@ -41,7 +41,8 @@ struct Disc {
 
 // The round window around a seed, with the places of its pixels relative to the centre [px].
 struct RoundWindow {
-    // Sums over the pixels. Each pixel has one factor per sum, by which its darkness is multiplied.
+    // Sums over the pixels. Each term is the pixel's darkness times the pixel's factor for this
+    // sum.
     enum Sum { MASS, RIGHT, DOWN, WIDE, RIM, FLAT, ASKEW, SUMS = 8 };
 
     struct Pixel {

@@ -14,7 +14,7 @@ namespace plate {
 struct Silhouette {
     double across[2][2], radius_px, lean_px[2], growth;
 
-    // Inverse of `across` times a vector of the disc's frame: an image offset [px].
+    // Transforms a vector (wx, wy) from the disc's frame to an image offset (x, y) [px].
     void to_image(double wx, double wy, double& x, double& y) const {
         const double area = across[0][0] * across[1][1] - across[0][1] * across[1][0];
         x = (across[1][1] * wx - across[0][1] * wy) / area;

@@ -260,7 +260,8 @@ class V4l2Device:
         it.
 
         Most drivers report it also to a process that does not read the images. The driver uvcvideo
-        up to Linux 6.15 does not. For this driver, both results are True.
+        up to Linux 6.15 does not; in this case, the result is (True, True), which is correct for
+        uvcvideo.
         """
         data = bytearray(88)
         struct.pack_into("II", data, 0, 0, CAPTURE)

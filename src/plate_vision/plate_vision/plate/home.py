@@ -121,7 +121,9 @@ def fiducials_of(rig: Rig) -> Fiducials:
         If the rig file has none.
     """
     if rig.fiducials is None:
-        raise CalibrationError("rig file: section fiducials is missing, allowed: a file with it")
+        raise CalibrationError(
+            "rig file: section fiducials is missing, required: a rig file with it"
+        )
     return rig.fiducials
 
 
@@ -151,8 +153,8 @@ def find_home(
     corners = fiducials.corners.reshape(-1, 2)
     if not np.all(np.isfinite(straight)):
         raise CalibrationError(
-            "fiducials: markers are detected outside the lens's field of view, allowed: K and D of "
-            "this camera, at this image size"
+            "fiducials: markers are detected outside the lens's field of view; check that K and D "
+            "are from this camera, at this image size"
         )
     matrix, _ = cv2.findHomography(corners, straight)
     if matrix is None:

@@ -13,8 +13,8 @@
 
 namespace plate {
 
-// Maximum distance between the contours of a group and of a part [px]. Below this distance, the two
-// contours count as the same.
+// Maximum distance of a part's contour point from the group's contour at which the point counts as
+// on this contour [px].
 constexpr double NEAR_PX = 1.3;
 
 // Maximum distance of a part's point from the group [px]. Points at smaller distances count as
