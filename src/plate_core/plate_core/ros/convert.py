@@ -332,7 +332,7 @@ def _intervals(
         low, high = ends[row, 2 * column : 2 * column + 2]
         raise PlateError(
             f"part_forces: {ids[row]} has {keys[2 * column]} {low:g} and "
-            f"{keys[2 * column + 1]} {high:g}, allowed: a minimum that is not above the maximum"
+            f"{keys[2 * column + 1]} {high:g}, allowed: minimum <= maximum"
         )
     return ends
 
