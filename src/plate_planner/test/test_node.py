@@ -195,7 +195,7 @@ def test_stop_says_what_was_stopped(graph):
     assert graph.image(0.4, APART).parts.ids == ()
     aborted = "aborted after 0.2 s: stopped"
     graph.until(lambda: graph.states[-1] == aborted)
-    assert graph.stop().message == f"no task runs; the last one: {aborted}"
+    assert graph.stop().message == f"no task runs; the last task: {aborted}"
     graph.until(lambda: graph.states[-1] == "idle")
     # The requests of this task stay published: the driver may have learned its end only from them.
     assert nanoseconds(graph.statuses[-1].header.stamp) == 400_000_000
