@@ -8,14 +8,14 @@
 
 #define CYCLE_TICKS 2       /* length of a bus cycle, 2 ms; at 1 Mbit/s four axes use half of it */
 #define SILENT_TICKS 150    /* maximum time without a heartbeat */
-#define MISSED_CYCLES 3     /* consecutive cycles with no position, or with two, that are a fault */
+#define MISSED_CYCLES 3     /* consecutive cycles without a position, or with two each: a fault */
 #define ANSWER_TICKS 200    /* maximum wait for a reply in SETUP, and for the boot-up after a reset */
 #define BOOT_TICKS 1000     /* maximum wait for an answer; also between two tries, and an alarm's duration */
 #define START_TICKS 100     /* maximum wait for a start; also the time until a started drive can be enabled */
 #define STARTS 10           /* maximum number of tries */
 #define KEEPS_TICKS 100     /* maximum time in which a drive must switch its current off */
-#define DEVIATING_CYCLES 2  /* consecutive cycles with a following error that are a fault */
-#define CROOKED_CYCLES 5    /* consecutive cycles with inconsistent positions that are a fault */
+#define DEVIATING_CYCLES 2  /* consecutive cycles with a too large following error: a fault */
+#define CROOKED_CYCLES 5    /* consecutive cycles with inconsistent positions: a fault */
 #define STILL_CYCLES 150    /* cycles for which an axis must rest before it gets current */
 #define STILL_M 0.0005f     /* maximum motion of an axis that counts as resting [m] */
 
@@ -36,7 +36,7 @@ typedef struct {
     int32_t sent, reached; /* the last sent target, and the expected position of the next reply */
     int32_t error;     /* following error when `actual` was received */
     int32_t rest;      /* position near which the axis rests [counts] */
-    uint8_t still;     /* number of cycles that the axis has rested there, 0 to STILL_CYCLES */
+    uint8_t still;     /* number of cycles in which the axis has rested there, 0 to STILL_CYCLES */
     bool leapt;        /* the drive's last position is an impossible leap */
     bool reported;     /* the drive has reported a position since the board started */
     uint16_t keeps;    /* ticks with current after the order to switch it off */

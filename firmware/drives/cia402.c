@@ -30,7 +30,7 @@ typedef struct {
 } Step;
 
 #define PDO_OFF 0x80000000u
-#define NO_RTR 0x40000000u /* bit of a TPDO: a drive without remote requests refuses the entry without it */
+#define NO_RTR 0x40000000u /* bit of a TPDO; drives without remote requests require it */
 static const Step STEPS[] = {
     {0x1000, 0, 4, READ, 402, 0xFFFF},            /* check that it is a CiA 402 drive */
     {0x6040, 0, 2, 0, DISABLE, 0},                /* current off in any state of the drive */

@@ -33,7 +33,7 @@
 #define PRIORITY 50       /* SCHED_FIFO priority, if the system allows it */
 #define LAST_TICKS 200u   /* ticks without current after the input has ended: time to stop a drive
                              that keeps its current */
-#define OLD_TICKS 250u    /* after a tick as late as this, discard the input that has arrived */
+#define OLD_TICKS 250u    /* if a tick is later than this, discard the input that has arrived */
 
 static int can, ticks;
 static uint64_t now_us;
@@ -108,7 +108,7 @@ bool can_off(void)
     return was;
 }
 
-/* Wait for the next tick. Return false if there are no more. */
+/* Wait for the next tick. Return false if there are no more ticks. */
 static bool tick_passed(void)
 {
     struct itimerspec left = {.it_value = {0, TICK_NS}};

@@ -196,10 +196,10 @@ inline void bounce(const State& state, int i, int j, const Arm arms[2], Vec n,
 
 // Collide two parts, or a part and a wall, at their contact points. The state is changed in place.
 //
-// i and j are two parts, at least one of which is not a disc, or a part that is not a disc and a
-// wall. If one of them is a disc, it is i. If one of them is a wall, it is j. The wall is the last
-// column of the state, which contains the pose and twist of the plate, and the last body. `step` is
-// the length of the time step [s].
+// i and j are either two parts, at least one of which is not a disc, or a part that is not a disc
+// and a wall. If there is a disc, i is the disc. If there is a wall, j is the wall. The wall is the
+// last body, and the last column of the state, which contains the pose and twist of the plate.
+// `step` is the length of the time step [s].
 inline void collide(const State& state, Bodies bodies, int i, int j, Manifold contact,
                     const Rules& rules, double step) {
     const Body &a = bodies[i], &b = bodies[j];

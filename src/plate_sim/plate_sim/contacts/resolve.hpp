@@ -62,8 +62,8 @@ struct Outlines {
     }
 };
 
-// Contact of two parts: its maximum depth [m] and its manifold. A disc is the first of the two
-// parts.
+// Contact of two parts: its maximum depth [m] and its manifold. If only one of the parts is a disc,
+// it is the first part.
 struct Touch {
     int i, j;
     double depth = 0.0;

@@ -21,8 +21,8 @@ constexpr double SNAP_SHARE = 0.1;
 // the velocity by at most this fraction of e / T. e is the allowed error of a step, and T is the
 // period.
 constexpr double ZERO_SHARE = 0.2;
-// A part is set to stick only if friction can still hold it after this time, as a fraction of the
-// period.
+// A part is set to stick only if friction can still hold it a short time later. This time is a
+// fraction of the period.
 constexpr double AHEAD = 1e-8;
 // Minimum step, as a fraction of the period. The time itself has a rounding error of 1e-16 of the
 // period.

@@ -11,8 +11,9 @@
 
 namespace plate::rotations {
 
-// Damping options that also stop a slow search: it ends if ten steps leave more than 0.9 of the
-// squared error. With a stricter criterion, searches for feasible forces would end too early.
+// Damping options that also stop a slow search. A search ends if more than 0.9 of the squared error
+// remains after ten steps. With a stricter criterion, searches for feasible forces would end too
+// early.
 constexpr Damping PATIENT = [] {
     Damping damping = DAMPING;
     damping.stall_steps = 10, damping.stall_fraction = 0.9;

@@ -22,9 +22,9 @@ namespace plate {
 // deviation) it is 1.1 px.
 constexpr double EDGE_PX[] = {0.4, 0.8, 4.5};
 
-// EDGE_FRACTION: maximum half width of the edge, as a fraction of the radius. If EDGE_PX[2] is
-// larger, it is the maximum. MARGIN_FRACTION: reach of a window beyond the contour, as a fraction
-// of the radius. If RIM_PX is larger, it is the reach.
+// EDGE_FRACTION is the maximum half width of the edge, as a fraction of the radius. If EDGE_PX[2]
+// is larger, EDGE_PX[2] is the maximum. MARGIN_FRACTION is the reach of a window beyond the
+// contour, as a fraction of the radius. If RIM_PX is larger, RIM_PX is the reach.
 constexpr double EDGE_FRACTION = 0.6, MARGIN_FRACTION = 0.3;
 
 inline double rim_of(const Silhouette& part) {
@@ -35,8 +35,8 @@ inline double rim_of(const Silhouette& part) {
 // valid only near the edge.
 constexpr double MAX_STEP_PX = 1.0;
 
-// Maximum change [px] of place and radius in the last step of the fit. The next change would be
-// about 0.001 px, which is a tenth of the error that the image's noise causes.
+// The fit of a disc ends if a step changes place and radius by less than this value [px]. The next
+// change would be about 0.001 px, which is a tenth of the error that the image's noise causes.
 constexpr double SETTLED_PX = 0.01;
 
 constexpr int MAX_ITERATIONS = 25;
@@ -445,9 +445,9 @@ inline double improve(DiscFit& disc, double (&normal)[UNKNOWNS][UNKNOWNS],
     return change;
 }
 
-// Measure discs (n,). The discs may have neighbours. Input: seeds (n, 2) [px], the silhouettes (n,)
-// of parts at the seeds, and the shadows that the parts cast. `noise` is a standard deviation of
-// the darkness.
+// Measure discs (n,), which may have neighbours. The inputs are the seeds (n, 2) [px], the
+// silhouettes (n,) of the parts at the seeds, and the shadows that the parts cast. `noise` is the
+// standard deviation of the image's noise, as darkness.
 inline void fit_discs(const LitPlate& plate, View<const double, 2> seeds, const Silhouette* parts,
                       const Shadows& shadows, double noise, Disc* discs) {
     const int count = seeds.size(0);

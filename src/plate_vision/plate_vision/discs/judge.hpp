@@ -12,11 +12,12 @@
 
 namespace plate {
 
-// MAX_MISFIT: maximum misfit of a part, which is its deviation from its silhouette at the contour.
-// Drawn parts have misfits of 0.02 to 0.05. Parts with a height that is not in the rig file have up
-// to 0.2. NOISE_MISFIT times the ratio of the image's noise to the part's contrast is added to the
-// maximum. This term allows for the random part of the noise: the misfit is computed without the
-// expected noise, but the actual noise of the 50 pixels at a contour differs from it.
+// MAX_MISFIT is the maximum misfit of a part. The misfit is the part's deviation from its
+// silhouette at the contour. Drawn parts have misfits of 0.02 to 0.05. Parts with a height that is
+// not in the rig file have up to 0.2. NOISE_MISFIT times the ratio of the image's noise to the
+// part's contrast is added to the maximum. This term allows for the random part of the noise: the
+// misfit is computed without the expected noise, but the actual noise of the 50 pixels at a contour
+// differs from it.
 constexpr double MAX_MISFIT = 0.2, NOISE_MISFIT = 0.5;
 
 // Maximum noise in the calculation of the maximum misfit, relative to the plate's brightness. If

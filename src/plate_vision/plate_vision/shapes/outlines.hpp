@@ -21,8 +21,8 @@ namespace plate {
 // 12th and 16th.
 constexpr int HARMONICS = 17;
 
-// REACH_PX: range on both sides of a patch's contour in which the exact edge is searched [px].
-// STEPS: number of samples in this range.
+// REACH_PX is the range on both sides of a patch's contour in which the exact edge is searched
+// [px]. STEPS is the number of samples in this range.
 constexpr double REACH_PX = 2.5;
 constexpr int STEPS = 11;
 
@@ -58,9 +58,9 @@ struct Complex {
     void operator+=(const Complex& more) { real += more.real, imag += more.imag; }
 };
 
-// Compute the similarity of each pixel (h, w, c) to the patch, and write it to `field` (h, w). It
-// is 1 for the patch's median colour and 0 for the surround's. Write the patch's median colour to
-// `colour` (c,).
+// Compute the similarity of each pixel (h, w, c) to the patch, and write it to `field` (h, w). The
+// similarity is 1 for the median colour of the patch and 0 for the median colour of its surround.
+// Write the patch's median colour to `colour` (c,).
 //
 // `mask`, `inner` and `around` (h + 2, w + 2) have a frame of one pixel. `mask` is 1 in the patch,
 // `inner` in the area that certainly belongs to it, and `around` in the area that may belong to it.
@@ -288,9 +288,10 @@ struct Nearest {
     }
 };
 
-// Compute the signed distances of points from edges (e, 5). A distance is positive outside. Also
-// compute the gradients of the distances, which are unit vectors. An edge with negative length is a
-// circle around its start. Its radius is the absolute value of the length.
+// Compute the signed distances of points from edges (e, 5). The distance of a point outside the
+// outline is positive. Also compute the gradients of the distances, which are unit vectors. An edge
+// with negative length is a circle around the edge's start. The radius of the circle is the
+// absolute value of the length.
 PLATE_WIDE inline void edge_distances(View<const double, 2> edges, Places& places) {
     for (int first = 0; first < places.padded(); first += POINTS) {
         const double *__restrict x = &places.x[first], *__restrict y = &places.y[first];

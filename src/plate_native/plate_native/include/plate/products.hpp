@@ -66,8 +66,8 @@ template <class Number>
     }
 }
 
-// result (high, wide) = a' b, the sum over k of a[k] b[k]'. The rows of each matrix are `.._row`
-// numbers apart.
+// result (high, wide) = a' b, the sum over k of a[k] b[k]'. `a_row`, `b_row` and `result_row` are
+// the distances between consecutive rows of the matrices [numbers].
 PLATE_WIDE inline void product(const double* a, int a_row, const double* b, int b_row, int terms, int high, int wide,
                                double* result, int result_row) {
     product_of(a, a_row, b, b_row, terms, high, wide, result, result_row);
