@@ -212,8 +212,8 @@ def test_tables_of_documents_are_of_their_measurements(tmp_path):
     assert re.search(r"before\n<!-- measured: rigs by_rig -->\n\| rig *\| runs *\|\n", text)
     assert re.search(r"\| desk *\| 3 *\|", text)
     assert "old" not in text
-    note = "`make bench ARGS=rigs` repeats the measurement (7 s, commit abc, load 0.5).*"
-    assert note in text
+    note = "*Three seeds. `make bench ARGS=rigs` repeats the measurement"
+    assert f"{note} (7 s, commit abc, load 0.5).*" in text
     assert "- all well\n" in text
     assert text.endswith("<!-- measured: sim a -->x<!-- end -->")
     fill_documents(data, facts, tmp_path)  # where all are of one commit docs/results.md names it
