@@ -5,6 +5,7 @@ import re
 import subprocess
 import sys
 from functools import cache
+from graphlib import TopologicalSorter
 from pathlib import Path
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -241,6 +242,26 @@ def test_others_import_only_public_names():
         and not is_public(name)
     ]
     assert not offenders, "not in `__all__`:\n" + "\n".join(offenders)
+
+
+def test_no_modules_import_each_other_in_a_circle():
+    """Imports for annotations count too: a reader follows them like all others."""
+    paths = [path for package in PACKAGES for path in sources(package)]
+    modules = {}
+    for path in paths:
+        parts = path.relative_to(ROOT / "src").with_suffix("").parts[1:]
+        modules[".".join(parts[: -1 if path.stem == "__init__" else None])] = path
+    graph = {}
+    for name, path in modules.items():
+        longest = (
+            ".".join(words[:n])
+            for words in (each.split(".") for each in imports(path))
+            for n in range(len(words), 0, -1)
+            if ".".join(words[:n]) in modules
+        )
+        graph[name] = {each for each in longest if not name.startswith(f"{each}.")} - {name}
+    order = list(TopologicalSorter(graph).static_order())  # or a CycleError that names the circle
+    assert order.index("plate_core.rig.sections") < order.index("plate_core.rig.rig")
 
 
 def test_guards_do_not_trust_the_timeline():

@@ -1,0 +1,72 @@
+"""Two publishers of one topic are noticed by the numbers of what they send."""
+
+import itertools
+
+import pytest
+
+from plate_core.turns import Turns
+
+
+def heard(numbers, period=0.1):
+    turns = Turns()
+    for k, number in enumerate(numbers):
+        turns.came(number, k * period)
+    return turns.several(period * len(numbers))
+
+
+@pytest.mark.parametrize("ahead", [-40, -1, 0, 1, 40])
+def test_two_that_take_turns(ahead):
+    pairs = ((50 + k, 50 + k + ahead) for k in range(8))
+    assert heard([*itertools.chain.from_iterable(pairs)])
+
+
+@pytest.mark.parametrize("period", [0.1, 0.5])
+def test_one_that_is_much_slower(period):
+    assert heard([k if k % 3 else 900 + k // 3 for k in range(1, 12)], period) is (period == 0.1)
+
+
+@pytest.mark.parametrize(
+    "numbers",
+    [
+        range(100),
+        [*range(50), *range(50)],  # it was started again
+        [*range(5), *range(5), *range(50)],  # twice
+        [k * k for k in range(20)],  # some were lost
+        [None] * 20,  # the middleware has none
+    ],
+)
+def test_one_alone(numbers):
+    assert not heard(list(numbers))
+
+
+def test_it_is_over_once_one_has_ended():
+    turns = Turns()
+    for k in range(10):
+        turns.came(k // 2, 0.1 * k)
+    assert turns.several(1.0)
+    for k in range(40):
+        turns.came(5 + k, 1.0 + 0.1 * k)
+    assert not turns.several(5.0)
+
+
+def follows(*came):
+    """Whether each of the messages follows, given by number and time."""
+    turns = Turns()
+    return [turns.came(number, at) for number, at in came]
+
+
+def test_what_a_stranger_sends_in_between_does_not_follow():
+    ours = (7, 0.0), (8, 0.5), (10, 1.5), (11, 1.6)
+    assert follows(*ours) == [True] * 4
+    strangers = (1, 0.6), (2, 0.6), (3, 0.6), (500, 0.7), (501, 0.7)
+    assert follows(*ours[:2], *strangers, *ours[2:]) == [True] * 2 + [False] * 5 + [True] * 2
+
+
+def test_another_publisher_takes_the_place_of_one_that_is_silent():
+    assert follows((7, 0.0), (8, 0.5), (1, 1.4), (2, 1.9), (3, 2.4)) == [
+        True,
+        True,
+        False,
+        True,
+        True,
+    ]

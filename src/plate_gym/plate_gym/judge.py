@@ -1,0 +1,330 @@
+"""Evaluation of tasks by the true positions of the parts."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from plate_bringup.production import ASKS, FeederCell, Production
+from plate_core import Parts, PlateCycle, PlateError, Rig, part_class
+from plate_core.tasks import AssembleTask, FeedTask, FollowTask, PoseTask, SortTask, Task
+from plate_planner.tasks import (
+    SIGHT_M,
+    SIGHT_RAD,
+    Assembler,
+    Feeder,
+    FeedMemory,
+    Follower,
+    FollowMemory,
+    PoseMemory,
+    Poser,
+    Situation,
+    Sorter,
+)
+from plate_sim.world import Simulation, WorldState
+
+from .tasks import FEED_S
+
+__all__ = ["Judge", "Memory"]
+
+START_S = 0.2
+"""Time at which the references leave the starts of their paths [s]. At this time the reply to the
+second image takes effect."""
+
+AHEAD_S = 0.1
+"""Look-ahead of the second reference point [s]. The first point is the reference at the start of
+the next cycle."""
+
+ROUNDING_S = 1e-6
+"""Tolerance for rounding errors in sums of periods [s]."""
+
+ROBOT_S = 2.0
+"""Cycle time of the robot that receives the parts [s]."""
+
+MAX_PICKS = 1 + int(FEED_S / ROBOT_S - (1 - ASKS))
+"""Maximum number of parts that the robot can take in a feed task. The robot requests the first part
+at the beginning of the task."""
+
+ENOUGH = 0.9
+"""Minimum fraction of `MAX_PICKS` that the robot must pick for success."""
+
+
+@dataclass(frozen=True)
+class Followed:
+    """State of the paths that parts follow.
+
+    Attributes
+    ----------
+    memory : FollowMemory
+        The references on the paths. The references wait for parts that are behind, as in the loop
+        of this project.
+    time : float
+        Time of the last evaluation [s].
+    square_m2 : (M,)
+        Sum of the squared distances of each part from its reference [m2].
+    """
+
+    memory: FollowMemory
+    time: float
+    square_m2: np.ndarray
+
+
+class Feeding:
+    """The surroundings of a plate that feeds a robot: hopper, robot, and the rules of the feeder.
+    The object is mutable: `advance` changes it.
+
+    Attributes
+    ----------
+    ids : (M,) of str
+        Id of the part in each row of observations and actions. Empty if there is no part. A new
+        part takes the first row that was empty before. Otherwise it takes a row that has just
+        become empty.
+    rests : bool
+        Whether the plate rests in the next cycle, because a robot picks or enough parts are ready.
+    made : Production
+        Production so far.
+    time : float
+        Present time [s].
+    """
+
+    def __init__(self, task: FeedTask, rig: Rig) -> None:
+        self._cell = FeederCell(task, rig, ROBOT_S)
+        self._rules, self._memory = Feeder(task, rig), FeedMemory()
+        self.ids = np.full(rows_of(task), "", object)
+
+    def advance(self, world: Simulation, time: float, running: PlateCycle) -> None:
+        """Advance to a time [s] at which a cycle begins. Record the places of the parts, and let
+        the robot act as in `plate_bringup.loop`, but with the true positions."""
+        self.time = time
+        self._cell.act(world, time)
+        if time > 0:
+            order = self._cell.order(self._memory.report, time)
+            self._rules = replace(self._rules, task=replace(self._rules.task, order=order))
+        parts = _parts(world.state.take(world.state.on_plate))
+        tail = 0.0 if running.tail is None else running.tail.period
+        now = _situation(parts, time, running.period, tail)
+        self._memory, found = self._rules.assess(self._memory, now)
+        self.rests = found.request is None
+        self.made = Production.of(self._cell.tally, self._cell.robot, world, self._rules.task)
+        came = [name for name in parts.ids if name not in self.ids]
+        stays = np.isin(self.ids, parts.ids)
+        first = np.argsort(np.where(stays, 2, self.ids != ""), kind="stable")
+        self.ids = np.where(stays, self.ids, "")
+        self.ids[first[: len(came)]] = came
+
+    def agent_info(self) -> dict[str, Any]:
+        """Return the information for an agent: `ids`, `rests`, `order`, `waiting`."""
+        order, waiting = self._rules.task.order, self.made.waiting
+        return {"ids": self.ids, "rests": self.rests, "order": order, "waiting": waiting}
+
+    @property
+    def wanted(self) -> np.ndarray:
+        """Return a number for each row (M, 1): 1 for a part that must be picked, -1 for a part that
+        must be discharged, 0 for an empty row."""
+        labels = [pick.label for pick in self._rules.task.picks]
+        kinds = [(part_class(name) in labels) - 0.5 if name else 0.0 for name in self.ids]
+        return np.sign(kinds)[:, None]
+
+
+def rows_of(task: FeedTask) -> int:
+    """Return the maximum number of parts."""
+    if task.hopper is None:
+        raise PlateError("a task of kind feed requires a hopper")
+    return task.hopper.fill
+
+
+Memory = PoseMemory | Followed | Feeding | None
+"""State of a task: the assignment of parts to poses or paths, or the surroundings in a feed
+task."""
+
+
+class Score(NamedTuple):
+    """State of a task on each of N plates with M parts.
+
+    Attributes
+    ----------
+    error_m : (N, M)
+        Distance of each part from its target [m]. For paths, it is the root mean square distance
+        from its reference so far.
+    turn_error : (N, M)
+        Error of the angle of each part [rad]. 0 without a target angle.
+    there : (N, M)
+        Whether each part fulfils the task. For feeding, (N, 1): number of picked parts.
+    to_go : (N,)
+        Remaining distance [m], summed over the parts. A rotation counts as the distance that the
+        contour moves. For paths, it is the remaining length of the reference that has the longest
+        one. For feeding, it is the number of parts that could have been picked and were not.
+    met : (N,) bool
+        Whether the task is fulfilled.
+    failed : (N,) bool
+        Whether a part is farther from its path than allowed.
+    """
+
+    error_m: np.ndarray
+    turn_error: np.ndarray
+    there: np.ndarray
+    to_go: np.ndarray
+    met: np.ndarray
+    failed: np.ndarray
+
+
+class Judge:
+    """Evaluates one task in the same way as the planner's supervision, but with the true positions.
+
+    The errors of the camera, `SIGHT_M` and `SIGHT_RAD`, are added to the tolerances.
+
+    Attributes
+    ----------
+    hold_s : float
+        Time for which all parts must be in place until the task is done [s].
+    follows, feeds : bool
+        Whether parts follow paths. Whether parts are fed to a robot.
+
+    Raises
+    ------
+    PlateError
+        If the task is not of the kinds sort, assemble, pose, follow and feed.
+    """
+
+    def __init__(self, task: Task, rig: Rig) -> None:
+        self._rig = rig
+        self._rules: Sorter | Assembler | Poser | Follower | Feeder
+        if isinstance(task, SortTask):
+            self._rules = Sorter(task, rig)
+        elif isinstance(task, AssembleTask):
+            self._rules = Assembler(task, rig)
+        elif isinstance(task, PoseTask):
+            self._rules = Poser(task, rig)
+        elif isinstance(task, FollowTask):
+            self._rules = Follower(task, rig)
+        elif isinstance(task, FeedTask):
+            self._rules = Feeder(task, rig)
+        else:
+            kind = type(task).__name__
+            raise PlateError(
+                f"task is a {kind}, allowed: SortTask, AssembleTask, PoseTask, FollowTask, FeedTask"
+            )
+        self.follows, self.feeds = isinstance(task, FollowTask), isinstance(task, FeedTask)
+        self.hold_s = 0.0 if self.feeds else self._rules.hold_s
+
+    def begin(self, world: Simulation, running: PlateCycle) -> Memory:
+        """Return the state of a task that begins while a cycle runs."""
+        parts = _parts(world.state)
+        if isinstance(self._rules, Poser):
+            return self._rules.begin(parts)
+        if isinstance(self._rules, Follower):
+            none = np.zeros(len(parts))
+            memory = Followed(self._rules.begin(parts, START_S), 0.0, none)
+            return self.update(memory, world, 0.0, running)
+        if isinstance(self._rules, Feeder):
+            return self.update(Feeding(self._rules.task, self._rig), world, 0.0, running)
+        return None
+
+    def update(self, memory: Memory, world: Simulation, time: float, running: PlateCycle) -> Memory:
+        """Record the places of the parts at a time [s] at which a cycle begins. The references
+        advance slowly if parts are behind."""
+        if isinstance(memory, Feeding):
+            memory.advance(world, time, running)
+        if not isinstance(memory, Followed) or not isinstance(self._rules, Follower):
+            return memory
+        parts = _parts(world.state)
+        follow = self._rules.measure(memory.memory, _situation(parts, time, running.period))
+        error = self._rules.errors(follow, parts, time)
+        return Followed(follow, time, memory.square_m2 + error**2)
+
+    def agent_info(self, memory: Memory) -> dict[str, Any]:
+        """Return the information for an agent. The information contains `path_s` and `pace` for
+        paths, and `Feeding.agent_info` for feeding."""
+        if isinstance(memory, Feeding):
+            return memory.agent_info()
+        if not isinstance(memory, Followed):
+            return {}
+        follow = memory.memory
+        return {"path_s": np.array(follow.progress), "pace": np.array(follow.scaling)}
+
+    def references(self, memory: Memory, ids: tuple[str, ...]) -> np.ndarray:
+        """Return the references (M, 4) [m, plate_home]: x and y at the start of the next cycle, and
+        at `AHEAD_S` later. For feeding, return `Feeding.wanted`. Otherwise return (M, 0)."""
+        if isinstance(memory, Feeding):
+            return memory.wanted
+        if not isinstance(memory, Followed) or not isinstance(self._rules, Follower):
+            return np.zeros((len(ids), 0))
+        follow = memory.memory
+        times = follow.anchor, follow.anchor + AHEAD_S
+        places = np.hstack([self._rules.reference(follow, t) for t in times])
+        return places[[follow.match.index(name) for name in ids]]
+
+    def score(self, memories: list[Memory], states: list[WorldState]) -> Score:
+        """Evaluate the parts of N plates. `memories` are the results of `begin` and `update`."""
+        rules, names = self._rules, states[0].ids
+        if isinstance(rules, Follower):
+            return _followed(rules, memories, states)
+        if isinstance(rules, Feeder):
+            return _fed(rules, memories)
+        shape = len(states), len(names)
+        error, turn = np.zeros(shape), np.zeros(shape)
+        near_m, near_rad = SIGHT_M, np.inf
+        if isinstance(rules, Sorter):  # evaluate all plates at once
+            place = np.concatenate([state.position for state in states])
+            to_go = rules.to_go(Parts.make(names * len(states), place))
+            error = np.where(np.isnan(to_go), 0.0, to_go).reshape(shape)
+        else:
+            near_m += rules.task.tolerance_m
+            for row, (memory, state) in enumerate(zip(memories, states, strict=True)):
+                if isinstance(rules, Assembler):
+                    error[row] = np.nan_to_num(rules.distance(_parts(state)))
+                elif isinstance(memory, PoseMemory):
+                    error[row], turn[row] = rules.errors(memory, _parts(state))
+            if isinstance(rules, Poser):
+                near_rad = SIGHT_RAD + rules.task.tolerance_rad
+        turn = np.abs(turn)
+        labels = [part_class(name) for name in names]
+        reaches = {label: self._rig.part_type(label).reach_m for label in set(labels)}
+        reach = np.array([reaches[label] for label in labels])
+        there = (error <= near_m) & (turn <= near_rad)
+        to_go, never = np.sum(error + reach * turn, axis=1), np.zeros(len(states), bool)
+        return Score(error, turn, there, to_go, np.all(there, axis=1), never)
+
+
+def _followed(rules: Follower, memories: list[Memory], states: list[WorldState]) -> Score:
+    """Evaluate paths on N plates."""
+    shape = len(states), len(states[0].ids)
+    rms, now = np.zeros(shape), np.zeros(shape)
+    to_go, at_end = np.zeros(len(states)), np.zeros(len(states), bool)
+    for row, (memory, state) in enumerate(zip(memories, states, strict=True)):
+        assert isinstance(memory, Followed)
+        follow, time = memory.memory, memory.time
+        rms[row] = np.sqrt(memory.square_m2 * len(follow.match) / follow.samples)
+        now[row] = rules.errors(follow, _parts(state), time)
+        to_go[row], at_end[row] = rules.to_go(follow, time), rules.finished(follow, time)
+    there = now <= rules.task.max_error_m + SIGHT_M
+    kept = np.all(there, axis=1)
+    return Score(rms, np.zeros(shape), there, to_go, at_end & kept, ~kept)
+
+
+def _fed(rules: Feeder, memories: list[Memory]) -> Score:
+    """Evaluate feeding on N plates."""
+    none = np.zeros((len(memories), rows_of(rules.task)))
+    never = np.zeros(len(memories), bool)
+    fed = [memory for memory in memories if isinstance(memory, Feeding)]
+    picks = np.array([each.made.picks for each in fed])
+    over = np.array([each.time >= FEED_S - ROUNDING_S for each in fed])
+    enough = picks >= ENOUGH * MAX_PICKS
+    return Score(none, none, picks[:, None], MAX_PICKS - picks, over & enough, never)
+
+
+def _situation(parts: Parts, time: float, period: float, tail: float = 0.0) -> Situation:
+    """Return the input of the planner's rules. The input contains the parts at a time [s] at which
+    a cycle begins. The cycle lasts for a period. If the plate then stops, it rests after a tail of
+    further `tail` [s]."""
+    return Situation(
+        parts=parts, stamp=time, start=time + period, rests=time + period + tail, period=period,
+        motion_known=True, latency_known=True, predicted=parts.position,
+        shortfall=np.zeros(len(parts)), active=True, seen=parts, taken=time,
+    )  # fmt: skip
+
+
+def _parts(state: WorldState) -> Parts:
+    return Parts.make(state.ids, state.position, angle=state.angle)
