@@ -30,8 +30,9 @@ SIMULATED = (
     ("body", "case", "1 {} that slides and rotates, 0.2 s", "error of centre or edge [mm]",
      "error_mm", None, "-"),
 )  # fmt: skip
-"""Case, column that distinguishes its panels, their title, label, column, minimum number, and
-line."""
+"""Groups of panels: case, column whose values select the panels, title of a panel, label of the
+vertical axis, column of the drawn numbers, minimum drawn number (None: no minimum), and line
+style."""
 
 
 def sim_rows(data: Data) -> Sheet:

@@ -18,8 +18,8 @@ from plate_solver.sinusoids import SinusoidFamily, sinusoid_basis
 from stages.scenes import targets
 
 HARMONICS = {1: 2, 2: 2, 3: 3, 4: 4}
-"""Number of harmonics N, by number of parts M: the minimum with more parameters than forces, as
-`SinusoidSolver` chooses."""
+"""Number of harmonics N for each number of parts M. It is the minimum number with which there are
+more parameters than forces. `SinusoidSolver` chooses it too."""
 
 PERIOD_PER_HARMONIC = 0.025
 """Period per harmonic [s]. Averaged forces do not depend on it."""

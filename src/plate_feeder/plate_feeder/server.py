@@ -51,7 +51,7 @@ ANSWER_S = 5.0
 
 PAUSE_S = 0.01
 """Pause between two commands of a client [s]. The pause prevents continuous commands from occupying
-the graph's thread."""
+the thread of the ROS node."""
 
 KEEPALIVE = {socket.TCP_KEEPIDLE: 30, socket.TCP_KEEPINTVL: 10, socket.TCP_KEEPCNT: 3}
 """TCP keepalive. Keepalive disconnects a robot within a minute after the robot was switched off or

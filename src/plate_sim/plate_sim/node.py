@@ -59,10 +59,12 @@ REPEAT_PERIOD_S = 1.0
 image and the start of its cycle again [s, wall]."""
 
 MIN_NS = 20_000_000
-"""Minimum length of a segment of the device's motion for which an image is taken [ns]."""
+"""Minimum time between two images during the device's motion [ns]. An image that would follow the
+last one sooner is omitted."""
 
 GAP_NS = 1_000_000
-"""Maximum gap between two consecutive segments of the device's motion [ns]."""
+"""Tolerance of times of the device's motion [ns]: maximum gap between two consecutive segments, and
+between the end of a segment and the trigger pulse for its image."""
 
 MAX_CLOCK_ERROR_NS = 50_000_000
 """Maximum difference between the stamps and the system's clock in real time [ns]."""

@@ -1,4 +1,4 @@
-"""Queue of commands between the server's thread and the graph's thread."""
+"""Queue of commands from the server's thread to the thread of the ROS node."""
 
 from __future__ import annotations
 

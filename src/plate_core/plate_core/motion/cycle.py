@@ -144,8 +144,8 @@ class PlateCycle:
         Parameters
         ----------
         times : (k + 1,)
-            Increasing knot times [s], starting at 0. One time can occur twice: there the cycle
-            ends, and its tail begins.
+            Increasing knot times [s], starting at 0. One time can occur twice. At this time the
+            cycle ends and its tail begins.
         pose, twist, accel : (k + 1, 3)
             State of the plate at the knots.
 

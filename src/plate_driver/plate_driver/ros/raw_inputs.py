@@ -22,7 +22,7 @@ CLOSE_S = 0.05
 """Maximum time until the thread that waits for cycles ends after `close` [s]."""
 
 BUSY_S = 0.002
-"""If too many cycles wait: time between two checks whether the executor has processed a cycle
+"""Time between two checks whether the executor has processed a cycle, while too many cycles wait
 [s]."""
 
 MAX_WAITING = 5

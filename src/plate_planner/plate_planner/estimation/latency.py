@@ -44,8 +44,9 @@ BETTER = 4.0
 than this value. The value is smaller than `CLEAR`, so that a wrong latency is soon replaced."""
 
 SOON_IMAGES = 4
-"""With images at cycle starts: number of images after which a difference larger than `BETTER` is
-required to accept another latency."""
+"""Number of images up to which a difference of `BETTER` is sufficient to accept another latency, if
+images are taken at cycle starts. With more images, the required difference increases in proportion
+to their number."""
 
 MISFIT = 6.0
 """Maximum mean square of the normalised innovations. The expected value is 1. Above the maximum,

@@ -49,10 +49,10 @@ result for the image that is taken at the start of the tail."""
 
 END_UNITS = np.array([TAIL_S / 1.875, 1.0, 5.0625 / TAIL_S])
 """Units of the final state in a search: pose [m], velocity [m/s], acceleration [m/s2]. The units
-determine only the relative size of the steps of the search. A quintic from rest to one unit of pose
-has the maximum speed 1 m/s (15/8 pose/TAIL_S), to one unit of velocity 1 m/s, and to one unit of
-acceleration 0.34 m/s (0.068 acceleration TAIL_S). The maximum accelerations of these quintics are
-3.1, 3.9 and 5.1 m/s divided by TAIL_S."""
+determine only the relative size of the steps of the search. The maximum speed of a quintic from
+rest to one unit of pose is 1 m/s (15/8 pose/TAIL_S). For one unit of velocity it is 1 m/s, and for
+one unit of acceleration 0.34 m/s (0.068 acceleration TAIL_S). The maximum accelerations of these
+three quintics are 3.1, 3.9 and 5.1 m/s divided by TAIL_S."""
 
 CHECKS_PER_HARMONIC = 8
 """Number of instants per period of the highest harmonic at which the limits are checked."""

@@ -29,8 +29,8 @@ ENCODINGS = {
     "BayerRG8": ("bayer_rggb8", 0), "BayerBG8": ("bayer_bggr8", 0),
     "BayerGB8": ("bayer_gbrg8", 0), "BayerGR8": ("bayer_grbg8", 0),
 }  # fmt: skip
-"""For each pixel format: its encoding in sensor_msgs/Image, and the number of unused upper bits of
-16-bit values."""
+"""Encoding of each pixel format in sensor_msgs/Image, and number of unused upper bits of its 16-bit
+values."""
 
 FETCH_S = 0.5
 """Maximum time to wait for an image before `stop` is checked again [s]."""

@@ -50,8 +50,8 @@ AUTO = "auto"
 """Value of the parameter `format` with which the node chooses the format."""
 
 CLOCK_READS, CLOCKS_APART_NS = 5, 100_000
-"""`CLOCK_READS`: maximum number of attempts to read the steady clock and the node's clock at the
-same time. `CLOCKS_APART_NS`: maximum duration of an attempt without a further attempt [ns]."""
+"""`CLOCK_READS` is the maximum number of attempts to read the steady clock and the node's clock at
+the same time. If an attempt takes less than `CLOCKS_APART_NS` [ns], there is no further attempt."""
 
 
 @dataclass(frozen=True)

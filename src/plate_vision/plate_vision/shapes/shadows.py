@@ -31,8 +31,8 @@ ALIGNED = 0.8
 count as being on the same side."""
 
 DEPTHS = 0.4
-"""Maximum difference between the deviation of a shadow from the background and the median deviation
-of all shadows in the image, relative to this median."""
+"""Maximum difference of a shadow's depth from the median depth of all shadows in the image,
+relative to this median. The depth of a shadow is its deviation from the background."""
 
 SHARP_PERCENT = 25
 """Percentile of the edge widths of all patches. It is used as the width of sharp edges."""
