@@ -29,7 +29,7 @@ from plate_planner import Planner
 from tasks.runs import summed
 
 MAX_RUNS = 100_000
-"""Maximum number of runs per call. They would take weeks."""
+"""Maximum number of runs per call. This number of runs would take weeks."""
 
 
 @piped()

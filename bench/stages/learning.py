@@ -38,11 +38,12 @@ TRUST = 0.3
 """Weight of an experiment after the calibration."""
 
 MAX_EXPERIMENTS = 10
-"""Number of iterations: the three experiments of the calibration, then further experiments."""
+"""Number of experiments: the three of the calibration, then further ones. The response is evaluated
+before the first experiment and after each experiment."""
 
 
 def measure(quick: bool) -> Result:
-    """Learn the response, and evaluate it after each iteration."""
+    """Learn the response, and evaluate it before the first experiment and after each experiment."""
     rig = load_rig()
     rows = iterations(rig, 3 if quick else CYCLES)
     facts = {"hz": HZ, "damping": 100 * DAMPING, "mismatch": 100 * MISMATCH, "noise": NOISE}

@@ -39,8 +39,9 @@ UNEVEN = 0.1
 """Relative standard deviation of the parts' friction."""
 
 STILL = 0.5e-3
-"""If the parts approach their targets more slowly than this, the rehearsal counts as failed
-[m/s]."""
+"""Minimum mean speed at which the parts approach their targets [m/s]. If the task is not done at
+the end of a rehearsal, and the parts were not faster in the second half of it, the rehearsal counts
+as failed."""
 
 REHEARSED = SortTask, FollowTask, AssembleTask
 """Kinds of tasks in which parts can be modelled as points."""

@@ -99,7 +99,7 @@ def test_what_is_hardly_meant_is_a_warning(spoilt, keys, value, words):
 def test_corners_in_another_order_are_recognised(spoilt):
     corners = yaml.safe_load(config_path("rig.yaml").read_text(encoding="utf-8"))["camera"]
     turned = corners["corners_px"][1:] + corners["corners_px"][:1]
-    with pytest.raises(RigError, match=r"corners_px .*another order.; .*last pair"):
+    with pytest.raises(RigError, match=r"corners_px .*their order; .*last pair"):
         load_rig(spoilt(("camera", "corners_px"), turned))
 
 

@@ -115,7 +115,7 @@ class CycleStarts:
             return 0.0, f"played for {played:.3g} s, allowed: {period:.3g} s, its period"
         if new.time > now + AHEAD_S:
             ahead = new.time - now
-            return 0.0, f"was reported {ahead:.3g} s in the future, allowed: {AHEAD_S:g} s"
+            return 0.0, f"was reported {ahead:.3g} s in the future, allowed: at most {AHEAD_S:g} s"
         last = self.last
         if last is None or new.device_s < last.device_s:
             return 0.0, ""
@@ -130,7 +130,8 @@ class CycleStarts:
         off = later - round(later / before) * before
         if last.table != new.table:
             if later < before - MARGIN_S:
-                return 0.0, f"began {later:.3g} s after the last table, allowed: {before:.3g} s"
+                least = f"allowed: at least {before:.3g} s"
+                return 0.0, f"began {later:.3g} s after the last table, {least}"
             # The plate rested between the tables, so the delay of this table is unknown.
             if abs(off) > MARGIN_S:
                 return 0.0, ""

@@ -594,7 +594,7 @@ def validate(result: Any) -> None:
         texts = result.get(key, {})
         check_fields(f"result: {key}", texts, dict.fromkeys(texts, str))
         if len(texts) > MAX_NAMES:
-            raise PlateError(f"result: {key} has {len(texts)} names, allowed: {MAX_NAMES}")
+            raise PlateError(f"result: {key} has {len(texts)} names, allowed: at most {MAX_NAMES}")
     if not earlier:
         check_fields("result: limits", result["limits"], dict.fromkeys(asdict(LIMITS), float))
     for key, form in (("agent", r"[\w.]+(:\w+)?"), ("commit", r"[\w.-]*")):

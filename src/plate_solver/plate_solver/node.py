@@ -39,7 +39,9 @@ from .controller import METHODS, Answer, Controller
 from .library import Library, condition_number
 
 RESTART_NS = 1_000_000_000
-"""Minimum decrease of the stamp that counts as a restart of the camera or the simulator [ns]."""
+"""Minimum decrease of the stamp that counts as a restart of the camera or the simulator [ns]. It is
+also the minimum difference between a stamp and this node's clock with which the stamp counts as one
+of another clock."""
 
 MAX_S = 1.0
 """Maximum duration of a search in real time, even if the cycle begins later [s]."""

@@ -159,7 +159,7 @@ class Socket(tornado.websocket.WebSocketHandler):
         assert self.role is not None
         try:
             if len(text) > MAX_MESSAGE:
-                raise CommandError(f"message has {len(text)} bytes, allowed: {MAX_MESSAGE}")
+                raise CommandError(f"message has {len(text)} bytes, allowed: at most {MAX_MESSAGE}")
             command = read_command(text, self.role)
         except CommandError as error:
             within = self._spend()

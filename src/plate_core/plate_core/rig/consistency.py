@@ -384,7 +384,7 @@ def _shape(rig: Rig, corners: np.ndarray) -> Doubt | None:
             "camera",
             f"camera: corners_px show a plate with a side ratio of {ratio:.3g}, but the plate has "
             f"{length:g} x {width:g} m: {100 * misfit:.0f} % error, allowed: up to "
-            f"{100 * WORST_FIT:g} %; are they of another plate, or in another order?{hint}",
+            f"{100 * WORST_FIT:g} %; check that they belong to this plate, and their order{hint}",
             misfit > WORST_FIT,
         )
     if np.degrees(tilt) > STEEP_DEG:

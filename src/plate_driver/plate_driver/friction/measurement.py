@@ -327,8 +327,8 @@ class FrictionMeasurement:
         most = max_accel(rig, slow)
         if first.accel > most:
             raise PlateError(
-                f"friction: the rig's limits allow pushes of {most:.2g} m/s2, allowed: "
-                f"{first.accel:.2g} m/s2 or more"
+                f"friction: the rig's limits allow pushes of up to {most:.2g} m/s2, required: "
+                f"{first.accel:.2g} m/s2"
             )
         return cls(rig, most, Stage.SEARCH, (first,), rest, slow=slow, notes=notes)
 
@@ -461,7 +461,7 @@ class FrictionMeasurement:
         if not kept:
             raise PlateError(
                 f"friction: mu is about {typical:.2f}, but the rig's limits allow only pushes of "
-                f"{accel:.1f} m/s2, allowed: {MIN_ABOVE * typical * gravity:.1f} m/s2 or more"
+                f"up to {accel:.1f} m/s2, required: {MIN_ABOVE * typical * gravity:.1f} m/s2"
             )
         notes = tuple(
             f"mu of {name} is about {self.guess[name]:.2f}, others' about {typical:.2f}: excluded, "

@@ -19,8 +19,8 @@ from plate_core.motion import in_time, next_cycle
 from plate_core.status import MAX_AGE_S
 
 SNAP = 0.25
-"""Maximum difference between an image's stamp and the expected end of a cycle, as a fraction of the
-cycle."""
+"""Maximum difference between a time (a stamp, a reported start, or the image of a request) and the
+start or end of a cycle that counts as equal, as a fraction of the cycle."""
 
 MEMORY_S = 1.5
 """Time for which executed cycles are kept [s]. This time is longer than the maximum image latency

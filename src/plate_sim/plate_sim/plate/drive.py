@@ -103,7 +103,7 @@ class Plant:
         if np.min(np.abs(rates)) < HELD * fastest:
             raise PlateError(
                 f"suspension: stiffness {suspension.stiffness} and servo {suspension.servo} leave "
-                "the plate free to drift, allowed: one of them holds it in x, y and theta"
+                "the plate free to drift, required: one of them holds it in x, y and theta"
             )
         if np.max(rates.real) > HELD * fastest:
             raise PlateError(

@@ -465,7 +465,8 @@ def _fit_opencv(
         )  # fmt: skip
     except cv2.error as error:
         raise CalibrationError(
-            f"no lens fits the corners ({error.err}), allowed: boards seen from different sides"
+            f"no lens fits the corners ({error.err}); take pictures of the board from different "
+            "sides"
         ) from None
     bend = np.ravel(bend)[:count]
     errors = []
@@ -520,7 +521,7 @@ def _fit_equidistant(
             starts.append((float(residual @ residual), start))
     if not starts:
         raise CalibrationError(
-            "no equidistant lens fits the corners, allowed: boards seen from different sides"
+            "no equidistant lens fits the corners; take pictures of the board from different sides"
         )
     first = min(starts, key=lambda one: one[0])[1]
     found = least_squares(

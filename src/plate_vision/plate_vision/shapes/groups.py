@@ -48,8 +48,8 @@ from .patch import Patch
 from .shadows import Lamp
 
 NEAR_PX: float = _kernels.NEAR_PX
-"""Maximum distance between the contours of a group and of a part [px]. Below this distance, the two
-contours count as the same."""
+"""Maximum distance of a part's contour point from the group's contour at which the point counts as
+on this contour [px]."""
 
 OUTSIDE_PX: float = _kernels.OUTSIDE_PX
 """Maximum distance of a part's point from the group [px]. Points at smaller distances count as
