@@ -165,7 +165,7 @@ SUSPENSION = Section(
             (1.0, 1.0, 1.0, 1.0),
         ),
         Key(
-            "motor_bandwidth_hz", Number(1, 1e4), "Corner frequency of the motors' lag.",
+            "motor_bandwidth_hz", Number(1, 1e4), "Corner frequency of the motor forces (first order).",
             float("inf"), "no lag",
         ),
         Key(

@@ -122,8 +122,8 @@ SORT = Section(
         ),
         Key(
             "goal_fraction", Number(0, 0.8), "Distance of sides and corners from the middle "
-            "of the plate: a fraction of the half length for left and right, of the half width "
-            "for bottom and top, of both for corners.",
+            "of the plate. It is a fraction of the half length (left and right), of the half "
+            "width (bottom and top), or of both (corners).",
             None, "not needed if all regions are polygons",
         ),
         HOLD,
@@ -188,7 +188,7 @@ CIRCLE = Section(
         Key("centre_m", PLACE, "Centre [x, y]."),
         Key("radius_m", Number(1e-4, FAR_M), "Radius."),
         Key(
-            "start_deg", Number(-360, 360), "Start of the path, counter-clockwise from x.", 0.0,
+            "start_deg", Number(-360, 360), "Angle of the start, counter-clockwise from x.", 0.0,
         ),
         Key("turn", Choice(("left", "right")), "left: counter-clockwise; right: clockwise."),
     ),
