@@ -117,7 +117,8 @@ MAP = StabilityMap(
     x_label="parts",
     y_label="shaking ratio Γ = a_max/(mu g) [-]",
     z_label="force error divided by requested force [-]",
-    line_label="first order in 1/Γ, for the velocity that parts gain within a cycle",
+    line_label="the error that follows from the velocity gained by parts within a cycle, to first "
+    f"order in 1/Γ, is {LEVEL:g}",
     level=LEVEL,
     measure=measure,
     bounds=(0.0, 1.5),

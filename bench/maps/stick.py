@@ -99,7 +99,7 @@ MAP = StabilityMap(
     x_label="request: average force on a part at rest [mu mg]",
     y_label="shaking ratio Γ = a_max/(mu g) [-]",
     z_label="fraction of a cycle at rest [-]",
-    line_label="limit above which a part never rests",
+    line_label="shaking ratio above which a part never rests",
     level=LEVEL,
     measure=measure,
     bounds=(0.0, 1.0),

@@ -50,7 +50,7 @@ def tracking(rows: list[Row]) -> Drawn:
         panels,
         f"Maximum speed [mm/s]: {most}. The bound aT/16 is {min(column(rows, 'bound_mm_s')):.0f} "
         f"to {max(column(rows, 'bound_mm_s')):.0f}.",
-        "Method B, never slower than Method A in the same case."
+        "Method B, because it is never slower than Method A in the same case."
         if leads
         else "Method B. The last panel shows where Method A is faster.",
     )

@@ -100,7 +100,7 @@ def demos(folder: Path) -> str:
         "## Demos\n",
         "Each film is one run of the real graph by `make demo SCENARIO=NAME ARGS=--lockstep`, "
         "unless another command is given; `python tools/demos.py` makes all films. Arrows show the "
-        "mean friction force of the running cycle. A click on a film opens a picture strip.\n",
+        "mean friction force of the running cycle.\n",
     ]
     for name, run in runs.items():
         text = run["description"]

@@ -122,7 +122,7 @@ FIDUCIALS = Section(
     "Markers that define plate_home in the image; `corners_px` can then be inaccurate.",
     (
         Key("dictionary", Choice(DICTIONARIES), "OpenCV's name of a set of ArUco markers."),
-        Key("side_m", Number(0.001, 1), "Side of the black square."),
+        Key("side_m", Number(0.001, 1), "Side length of the black square."),
         Key(
             "centre_m", Table("for each of 4 to 16 markers [x, y], as marker_0: [0.1, 0.1]"),
             "Centres of the markers on the plate. Their upper sides point towards +y.",
@@ -165,7 +165,8 @@ SUSPENSION = Section(
             (1.0, 1.0, 1.0, 1.0),
         ),
         Key(
-            "motor_bandwidth_hz", Number(1, 1e4), "Corner frequency of the motor forces (first order).",
+            "motor_bandwidth_hz", Number(1, 1e4), "Corner frequency of the motor forces (first "
+            "order).",
             float("inf"), "no lag",
         ),
         Key(

@@ -309,8 +309,8 @@ HOPPER = Section(
         Key("rate_ps", Number(0.1, 1000), "Number of dropped parts per second."),
         Key("place_m", PLACE, "Centre of the drop area [x, y]."),
         Key("spread_m", Number(0.001, 1), "Radius of the drop area."),
-        Key("mix", Table("for each class a fraction, 1 in all"), "Fractions of the classes; those "
-            "in `picks` are required.", None, "the classes of `picks`, equally"),
+        Key("mix", Table("for each class a fraction, 1 in all"), "Fraction of each class. The "
+            "classes in `picks` are required.", None, "the classes of `picks`, equally"),
     ),
 )  # fmt: skip
 
