@@ -88,7 +88,8 @@ def first_order(rig: Rig, cycle: PlateCycle, position: np.ndarray) -> float:
 
 
 def least_gamma(rig: Rig, cases: list[tuple[PlateCycle, np.ndarray, float]]) -> float:
-    """Return the shaking ratio above which averages hold to the level, by first order (median)."""
+    """Return the median shaking ratio above which the error of the averaged forces is below the
+    level, by a first-order theory."""
     return (
         float(np.median([first_order(rig, c, p) / requested for c, p, requested in cases])) / LEVEL
     )

@@ -112,7 +112,7 @@ class Sheet:
         Raises
         ------
         PlateError
-            If it does not exist, or is empty.
+            If the file does not exist, or is empty.
         """
         if not path.exists():
             raise PlateError(f"not measured, and {path} does not exist")
@@ -149,7 +149,7 @@ def table(data: Data, name: str, key: str) -> Sheet:
     Raises
     ------
     PlateError
-        If it does not exist, because the measurement is from older code.
+        If the table does not exist, because the measurement is from older code.
     """
     found = [t for t in data[name]["tables"] if t["key"] == key] if name in data else []
     if not found:

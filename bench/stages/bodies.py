@@ -56,8 +56,8 @@ def measure(quick: bool) -> Result:
 
 
 def apart(one: np.ndarray, other: np.ndarray) -> float:
-    """Return the distance of the centres or the contour points of two poses (3,) [m, m, rad], the
-    larger one [m]."""
+    """Return the difference of two poses (3,) [m, m, rad] of the disc [m]: the distance of the
+    centres or that of the contour points, whichever is larger."""
     x, y, turn = one - other
     return max(float(np.hypot(x, y)), RADIUS * abs(turn))
 

@@ -40,7 +40,8 @@ SPACING_M = 0.02
 
 
 def measure(quick: bool) -> Result:
-    """Measure error by setting, speed at pymunk's error, colliding discs, and cost."""
+    """Measure the error of each setting, the speed at the error of pymunk, colliding discs, and the
+    cost."""
     tables = [
         Table.of("error", error_rows(quick)),
         Table.of("speed", speed_rows(quick), step=PEER_STEP_MS),
@@ -117,8 +118,8 @@ def settings(scene: Scene, exact: float, quick: bool) -> Iterator[Setting]:
 
 
 def speed_rows(quick: bool) -> list[dict[str, Any]]:
-    """Return rows of the speed at pymunk's error by number of parts, which move in all
-    directions."""
+    """Return rows of the speed at the error of pymunk, for each number of parts. The parts move in
+    all directions."""
     counts, there = (1, 10, 100), optional(PYMUNK)
     return [{"parts": count, "lead": lead(count, quick) if there else None} for count in counts]
 

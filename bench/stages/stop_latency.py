@@ -40,8 +40,8 @@ START_S = 60.0
 
 
 def serve(link: str, ready: Event, done: Event, stops: Any) -> None:
-    """Run the device. For each new Stop on the wire, put the time of the poll that read it, and the
-    time of the poll before [s].
+    """Run the device. For each new Stop on the wire, put two times into `stops`: the time of the
+    poll that read it, and the time of the poll before [s].
 
     If this process gets no CPU time, the frame has arrived earlier than the first of these times.
     """

@@ -135,9 +135,8 @@ def demo(args: argparse.Namespace) -> int:
 def checked(args: argparse.Namespace) -> Plan:
     """Check all arguments before anything is started.
 
-    Raises
-    ------
-    PlateError If one is invalid. The message has the argument, its value and the allowed values.
+    Raises ------ PlateError If an argument is invalid. The message has the argument, its value and
+    the allowed values.
     """
     scenario = load_scenario(args.scenario)
     drives = args.transport in DRIVES
@@ -311,7 +310,7 @@ def own_folder(scenario: str) -> Path:
     Raises
     ------
     PlateError
-        If it cannot be created.
+        If the folder cannot be created.
     """
     stem = f"{LAST}-{time.strftime('%Y-%m-%d-%H%M%S')}_{scenario}"
     path, number = Path(stem), 1
@@ -534,7 +533,7 @@ def clear(out: Path) -> None:
     Raises
     ------
     PlateError
-        If this fails.
+        If the folder or the link cannot be created.
     """
     try:
         (out / "logs").mkdir(parents=True, exist_ok=True)

@@ -404,7 +404,7 @@ class Observer:
         Raises
         ------
         GraphError
-            If it refuses. The message contains the reason.
+            If the driver refuses. The message contains the reason.
         """
         for transition in ("configure", "activate"):
             self.change_state("driver", transition)
@@ -418,7 +418,7 @@ class Observer:
         Raises
         ------
         GraphError
-            If it refuses. The message contains the reason.
+            If the node refuses. The message contains the reason.
         """
         request = ChangeState.Request(transition=Transition(label=transition))
         if self.call(ChangeState, f"{node}/change_state", request, AGAIN_S).success:
@@ -477,7 +477,7 @@ class Observer:
         Raises
         ------
         GraphError
-            If it is not ready in time. The message contains its status.
+            If the driver is not ready in time. The message contains its status.
         """
         end = time.monotonic() + READY_S
         while not self.until(lambda: self.record.ready, LOOK_S):
@@ -495,7 +495,7 @@ class Observer:
         Raises
         ------
         GraphError
-            If it is refused for longer. The message contains the reason.
+            If the goal is refused for longer. The message contains the reason.
         """
         if ready_timeout_s:
             self.await_ready()
@@ -536,7 +536,7 @@ class Observer:
         Raises
         ------
         GraphError
-            If it refuses.
+            If the node refuses.
         """
         answer = self.call(Trigger, service, Trigger.Request(), AGAIN_S)
         if not answer.success:
@@ -566,7 +566,7 @@ class Observer:
         Raises
         ------
         GraphError
-            If it refuses. The message contains the reason.
+            If the node refuses. The message contains the reason.
         """
         request = SetParameters.Request(
             parameters=[Parameter(name, value=value).to_parameter_msg()]

@@ -112,7 +112,7 @@ def executable(package: str, name: str) -> Path:
     Raises
     ------
     GraphError
-        If it is not installed.
+        If the node is not installed.
     """
     prefixes = [Path(p) for p in os.environ.get("AMENT_PREFIX_PATH", "").split(":") if p]
     for prefix in prefixes:
@@ -244,7 +244,7 @@ class Processes:
         Raises
         ------
         GraphError
-            If one has ended. The message has its name, its exit code and the end of its log.
+            If a node has ended. The message has its name, its exit code and the end of its log.
         """
         for name in self._running:
             if name not in self._views and (end := self.end_of(name)):

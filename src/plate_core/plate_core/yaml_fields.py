@@ -590,7 +590,7 @@ def config_path(name: str) -> Path:
     Raises
     ------
     PlateError
-        If it does not exist.
+        If the file or folder does not exist.
     """
     path = CONFIG / name
     if not path.exists():

@@ -159,7 +159,7 @@ class Source(Protocol):
         Raises
         ------
         ImageError
-            If this image cannot be used.
+            If the image cannot be used.
         CameraError
             If the source provides no more images.
         """
