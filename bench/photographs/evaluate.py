@@ -60,7 +60,7 @@ def percent(kept: list[bool]) -> float | None:
 
 
 def row_of(score: Score) -> dict[str, float | int | None]:
-    """Return a score as the row of a table."""
+    """Return a score as the row of a table. Values without data are None."""
     centre_px, angle_deg = score["centre_px"], score["angle_deg"]
     return {
         "parts": len(score["hit"]), "found": sum(score["hit"]), "false": score["true"].count(False),

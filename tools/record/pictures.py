@@ -163,7 +163,8 @@ class Scene:
         return f"{t:.1f} s, cycle {min(done, self.film.cycles)} of {self.film.cycles}"
 
     def motion(self, t: float) -> PlateCycle | None:
-        """Return the plate's motion at t [s]. At the start, return the first motion of the task."""
+        """Return the plate's motion at t [s]. At the start, return the first motion of the task.
+        None if there is no motion."""
         film = self.film
         if t <= 0:
             stamps = zip(film.table_time, film.tables, strict=True)

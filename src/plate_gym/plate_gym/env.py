@@ -219,7 +219,7 @@ class PlateVectorEnv(VectorEnv):
         return self.plates.observed(), reward, ended, over, info
 
     def render(self) -> tuple[np.ndarray, ...] | None:
-        """Return a picture (height, width, 3) for each plate."""
+        """Return a picture (height, width, 3) for each plate. None if there is no render mode."""
         if self.render_mode is None:
             return None
         check_begun(self.plates.plates)
@@ -287,7 +287,7 @@ def fits(given: np.ndarray, shape: tuple[int, ...]) -> bool:
 
 
 def checked_mode(mode: str | None) -> str | None:
-    """Check a render mode and return it."""
+    """Check a render mode and return it. None means no pictures."""
     if mode not in (None, *METADATA["render_modes"]):
         raise PlateError(f"render_mode is {mode!r}, allowed: None, rgb_array, human")
     return mode

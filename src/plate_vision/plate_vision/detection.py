@@ -343,7 +343,7 @@ class Scene:
 
     @cached_property
     def contrast(self) -> LitPlate | None:
-        """The `contrast_image`."""
+        """The `contrast_image`. None if there is no plate."""
         return contrast_image(self.channels, self.region)
 
 

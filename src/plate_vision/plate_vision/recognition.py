@@ -119,6 +119,7 @@ def find_types_under(
     before: Lamp | None = None,
 ) -> tuple[np.ndarray, Lamp | None]:
     """Find parts like `find_types`, but also return the lamp that casts the shadows of all parts.
+    None if there is no such lamp.
 
     A lamp is assumed not to move. `before` is the lamp of the previous image. It is used if the
     direction of the light is not visible in this image, for example because parts touch. It is not
@@ -188,7 +189,7 @@ class _Seen:
 
     @property
     def lamp(self) -> Lamp | None:
-        """The lamp of the segmentation."""
+        """The lamp of the segmentation. None if there is no lamp."""
         return self.segments.lamp
 
     @property

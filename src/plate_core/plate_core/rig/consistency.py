@@ -355,7 +355,7 @@ def _heights(rig: Rig) -> Iterator[Doubt]:
 
 def _order(corners: np.ndarray) -> Doubt | None:
     """Check that the corners (4, 2) [px] form a convex quadrilateral, and that a camera above the
-    plate sees them in this order."""
+    plate sees them in this order. Return None if so."""
     sides = np.roll(corners, -1, axis=0) - corners
     after = np.roll(sides, -1, axis=0)
     turn = sides[:, 0] * after[:, 1] - sides[:, 1] * after[:, 0]
@@ -371,7 +371,8 @@ def _order(corners: np.ndarray) -> Doubt | None:
 
 
 def _shape(rig: Rig, corners: np.ndarray) -> Doubt | None:
-    """Check that the corners are a view of this plate by a camera with square pixels."""
+    """Check that the corners are a view of this plate by a camera with square pixels. Return None
+    if so."""
     misfit, tilt = _misfit(rig, corners, rig.plate.corners)
     if misfit > GOOD_FIT:
         length, width = rig.plate.length_m, rig.plate.width_m

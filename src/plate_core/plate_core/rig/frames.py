@@ -221,7 +221,7 @@ def _place_at_height(
     image_from_home: np.ndarray, middle: np.ndarray, height: float
 ) -> np.ndarray | None:
     """Return the position (3,) of a camera with a known height above the plate [m], the second case
-    of `camera_place`."""
+    of `camera_place`. None if there is no such position."""
     (p,) = project(np.linalg.inv(image_from_home), middle)
     slope = image_from_home[2, :2] / image_from_home[2, 2]
     ahead, size = float(slope @ p + 1), float(np.hypot(*slope))
@@ -236,7 +236,7 @@ def _place_of_square_pixels(
     plate: np.ndarray, corners: np.ndarray, middle: np.ndarray
 ) -> np.ndarray | None:
     """Return the position (3,) of a camera with unknown height and focal length, the third case of
-    `camera_place`."""
+    `camera_place`. None if the homography does not determine the focal length."""
     view = fit_homography(plate, corners)
     focal = _focal_px(view, middle)
     if focal is None:

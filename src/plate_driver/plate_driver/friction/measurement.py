@@ -554,7 +554,7 @@ class FrictionMeasurement:
 
     def _held_and_slid(self, name: str) -> tuple[Trial | None, Trial | None]:
         """Return the last onset push in which a part did not slide, and the first onset push in
-        which it slid."""
+        which it slid. None replaces a push that does not exist."""
         held = None
         for trial in self._of(name, Stage.ONSET):
             if trial.lag[name] > _visible(trial):

@@ -336,7 +336,8 @@ class CycleLog:
         return replace(self, runs=runs, sent=self.sent if keeps else (), awaited=awaited)
 
     def _awaited_after(self, cycle: PlateCycle) -> Sent | None:
-        """Return the value of `awaited` after `cycle` has begun."""
+        """Return the value of `awaited` after `cycle` has begun. None if `cycle` is the awaited
+        cycle."""
         one = self.awaited
         return None if one is not None and _same(one.cycle, cycle) else one
 

@@ -307,8 +307,8 @@ class Inputs:
         return next((name for name in ("device", "simulator") if name in stale), "")
 
     def findings(self, now: float, publishers: Callable[[str], int]) -> list[Finding | None]:
-        """Return the findings on missing inputs for the diagnostics. The findings do not depend on
-        a running task."""
+        """Return the findings on missing inputs for the diagnostics: parts, driver and cycle
+        starts. None if an input is not missing. The findings do not depend on a running task."""
         parts = self.parts.timed_out(now)
         if parts is not None:
             parts = Finding(Level.STALE, self.parts_problem(now, publishers))

@@ -63,7 +63,7 @@ class InputMonitor:
 
     def wake(self, now: float, period: float) -> Failure | None:
         """Record that the planner runs. Return a failure if its process has stalled since the last
-        call for longer than the input timeout.
+        call for longer than the input timeout, otherwise None.
 
         Each callback must call this function first. `period` is the length of a cycle [s].
         """

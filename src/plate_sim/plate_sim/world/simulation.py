@@ -336,8 +336,8 @@ class Simulation:
         return self._view.capture(self.state, self.plate, self._robot, self._time, age)
 
     def visible_parts(self, age: float | None = None) -> VisibleParts | None:
-        """Return the exact positions of the parts in the image that `capture` would return. For
-        each image, call either `capture` or this method."""
+        """Return the exact positions of the parts in the image that `capture` would return, or None
+        if the image is missing. For each image, call either `capture` or this method."""
         return self._view.visible_parts(self.state, self.plate, age)
 
     def capture_bare(self) -> np.ndarray:

@@ -169,7 +169,7 @@ class GenicamSource(Camera):
             raise CameraError(f"{where}, allowed by the camera: {allowed} ({error})") from None
 
     def read(self, stop: Event) -> Frame | None:
-        """Wait for the next image."""
+        """Wait for the next image. Return None if `stop` is set."""
         assert self._camera is not None
         while True:
             buffer = self._camera.try_fetch(timeout=FETCH_S)

@@ -58,7 +58,8 @@ class FilmSource:
         self._due = 0.0
 
     def read(self, stop: Event) -> Frame | None:
-        """Wait until the next picture is due."""
+        """Wait until the next picture is due. Return None if there is no further picture, or if
+        `stop` is set."""
         assert self._pictures is not None
         try:
             found = next(self._pictures, None)
@@ -120,7 +121,7 @@ class PipeSource:
             raise CameraError(f"{self._settings.device}: cannot be read ({error})") from None
 
     def read(self, stop: Event) -> Frame | None:
-        """Wait for the bytes of a frame."""
+        """Wait for the bytes of a frame. Return None if `stop` is set."""
         data, have = np.empty(self._bytes, np.uint8), 0
         rest = memoryview(data.data)
         while have < self._bytes:
