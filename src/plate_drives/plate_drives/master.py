@@ -54,11 +54,11 @@ class Received:
     beat_at : float
         Time of the last heartbeat [s].
     state : int or None
-        State of the node in the last heartbeat.
+        State of the node in the last heartbeat. None before the first heartbeat.
     boots : int
         Number of boot-ups since it was set to 0.
     emergency : (int, int) or None
-        Error code and error register of the first emergency.
+        Error code and error register of the first emergency. None if there was none.
     """
 
     answers: list[bytes] = field(default_factory=list)

@@ -95,7 +95,7 @@ class Reply:
     text : str
         Result, or the reason for a refusal.
     part : ReadyPart or None
-        Part for the robot.
+        Part for the robot. None if the reply contains no part.
     valid_until : float
         End of the reservation of the part [s, the clock of `now`].
     left : int

@@ -125,7 +125,8 @@ class PlannerState:
     last : mapping of str to LastSeen
         Last detected position of each part on the plate. Empty if parts are added and removed.
     answer : (CycleRequest, Progress) or None
-        The last result. If the same image arrives again, this result is returned again.
+        The last result. If the same image arrives again, this result is returned again. None before
+        the first image.
     due : float
         Time of the next request [s]. Infinite until a cycle start is reported.
     kept : bool

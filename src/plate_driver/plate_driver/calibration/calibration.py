@@ -157,7 +157,7 @@ class Experiment:
     ----------
     calibration : Calibration
     played : PlateCycle or None
-        Sent cycle, scaled to the rig's limits.
+        Sent cycle, scaled to the rig's limits. None before it was sent.
     table : int
         Number of the device's table that plays.
     samples : tuple of (time [s], q (4,), qdd (4,))

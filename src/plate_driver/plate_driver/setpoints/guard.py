@@ -117,7 +117,7 @@ class Guard:
     hold_s : float
         Maximum time for which the motors repeat a table [s].
     last_ns : int or None
-        Stamp of the last accepted cycle.
+        Stamp of the last accepted cycle. None before the first one.
     table : MotorTable or None
         Last sent table. None if the plate rests.
     sent : tuple of PlateCycle

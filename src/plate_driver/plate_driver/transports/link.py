@@ -139,14 +139,15 @@ class Link:
     device : Capabilities or None
         Answer to Hello. None until the answer arrives.
     telemetry : Telemetry or None
-        Last telemetry.
+        Last telemetry. None before the first telemetry.
     telemetry_at : float
         Arrival time of `telemetry` [s].
     fresh_telemetry : Telemetry or None
         Last telemetry. None after a command that changes the reported state, until the next
         telemetry arrives.
     trouble : DriveTrouble or None
-        Last drive fault that the device reported since the motors were enabled.
+        Last drive fault that the device reported since the motors were enabled. None if there was
+        none.
     answer : Answer or None
         Result of the last Stop, Enable or Home.
     flight : tuple of (float, int)

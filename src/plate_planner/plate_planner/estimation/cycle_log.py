@@ -411,7 +411,7 @@ class CycleClock:
     Attributes
     ----------
     stamp : float or None
-        The last stamp [s].
+        The last stamp [s]. None before the first image.
     intervals : tuple of float
         The last plausible intervals between consecutive stamps [s].
     period : float

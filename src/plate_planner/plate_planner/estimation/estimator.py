@@ -221,7 +221,7 @@ class Turning:
     start : float
         Cycle start closest to this time [s].
     last : Turning or None
-        Measurement of the previous cycle.
+        Measurement of the previous cycle, without its `last`. None before the first measurement.
     """
 
     ids: tuple[str, ...] = ()

@@ -73,16 +73,18 @@ class Inputs:
     stamp : int or None
         Stamp of the last parts [ns].
     unanswered : float or None
-        Time of the first part_forces for which no plate_cycle has arrived yet.
+        Time of the first part_forces for which no plate_cycle has arrived yet. None if there
+        are none.
     driver_status : DriverStatus or None
-        Newest driver_status.
+        Newest driver_status. None before the first one.
     error_since : float or None
         Time since which driver_status has reported an error. None if it does not.
     enabled_ns : int or None
         Time at which the motors were enabled, from the newest ready status [ns, wall clock].
+        None before the first ready status.
     enabled_again : float or None
-        Time at which `enabled_ns` changed. A change shows that the motors were stopped before, even
-        if no message reported the stop.
+        Time at which `enabled_ns` changed. None if it has not changed. A change shows that the
+        motors were stopped before, even if no message reported the stop.
     reports : mapping of str to Report
         Newest diagnostics by node.
     starts : Input or None

@@ -250,7 +250,8 @@ class V4l2Source(Camera):
         )
 
     def read(self, stop: Event) -> Frame | None:
-        """Wait for the next image. OpenCV waits up to 10 s. Return None if `stop` is set."""
+        """Wait for the next image. OpenCV waits up to 10 s. Return None if no image arrives
+        and `stop` is set."""
         if not self._capture.grab():
             if stop.is_set():
                 return None

@@ -75,7 +75,7 @@ class Tracker:
     ----------
     options : TrackerOptions
     stamp : float or None
-        Stamp of the last image [s].
+        Stamp of the last image [s]. None before the first image.
     tracks : tuple of Track
         Tracks, sorted by class and number. They include tracks that were missed in the last image.
     last_number : mapping of str to int
