@@ -88,6 +88,7 @@ class Operator:
 
     Attributes
     ----------
+    transport : SerialTransport
     enables : int
         Number of enables so far.
     """

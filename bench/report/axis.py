@@ -29,11 +29,16 @@ class Axis:
 
     Attributes
     ----------
+    label : str
+        Label with the unit.
+    log : bool
+        Whether the axis is logarithmic.
     names : tuple of str
         Names instead of numbers, from bottom to top.
     ticks : tuple of float
         Positions of numbers. If it is empty, the positions are chosen automatically.
     limits : (low, high), optional
+        Ends of the axis. Default: chosen automatically.
     least : float, optional
         Minimum number. Smaller numbers are rounding errors, and are drawn at this number.
     """

@@ -138,7 +138,9 @@ class Record:
     ----------
     truth, tables : list of bytes
         All messages of ground_truth and of motor_setpoints. Without a simulator, `truth` has the
-        messages of parts. starts : list of bytes All messages of cycle_started.
+        messages of parts.
+    starts : list of bytes
+        All messages of cycle_started.
     simulated : bool
         Whether there is a simulator.
     answers : int

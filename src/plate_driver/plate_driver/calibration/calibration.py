@@ -80,6 +80,8 @@ class Calibration:
         One cycle per axis.
     commanded, measured : tuple of (n, 3)
         Amplitudes of the acceleration in the completed experiments.
+    settle, measure : int
+        Numbers of plays of a cycle until the motion is periodic, and then for the measurement.
     """
 
     rig: Rig

@@ -136,6 +136,8 @@ class Link:
         Messages of the newest table, while another table is still being sent.
     follows : int
         Number of the table that `next_table` continues in motion. 0 if `next_table` begins at rest.
+    sequence : int
+        Sequence number of the last command.
     device : Capabilities or None
         Answer to Hello. None until the answer arrives.
     telemetry : Telemetry or None
@@ -148,8 +150,12 @@ class Link:
     trouble : DriveTrouble or None
         Last drive fault that the device reported since the motors were enabled. None if there was
         none.
+    clock : DeviceClock
+        Estimated offset between the clocks of host and device.
+    heartbeat_at : float
+        Time of the last heartbeat [s].
     answer : Answer or None
-        Result of the last Stop, Enable or Home.
+        Result of the last Stop, Enable or Home. None if there is none yet.
     flight : tuple of (float, int)
         Knots in transit to the device: their arrival times [s] and lengths [bytes].
     failed : Report or None
