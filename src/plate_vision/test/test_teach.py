@@ -268,8 +268,10 @@ def test_names_that_nothing_would_be_called_by_are_refused(name, tmp_path):
 
 def test_the_program_teaches_lists_renames_merges_and_deletes(folder, capsys):
     rig = ["--rig", str(config_path("rig.yaml")), "--bare", "bare.png"]
-    main(["screw", "screw.png", *rig])
-    assert "corners, no symmetry; diameter 13.6" in capsys.readouterr().out
+    main(["screw", "screw.png", "bare.png", *rig])
+    said = capsys.readouterr()
+    assert "corners, no symmetry; diameter 13.6" in said.out
+    assert re.search("warning: example not used: type screw: bare.*: ", said.err)
     main(["bracket", "bracket.png", *rig])
     types = load_part_types("parts.yaml")
     assert apart(types["screw"], TYPES["screw"], 1000.0)[0] < 0.25
