@@ -49,7 +49,7 @@ class Photograph:
     ----------
     name : str
     half : str
-        One of `HALVES`, chosen by the digest of the name (see `half_of`).
+        One of `HALVES`.
     source : mapping
         Keys `github`, `commit` and `path`; or `package`, `version` and `path` in the folder of
         packages.

@@ -35,9 +35,11 @@ DRIVER = [sys.executable, "-c", "from plate_driver.node import main; main()"]
 NAMESPACE = f"/driver_test_{os.getpid()}"
 PLATE = """
 import sys
+from unittest.mock import patch
 from plate_client.command import main
 from plate_client.ros import graph, services
-graph.NOBODY_S = services.NOBODY_S = services.LATE_S = 60.0
+for module, name in ((graph, "DISCOVERY_S"), (services, "DISCOVERY_S"), (graph, "LATE_S")):
+    patch.object(module, name, 60.0).start()  # an unknown name is an error
 _, namespace, *commands = sys.argv
 for command in commands:
     services.FOUND_S = 1.0 if command == "stop" else 60.0
