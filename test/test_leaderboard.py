@@ -23,7 +23,7 @@ def test_the_page_is_made_of_the_results():
 def test_a_result_is_well_formed_and_summed_up_as_its_rows_are(path):
     from plate_gym import TASKS
     from plate_gym.agents import AGENTS
-    from plate_gym.bench import summary, validate
+    from plate_gym.result import summary, validate
 
     assert path.suffix == ".json"
     result = json.loads(path.read_text(encoding="utf-8"))
@@ -39,7 +39,7 @@ def test_a_result_is_well_formed_and_summed_up_as_its_rows_are(path):
 def test_better_and_faster_agents_come_first(tmp_path):
     import leaderboard
 
-    from plate_gym.bench import ROW, summary
+    from plate_gym.result import ROW, summary
 
     def result(agent, successes, time_s):
         rows = [
@@ -80,7 +80,7 @@ def test_better_and_faster_agents_come_first(tmp_path):
 
 def test_the_network_that_has_learned_sorts(monkeypatch):
     """From starts that it has never seen: training draws other ones, and judges other seeds."""
-    from plate_gym.bench import episode
+    from plate_gym.episode import episode
 
     monkeypatch.syspath_prepend(ROOT / "examples/agents")
     rows = [episode("learned:Learned", "nominal", "Sort4-v1", seed) for seed in (1000, 1001, 1002)]

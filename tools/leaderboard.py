@@ -41,7 +41,7 @@ def tables(folder: Path) -> str:
         If a file is not a result, or its seeds do not start at 0. The message names the file.
     """
     from plate_gym import TASKS  # imported here, because --help should not need gymnasium
-    from plate_gym.bench import ranges, read, validate
+    from plate_gym.result import ranges, read, validate
 
     results = {path.name: read(path) for path in folder.glob("*.json")}
     for name, result in results.items():
@@ -79,7 +79,7 @@ episodes (descending), then plate time."""
 
 def row(file: str, result: dict[str, Any], task: str, errors: list[str]) -> tuple[Order, list[str]]:
     """Return the sort key of a result, and its cells in the table of a task."""
-    from plate_gym.bench import summary
+    from plate_gym.result import summary
 
     world = result["world"]
     found = summary(result["tasks"][task]["rows"])  # the file's own summary can be wrong

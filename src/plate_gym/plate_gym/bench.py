@@ -5,15 +5,10 @@ AVX2 and FMA, the results are identical."""
 from __future__ import annotations
 
 import argparse
-import hashlib
-import importlib
 import json
 import operator
 import os
-import re
-import reprlib
 import signal
-import subprocess
 import sys
 import time
 from collections.abc import Callable, Iterable, Iterator
@@ -21,227 +16,37 @@ from concurrent.futures import Executor, ThreadPoolExecutor, wait
 from contextlib import nullcontext
 from dataclasses import asdict
 from functools import partial
-from importlib.metadata import PackageNotFoundError, version
-from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from plate_bringup.cluster import Cluster
-from plate_bringup.identity import files_of, libraries_of, machine
 from plate_bringup.loop import ALIKE
-from plate_core import PlateError, did_you_mean, piped
-from plate_core.files import OwnFile, read_file
-from plate_core.intervals import of_median, of_share
+from plate_core import PlateError, piped
+from plate_core.files import OwnFile
 
 from . import isolation
-from .agent import KNOWN, Agent, Brief
 from .agents import AGENTS
-from .env import PlateEnv, drawn
+from .env import drawn
+from .episode import agent_class, episode, isolated, named
 from .isolation import LIMITS, Limits
-from .plates import clocks
-from .tasks import TASKS, WORLDS, chosen, digest
+from .provenance import commit, files, module_of, sources, terms, versions
+from .result import ROW, TIMES, line, ranges, read, shortened, summary, validate
+from .tasks import TASKS, WORLDS, chosen
 
-__all__ = [
-    "ROW", "Limits", "agent_class", "check", "episode", "evaluate", "ranges", "read", "seed_range",
-    "summary", "validate",
-]  # fmt: skip
-
-LIBRARIES = ("vibrating-plate", "plate_gym", "gymnasium")
-"""Libraries whose versions a result contains if they are installed. It also contains the versions
-that `machine` returns."""
-
-PACKAGES = (
-    "bringup", "core", "driver", "feeder", "gym", "native", "planner", "sim", "solver", "vision",
-)  # fmt: skip
-"""Packages of whose sources a result contains a digest. Their names begin with `plate_`."""
-
-TIMES = ("start_ms", "decision_ms", "decision_ms_p99", "wall_ms", "wall_ms_p99")
-"""Keys of computing times, which differ between runs."""
-
-NUMBERS = ("time_s", "return", "error_mm", "turn_error_deg", "limit_share", *TIMES)
-"""Keys of the numbers in a row."""
-
-ROW: dict[str, type] = dict.fromkeys(NUMBERS, float) | {
-    "seed": int, "steps": int, "there": int, "dropped": int, "success": bool, "places": str
-}  # fmt: skip
-"""Keys and types of a row. If the agent exceeded a limit in the episode, the row contains zeros,
-and the key `failure` names the limit."""
-
-RESULT: dict[str, type] = {
-    "agent": str, "world": str, "commit": str, "sources": str, "versions": dict, "tasks": dict
-}  # fmt: skip
-"""Keys and types of a result."""
-
-LATER: dict[str, type] = {"limits": dict, "files": dict}
-"""Additional keys of a result and their types. Results of earlier versions of this module do not
-contain these keys."""
+__all__ = ["Limits", "check", "evaluate", "seed_range"]
 
 SHOWN = 5
 """Maximum number of differences in an error message."""
-
-MAX_NAMES = 10_000
-"""Maximum number of versions in a result, and maximum number of an agent's files in a result."""
 
 CHECKED = 10
 """Maximum number of seeds of each task that a check repeats."""
 
 MAX_SEEDS = 100_000
 
-AGENT = 2
-"""Number that makes the seed of an agent different from the seed of its world."""
-
-HUGE = 1e9
-"""Limit of the absolute values of the numbers in a result."""
-
 KEEP_S = 1.0
 """Minimum time between two calls of `keep` during a task [s]."""
-
-RESULT_BYTES = 64_000_000
-"""Maximum size of the file of a result [bytes]. It is sufficient for 100,000 episodes of 500 bytes
-each."""
-
-TEXT = 300
-"""Maximum length of texts in results, and of error messages from agents [characters]."""
-
-
-def agent_class(name: str) -> type[Agent]:
-    """Return the agent class for a name: a key of `AGENTS`, or `MODULE:CLASS`. The module is
-    imported like any Python module.
-
-    Raises
-    ------
-    PlateError
-        If there is no agent with that name.
-    """
-    if name in AGENTS:
-        return AGENTS[name]
-    module, colon, label = name.partition(":")
-    if not colon:
-        raise PlateError(
-            f"agent is {name!r}{did_you_mean(name, AGENTS)}, allowed: {', '.join(AGENTS)}, or "
-            "MODULE:CLASS"
-        )
-    try:
-        found: type[Agent] = getattr(importlib.import_module(module), label)
-    except KeyboardInterrupt:
-        raise
-    except BaseException as problem:
-        absent = isinstance(problem, ModuleNotFoundError) and problem.name == module
-        where = f"; no {module}.py in this folder ({Path.cwd()}) or on the path" if absent else ""
-        raise PlateError(f"agent {name} cannot be loaded: {one_line(problem)}{where}") from problem
-    kinds = (getattr(found, key, None) for key in ("action", "observation"))
-    if (
-        not isinstance(found, type)
-        or not all(isinstance(kind, str) for kind in kinds)
-        or not callable(getattr(found, "act", None))
-    ):
-        raise PlateError(
-            f"agent {name} is {found!r}, allowed: a class with action, observation and act"
-        )
-    return found
-
-
-def one_line(problem: BaseException) -> str:
-    """Return an exception as one line of text."""
-    try:
-        text = str(problem)
-    except BaseException as other:
-        text = f"(its text cannot be read: {type(other).__name__})"
-    return shortened(f"{type(problem).__name__}: {text}" if text else type(problem).__name__)
-
-
-def shortened(text: str) -> str:
-    """Return a text of an agent or a result as one line of at most `TEXT` printable characters.
-    Control characters are removed, because they could overwrite other lines of a terminal."""
-    line = " ".join(text[: 2 * TEXT].split())
-    line = line if len(line) <= TEXT else f"{line[:TEXT]}..."
-    return "".join(letter if letter.isprintable() else "?" for letter in line)
-
-
-def named(agent: str, task: str, seed: int, step: int) -> str:
-    """Return a text for messages that tells where an error of an agent occurred."""
-    return f"agent {agent}, {task}, seed {seed}, step {step}"
-
-
-def episode(
-    agent: str, world: str, task: str, seed: int, begin: Callable[[], object] = lambda: None
-) -> dict[str, Any]:
-    """Run one episode in the world of a seed, in this process. The function `begin` is called
-    before each decision.
-
-    Returns
-    -------
-    dict
-        Row with the keys `seed`, `success`, `time_s` (of the plate), `steps`, `return`, `there`,
-        `dropped`, `error_mm` and `turn_error_deg` (of the part with the largest error at the end),
-        `limit_share` (maximum), and `places` (digest of all positions). The computing times are
-        `start_ms` (processor time to create the agent), `decision_ms` and `decision_ms_p99`
-        (processor time of a decision, median and 99th percentile), and `wall_ms` and `wall_ms_p99`
-        (elapsed time of a decision). If the action needs this project's solver, the times of a
-        decision include the solver.
-
-    Raises
-    ------
-    PlateError
-        If the agent fails. The message contains agent, task, seed and step.
-    """
-    kind = agent_class(agent)
-    spent, total, used = [], 0.0, 0.0
-    places = hashlib.blake2b(digest_size=8)
-    ended = over = False
-    try:
-        env = PlateEnv(task, world, kind.action, kind.observation)
-        seen, info = env.reset(seed=seed)
-        plate, brief = env.plates.plates[0], Brief.of(env)
-        began = clocks()
-        mind = kind(brief, seed_of_agent(seed))
-        start = clocks() - began
-        while not (ended or over):
-            known = {name: info[name] for name in KNOWN if name in info}
-            begin()
-            before, began = plate.solving_s.copy(), clocks()
-            action = mind.act(seen, known)
-            passed = clocks() - began
-            seen, reward, ended, over, info = env.step(action)
-            spent.append(passed + plate.solving_s - before)
-            total, used = total + reward, max(used, float(info["limit_share"]))
-            places.update(plate.simulation.state.position.tobytes())
-    except KeyboardInterrupt as problem:
-        # Either Ctrl-C or the agent has raised KeyboardInterrupt. A process of `isolation` ignores
-        # Ctrl-C, so there it was the agent.
-        if signal.getsignal(signal.SIGINT) is not signal.SIG_IGN:
-            raise
-        raise PlateError(f"{named(agent, task, seed, len(spent))}: KeyboardInterrupt") from problem
-    except BaseException as problem:
-        where = named(agent, task, seed, len(spent))
-        raise PlateError(f"{where}: {one_line(problem)}") from problem
-    own, wall = 1e3 * np.array(spent).T
-    return {
-        "seed": seed,
-        "success": bool(info["success"]),
-        "time_s": round(float(info["time_s"]), 6),
-        "steps": len(spent),
-        "return": total,
-        "there": int(info["there"]),
-        "dropped": int(info["dropped"]),
-        "error_mm": 1e3 * float(np.max(info["error_m"])),
-        "turn_error_deg": float(np.degrees(np.max(info["turn_error"]))),
-        "limit_share": used,
-        "places": places.hexdigest(),
-        "start_ms": 1e3 * float(start[0]),
-        "decision_ms": float(np.median(own)),
-        "decision_ms_p99": float(np.percentile(own, 99)),
-        "wall_ms": float(np.median(wall)),
-        "wall_ms_p99": float(np.percentile(wall, 99)),
-    }
-
-
-def seed_of_agent(seed: int) -> int:
-    """Return the seed of an agent's random numbers. It differs from the seed of the world.
-    Otherwise an agent could compute where the parts are."""
-    return drawn(np.random.default_rng((seed, AGENT)))
 
 
 def evaluate(
@@ -372,10 +177,8 @@ def episodes(
         return
     # Threads are sufficient, because they only wait for the processes of the episodes.
     shared = nullcontext(pool) if pool is not None else ThreadPoolExecutor(workers)
-    # Workers of a cluster import the function under this name.
-    run = isolated if pool is None else importlib.import_module("plate_gym.bench").isolated
     with shared as threads:
-        found = [threads.submit(run, agent, world, task, seed, limits) for seed in seeds]
+        found = [threads.submit(isolated, agent, world, task, seed, limits) for seed in seeds]
         try:
             for number, row in enumerate(found):
                 show(f"{task}: {number} of {len(seeds)}")
@@ -394,67 +197,10 @@ def episodes(
             show("")
 
 
-def isolated(agent: str, world: str, task: str, seed: int, limits: Limits) -> dict[str, Any]:
-    """Run one episode in a separate process.
-
-    Returns
-    -------
-    dict
-        Row as in `episode`. If the agent exceeds a limit, the row contains zeros, and `failure`
-        names the limit.
-
-    Raises
-    ------
-    PlateError
-        If the agent fails for another reason. The message contains agent, task and seed.
-    """
-    request = {"agent": agent, "world": world, "task": task, "seed": seed}
-    reply = isolation.play(request, limits)
-    where = f"agent {agent}, {task}, seed {seed}"
-    if "row" in reply:
-        check_fields(where, reply["row"], ROW)
-        return dict(reply["row"])
-    if "failure" in reply:
-        failed = {"seed": seed, "steps": reply["steps"], "failure": shortened(reply["failure"])}
-        return {key: kind() for key, kind in ROW.items()} | failed
-    error = shortened(reply["error"])
-    raise PlateError(error if error.startswith("agent ") else f"{where}: {error}")
-
-
 def show(text: str) -> None:
     """Replace the last line in the terminal by `text`."""
     if sys.stderr.isatty():
         print(f"\r\033[K{text}", end="", file=sys.stderr, flush=True)
-
-
-def summary(rows: list[dict[str, Any]]) -> dict[str, Any]:
-    """Summarise the episodes of a task."""
-    good = [row["time_s"] for row in rows if row["success"]]
-    ended = [row for row in rows if "failure" not in row] or rows
-    spent = [row["decision_ms"] for row in ended]
-    found = {
-        "episodes": len(rows),
-        "success": len(good) / len(rows),
-        "success_interval": of_share(len(good), len(rows)),
-        "return": float(np.mean([row["return"] for row in rows])),
-        "dropped": sum(row["dropped"] for row in rows),
-        "decision_ms": float(np.median(spent)),
-        "decision_ms_interval": of_median(spent),
-        "wall_ms": float(np.median([row["wall_ms"] for row in ended])),
-    }
-    if good:
-        found |= {"time_s": float(np.median(good)), "time_s_interval": of_median(good)}
-    return found | {"rows": rows}
-
-
-def line(task: str, found: dict[str, Any]) -> str:
-    """Return the summary of a task as one line of text."""
-    low, high = (100 * share for share in found["success_interval"])
-    took = f"{found['time_s']:6.1f} s" if "time_s" in found else "     - s"
-    return (
-        f"{task:12s} {100 * found['success']:4.0f} % ({low:.0f} to {high:.0f})  {took}  return "
-        f"{found['return']:6.2f}  dropped {found['dropped']}  {found['decision_ms']:.1f} ms each"
-    )
 
 
 def check(
@@ -560,162 +306,6 @@ def differing(claimed: dict[str, Any], true: dict[str, Any]) -> Iterator[tuple[s
         same = key in claimed and key in true if key == "failure" else claimed[key] == true[key]
         if key not in TIMES and not same:
             yield key, true.get(key)
-
-
-def read(path: Path) -> Any:
-    """Return the content of a JSON file of at most `RESULT_BYTES`.
-
-    Raises
-    ------
-    PlateError
-        If the file cannot be read or is not valid JSON. The message contains the name of the file.
-    """
-    content = read_file(path, RESULT_BYTES)
-    try:
-        return json.loads(content.decode())
-    # Json raises these errors also for huge numbers and deep nesting.
-    except (ValueError, RecursionError) as problem:
-        raise PlateError(f"{path} is not JSON: {problem}") from problem
-
-
-def validate(result: Any) -> None:
-    """Check that data has the form of a result of `evaluate`. The keys, the types and the ranges of
-    numbers are checked.
-
-    Raises
-    ------
-    PlateError
-        If the data does not have this form. The message contains the place, the value and the
-        allowed values.
-    """
-    earlier = isinstance(result, dict) and not set(LATER) & set(result)
-    check_fields("result", result, RESULT if earlier else RESULT | LATER)
-    for key in ("versions", "files"):
-        texts = result.get(key, {})
-        check_fields(f"result: {key}", texts, dict.fromkeys(texts, str))
-        if len(texts) > MAX_NAMES:
-            raise PlateError(f"result: {key} has {len(texts)} names, allowed: at most {MAX_NAMES}")
-    if not earlier:
-        check_fields("result: limits", result["limits"], dict.fromkeys(asdict(LIMITS), float))
-    for key, form in (("agent", r"[\w.]+(:\w+)?"), ("commit", r"[\w.-]*")):
-        if not re.fullmatch(form, result[key]):
-            raise PlateError(f"result: {key} is {result[key]!r}, allowed: the form {form}")
-    chosen("result: world", result["world"], WORLDS)
-    if not result["tasks"]:
-        raise PlateError("result: tasks is {}, allowed: one task or more")
-    for task, found in result["tasks"].items():
-        chosen("result: task", shortened(task), TASKS)
-        rows = found.get("rows") if isinstance(found, dict) else None
-        if not isinstance(rows, list) or not rows:
-            raise PlateError(f"result: {task}: rows is {brief(rows)}, allowed: a list with entries")
-        for k, row in enumerate(rows):
-            where = f"result: {task}: rows[{k}]"
-            failed = isinstance(row, dict) and "failure" in row
-            check_fields(where, row, ROW | {"failure": str} if failed else ROW)
-            if failed and row["success"]:
-                raise PlateError(
-                    f"{where}: success is True, allowed in a row with a failure: False"
-                )
-            for key in ("seed", *TIMES):
-                if row[key] < 0:
-                    raise PlateError(f"{where}: {key} is {row[key]}, allowed: 0 or more")
-        if len({row["seed"] for row in rows}) < len(rows):
-            raise PlateError(f"result: {task}: a seed occurs twice, allowed: each once")
-
-
-def check_fields(where: str, found: Any, kinds: dict[str, type]) -> None:
-    """Raise an error unless `found` is a dict with exactly the keys and types of `kinds`, with
-    finite numbers and printable texts."""
-    if not isinstance(found, dict) or set(found) != set(kinds):
-        has = shortened(", ".join(map(str, found))) if isinstance(found, dict) else brief(found)
-        raise PlateError(f"{where} has {has}, allowed: {', '.join(kinds)}")
-    for key, kind in kinds.items():
-        value = found[key]
-        # The comparison is False for NaN, so NaN is refused.
-        number = type(value) in (int, float) and abs(value) < HUGE
-        fits = number if kind is float else type(value) is kind
-        allowed = f"a number below {HUGE:g}" if kind is float else kind.__name__
-        if fits and kind is str and not (len(value) <= TEXT and value.isprintable()):
-            fits, allowed = False, f"up to {TEXT} printable characters"
-        if not fits:
-            raise PlateError(f"{where}: {key} is {brief(value)}, allowed: {allowed}")
-
-
-def brief(value: Any) -> str:
-    """Return a value of a result as a short text for a message."""
-    return shortened(reprlib.repr(value))
-
-
-def ranges(seeds: list[int]) -> str:
-    """Return ascending seeds as a text with ranges `FIRST:END`."""
-    ends = [k for k in range(1, len(seeds)) if seeds[k] > seeds[k - 1] + 1]
-    # The type object allows integers of any size.
-    runs = np.split(np.array(seeds, object), ends)
-    return ", ".join(f"{run[0]}:{run[-1] + 1}" if len(run) > 1 else f"{run[0]}" for run in runs)
-
-
-def terms(result: dict[str, Any]) -> dict[str, Any]:
-    """Return the parts of a result that determine its rows, by name."""
-    names = {f"file {name}": mark for name, mark in result.get("files", {}).items()}
-    found = {key: result[key] for key in ("agent", "world", "sources")}
-    return result["versions"] | result.get("limits", {}) | names | found
-
-
-def versions(agent: str = "") -> dict[str, str]:
-    """Return the facts of `machine`, and the versions of Python, of the installed `LIBRARIES`, and
-    of the libraries that the agent imports."""
-    found = {"python": sys.version.split()[0]}
-    for name in LIBRARIES:
-        try:
-            found[name] = version(name)
-        except PackageNotFoundError:
-            continue
-    found |= {name: text for name, text in machine().items() if name != "Python"}
-    return found | (libraries_of(module_of(agent)) if ":" in agent else {})
-
-
-def files(agent: str) -> dict[str, str]:
-    """Return digests of the files of an agent `MODULE:CLASS`. For agents of this package, there are
-    none."""
-    return files_of(module_of(agent)) if ":" in agent else {}
-
-
-def module_of(agent: str) -> str:
-    """Return the first part of the module name of an agent `MODULE:CLASS`. The modules in a package
-    are not searched for, because this search would run the package's code."""
-    return agent.partition(":")[0].partition(".")[0]
-
-
-def commit() -> str:
-    """Return the commit of this project, or an empty text if git does not track this file."""
-    here = Path(__file__).resolve()
-    git = partial(
-        subprocess.run, cwd=here.parent, capture_output=True, text=True, check=True, timeout=60
-    )
-    try:
-        top = Path(git(["git", "rev-parse", "--show-toplevel"]).stdout.strip())
-        kept = top / "src/plate_gym/plate_gym" / here.name  # the build copies this file to install/
-        git(["git", "ls-files", "--error-unmatch", str(kept)])
-        same = kept.read_bytes() == here.read_bytes()
-        return str(git(["git", "describe", "--always", "--dirty"]).stdout.strip()) if same else ""
-    except (OSError, subprocess.SubprocessError):
-        return ""
-
-
-def sources() -> str:
-    """Return a digest of the sources of `PACKAGES` and of the files of the tasks."""
-    mark = hashlib.sha256()
-    for name in PACKAGES:
-        spec = find_spec(f"plate_{name}")
-        assert spec is not None
-        assert spec.origin is not None
-        package = Path(spec.origin).parent
-        for path in sorted(package.rglob("*")):
-            if path.suffix in (".py", ".hpp", ".cpp"):
-                mark.update(f"{name}/{path.relative_to(package).as_posix()}\n".encode())
-                mark.update(path.read_bytes())
-    mark.update("".join(digest(scenario) for scenario, _ in TASKS.values()).encode())
-    return mark.hexdigest()[:16]
 
 
 @piped()

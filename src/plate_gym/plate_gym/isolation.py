@@ -176,7 +176,7 @@ def play(request: dict[str, Any], limits: Limits) -> dict[str, Any]:
     Parameters
     ----------
     request : dict
-        Keys `agent`, `world`, `task` and `seed`, as in `plate_gym.bench.episode`.
+        Keys `agent`, `world`, `task` and `seed`, as in `episode.episode`.
     limits : Limits
 
     Returns

@@ -1,8 +1,8 @@
 """Program that supervises the episodes of agents. `plate_gym.isolation` starts it.
 
 The supervisor reads requests from its standard input and writes replies to its standard output, as
-one JSON object per line. For each request, it forks a process that runs `plate_gym.bench.episode`.
-At the end of the episode, or if a limit is exceeded, the supervisor ends the forked process and all
+one JSON object per line. For each request, it forks a process that runs `episode.episode`. At the
+end of the episode, or if a limit is exceeded, the supervisor ends the forked process and all
 processes that the agent has started. The program requires Linux, but no root privileges.
 """
 
@@ -23,7 +23,7 @@ from typing import Any, NoReturn
 
 from plate_core import PlateError
 
-from .bench import episode, named, one_line
+from .episode import episode, named, one_line
 from .isolation import ALIVE, REPLY_BYTES, Limits
 
 __all__ = ["main"]

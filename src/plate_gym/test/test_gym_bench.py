@@ -42,6 +42,13 @@ def bench():
     return plate_gym.bench
 
 
+@pytest.fixture
+def provenance():
+    import plate_gym.provenance
+
+    return plate_gym.provenance
+
+
 @pytest.fixture(scope="module")
 def result():
     import plate_gym.bench
@@ -185,31 +192,32 @@ def test_fresh_seeds_show_a_share_that_was_picked(bench, result, monkeypatch, go
     assert ", held_out, fresh seeds " in told[-1]
 
 
-def test_code_is_known_by_what_it_says(bench, tmp_path, monkeypatch):
+def test_code_is_known_by_what_it_says(provenance, tmp_path, monkeypatch):
     """The commit is that of this file or of its original, even inside another repository. A change
     of any source changes the digest."""
-    before = bench.sources()
+    before = provenance.sources()
     package = tmp_path / "plate_core"
     package.mkdir()
     (package / "__init__.py").write_text("")
     spec = SimpleNamespace(origin=str(package / "__init__.py"))
-    monkeypatch.setattr(bench, "find_spec", lambda name: spec)
-    other = bench.sources()
+    monkeypatch.setattr(provenance, "find_spec", lambda name: spec)
+    other = provenance.sources()
     (package / "kernel.hpp").write_text("int x;")
-    assert len({before, other, bench.sources()}) == 3
+    assert len({before, other, provenance.sources()}) == 3
     subprocess.run(["git", "init", "-q"], cwd=tmp_path, check=True)
     done = ["git", "-c", "user.name=a", "-c", "user.email=a@b", "commit", "-qm", "a"]
     subprocess.run([*done, "--allow-empty"], cwd=tmp_path, check=True)
-    kept, copy = tmp_path / "src/plate_gym/plate_gym/bench.py", tmp_path / "install/bench.py"
+    name = "provenance.py"
+    kept, copy = tmp_path / "src/plate_gym/plate_gym" / name, tmp_path / "install" / name
     for path in (kept, copy):
         path.parent.mkdir(parents=True)
         path.write_text("")
-    monkeypatch.setattr(bench, "__file__", str(copy))  # as set-up does
-    assert bench.commit() == ""
+    monkeypatch.setattr(provenance, "__file__", str(copy))  # as set-up does
+    assert provenance.commit() == ""
     subprocess.run(["git", "add", "src"], cwd=tmp_path, check=True)
-    assert bench.commit()
+    assert provenance.commit()
     copy.write_text("1")
-    assert bench.commit() == ""
+    assert provenance.commit() == ""
 
 
 CHEATS = {
@@ -364,6 +372,7 @@ def test_an_agents_seed_makes_no_twin_of_its_world(bench, monkeypatch):
 
 def test_our_solver_is_time_of_a_decision(bench, module, monkeypatch):
     """Where the action asks it: by clocks that only its work moves on."""
+    import plate_gym.episode
     import plate_gym.plates
 
     hours = np.zeros(2)
@@ -374,7 +383,7 @@ def test_our_solver_is_time_of_a_decision(bench, module, monkeypatch):
         return answer(self, *args)
 
     monkeypatch.setattr(plate_gym.plates.Controller, "answer", slow)
-    for place in (bench, plate_gym.plates):
+    for place in (plate_gym.episode, plate_gym.plates):
         monkeypatch.setattr(place, "clocks", hours.copy)
     monkeypatch.setattr(plate_gym.plates, "ROUNDING_S", 119.5)  # of 120 s
     row = bench.episode("odd_agents:Slow", "nominal", "Sort4-v1", 0)

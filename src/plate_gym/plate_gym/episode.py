@@ -1,0 +1,184 @@
+"""One episode of an agent: in this process, or in a separate process with limits."""
+
+from __future__ import annotations
+
+import hashlib
+import importlib
+import signal
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from plate_core import PlateError, did_you_mean
+
+from . import isolation
+from .agent import KNOWN, Agent, Brief
+from .agents import AGENTS
+from .env import PlateEnv, drawn
+from .isolation import Limits
+from .plates import clocks
+from .result import ROW, check_fields, shortened
+
+__all__ = ["agent_class", "episode", "isolated"]
+
+AGENT = 2
+"""Number that makes the seed of an agent different from the seed of its world."""
+
+
+def agent_class(name: str) -> type[Agent]:
+    """Return the agent class for a name: a key of `AGENTS`, or `MODULE:CLASS`. The module is
+    imported like any Python module.
+
+    Raises
+    ------
+    PlateError
+        If there is no agent with that name.
+    """
+    if name in AGENTS:
+        return AGENTS[name]
+    module, colon, label = name.partition(":")
+    if not colon:
+        raise PlateError(
+            f"agent is {name!r}{did_you_mean(name, AGENTS)}, allowed: {', '.join(AGENTS)}, or "
+            "MODULE:CLASS"
+        )
+    try:
+        found: type[Agent] = getattr(importlib.import_module(module), label)
+    except KeyboardInterrupt:
+        raise
+    except BaseException as problem:
+        absent = isinstance(problem, ModuleNotFoundError) and problem.name == module
+        where = f"; no {module}.py in this folder ({Path.cwd()}) or on the path" if absent else ""
+        raise PlateError(f"agent {name} cannot be loaded: {one_line(problem)}{where}") from problem
+    kinds = (getattr(found, key, None) for key in ("action", "observation"))
+    if (
+        not isinstance(found, type)
+        or not all(isinstance(kind, str) for kind in kinds)
+        or not callable(getattr(found, "act", None))
+    ):
+        raise PlateError(
+            f"agent {name} is {found!r}, allowed: a class with action, observation and act"
+        )
+    return found
+
+
+def episode(
+    agent: str, world: str, task: str, seed: int, begin: Callable[[], object] = lambda: None
+) -> dict[str, Any]:
+    """Run one episode in the world of a seed, in this process. The function `begin` is called
+    before each decision.
+
+    Returns
+    -------
+    dict
+        Row with the keys `seed`, `success`, `time_s` (of the plate), `steps`, `return`, `there`,
+        `dropped`, `error_mm` and `turn_error_deg` (of the part with the largest error at the end),
+        `limit_share` (maximum), and `places` (digest of all positions). The computing times are
+        `start_ms` (processor time to create the agent), `decision_ms` and `decision_ms_p99`
+        (processor time of a decision, median and 99th percentile), and `wall_ms` and `wall_ms_p99`
+        (elapsed time of a decision). If the action needs this project's solver, the times of a
+        decision include the solver.
+
+    Raises
+    ------
+    PlateError
+        If the agent fails. The message contains agent, task, seed and step.
+    """
+    kind = agent_class(agent)
+    spent, total, used = [], 0.0, 0.0
+    places = hashlib.blake2b(digest_size=8)
+    ended = over = False
+    try:
+        env = PlateEnv(task, world, kind.action, kind.observation)
+        seen, info = env.reset(seed=seed)
+        plate, brief = env.plates.plates[0], Brief.of(env)
+        began = clocks()
+        mind = kind(brief, seed_of_agent(seed))
+        start = clocks() - began
+        while not (ended or over):
+            known = {name: info[name] for name in KNOWN if name in info}
+            begin()
+            before, began = plate.solving_s.copy(), clocks()
+            action = mind.act(seen, known)
+            passed = clocks() - began
+            seen, reward, ended, over, info = env.step(action)
+            spent.append(passed + plate.solving_s - before)
+            total, used = total + reward, max(used, float(info["limit_share"]))
+            places.update(plate.simulation.state.position.tobytes())
+    except KeyboardInterrupt as problem:
+        # Either Ctrl-C or the agent has raised KeyboardInterrupt. A process of `isolation` ignores
+        # Ctrl-C, so there it was the agent.
+        if signal.getsignal(signal.SIGINT) is not signal.SIG_IGN:
+            raise
+        raise PlateError(f"{named(agent, task, seed, len(spent))}: KeyboardInterrupt") from problem
+    except BaseException as problem:
+        where = named(agent, task, seed, len(spent))
+        raise PlateError(f"{where}: {one_line(problem)}") from problem
+    own, wall = 1e3 * np.array(spent).T
+    return {
+        "seed": seed,
+        "success": bool(info["success"]),
+        "time_s": round(float(info["time_s"]), 6),
+        "steps": len(spent),
+        "return": total,
+        "there": int(info["there"]),
+        "dropped": int(info["dropped"]),
+        "error_mm": 1e3 * float(np.max(info["error_m"])),
+        "turn_error_deg": float(np.degrees(np.max(info["turn_error"]))),
+        "limit_share": used,
+        "places": places.hexdigest(),
+        "start_ms": 1e3 * float(start[0]),
+        "decision_ms": float(np.median(own)),
+        "decision_ms_p99": float(np.percentile(own, 99)),
+        "wall_ms": float(np.median(wall)),
+        "wall_ms_p99": float(np.percentile(wall, 99)),
+    }
+
+
+def seed_of_agent(seed: int) -> int:
+    """Return the seed of an agent's random numbers. It differs from the seed of the world.
+    Otherwise an agent could compute where the parts are."""
+    return drawn(np.random.default_rng((seed, AGENT)))
+
+
+def isolated(agent: str, world: str, task: str, seed: int, limits: Limits) -> dict[str, Any]:
+    """Run one episode in a separate process.
+
+    Returns
+    -------
+    dict
+        Row as in `episode`. If the agent exceeds a limit, the row contains zeros, and `failure`
+        names the limit.
+
+    Raises
+    ------
+    PlateError
+        If the agent fails for another reason. The message contains agent, task and seed.
+    """
+    request = {"agent": agent, "world": world, "task": task, "seed": seed}
+    reply = isolation.play(request, limits)
+    where = f"agent {agent}, {task}, seed {seed}"
+    if "row" in reply:
+        check_fields(where, reply["row"], ROW)
+        return dict(reply["row"])
+    if "failure" in reply:
+        failed = {"seed": seed, "steps": reply["steps"], "failure": shortened(reply["failure"])}
+        return {key: kind() for key, kind in ROW.items()} | failed
+    error = shortened(reply["error"])
+    raise PlateError(error if error.startswith("agent ") else f"{where}: {error}")
+
+
+def named(agent: str, task: str, seed: int, step: int) -> str:
+    """Return a text for messages that tells where an error of an agent occurred."""
+    return f"agent {agent}, {task}, seed {seed}, step {step}"
+
+
+def one_line(problem: BaseException) -> str:
+    """Return an exception as one line of text."""
+    try:
+        text = str(problem)
+    except BaseException as other:
+        text = f"(its text cannot be read: {type(other).__name__})"
+    return shortened(f"{type(problem).__name__}: {text}" if text else type(problem).__name__)
