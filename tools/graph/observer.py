@@ -184,6 +184,16 @@ class Record:
         return [message.text for message in self.tasks]
 
     @property
+    def answered(self) -> bool:
+        """Whether the solver has answered an image: a plate_cycle arrived, or the solver's
+        diagnostics count an answer.
+
+        In lockstep, the solver publishes a single plate_cycle before the first goal. If this
+        process discovers the solver later, it does not receive that message.
+        """
+        return self.answers > 0 or self.last("solver", "answers", "0") != "0"
+
+    @property
     def ready(self) -> bool:
         """Whether the driver is ready to play cycles."""
         return self.driver is not None and self.driver.state == DriverStatus.READY
@@ -362,7 +372,7 @@ class Observer:
             )
 
     def await_answers(self, timeout_s: float, names: Iterable[str] = ()) -> None:
-        """Wait for the first plate_cycle, which the solver publishes in answer to an image.
+        """Wait until the solver has answered an image (`Record.answered`).
 
         Parameters
         ----------
@@ -374,11 +384,11 @@ class Observer:
         Raises
         ------
         GraphError
-            If no cycle arrives. The message contains the nodes' own messages.
+            If no image is answered. The message contains the nodes' own messages.
         """
         names = list(names)
         began, allowed_s = time.monotonic(), timeout_s
-        while not self.until(lambda: self.record.answers > 0, LOOK_S):
+        while not self.until(lambda: self.record.answered, LOOK_S):
             waited_s = time.monotonic() - began
             self._waiting(f"waiting for the answer to the first image | {waited_s:.0f} s")
             if names and all(name in self.record.diagnostics for name in names):
