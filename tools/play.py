@@ -82,8 +82,10 @@ def arguments() -> argparse.Namespace:
 def checked(args: argparse.Namespace):
     """Check all arguments before anything is started, and return the options of the run.
 
-    Raises ------ PlateError If an argument is invalid. The message has the argument, its value and
-    the allowed values.
+    Raises
+    ------
+    PlateError
+        If an argument is invalid. The message has the argument, its value and the allowed values.
     """
     from plate_core import PlateError, load_rig
     from plate_core.tasks import load_scenario, start_positions

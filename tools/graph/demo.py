@@ -135,8 +135,10 @@ def demo(args: argparse.Namespace) -> int:
 def checked(args: argparse.Namespace) -> Plan:
     """Check all arguments before anything is started.
 
-    Raises ------ PlateError If an argument is invalid. The message has the argument, its value and
-    the allowed values.
+    Raises
+    ------
+    PlateError
+        If an argument is invalid. The message has the argument, its value and the allowed values.
     """
     scenario = load_scenario(args.scenario)
     drives = args.transport in DRIVES
