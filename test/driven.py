@@ -153,12 +153,12 @@ class Driven:
         return [nanoseconds(msg.header.stamp) for msg in self.setpoints]
 
     @property
-    def told(self):
+    def texts(self):
         """Texts of driver_status, without repetitions."""
-        told = []
+        texts = []
         for text in [msg.text for msg in self.said["driver_status"]]:
-            told += [text] if told[-1:] != [text] else []
-        return told
+            texts += [text] if texts[-1:] != [text] else []
+        return texts
 
     @property
     def report(self):

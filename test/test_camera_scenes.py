@@ -81,7 +81,7 @@ def test_a_row_counts_what_is_found():
     assert row["detected_percent"] == 100
     assert row["false"] == 0
     assert row["worst_mm"] < 0.1
-    assert row["told"] is None
+    assert row["reported"] is None
     assert set(WORDS["views"]["columns"]) == set(row)
     assert all(isinstance(key, str) for key in WORDS["views"]["columns"])
 

@@ -83,7 +83,7 @@ def test_the_files_of_parameters_say_what_the_nodes_do():
 
 
 def check_parameters(graph):
-    """Nodes have the parameters that they declare, and those that a run gives."""
+    """Nodes have the parameters that they declare, and the parameters of a run."""
     for name in NAMES:
         call = ListParameters, f"{name}/list_parameters", ListParameters.Request()
         known = set(graph.observer.call(*call).result.names)

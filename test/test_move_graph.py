@@ -36,13 +36,13 @@ def nearest(parts, place):
 def test_a_script_drags_parts_of_the_real_graph(tmp_path):
     options = LightOptions(scenario="play", seed=1, lockstep=True, autostart=False)
     with session(options, tmp_path, pictures=False) as graph:
-        observer, heard = graph.observer, {"part_targets": Targets()}  # no target was published yet
+        observer, latest = graph.observer, {"part_targets": Targets()}  # no target published yet
         for kind, topic, qos in (
             (Parts, "ground_truth", DATA), (Parts, "parts", DATA),
             (Targets, "part_targets", LATCHED), (TaskStatus, "task_status", LATCHED),
         ):  # fmt: skip
             observer.node.create_subscription(
-                kind, topic, lambda msg, topic=topic: heard.update({topic: msg}), qos
+                kind, topic, lambda msg, topic=topic: latest.update({topic: msg}), qos
             )
         graph.free()
         observer.await_ready()
@@ -50,18 +50,18 @@ def test_a_script_drags_parts_of_the_real_graph(tmp_path):
         task = plate.start(load_scenario("play"))
 
         def text():
-            return heard["task_status"].text
+            return latest["task_status"].text
 
         def truth():
-            return msg_to_parts(heard["ground_truth"])
+            return msg_to_parts(latest["ground_truth"])
 
-        assert observer.until(lambda: {"parts", "ground_truth", "task_status"} <= heard.keys(), 10)
-        seen = msg_to_parts(heard["parts"])
+        assert observer.until(lambda: {"parts", "ground_truth", "task_status"} <= latest.keys(), 10)
+        seen = msg_to_parts(latest["parts"])
         start = seen.position[seen.ids.index("black_1")]
         for place in ((0.15, 0.05), clear_place(seen, start)):  # the second while it is on its way
             plate.move_targets([PartTarget("black_1", place), PartTarget("black_77", place)])
             assert observer.until(
-                lambda place=place: [(t.id, t.x, t.y) for t in heard["part_targets"].targets]
+                lambda place=place: [(t.id, t.x, t.y) for t in latest["part_targets"].targets]
                 == [("black_1", *place)], 10
             )  # fmt: skip
         assert observer.until(lambda: text().startswith("running: 1 of 1 at their"), 100), text()
@@ -73,9 +73,9 @@ def test_a_script_drags_parts_of_the_real_graph(tmp_path):
         request = PlacePart.Request(type="grey", x=x, y=y)
         answer = observer.call(PlacePart, "simulator/place_part", request)
         assert answer.success, answer.message
-        assert observer.until(lambda: len(heard["parts"].parts) == 11, 20)
-        assert heard["task_status"].state == TaskStatus.RUNNING
-        new, away = nearest(msg_to_parts(heard["parts"]), (x, y))
+        assert observer.until(lambda: len(latest["parts"].parts) == 11, 20)
+        assert latest["task_status"].state == TaskStatus.RUNNING
+        new, away = nearest(msg_to_parts(latest["parts"]), (x, y))
         assert away < 0.01
         place = clear_place(truth(), (x, y))
         plate.move_targets([PartTarget(new, place)])

@@ -168,7 +168,7 @@ def test_a_node_that_says_nothing_is_named(page, graph):
 
 
 def test_every_control_works_without_an_error(page):
-    """Buttons, boxes, sliders and lists of all panels, except those that stop."""
+    """Buttons, boxes, sliders and lists of all panels, except the stop buttons."""
     for tab in page.get_by_role("tab").all():
         if not tab.is_visible():
             continue

@@ -79,7 +79,7 @@ def test_the_digest_is_that_of_the_sources(monkeypatch, tmp_path):
     for name in identity.PACKAGES:
         (tmp_path / f"plate_{name}").mkdir()
         (tmp_path / f"plate_{name}" / "__init__.py").write_text(f"NAME = {name!r}\n")
-    # Also those that have been imported from elsewhere.
+    # Also modules that were imported from elsewhere.
     found = lambda name: PathFinder.find_spec(name, [str(tmp_path)])  # noqa: E731
     monkeypatch.setattr(identity, "find_spec", found)
     marks = []

@@ -56,7 +56,7 @@ class Line:
         self.controller = Controller(RIG, "B", self.seed, restarts=5)
         self.simulation = Simulation(RIG, scenario, self.seed)
         self.timeline = Timeline.at_rest()
-        self.on_its_way, self.told = None, []
+        self.on_its_way, self.starts = None, []
         self.rng = np.random.default_rng(self.seed)
         self.progress = None
 
@@ -69,8 +69,8 @@ class Line:
         return self.timeline.begin
 
     def report(self, again=False):
-        self.told.append((self.running, self.now))
-        for cycle, begin in (self.told[-1], self.told[-2:][0]) if again else self.told[-1:]:
+        self.starts.append((self.running, self.now))
+        for cycle, begin in (self.starts[-1], self.starts[-2:][0]) if again else self.starts[-1:]:
             self.state = self.planner.started(self.state, cycle, begin, triggered=True)
 
     def take(self, cycle):

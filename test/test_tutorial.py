@@ -37,7 +37,7 @@ class Step:
 
 
 def steps(page):
-    """Return the steps of a page in their order, without those that are not run."""
+    """Return the steps of a page in their order, without the steps that are not run."""
     found = []
     for note, kind, body in BLOCK.findall(page):
         name = FILE.match(body)

@@ -373,7 +373,7 @@ def seen(one: Scene) -> Iterator[tuple[Tracker, bool]]:
 def row_of(kind: Kind, count: int) -> dict[str, Any]:
     """Measure one kind of scene in a number of layouts, and return its row."""
     gaps: list[float] = []
-    true = false = right = lost = told = 0
+    true = false = right = lost = reported = 0
     times = []
     for seed in range(FIRST_SEED, FIRST_SEED + count):
         one = drawn(kind, seed)
@@ -400,7 +400,7 @@ def row_of(kind: Kind, count: int) -> dict[str, Any]:
                 )
             if len(i) < len(one.position):
                 lost += 1
-                told += said
+                reported += said
     error = 1e3 * np.array(gaps)
     return {
         "scene": kind.name,
@@ -410,6 +410,6 @@ def row_of(kind: Kind, count: int) -> dict[str, Any]:
         "rms_mm": float(np.sqrt(np.mean(error**2))) if len(error) else None,
         "worst_mm": float(np.max(error)) if len(error) else None,
         "right_percent": 100 * right / max(len(gaps), 1) if kind.typed else None,
-        "told": f"{told} of {lost}" if lost else None,
+        "reported": f"{reported} of {lost}" if lost else None,
         "ms": 1e3 * float(np.median(times)),
     }

@@ -58,9 +58,9 @@ def measure(quick: bool) -> Result:
 
 def fault_row(kind: str, runs: list[dict[str, Any]]) -> dict[str, Any]:
     """Return the row that summarises the runs with one kind of accident."""
-    sums = {key: sum(row[key] for row in runs) for key in ("done", "told", "kept", "resting")}
+    sums = {key: sum(row[key] for row in runs) for key in ("done", "stopped", "kept", "resting")}
     most = {key: max(row[key] for row in runs) for key in ("enables", "used")}
-    return {"kind": kind, **sums, **most, "stuck": len(runs) - sums["done"] - sums["told"]}
+    return {"kind": kind, **sums, **most, "stuck": len(runs) - sums["done"] - sums["stopped"]}
 
 
 def accident_run(kind: str, seed: int) -> dict[str, Any]:
@@ -73,7 +73,7 @@ def accident_run(kind: str, seed: int) -> dict[str, Any]:
     phase, verdict = last.progress.phase, line.judge.verdict()
     done = phase == "done" and last.world.dropped == 0
     return {
-        "done": done, "told": not done and bool(line.troubles) and phase in ("stuck", "aborted"),
+        "done": done, "stopped": not done and bool(line.troubles) and phase in ("stuck", "aborted"),
         "kept": verdict.kept, "used": 100 * verdict.worst, "resting": line.resting,
         "enables": line.operator.enables,
     }  # fmt: skip

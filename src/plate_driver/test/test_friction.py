@@ -109,13 +109,13 @@ def test_mu_of_each_part_and_the_static_ratio(static):
     assert found.notes == ()
 
 
-@pytest.mark.parametrize(("grey", "told"), [(0.25, True), (0.295, False)])
-def test_mu_that_differs_between_types_is_told(grey, told):
+@pytest.mark.parametrize(("grey", "reported"), [(0.25, True), (0.295, False)])
+def test_mu_that_differs_between_types_is_reported(grey, reported):
     places = PLACES | {"grey_2": (0.2, -0.05)}
     true = {"black_1": 0.3, "black_2": 0.302, "grey_1": grey, "grey_2": grey + 0.002}
     found = measured(true, places=places)
-    assert len(found.notes) == told
-    assert not told or f"black 0.301, grey {grey + 0.001:.3f}" in found.notes[0]
+    assert len(found.notes) == reported
+    assert not reported or f"black 0.301, grey {grey + 0.001:.3f}" in found.notes[0]
 
 
 def test_the_standard_error_is_that_of_repeated_measurements():
@@ -133,7 +133,7 @@ def test_the_standard_error_is_that_of_repeated_measurements():
 
 
 @pytest.mark.parametrize("along", [(1.15, 0.85), (0.85, 1.15)])
-def test_mu_that_differs_along_x_and_y_is_told_and_does_not_change_the_static_ratio(along):
+def test_mu_that_differs_along_x_and_y_is_reported_and_does_not_change_the_static_ratio(along):
     found = measured(dict.fromkeys(PLACES, 0.3), 1.1, along=along)
     assert found.static_ratio == pytest.approx(1.1, abs=0.04)
     assert f"along x and y: {0.3 * along[0]:.3f}, {0.3 * along[1]:.3f}" in found.notes[0]

@@ -373,7 +373,7 @@ def test_what_is_too_old_or_of_a_task_that_has_ended_moves_nothing(driven):
 
 
 def test_where_two_nodes_send_cycles_neither_moves_the_plate(driven):
-    """Two publishers are two names, or else two that have sent something of late."""
+    """A second publisher is a second name, or without names a second recent sender."""
 
     def wait_for(second_publisher: str) -> None:
         end = time.monotonic() + 60.0
@@ -427,17 +427,17 @@ def change(driven: Driven, label: str) -> bool:
 def test_lifecycle(make):
     driven = make("autostart:=false", start=False)
     driven.pass_time(1.0)
-    assert driven.told == ["unconfigured"]
+    assert driven.texts == ["unconfigured"]
     assert driven.report.level == DiagnosticStatus.WARN
     assert not driven.node.raw_inputs
     data = serialize_message(cycle_to_msg(GENTLE, to_time(driven.clock.time_ns())))
     for _ in range(2):  # and a second life
         assert change(driven, "configure")
-        assert driven.told[-1] == "inactive"
+        assert driven.texts[-1] == "inactive"
         driven.node.take_cycle(data, len(data))
         assert not driven.setpoints, "an inactive driver sends nothing"
         assert change(driven, "activate")
-        assert driven.told[-1] == "ready"
+        assert driven.texts[-1] == "ready"
         driven.pass_time(PERIOD)
         stamp = driven.send(GENTLE)
         assert change(driven, "deactivate")
@@ -445,7 +445,7 @@ def test_lifecycle(make):
         assert at_rest(driven.setpoints.pop())
         assert not at_rest(driven.setpoints.pop())
         assert change(driven, "cleanup")
-        assert driven.told[-1] == "unconfigured"
+        assert driven.texts[-1] == "unconfigured"
     assert change(driven, "configure")
     assert change(driven, "activate")
     stamp = driven.send(GENTLE)
@@ -482,7 +482,7 @@ def test_wrong_parameters_are_refused_at_start(parameter, message):
 
 
 def test_services_stop_disable_and_enable(driven):
-    assert driven.told[-1] == "ready"
+    assert driven.texts[-1] == "ready"
     for call, state, reason in (
         (lambda: driven.call("emergency_stop"), EMERGENCY, DriverStatus.EMERGENCY_STOP),
         (lambda: driven.call("cut_power"), CUT, DriverStatus.POWER_CUT),
@@ -492,15 +492,15 @@ def test_services_stop_disable_and_enable(driven):
         assert call().success
         assert driven.stamps()[-2:] == [stamp, stamp]
         assert at_rest(driven.setpoints[-1])
-        assert driven.told[-1] == state
+        assert driven.texts[-1] == state
         assert driven.said["driver_status"][-1].reason == reason
         driven.pass_time(PERIOD)
         assert refused(driven) == f"the driver is {state}"
         assert call().success  # once more does no harm
-        assert driven.told[-1] == state
+        assert driven.texts[-1] == state
         assert driven.call("home").success
         assert driven.enable().success
-        assert driven.told[-1] == "ready"
+        assert driven.texts[-1] == "ready"
         driven.pass_time(1.1)
         assert driven.values()[-1]["rests"] == "0"  # it was a stop, not silence
     answer = driven.call("calibrate")
@@ -511,17 +511,17 @@ def test_services_stop_disable_and_enable(driven):
 def test_a_stop_latches_in_every_state(driven):
     """Without motors there is only the driver's own latch: nothing but enable opens it."""
     assert driven.call("emergency_stop").success
-    assert driven.told[-1] == EMERGENCY
+    assert driven.texts[-1] == EMERGENCY
     for label, word in (
         ("deactivate", "inactive"), ("cleanup", "unconfigured"), ("configure", "inactive"),
     ):  # fmt: skip
         assert change(driven, label)
         driven.pass_time(0.1)
-        assert driven.told[-1] == f"{word}: emergency stop; look at the rig, then call enable"
+        assert driven.texts[-1] == f"{word}: emergency stop; look at the rig, then call enable"
     assert change(driven, "activate")
     driven.pass_time(1.0)
-    assert driven.told[-1] == EMERGENCY
-    assert "ready" not in driven.told[driven.told.index(EMERGENCY) :]
+    assert driven.texts[-1] == EMERGENCY
+    assert "ready" not in driven.texts[driven.texts.index(EMERGENCY) :]
     assert refused(driven) == f"the driver is {EMERGENCY}"
     assert driven.report.level == DiagnosticStatus.ERROR
     # A stop of an inactive and of an unconfigured driver, and the reply of enable there.
@@ -535,9 +535,9 @@ def test_a_stop_latches_in_every_state(driven):
     assert change(driven, "configure")
     assert change(driven, "activate")
     driven.pass_time(0.1)
-    assert driven.told[-1] == EMERGENCY
+    assert driven.texts[-1] == EMERGENCY
     assert driven.enable().success
-    assert driven.told[-1] == "ready"
+    assert driven.texts[-1] == "ready"
 
 
 def test_a_sign_of_life_comes_twice_a_second(driven):

@@ -70,7 +70,7 @@ class Peer:
             (DiagnosticArray, "diagnostics", self.reports),
         ):
             self.node.create_subscription(kind, topic, received.append, DATA)
-        self.told: list[str] = []  # without repeated messages
+        self.texts: list[str] = []  # without repeated messages
         self.node.create_subscription(DriverStatus, "driver_status", self._on_status, LATCHED)
         self.cycles = self.node.create_publisher(JointTrajectory, "plate_cycle", DATA)
         self.tasks = self.node.create_publisher(TaskStatus, "task_status", LATCHED)
@@ -85,8 +85,8 @@ class Peer:
             self.process = subprocess.Popen(command, env=env, stdout=printed, stderr=printed)
 
     def _on_status(self, msg: DriverStatus) -> None:
-        if not self.told or self.told[-1] != msg.text:
-            self.told.append(msg.text)
+        if not self.texts or self.texts[-1] != msg.text:
+            self.texts.append(msg.text)
 
     @property
     def output(self) -> str:
@@ -111,7 +111,7 @@ class Peer:
 
     def moved(self) -> None:
         """Move the plate by a cycle for each new image, as a solver does. The driver refuses late
-        cycles and those that arrive before it is ready, and receives none before it has discovered
+        cycles and cycles that arrive before it is ready, and receives none before it has discovered
         this publisher."""
         sent, before = [], len(self.setpoints)
 
@@ -198,10 +198,10 @@ def test_a_process_answers_over_ros_and_rests_at_an_interrupt(peer):
     answers = [stop.call_async(ask) for stop in stops]
     peer.until(lambda: all(answer.done() for answer in answers))
     assert {answer.result().message for answer in answers} == {EMERGENCY}
-    peer.until(lambda: peer.told[-1] == EMERGENCY)
+    peer.until(lambda: peer.texts[-1] == EMERGENCY)
     [enable] = peer.clients(SetBool, "enable", SetBool.Request(data=False))
     assert peer.call(enable, SetBool.Request(data=True)).message == "ready"
-    peer.until(lambda: peer.told[-1] == "ready")
+    peer.until(lambda: peer.texts[-1] == "ready")
     # So does the command line.
     done = subprocess.run(
         [sys.executable, "-c", PLATE, NAMESPACE, "emergency_stop", "state", "enable", "stop"],
@@ -228,13 +228,13 @@ def test_a_process_is_managed_frozen_and_terminated(peer):
         return peer.call(get, GetState.Request()).current_state.label
 
     assert state() == "unconfigured"
-    peer.until(lambda: peer.told == ["unconfigured"])
+    peer.until(lambda: peer.texts == ["unconfigured"])
     peer.until(lambda: peer.level == DiagnosticStatus.WARN)
     assert change("configure")
     assert state() == "inactive"
-    peer.until(lambda: peer.told[-1] == "inactive")
+    peer.until(lambda: peer.texts[-1] == "inactive")
     assert change("activate")
-    peer.until(lambda: peer.told[-1] == "ready")
+    peer.until(lambda: peer.texts[-1] == "ready")
     assert not change("activate")
     assert not change("configure")
     assert state() == "active"

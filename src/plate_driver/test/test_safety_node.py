@@ -40,7 +40,7 @@ class Withheld:
 
     def __init__(self, clock=time.monotonic, order=Order) -> None:
         self._clock, self._order = clock, order
-        self.told, self.telemetry = Report(Condition.OFF), True
+        self.reported, self.telemetry = Report(Condition.OFF), True
         self.stops, self.cuts, self.enables, self.closed = [], [], [], 0
 
     def open(self) -> None:
@@ -51,7 +51,7 @@ class Withheld:
         return [Measured(now, now, 0, (0.0,) * 4, (0.0,) * 4)] if self.telemetry else []
 
     def report(self) -> Report:
-        return self.told
+        return self.reported
 
     def send(self, table, repeats) -> None:
         raise AssertionError("nobody sends anything here")
@@ -99,10 +99,10 @@ class Desk(Driven):
         return answer
 
     def go_silent(self) -> None:
-        self.motors.told, self.motors.telemetry = Report(Condition.GONE, text="no word"), False
+        self.motors.reported, self.motors.telemetry = Report(Condition.GONE, text="no word"), False
 
     def close(self) -> None:
-        self.motors.told = Report(Condition.OFF)
+        self.motors.reported = Report(Condition.OFF)
         super().close()
 
 
@@ -123,7 +123,7 @@ def test_a_stop_that_is_not_acknowledged_is_answered_and_goes_on_being_tried(des
     desk.motors.stops[-1].complete()  # the status then has the result
     assert desk.node.status.text == "error: no word"
     # Telemetry shows it: an acknowledgement is not needed.
-    desk.motors.told, desk.motors.telemetry = Report(Condition.OFF), True
+    desk.motors.reported, desk.motors.telemetry = Report(Condition.OFF), True
     answer = desk.call("emergency_stop")
     assert answer.success, answer.message
     assert answer.message.startswith("stopped: emergency stop")
@@ -136,12 +136,12 @@ def test_an_enable_is_answered_before_the_motors_are_ready(desk):
     assert (answer.success, answer.message) == (False, SILENT)
     answer = desk.enable()
     assert (answer.success, answer.message) == (True, ENABLING)
-    desk.motors.told = Report(Condition.ENABLING)
+    desk.motors.reported = Report(Condition.ENABLING)
     desk.pass_time(0.1)
     assert desk.node.status.state is DriverState.ENABLING
     for order in desk.motors.enables:
         order.complete()
-    desk.motors.told = Report(Condition.READY)
+    desk.motors.reported = Report(Condition.READY)
     desk.pass_time(0.1)
     assert desk.node.status.state is DriverState.READY
     answer = desk.call("home")  # with current
@@ -226,7 +226,7 @@ def test_a_stop_is_answered_behind_50_enables_and_each_of_50_stops_too(monkeypat
     driver, node, executor = DriverNode(), rclpy.create_node("caller"), SingleThreadedExecutor()
     executor.add_node(node)
     start_nodes(driver)
-    motors.told, motors.telemetry = Report(Condition.GONE, text="no word"), False
+    motors.reported, motors.telemetry = Report(Condition.GONE, text="no word"), False
     calls = [
         (node.create_client(kind, name, qos_profile=CALLS), request)
         for kind, name, request in (
@@ -251,7 +251,7 @@ def test_a_stop_is_answered_behind_50_enables_and_each_of_50_stops_too(monkeypat
         assert {future.result().message for future in asked[50:]} == {UNANSWERED}
         assert len(motors.stops) >= before + 50
     finally:
-        motors.told = Report(Condition.OFF)
+        motors.reported = Report(Condition.OFF)
         driver.destroy_node()
         executor.shutdown()
         node.destroy_node()

@@ -84,7 +84,7 @@ class Motors(SimTransport):
 
     def __init__(self) -> None:
         super().__init__(RIG, lambda table: None)
-        self.enabled, self.stops, self.told = Order(60.0), [], Condition.OFF
+        self.enabled, self.stops, self.reported = Order(60.0), [], Condition.OFF
         self.measured_at: list[float] = []
 
     def stop(self, cut=False):
@@ -96,7 +96,7 @@ class Motors(SimTransport):
         return self.enabled
 
     def report(self):
-        return Report(self.told)
+        return Report(self.reported)
 
     def poll(self):
         times, self.measured_at = self.measured_at, []
@@ -150,7 +150,7 @@ def test_a_stop_that_is_not_acknowledged_is_done_if_what_is_measured_shows_it():
 
     def shown(condition: Condition, cut: bool, measured_at: float, end: float) -> bool:
         order = thread.stop(cut)
-        motors.told, motors.measured_at = condition, [measured_at]
+        motors.reported, motors.measured_at = condition, [measured_at]
         thread.poll()
         return thread.stopped(order, cut, end)
 
@@ -163,7 +163,7 @@ def test_a_stop_that_is_not_acknowledged_is_done_if_what_is_measured_shows_it():
     assert not shown(Condition.GONE, False, now - 0.05, now)
     assert not shown(Condition.OFF, False, now - 0.2, now)  # before the stop had come, it may be
     order = thread.stop(True)
-    motors.told, motors.measured_at = Condition.OFF, [now]
+    motors.reported, motors.measured_at = Condition.OFF, [now]
     thread.poll()
     order.complete("it cannot be cut from here")
     assert not thread.stopped(order, True, now)  # the transport's report counts
@@ -380,13 +380,13 @@ def test_each_enable_has_another_time():
 
 def test_a_device_has_been_met_once_it_was_heard():
     motors = Motors()
-    motors.told = Condition.GONE
+    motors.reported = Condition.GONE
     thread = TransportThread(motors, Latch(), pytest.fail)
     thread.poll()
     assert not thread.met
-    motors.told = Condition.OFF
+    motors.reported = Condition.OFF
     thread.poll()
-    motors.told = Condition.GONE
+    motors.reported = Condition.GONE
     thread.poll()
     assert thread.met
 

@@ -134,7 +134,7 @@ def test_which_parts_are_ready_is_judged_when_the_plate_rests():
     assert cell.replies[0].part.id == "black_1"
 
 
-def test_a_part_is_told_only_at_rest_under_an_order_to_rest():
+def test_a_part_is_reported_only_at_rest_under_an_order_to_rest():
     cell = Cell(ready=("black_1",))  # one is too few: the planner moves
     cell.do("prepare_part", now=cell.t)
     cell.run(8)
@@ -149,7 +149,7 @@ def test_a_part_is_told_only_at_rest_under_an_order_to_rest():
     assert cell.mode is FeedMode.REST
 
 
-def test_a_part_that_has_gone_when_the_plate_rests_is_not_told():
+def test_a_part_that_has_gone_when_the_plate_rests_is_not_reported():
     cell = Cell(ready=("black_1",))
     cell.get()
     cell.run()
@@ -173,7 +173,7 @@ def test_a_status_of_an_earlier_rest_is_not_taken_for_one_of_this():
     assert FeedMode.FEED in cell.modes[-6:]
 
 
-def test_a_part_that_was_taken_is_not_told_while_old_images_show_it():
+def test_a_part_that_was_taken_is_not_reported_while_old_images_show_it():
     cell = Cell(ready=("black_1",))
     cell.get()
     cell.answer()
@@ -392,7 +392,7 @@ def test_a_task_that_does_not_begin_is_not_wanted_for_ever_by_a_client_that_does
     assert not cell.output.run
 
 
-def test_the_end_of_the_task_is_told_at_once_and_a_command_begins_it_again():
+def test_the_end_of_the_task_is_reported_at_once_and_a_command_begins_it_again():
     cell = Cell(ready=())
     cell.get()
     cell.run(3)
@@ -414,15 +414,15 @@ def test_after_a_stop_nothing_begins_before_a_person_says_so():
     feeder = cell.feeder
     feeder.stop("aborted: stopped")
     cell.step()
-    told = cell.replies.pop()
-    assert told.code is Code.STOPPED
-    assert "call" in told.text
-    assert "resume_feeding" in told.text
-    assert "aborted: stopped" in told.text
+    reply = cell.replies.pop()
+    assert reply.code is Code.STOPPED
+    assert "call" in reply.text
+    assert "resume_feeding" in reply.text
+    assert "aborted: stopped" in reply.text
     for command in ("get_part", "prepare_part", "purge"):
         for client in ("robot", "other"):
             reply = getattr(feeder, command)(client, now=cell.t)
-            expected = replace(told, left=10 if command == "purge" else 0)
+            expected = replace(reply, left=10 if command == "purge" else 0)
             assert repr(reply) == repr(expected)  # its NaN is unequal to itself
         cell.run(2)
         assert not cell.output.run
@@ -604,7 +604,7 @@ def test_a_hopper_is_not_empty_because_a_robot_does_not_tell_what_it_takes():
     assert len(cell.opened) > 2 * MAX_OPENINGS
 
 
-def test_no_hopper_opens_over_a_robot_and_no_part_is_told_on_which_others_fall():
+def test_no_hopper_opens_over_a_robot_and_no_part_is_reported_on_which_others_fall():
     cell = Cell(replace(TASK, hopper=HOPPER), ready=(), seen={"black": 7})
     cell.ready = {"black_1": part("black_1", -0.15)}  # in no window that we have
     cell.feeder = Feeder(replace(cell.feeder.task, picks=(replace(BLACK, low=(-0.2, -0.1)),)), RIG)
@@ -654,7 +654,7 @@ def test_a_plate_on_which_parts_still_fall_is_not_purged():
     cell.feeder.cancel("robot")
     began = cell.t
     cell.do("purge", now=cell.t)
-    assert cell.opened[1:] == [(began, 0.0)], "no more than those that fall already"
+    assert cell.opened[1:] == [(began, 0.0)], "only the parts that fall already"
     reply = cell.answer()
     assert reply.code is Code.DONE
     assert FALLEN_S <= cell.t - began < FALLEN_S + 4 * PERIOD_S
@@ -707,7 +707,7 @@ def test_any_sequence_of_commands_and_statuses(seed):
     rng = np.random.default_rng(seed)
     task = replace(PURGED, picks=(BLACK, GREY), timeout_s=3.0, valid_s=1.5)
     cell = Cell(task, ready=(), seen={"black": 5, "grey": 5})
-    feeder, told, waiting, answered = cell.feeder, {}, {}, 0
+    feeder, reported, waiting, answered = cell.feeder, {}, {}, 0
     names = [f"{label}_{k}" for label in ("black", "grey") for k in range(4)]
     for _ in range(3000):
         who, deed = rng.choice(["robot", "other"]), rng.choice(10, p=[0.4, *8 * [0.07], 0.04])
@@ -755,8 +755,8 @@ def test_any_sequence_of_commands_and_statuses(seed):
             name = reply.part.id
             assert cell.mode is FeedMode.REST
             assert name in cell.shown
-            assert cell.t - told.get(name, -math.inf) >= SEEN_AGAIN_S - PERIOD_S
-            told[name] = cell.t
+            assert cell.t - reported.get(name, -math.inf) >= SEEN_AGAIN_S - PERIOD_S
+            reported[name] = cell.t
         assert all(cell.t <= until + 2 * PERIOD_S for until in waiting.values())
     assert answered > 50
-    assert len(told) == len(names)
+    assert len(reported) == len(names)

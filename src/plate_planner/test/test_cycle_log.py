@@ -159,7 +159,7 @@ def test_how_late_answers_begin_is_learnt(late):
     assert log.delay == late
     ahead = log.until_answer
     assert ahead.end == pytest.approx(log.end + 0.1 * late)
-    # Those that were sent begin in their turn.
+    # The sent cycles begin one after the other.
     last = [cycle.knot_pose[1, 0] for _, cycle in ahead.runs[-1 - late :]]
     assert last == pytest.approx([1e-4 * k for k in range(11 - late, 12)])
 

@@ -74,12 +74,14 @@ class World:
         return Parts.make(names, place)
 
 
-def estimated(world, cycles, latency=0.0, given=0.0, edit=lambda k, parts: parts, told=False):
-    """Yield the estimator after every image, and the truth at its stamp. `told`: whether starts are
-    reported."""
+def estimated(
+    world, cycles, latency=0.0, given=0.0, edit=lambda k, parts: parts, starts_reported=False
+):
+    """Yield the estimator after every image, and the truth at its stamp. `starts_reported`:
+    whether the starts of cycles are reported."""
     estimator, cycle = Estimator.of(RIG, T, given), PlateCycle.rest(T)
     for k in range(cycles):
-        if told:
+        if starts_reported:
             estimator = estimator.started(cycle, k * T, triggered=True)
         estimator = estimator.update(edit(k, world.seen(latency)), k * T)
         parts = estimator.parts
@@ -124,12 +126,12 @@ def test_each_row_of_a_rolling_shutter_has_its_own_time():
 
 
 @pytest.mark.parametrize(
-    ("age", "told"), [(0.0, False), (0.013, False), (0.1, False), (0.05, True), (0.1, True)]
+    ("age", "reported"), [(0.0, False), (0.013, False), (0.1, False), (0.05, True), (0.1, True)]
 )
-def test_it_finds_out_how_old_images_are(age, told):
+def test_it_finds_out_how_old_images_are(age, reported):
     """Also where their stamps are those of cycles' starts, as a trigger's are."""
     errors = []
-    for estimator, truth in estimated(World(4, 1.1), 32, age, given=None, told=told):
+    for estimator, truth in estimated(World(4, 1.1), 32, age, given=None, starts_reported=reported):
         errors.append(np.abs(estimator.parts.position - truth).max())
     assert estimator.hypotheses.latency == pytest.approx(age, abs=1e-3)
     assert np.median(errors[24:]) < 0.1e-3
@@ -438,9 +440,10 @@ def test_it_says_when_answers_begin_late():
         (1, "results start a cycle late"),
         (2, "results start 2 cycles late"),
     ):
-        told = replace(estimator, log=replace(estimator.log, delays=(late,) * 7)).answer_problem
-        assert told.startswith(problem)
-        assert bool(told) == bool(problem)
+        late_log = replace(estimator.log, delays=(late,) * 7)
+        reported = replace(estimator, log=late_log).answer_problem
+        assert reported.startswith(problem)
+        assert bool(reported) == bool(problem)
 
 
 @pytest.mark.parametrize("triggered", [True, False])

@@ -99,34 +99,35 @@ def test_an_order_to_rest_is_kept_whatever_lies_there():
 
 
 def test_it_is_not_at_rest_before_the_last_motion_has_ended():
-    rules, memory, told = Feeder(TASK, RIG), None, []
+    rules, memory, at_rest = Feeder(TASK, RIG), None, []
     crowd = parts(black_1=(0.0, 0.0), black_2=(0.017, 0.0))
     memory, _ = rules.assess(memory, situation(crowd, 0.0))
     rules = Feeder(replace(TASK, order=FeedOrder(FeedMode.REST)), RIG)
     for k in (1, 2, 3):
         memory, _ = rules.assess(memory, situation(crowd, k * T))
-        told.append(memory.report.at_rest)
+        at_rest.append(memory.report.at_rest)
     # Image 1 is answered by the first rest, which begins at image 2, when parts still drift.
-    assert told == [False, False, True]
+    assert at_rest == [False, False, True]
 
 
 @pytest.mark.parametrize(
-    ("begins", "told", "came"),
+    ("begins", "reported", "arrival"),
     [(4, 4, 3.9), (4, 5, 3.9), (6, 6, 5.5)],
-    ids=["told at once", "told with the image after", "the planner is behind"],
+    ids=["reported at once", "reported with the next image", "the planner is behind"],
 )
-def test_nothing_lies_still_as_long_as_a_motion_that_was_asked_for_may_come(begins, told, came):
-    """The answer to image 0 begins with image `begins`, long after the order to rest; the report of
-    it comes before image `told`. It is heard after image 3, at time `came`, with rest after it."""
+def test_no_part_is_at_rest_while_a_requested_motion_can_start(begins, reported, arrival):
+    """The cycle for image 0 starts at image `begins`, long after the order to rest. Its start is
+    reported before image `reported`. The planner receives the cycle after image 3, at time
+    `arrival`, followed by rest."""
     feed = Planner(RIG, replace(SCENARIO, task=TASK))
     state, still = feed.start(feed.initial()), []
     push = np.outer(np.sin(np.linspace(0, 2 * np.pi, 20)) ** 3, [0.001, 0.0, 0.0])
     rest, push = PlateCycle.rest(T), PlateCycle.from_samples(T, push)
     crowd = parts(black_1=(0.0, 0.0), black_2=(0.017, 0.0))
     for k in range(12):
-        if k == told > begins:
+        if k == reported > begins:
             state = feed.started(state, push, begins * T, triggered=True)
-        if k != begins or told == begins:
+        if k != begins or reported == begins:
             state = feed.started(state, push if k == begins else rest, k * T, triggered=True)
         state, wanted, _ = feed.plan(state, crowd, k * T)
         assert bool(wanted.parts.ids) is (k == 0)
@@ -136,7 +137,7 @@ def test_nothing_lies_still_as_long_as_a_motion_that_was_asked_for_may_come(begi
         elif k >= 3:
             for asked in range(4) if k == 3 else [k]:
                 answer = rest if asked else push
-                state = feed.record_cycle(state, answer, max(came, k) * T, asked * T)
+                state = feed.record_cycle(state, answer, max(arrival, k) * T, asked * T)
     assert still == [k > begins + 1 for k in range(12)]
 
 
@@ -272,7 +273,7 @@ def test_bars_are_turned_the_shorter_way():
     memory, found = Feeder(task, rig).assess(None, situation(seen))
     angles = found.request.angles
     assert np.degrees(angles.low[0]) == pytest.approx(178.5), "a turn of half a round is none"
-    assert np.all(angles.weight > 0), "those that are ready keep theirs"
+    assert np.all(angles.weight > 0), "ready parts keep their weights"
     assert angles.weight[0] > 4 * angles.weight[2], "the nearest one first"
     assert memory.chosen == ("bar_1", "bar_3")
 

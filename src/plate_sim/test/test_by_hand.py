@@ -15,7 +15,7 @@ from plate_sim.world import NONE
 RIG = load_rig()
 REST = PlateCycle.rest(0.1)
 FREE = (0.28, 0.14)
-"""No scattered part is so near a corner."""
+"""Place near a corner, without a scattered part."""
 
 
 def world(disturbances=NONE, rig=RIG, scenario="sort_4", seed=3):

@@ -1,4 +1,4 @@
-"""Motor tables that the device plays, and those that it refuses."""
+"""Motor tables that the device plays, and tables that it refuses."""
 
 import numpy as np
 import pytest

@@ -226,13 +226,13 @@ def set_parameters(loop, **values):
 def test_parts_are_put_down_and_taken_off_by_hand():
     with Loop(lockstep=True, scenario="sort_4", noise=0.0) as loop:
         assert loop.spin(lambda: len(loop.truths) == 1)
-        told = call(loop, PlacePart, "place_part", type="grey", x=0.28, y=0.14)
-        assert (told.success, told.id) == (True, "grey_3")
-        assert told.message == "new: grey_3 is at (0.280, 0.140) m"
+        reply = call(loop, PlacePart, "place_part", type="grey", x=0.28, y=0.14)
+        assert (reply.success, reply.id) == (True, "grey_3")
+        assert reply.message == "new: grey_3 is at (0.280, 0.140) m"
         assert call(loop, PlacePart, "place_part", id="grey_1", x=0.28, y=-0.14, angle=0.1).success
-        told = call(loop, PlacePart, "place_part", id="grey_2", x=0.28, y=0.14)
-        assert not told.success
-        assert "parts grey_2 and grey_3 overlap by 16 mm" in told.message
+        reply = call(loop, PlacePart, "place_part", id="grey_2", x=0.28, y=0.14)
+        assert not reply.success
+        assert "parts grey_2 and grey_3 overlap by 16 mm" in reply.message
         assert call(loop, RemovePart, "remove_part", id="black_1").message == "black_1 was removed"
         assert "id is 'black_1'" in call(loop, RemovePart, "remove_part", id="black_1").message
         loop.answer = still
@@ -253,8 +253,8 @@ def open_hopper(loop, duration):
 def test_a_hopper_is_opened_and_a_robot_takes_parts():
     with Loop(lockstep=True, scenario="feed", noise=0.0, seed=3) as loop:
         assert loop.spin(lambda: len(loop.truths) == 1)
-        told = open_hopper(loop, 0.2)
-        assert (told.success, told.message) == (True, "open for 0.2 s, 2 parts will drop")
+        reply = open_hopper(loop, 0.2)
+        assert (reply.success, reply.message) == (True, "open for 0.2 s, 2 parts will drop")
         loop.answer = still
         assert loop.spin(lambda: len(loop.truths) >= 4)
         loop.answer = None
@@ -262,14 +262,14 @@ def test_a_hopper_is_opened_and_a_robot_takes_parts():
         assert len(truth.ids) == 12
         places, before = truth.position, image_to_array(loop.images[-1]).astype(int)
         x, y = places[0] + [0.003, 0.0]
-        told = call(loop, MoveRobot, "move_robot", to=MoveRobot.Request.GRIP, x=x, y=y)
-        assert (told.success, told.id) == (True, "black_1")
-        assert told.error_m == pytest.approx(0.003)
-        assert told.error_rad == 0
+        reply = call(loop, MoveRobot, "move_robot", to=MoveRobot.Request.GRIP, x=x, y=y)
+        assert (reply.success, reply.id) == (True, "black_1")
+        assert reply.error_m == pytest.approx(0.003)
+        assert reply.error_rad == 0
         assert not set_parameters(loop, pick_failure=1.0)
         x, y = places[1]
-        told = call(loop, MoveRobot, "move_robot", to=MoveRobot.Request.GRIP, x=x, y=y)
-        assert (told.success, told.id, told.message) == (False, "black_2", "black_2 slipped")
+        reply = call(loop, MoveRobot, "move_robot", to=MoveRobot.Request.GRIP, x=x, y=y)
+        assert (reply.success, reply.id, reply.message) == (False, "black_2", "black_2 slipped")
         stamp, images = loop.images[-1].header.stamp, len(loop.images)
         loop.tables.publish(still(0, stamp))
         assert loop.spin(lambda: len(loop.images) > images)
@@ -282,13 +282,13 @@ def test_a_hopper_is_opened_and_a_robot_takes_parts():
 def test_what_hopper_and_robot_cannot_do_is_refused_in_words():
     duration = float("nan")
     with Loop(lockstep=True, scenario="feed") as loop:
-        told = open_hopper(loop, duration)
-        assert not told.success
-        assert "allowed: 0 (closes it) to 60 s" in told.message
-        told = call(loop, MoveRobot, "move_robot", to=7)
-        assert (told.success, told.message[:8]) == (False, "to is 7,")
-        told = call(loop, MoveRobot, "move_robot", to=MoveRobot.Request.GRIP, x=duration)
-        assert (told.success, told.message[:11]) == (False, "gripper is ")
+        reply = open_hopper(loop, duration)
+        assert not reply.success
+        assert "allowed: 0 (closes it) to 60 s" in reply.message
+        reply = call(loop, MoveRobot, "move_robot", to=7)
+        assert (reply.success, reply.message[:8]) == (False, "to is 7,")
+        reply = call(loop, MoveRobot, "move_robot", to=MoveRobot.Request.GRIP, x=duration)
+        assert (reply.success, reply.message[:11]) == (False, "gripper is ")
 
 
 def test_a_scenario_without_a_hopper_says_so():
@@ -322,10 +322,10 @@ def test_parts_drop_where_the_device_drives():
 
 def test_a_seed_that_is_set_counts_at_the_next_reset():
     with Loop(lockstep=True, scenario="sort_4", seed=7) as loop:
-        for seed, told in ((7, 7), (None, 8), (3, 3), (3, 3)):
+        for seed, used in ((7, 7), (None, 8), (3, 3), (3, 3)):
             assert seed is None or not set_parameters(loop, seed=seed)
             answer = call(loop, Trigger, "reset")
-            assert answer.message == f"parts are at new positions, seed {told}"
+            assert answer.message == f"parts are at new positions, seed {used}"
 
 
 def test_the_world_changes_while_it_runs_where_it_can():
@@ -385,17 +385,17 @@ def test_bad_tables_are_refused_and_the_plate_carries_on():
 
 
 def test_diagnostics_tell_silence_and_refusals():
-    def told(loop, level, words):
+    def wait_for(loop, level, text):
         loop.reports.clear()
 
-        def heard():
+        def published():
             status = loop.reports[-1].status[0] if loop.reports else None
-            return status and status.level == level and words in status.message
+            return status and status.level == level and text in status.message
 
-        assert loop.spin(heard), loop.reports[-1:]
+        assert loop.spin(published), loop.reports[-1:]
 
     with Loop(idle_period=0.05, input_timeout_s=0.3) as loop:
-        told(
+        wait_for(
             loop,
             DiagnosticStatus.STALE,
             "no motor table yet on motor_setpoints; check that the driver",
@@ -404,9 +404,9 @@ def test_diagnostics_tell_silence_and_refusals():
         assert loop.spin(lambda: 50_000_000 in np.diff(loop.stamps))
         assert loop.spin(lambda: loop.reports[-1].status[0].level != DiagnosticStatus.STALE)
         loop.answer = spoilt
-        told(loop, DiagnosticStatus.ERROR, "tables refused: ")
+        wait_for(loop, DiagnosticStatus.ERROR, "tables refused: ")
         loop.answer = None
-        told(loop, DiagnosticStatus.STALE, "no motor table for ")
+        wait_for(loop, DiagnosticStatus.STALE, "no motor table for ")
 
 
 def test_real_time_goes_on_without_answers():

@@ -56,13 +56,13 @@ def test_plates_together_do_as_each_alone():
 def test_a_sight_is_what_an_image_shows():
     """The same parts are hidden, the same false ones there, as late."""
     world = Disturbances(missed_parts=0.3, false_parts=0.3, latency=0.05, blur=False)
-    drawn, told = (Simulation(RIG, SORT_4, 3, world, noise=0.0) for _ in range(2))
+    drawn, reported = (Simulation(RIG, SORT_4, 3, world, noise=0.0) for _ in range(2))
     hidden = false = 0
     for turn in range(6):
-        for simulation in (drawn, told):
+        for simulation in (drawn, reported):
             simulation.run(shaking(seed=turn))
-        image, sight = drawn.capture(), told.visible_parts()
-        places = np.vstack([sight.position[sight.seen], sight.false])
+        image, visible = drawn.capture(), reported.visible_parts()
+        places = np.vstack([visible.position[visible.seen], visible.false])
         at = np.rint(to_image(RIG, places)).astype(int)
         bare = drawn.capture_bare().astype(float)
         dark = bare - image
@@ -71,7 +71,7 @@ def test_a_sight_is_what_an_image_shows():
             dark[y - 14 : y + 15, x - 14 : x + 15] = 0
         inside = dark[115:365, 60:580]  # the plate's edges were elsewhere
         assert np.max(np.abs(inside)) < 5  # nothing else is there
-        hidden, false = hidden + np.sum(~sight.seen), false + len(sight.false)
+        hidden, false = hidden + np.sum(~visible.seen), false + len(visible.false)
     assert hidden > 2
     assert false > 2
 

@@ -88,7 +88,8 @@ def spoilt(array):
 def check_refusals():
     """Function that gives a kernel wrong arrays, each one alone, also within named tuples.
 
-    `free` are those that may be wrong: (kernel, number or field, axis), or a field of any kernel.
+    `free` are the arguments that may be wrong: (kernel, number or field, axis), or a field of any
+    kernel.
     """
 
     def check(name: str, right: tuple, free: set) -> None:

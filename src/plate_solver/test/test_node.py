@@ -88,18 +88,18 @@ class Peer:
         assert self.until(lambda: latest() and condition(latest())), latest()
         return latest()
 
-    def told(self, level: bytes, *words: str) -> None:
-        """Wait for diagnostics of a level whose message has some words."""
+    def wait_for_diagnostics(self, level: bytes, *texts: str) -> None:
+        """Wait for diagnostics of a level whose message contains some texts."""
 
-        def heard() -> bool:
+        def published() -> bool:
             status = self.reports[-1].status[0] if self.reports else None
             return (
                 status is not None
                 and status.level == level
-                and all(word in status.message for word in words)
+                and all(text in status.message for text in texts)
             )
 
-        assert self.until(heard), self.reports[-1:]
+        assert self.until(published), self.reports[-1:]
 
     def second_publisher(self) -> str:
         return self.solver.second_publisher("part_forces")
@@ -210,7 +210,7 @@ def test_life_of_a_solver(peer, rig, capfd):
         stamp_ns += 100 * MS
         peer.send(bad, stamp_ns)
         peer.report(lambda r, number=number: r["refused_messages"] == str(number))
-    peer.told(DiagnosticStatus.ERROR, "part_forces refused: ")
+    peer.wait_for_diagnostics(DiagnosticStatus.ERROR, "part_forces refused: ")
     peer.send(whole, plate.stamp_ns - 50 * MS)  # older than the last
     peer.report(lambda r: r["refused_messages"] == "4")
     stamp_ns += 100 * MS
@@ -260,7 +260,9 @@ def test_life_of_a_solver(peer, rig, capfd):
     assert np.any(peer.ask(force, fresh.stamp_ns + 400 * MS).knot_pose)
 
     # Without requests the values are old.
-    peer.told(DiagnosticStatus.STALE, "no part_forces for ", "check that the planner runs")
+    peer.wait_for_diagnostics(
+        DiagnosticStatus.STALE, "no part_forces for ", "check that the planner runs"
+    )
 
     report = peer.report(lambda r: int(r["answers"]) >= 20)
     assert 0 <= float(report["missed_fraction"]) <= 1

@@ -122,7 +122,7 @@ def test_connections_that_say_nothing_keep_nobody_out(server, taken, monkeypatch
             except (
                 OSError,
                 tornado.httpclient.HTTPError,
-            ):  # those that were closed are not forgotten yet
+            ):  # the closed ones are not forgotten yet
                 assert time.monotonic() < end
                 await asyncio.sleep(0.05)
         await connection.write_message(json.dumps({"do": "stop", "number": 1}))

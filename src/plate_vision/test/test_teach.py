@@ -219,7 +219,7 @@ def folder(tmp_path, monkeypatch, draw_types):
 
 
 def test_pictures_that_a_type_is_taught_from_stay(folder):
-    """Also of the type's name, beside the file of types; and those that somebody else wrote in."""
+    """Also of the type's name, beside the file of types; and types that somebody else wrote in."""
     before = (folder / "screw.png").read_bytes()
     rig = ["--rig", str(config_path("rig.yaml")), "--bare", "bare.png"]
     main(["screw", "screw.png", *rig])
