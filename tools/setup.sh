@@ -56,7 +56,7 @@ choose_ros() {
         "On Ubuntu 24.04, once ROS's package source is added: sudo apt install ros-jazzy-ros-base"
 }
 
-# The allowed versions of Python are those that pyproject.toml names.
+# pyproject.toml lists the allowed versions of Python.
 read_versions() {
     mapfile -t versions < <(sed -nE 's/.*"Programming Language :: Python :: (3\.[0-9]+)".*/\1/p' pyproject.toml)
     allowed="Python ${versions[0]} to ${versions[-1]}"
@@ -158,7 +158,7 @@ install_requirements() {
             "${install[@]}" "${uv[@]}"
         } > "$log" 2>&1 || return
         "${install[@]}" "$(pinned nanobind)" "$(pinned setuptools)" "$(pinned wheel)" > "$log" 2>&1 || return
-        set -m # a group of its own, which ends with us
+        set -m # a separate process group, which ends with this script
         compile_kernels &
         compiling=$!
         set +m

@@ -85,7 +85,7 @@ class Rows:
                     name = next(key for key in now | was if now.get(key) != was.get(key))
                     was, now = was.get(name), now.get(name)
                 raise PlateError(
-                    f"{path}: seed {row['seed']} was run with {name} {was!r}, allowed: {now!r}, "
+                    f"{path}: seed {row['seed']} was run with {name} {was!r}, allowed: {now!r} "
                     "as in this call, or another file"
                 )
         return rows

@@ -98,8 +98,8 @@ def measure(quick: bool) -> Result:
 def traces(
     name: str, variation: Variation, seeds: range, cache: Cache
 ) -> dict[str, list[list[str]]]:
-    """Return the traces of every scenario in a variation, by seed. Those that are not in the cache
-    are run."""
+    """Return the traces of every scenario in a variation, by seed. Runs that are not in the
+    cache are made."""
     work = {(name, scenario): [(scenario, seed) for seed in seeds] for scenario in SCENARIOS}
     with surroundings(variation):
         found = by_case(trace, work, cache, variation.workers)

@@ -42,7 +42,7 @@ class Session:
     processes : Processes
     observer : Observer
     nodes : list of str
-        Names of the nodes, except those that only display.
+        Names of the nodes, without display nodes.
     """
 
     options: RunOptions

@@ -187,7 +187,7 @@ def start(hardware: bool, file: str, context: Any) -> list[Any]:
     if "scenario" in given and not rigs:
         rigs = [load_scenario(given["scenario"]).rig]
         values["rig_file"] = rigs[0]
-    if space:  # if two plates run, each needs a simulated device of its own
+    if space:  # if two plates run, each needs a separate simulated device
         values["link"] = RunOptions.link + "_" + space.replace("/", "_")
     options = RunOptions(
         **{"transport": "serial" if hardware else "sim", "hardware": hardware} | values

@@ -337,7 +337,7 @@ class _Stopped(Exception):
 
 
 def _work(token: str, call: bytes) -> Any:
-    """Run a function on a worker in such a way that `_stop` can end it."""
+    """Run a function on a worker so that `_stop` can end it."""
     _RUNNING[token] = threading.get_ident()
     try:
         function, args, kwargs = pickle.loads(call)

@@ -29,7 +29,7 @@ from .loop import Setup, run
 __all__ = ["REHEARSALS", "STILL", "Rehearsal", "Share", "Verdict", "rehearse", "rehearse_task"]
 
 REHEARSALS = 3
-"""Number of rehearsals of a task. Each rehearsal has random start positions of its own."""
+"""Number of rehearsals of a task. Each rehearsal has different random start positions."""
 
 MAX_CYCLES = 150
 """Maximum number of cycles of a rehearsal. If the task is not done by then, the remaining time is

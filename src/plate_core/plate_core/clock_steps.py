@@ -2,7 +2,7 @@
 
 A clock that is synchronised over a network may step. If it steps back while a message is in
 transit, the message seems younger than it is. The steady clock never steps, so the difference
-between the two clocks shows the steps. This module uses neither ROS nor a clock of its own: times
+between the two clocks shows the steps. This module uses no ROS and reads no clock itself. Times
 and clocks are arguments.
 """
 

@@ -145,8 +145,7 @@ class Master:
             received.emergency = received.emergency or (int.from_bytes(data[:2], "little"), data[2])
 
     def answering(self, index: int) -> list[int]:
-        """Request an object from all nodes. Return the nodes that reply, including those that
-        refuse."""
+        """Request an object from all nodes. Return the nodes that reply, even if they refuse."""
         for node in NODES:
             self.received[node].answers.clear()
             self._request(node, 0x40, index, 0)

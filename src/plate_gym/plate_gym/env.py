@@ -100,7 +100,7 @@ class PlateEnv(gym.Env):
             self._film.close()
 
     def __getstate__(self) -> dict[str, Any]:
-        """Return the attributes for a copy, without the window. The copy opens a window of its own
+        """Return the attributes for a copy, without the window. The copy opens a separate window
         when it needs one."""
         return vars(self) | ({"_film": None} if self.render_mode == "human" else {})
 

@@ -80,7 +80,7 @@ LIMITS = Limits()
 
 
 class Supervisor:
-    """Supervisor in a process of its own. The process has its own session, so that signals of a
+    """Supervisor in a separate process. The process has its own session, so that signals of a
     terminal do not reach it. If the process that created it ends, the standard input of the
     supervisor ends, and the supervisor ends too."""
 

@@ -527,7 +527,7 @@ class PlannerNode(SafeLifecycleNode[PlannerParameters]):
             response.message = "no task runs"
             if before:
                 response.message += f"; the last task: {before}"
-        # Another node runs friction measurements, but a stop must also end a measurement.
+        # A stop must also end a friction measurement, which the driver runs.
         if self._friction.service_is_ready():
             self._friction.call_async(MeasureFriction.Request(start=False))
         driver = self._monitor.inputs.driver_status

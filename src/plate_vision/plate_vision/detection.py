@@ -117,8 +117,7 @@ FAINT = 2.0
 less contrast is reported as too faint."""
 
 MIN_ALIKE = 3
-"""Minimum number of similar parts. If there are so many, their median radius is used as the known
-radius."""
+"""Minimum number of similar parts from which their median radius is used as the known radius."""
 
 ALIKE = 0.12
 """Maximum relative deviation of similar parts' radii from their median radius [-]."""

@@ -146,8 +146,8 @@ def find_types_under(
     whole = seen.segments.uncertain(is_named(found))
     if whole is not None:
         # The areas in `whole` were removed as shadows, but they may belong to parts, because the
-        # edges of a moving part are soft like those of a shadow. Therefore, recognise the patches
-        # again without removing shadows.
+        # edges of a moving part are as soft as the edges of a shadow. Therefore, recognise these
+        # areas again without removing shadows.
         more = segment(image, background, region, whole=whole).patches
         again = recognise(image, more, catalogue, calibration, seen.conditions)
         patches, found = _joined(patches, found, more, again)
@@ -253,9 +253,9 @@ def calibrate_by_scale(scale: float) -> Calibration:
 
 
 def camera_limits(types: Mapping[str, PartType], calibration: Calibration) -> list[str]:
-    """Return messages about types that the camera cannot distinguish or measure. There is one
-    message for two types that look alike, for two types that differ only in size, and for a type
-    whose corners are so small that its angle cannot be measured."""
+    """Return messages about types that the camera cannot distinguish or measure. There is
+    one message for each pair of types that look alike, for each pair that differs only in size, and
+    for each type whose corners are too small to measure its angle."""
     scale = float(calibration.scale(np.zeros((1, 2)))[0])
     found = []
     for (name, part), template in zip(types.items(), make_catalogue(types).templates, strict=True):

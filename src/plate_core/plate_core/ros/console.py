@@ -2,8 +2,8 @@
 
 ROS writes to stderr while it holds Python's global interpreter lock. If the terminal is paused with
 Ctrl-S, a pipe is not read, or a connection hangs, the next log line would block all threads,
-including those that stop the motors. Therefore `never_held` redirects stderr to a non-blocking
-pipe. A thread writes the content of the pipe to the original stderr.
+including the threads that stop the motors. Therefore `never_held` redirects stderr to a
+non-blocking pipe. A thread writes the content of the pipe to the original stderr.
 """
 
 from __future__ import annotations

@@ -98,7 +98,7 @@ def forces_to_msg(rig: Rig, request: CycleRequest, stamp: Time) -> MarkerArray:
 def centres_to_msg(rig: Rig, cycle: PlateCycle, stamp: Time) -> MarkerArray:
     """Return the plate's instantaneous centres of rotation during a cycle, as points.
 
-    The points belong to equally spaced times, so many points in a small region mean a long rotation
+    The points belong to equally spaced times. Many points in a small region mean a long rotation
     about this region. The colour shows the direction of rotation. When the plate hardly rotates,
     the centre is far away and not drawn.
     """

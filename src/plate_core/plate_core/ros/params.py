@@ -197,8 +197,8 @@ def set_parameters(
     """Set parameters by the function `change`. Call `set_parameters` in the method
     `set_parameters_atomically`.
 
-    If `change` refuses the parameters, it is called again without those that already have the
-    requested value. An unknown parameter is refused with a message that states its name.
+    If `change` refuses the parameters, it is called again without the parameters that already
+    have the requested value. An unknown parameter is refused with a message that states its name.
     """
     new = []
     for item in parameters:

@@ -473,8 +473,8 @@ def _check_apart(
 
 
 def _check_bins(scenario: Scenario, task: SortTask, rig: Rig) -> None:
-    """Raise an error if every point of a bin is so near to the plate's edges that parts at these
-    points are lost."""
+    """Raise an error if every point of a bin is too near to the plate's edges, so that parts at
+    these points are lost."""
     # This import is here, because the stop command must not wait for it.
     from shapely import Polygon, box
 

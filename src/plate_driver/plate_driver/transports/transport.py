@@ -54,7 +54,7 @@ class Report:
     reason : DriverReason
         Reason why the motors are off or brake, or why their controller does not answer. A requested
         stop is EARLIER_STOP, because only the driver knows whether it requested the stop itself.
-        OTHER is used for all reasons that have no value of their own.
+        OTHER is used for all reasons without a separate value.
     text : str
         The reason as text.
     values : mapping of str to str

@@ -103,8 +103,8 @@ class CycleLog:
     awaited : Sent or None
         The last sent cycle that moves the plate. None after it has begun.
     begun, unanswered_cycles : int
-        `begun` is the number of reported cycles. `unanswered_cycles` is the number of those that
-        moved the plate without a new result, that is, repeated cycles and tails.
+        `begun` is the number of reported cycles. `unanswered_cycles` is the number of cycles
+        that moved the plate without a new result, that is, repeated cycles and tails.
     """
 
     runs: tuple[tuple[float, PlateCycle], ...] = ()

@@ -273,7 +273,7 @@ class Estimator:
     seen : Parts
         Parts detected in the last image.
     request : LastRequest
-        Last request. As long as the plate's motion is not known, the parts are assumed to have the
+        Last request. While the plate's motion is unknown, the parts are assumed to have the
         requested drift.
     odd : int
         Number of consecutive images whose interval to the previous image is not a whole number of

@@ -37,8 +37,8 @@ FINEST_STAMP_S = 1e-4
 """Minimum difference between the stamps of two consecutive images [s]."""
 
 BANDS = 8
-"""Number of bands of image rows. If the camera has a rolling shutter, each band has poses of the
-plate of its own."""
+"""Number of bands of image rows. If the camera has a rolling shutter, each band has separate
+plate poses."""
 
 
 @dataclass(frozen=True)

@@ -48,8 +48,8 @@ class Departures:
         self.dropped, self.chuted = 0, Counter[str]()
 
     def count(self, state: WorldState, left: np.ndarray) -> tuple[int, Counter[str]]:
-        """Count the parts of the mask `left` (M,). Return the number of those that did not leave
-        over the chute, and the numbers of those that left over the chute, by class."""
+        """Count the parts of the mask `left` (M,). Return the number of parts that did not leave
+        over the chute, and the numbers of parts that left over the chute, by class."""
         if self._chute is None:
             return int(np.count_nonzero(left)), Counter()
         over = went_over(self._chute, state.position, self._rig)

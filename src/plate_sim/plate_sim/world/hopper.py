@@ -231,5 +231,5 @@ class Dispenser:
         assert self._hopper is not None
         if np.count_nonzero(state.on_plate) >= MAX_PARTS:
             return None
-        rng = self._rng.spawn(1)[0]  # each part has random numbers of its own
+        rng = self._rng.spawn(1)[0]  # separate random numbers for each part
         return drop_part(self._hopper, state, self._rig, rng)

@@ -138,7 +138,7 @@ class Robot:
     Attributes
     ----------
     taken : frozenset of str
-        Ids of the parts that the robot has taken, as long as these parts are in the state.
+        Ids of the parts that the robot has taken. An id is kept while its part is in the state.
     stations : list of (float, (2,) or None)
         Past positions of the robot: the time from which the robot was at the position [s], and the
         position [m, plate_home]. While the robot is away, the position is None.
@@ -188,7 +188,7 @@ class Robot:
         self._go(np.array([x, y]), now, shown)
         if to == Move.OVER:
             return state, Grip(True, message=f"the robot is over ({x:.4f}, {y:.4f}) m")
-        rng = self._rng.spawn(1)[0]  # each grip has random numbers of its own
+        rng = self._rng.spawn(1)[0]  # separate random numbers for each grip
         slips = bool(rng.random() < failure)
         result = grip(state, self._rig, gripper, slips, self._marked)
         row = np.array([name == result.id for name in state.ids], bool)

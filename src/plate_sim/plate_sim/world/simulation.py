@@ -50,7 +50,7 @@ class Simulation:
     scenario : Scenario
         Scenario with the parts.
     seed : int
-        Random seed. Each kind of disturbance has a random generator of its own.
+        Random seed. Each kind of disturbance has a separate random generator.
     disturbances : Disturbances
         Deviations of the world from the rig model.
     noise : float

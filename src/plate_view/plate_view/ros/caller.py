@@ -57,7 +57,7 @@ class Caller:
             self._node.destroy_client(client)
 
     def poll(self, poller: Callable[[], None]) -> None:
-        """Call `poller` every `POLL_S` as long as it is in `pollers`."""
+        """Call `poller` every `POLL_S` while it is in `pollers`."""
         if not self.pollers:
             self._timer.reset()
         self.pollers.add(poller)
