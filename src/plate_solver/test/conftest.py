@@ -1,9 +1,9 @@
-"""Fixtures of the solver's tests: the rig, random scenes, and motions of given velocities."""
+"""Fixtures of the solver's tests: the rig, random scenes, and checks of kernels."""
 
 import numpy as np
 import pytest
 
-from plate_core import PlateCycle, Rig, load_rig
+from plate_core import Rig, load_rig
 from plate_solver import Goal, Limits, _kernels
 from plate_solver.sinusoids import Motions, Problem, SinusoidFamily, descend
 
@@ -25,25 +25,6 @@ def scene(rig):
             if np.all(np.hypot(*(chosen - new).T) >= 0.04):
                 chosen = np.vstack([chosen, new])
         return rng, chosen
-
-    return make
-
-
-@pytest.fixture(scope="session")
-def sinusoid_cycle():
-    """Function (sin (N, 3), cos (N, 3), period, knots) to the cycle with these velocities."""
-
-    def make(sin, cos, period: float = 0.1, knots: int = 64) -> PlateCycle:
-        sin, cos = (np.array(a, dtype=float).reshape(-1, 3) for a in (sin, cos))
-        omega = 2 * np.pi / period * np.arange(1, len(sin) + 1)
-        angle = np.outer(np.arange(knots) * period / knots, omega)
-        s, c = np.sin(angle), np.cos(angle)
-        return PlateCycle.from_samples(
-            period,
-            (-c / omega) @ sin + (s / omega) @ cos,
-            s @ sin + c @ cos,
-            (c * omega) @ sin - (s * omega) @ cos,
-        )
 
     return make
 

@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from harmonic import waves
 from scipy.integrate import quad
 
 from plate_core import PlateCycle, PlateError
@@ -9,6 +10,8 @@ from plate_sim import simulate_bodies
 from plate_sim.friction import disc
 from plate_solver import average_force
 from plate_solver.averages import step_force_gradient, step_forces
+
+KNOTS = 64
 
 
 def mean_force(position, velocity, twist):
@@ -26,13 +29,13 @@ STILL = np.zeros_like(PLACES)
 
 
 @pytest.fixture(name="wild")
-def _wild(sinusoid_cycle):
+def _wild():
     """Function (seed, N) to a random cycle of N harmonics, about 0.2 m/s everywhere."""
 
     def make(seed: int, number: int = 2, period: float = 0.1) -> PlateCycle:
         rng = np.random.default_rng(seed)
         sin, cos = rng.normal(size=(2, number, 3)) * [0.2, 0.2, 1.0]
-        return sinusoid_cycle(sin, cos, period)
+        return waves(period, sin, cos, KNOTS)
 
     return make
 
@@ -44,10 +47,10 @@ def test_one_harmonic_gives_no_force_anywhere(wild, seed):
 
 
 @pytest.mark.parametrize("b", [0.1, 0.5, 0.9, -0.5])
-def test_sin_and_double_cos_push(sinusoid_cycle, b):
+def test_sin_and_double_cos_push(b):
     # Observation 3: u1 = sin t + b cos 2t is positive between the roots of a quadratic in sin t.
     # Each of the two changes of sign falls between two of 1024 samples: 2 x 2/1024 at most.
-    cycle = sinusoid_cycle([[0.3, 0, 0], [0, 0, 0]], [[0, 0, 0], [0.3 * b, 0, 0]])
+    cycle = waves(0.1, [[0.3, 0, 0], [0, 0, 0]], [[0, 0, 0], [0.3 * b, 0, 0]], KNOTS)
     root = (np.sqrt(1 + 8 * b**2) - 1) / (4 * b)
     exact = 2 / np.pi * np.arcsin(root)
     force = average_force(cycle, PLACES)
@@ -59,10 +62,10 @@ def test_sin_and_double_cos_push(sinusoid_cycle, b):
 
 
 @pytest.mark.parametrize("seed", range(4))
-def test_agrees_with_quadrature_of_the_textbook_formula(seed, sinusoid_cycle):
+def test_agrees_with_quadrature_of_the_textbook_formula(seed):
     rng = np.random.default_rng(seed)
     sin, cos = rng.normal(size=(2, 2, 3)) * [0.2, 0.2, 1.0]
-    cycle = sinusoid_cycle(sin, cos, period=2 * np.pi)
+    cycle = waves(2 * np.pi, sin, cos, KNOTS)
 
     def friction(t: float, place: np.ndarray, part: np.ndarray) -> np.ndarray:
         u = sum(
@@ -173,10 +176,11 @@ def field_slopes(cycle_twist, place, velocity, step):
     return by_x[0], by_y[0], by_x[1], by_y[1]
 
 
-def test_curl_of_a_rotation_is_equation_11(sinusoid_cycle):
+def test_curl_of_a_rotation_is_equation_11():
     centre, spin = np.array([0.1, -0.05]), 0.8
     twist = spin * np.array([centre[1], -centre[0], 1.0])
-    cycle = sinusoid_cycle([twist, 0 * twist], [0 * twist, 0.5 * twist])  # forward 62 % of the time
+    # forward 62 % of the time
+    cycle = waves(0.1, [twist, 0 * twist], [0 * twist, 0.5 * twist], KNOTS)
     step = 1e-4
 
     def field(place):

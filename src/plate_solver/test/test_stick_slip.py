@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from harmonic import waves
 
 from plate_core import PlateCycle
 from plate_sim import simulate
@@ -9,6 +10,7 @@ from plate_solver import average_force
 from plate_solver.averages import step_forces
 from plate_solver.cycle_map import end_state, end_state_gradient
 
+KNOTS = 64
 MU, GRAVITY = 0.25, 9.81
 ACCEL = MU * GRAVITY
 EACH = np.full(20, ACCEL)  # of as many parts as any test has
@@ -23,14 +25,14 @@ def sampled(cycle: PlateCycle, steps: int, part: float = 1.0):
 
 
 @pytest.fixture(name="shaken", scope="module")
-def _shaken(sinusoid_cycle, scene):
+def _shaken(scene):
     """Function seed to (cycle at 10 to 40 times mu g, positions, velocities) of 6 parts."""
 
     def make(seed: int):
         rng, position = scene(seed, 6)
         sin, cos = rng.normal(size=(2, 3, 3)) * [0.15, 0.15, 0.6]
         velocity = rng.normal(size=(6, 2)) * 0.03
-        return sinusoid_cycle(sin, cos), position, velocity
+        return waves(0.1, sin, cos, KNOTS), position, velocity
 
     return make
 
@@ -68,9 +70,9 @@ def test_sliding_part_brakes_to_rest_on_a_still_plate():
     np.testing.assert_allclose(left, (speed - ACCEL * lasts)[:, None] * unit, atol=1e-12)
 
 
-def test_gently_moved_part_sticks_and_rides(sinusoid_cycle):
+def test_gently_moved_part_sticks_and_rides():
     # Peak acceleration 0.3 m/s2 and 1 rad/s2 at 0.3 m: below mu g = 2.45 m/s2.
-    cycle = sinusoid_cycle([[0.005, -0.004, 0.015]], [[-0.003, 0.002, 0.01]])
+    cycle = waves(0.1, [[0.005, -0.004, 0.015]], [[-0.003, 0.002, 0.01]], KNOTS)
     pose, twist, dt = sampled(cycle, 4000, part=0.37)
     start_pose, start_twist = cycle.pose(0.0)[0], cycle.twist(0.0)[0]
     arm = np.array([[0.2, 0.1], [-0.25, 0.0], [0.0, 0.0]])
@@ -129,13 +131,13 @@ def test_parts_do_not_feel_each_other(shaken):
 
 
 @pytest.fixture(name="uneven")
-def _uneven(sinusoid_cycle, scene):
+def _uneven(scene):
     """Cycle, positions and velocities of 5 parts, and random steps that fill the cycle."""
 
     def make(seed: int, steps: int, size: float = 1.0):
         rng, position = scene(seed, 5)
         sin, cos = size * rng.normal(size=(2, 3, 3)) * [0.15, 0.15, 0.6]
-        cycle = sinusoid_cycle(sin, cos)
+        cycle = waves(0.1, sin, cos, KNOTS)
         dt = rng.uniform(0.3, 1.0, steps)
         dt *= cycle.period / dt.sum()
         t = np.cumsum(dt) - dt / 2
