@@ -1,5 +1,6 @@
 """The check of sentences finds each pattern of the private dialect, and no plain sentence."""
 
+import re
 import sys
 from pathlib import Path
 
@@ -82,3 +83,11 @@ def test_an_odd_file_is_a_finding_and_the_others_are_checked(tmp_path, capsys, n
         f"{odd}: not readable as {'Python' if odd.suffix == '.py' else 'UTF-8'}"
     )
     assert second.startswith(f"{bad}:1: ")
+
+
+@pytest.mark.parametrize("folder", ["bench", "examples", "src", "test", "tools"])
+def test_a_section_title_of_a_docstring_has_its_own_line(folder):
+    joined = re.compile(r"^ *(?:Attributes|Parameters|Raises|Returns|Yields) -{3}", re.MULTILINE)
+    files = list((Path(__file__).parents[1] / folder).rglob("*.py"))
+    assert files
+    assert [str(file) for file in files if joined.search(file.read_text("utf-8"))] == []
