@@ -175,7 +175,7 @@ def _files(module: str) -> list[Path]:
         places = [first.parent, *(first.parent / text for text in texts)]
         named = {folder / text for folder in places if os.path.isdir(folder) for text in texts}
         named |= {first.parent / f"{name}.py" for name in near}
-        # Os.path.isfile is False, not an error, if a name is too long.
+        # If a name is too long, `os.path.isfile` returns False and raises no error.
         waiting |= {path for path in named if os.path.isfile(path)}
         for name in near:
             if (first.parent / name / "__init__.py").is_file():
