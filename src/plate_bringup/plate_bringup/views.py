@@ -90,7 +90,7 @@ def view_from(
 
 
 def with_height(rig: Rig, height_m: float) -> Rig:
-    """Return a rig in which all parts have the height `height_m` [m], including those with a
+    """Return a rig in which all parts have the height `height_m` [m], including parts with a
     type."""
     types = {name: replace(part, height_m=height_m) for name, part in rig.types.items()}
     return replace(rig, parts=replace(rig.parts, height_m=height_m), types=types)

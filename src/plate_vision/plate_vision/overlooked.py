@@ -132,7 +132,7 @@ def unnamed_things(
     Parameters
     ----------
     seen : (n,) `shapes.classes.SIGHTING`
-        The detections. Only those with a class of `NAMELESS` are used.
+        The detections. Only detections with a class of `NAMELESS` are used.
     on_plate : (n,)
         Whether a detection is on the plate for every motor position, bool. Other detections are not
         used, because they may be the edge of a plate that is not at home.
