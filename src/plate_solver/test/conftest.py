@@ -5,7 +5,15 @@ import pytest
 
 from plate_core import Rig, load_rig
 from plate_solver import Goal, Limits, _kernels
-from plate_solver.sinusoids import Motions, Problem, SinusoidFamily, descend
+from plate_solver._kernels import EXCESS_M
+from plate_solver.sinusoids import (
+    LimitedSinusoids,
+    Motions,
+    Problem,
+    SinusoidFamily,
+    descend,
+    sinusoid_basis,
+)  # fmt: skip
 
 
 @pytest.fixture(scope="session")
@@ -42,6 +50,29 @@ def excess_of():
         return found.error[goal.rows :], found.jacobian[goal.rows :]
 
     return find
+
+
+@pytest.fixture(scope="session")
+def check_excess_slopes(excess_of):
+    """Function (limits, period) that compares the derivatives of `excess_of` with differences, for
+    random motions that exceed the limits."""
+
+    def check(limits: Limits, period: float = 0.1) -> None:
+        limited = LimitedSinusoids(sinusoid_basis(3, period, True, 200), limits, 1.3)
+        rng = np.random.default_rng(0)
+        for _ in range(5):
+            theta = 1.2 * limited.random(rng)
+            _, slopes = excess_of(limited, limits, theta)
+            way = rng.normal(size=theta.size)
+            step = 1e-7 * np.linalg.norm(theta) / np.linalg.norm(way)
+            ahead, behind = (
+                excess_of(limited, limits, theta + sign * step * way)[0] for sign in (1, -1)
+            )
+            assert len(ahead) == len(behind) == len(slopes) > 0
+            difference = (behind - ahead) / (2 * step)
+            np.testing.assert_allclose(slopes @ way, difference, rtol=1e-5, atol=1e-6 * EXCESS_M)
+
+    return check
 
 
 @pytest.fixture
