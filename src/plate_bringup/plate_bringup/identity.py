@@ -127,26 +127,21 @@ def code_of(*modules: str) -> str:
 def files_of(module: str) -> dict[str, str]:
     """Return digests of the files of another person's module, by path. The module is not imported.
 
-    For a package, these are all files in its folder, except hidden files and bytecode. For a module
-    in a single file, these are this file and the files in its folder that it names. It can name
-    them by an import, or by a text such as "weights.npz". If the module does not exist, the result
-    is empty.
+    For a package, with or without `__init__.py`, these are all files in its folder, except hidden
+    files and bytecode. For a module in a single file, these are this file and the files in its
+    folder that it names. It can name them by an import, or by a text such as "weights.npz". If the
+    module does not exist, the result is empty.
     """
-    files = _files(module)
-    if not files:
-        return {}
-    folder = files[0].parent.parent if files[0].name == "__init__.py" else files[0].parent
     marks = {}
-    for path in sorted(files):
+    for name, path in sorted(_files(module).items()):
         with path.open("rb") as file:
-            mark = hashlib.file_digest(file, "sha256").hexdigest()[:16]
-        marks[path.relative_to(folder).as_posix()] = mark
+            marks[name] = hashlib.file_digest(file, "sha256").hexdigest()[:16]
     return marks
 
 
 def libraries_of(module: str) -> dict[str, str]:
     """Return the versions of the installed libraries that the files of a module import."""
-    names = {name for path in _files(module) for name in _named_in(path)[0]}
+    names = {name for path in _files(module).values() for name in _named_in(path)[0]}
     among = packages_distributions() if names else {}
     own = {f"plate_{name}" for name in PACKAGES}
     return {
@@ -156,14 +151,19 @@ def libraries_of(module: str) -> dict[str, str]:
     }
 
 
-def _files(module: str) -> list[Path]:
-    """Return the paths of the files of `files_of`. The file of the module is first."""
+def _files(module: str) -> dict[str, Path]:
+    """Return the paths of the files of `files_of`, by their keys."""
     spec = _spec(module)
+    if folders := _folders(spec):
+        # If several folders have a file of the same name, Python imports it from the first one.
+        return {
+            path.relative_to(folder.parent).as_posix(): path
+            for folder in reversed(folders)
+            for path in _all_files(folder)
+        }
     if spec is None or spec.origin is None or not Path(spec.origin).is_file():
-        return []
+        return {}
     first = Path(spec.origin)
-    if spec.submodule_search_locations is not None:
-        return [first, *_all_files(first.parent) - {first}]
     found: set[Path] = set()
     waiting = {first}
     while waiting:
@@ -178,10 +178,16 @@ def _files(module: str) -> list[Path]:
         # If a name is too long, `os.path.isfile` returns False and raises no error.
         waiting |= {path for path in named if os.path.isfile(path)}
         for name in near:
-            if (first.parent / name / "__init__.py").is_file():
+            if first.parent / name in _folders(_spec(name)):
                 waiting |= _all_files(first.parent / name)
         waiting -= found
-    return [first, *found - {first}]
+    return {path.relative_to(first.parent).as_posix(): path for path in found}
+
+
+def _folders(spec: ModuleSpec | None) -> list[Path]:
+    """Return the folders of a package. A package without `__init__.py` can have several."""
+    places = None if spec is None else spec.submodule_search_locations
+    return [Path(place) for place in places or ()]
 
 
 def _all_files(folder: Path) -> set[Path]:

@@ -1,12 +1,14 @@
 """Identity of code: which files belong to a module of others, and which libraries it uses."""
 
+import sys
+
 import numpy as np
 import pytest
 
 from plate_bringup.identity import files_of, libraries_of
 
 MODULE = """
-import os, helper
+import os, helper, loose.part
 from sub.part import thing
 import numpy as np
 
@@ -26,6 +28,8 @@ def folder(tmp_path, monkeypatch):
         "sub/__init__.py": "raise SystemExit",
         "sub/part.py": "thing = 1",
         "sub/map.bin": "1",
+        "loose/part.py": "",
+        "loose/more/table.bin": "1",
         "weights.npz": "1",
         "data/table.csv": "1",
         "data/else.csv": "1",
@@ -34,7 +38,7 @@ def folder(tmp_path, monkeypatch):
         "bad.py": "((((",
     }
     for name, text in texts.items():
-        (tmp_path / name).parent.mkdir(exist_ok=True)
+        (tmp_path / name).parent.mkdir(parents=True, exist_ok=True)
         (tmp_path / name).write_text(text, encoding="utf-8")
     return tmp_path
 
@@ -42,8 +46,8 @@ def folder(tmp_path, monkeypatch):
 def test_files_of_a_module_are_those_that_it_names(folder):
     before = files_of("other_agent")
     assert sorted(before) == [
-        "data/table.csv", "helped.txt", "helper.py", "other_agent.py", "sub/__init__.py",
-        "sub/map.bin", "sub/part.py", "weights.npz",
+        "data/table.csv", "helped.txt", "helper.py", "loose/more/table.bin", "loose/part.py",
+        "other_agent.py", "sub/__init__.py", "sub/map.bin", "sub/part.py", "weights.npz",
     ]  # fmt: skip
     (folder / "weights.npz").write_text("2", encoding="utf-8")
     after = files_of("other_agent")
@@ -55,6 +59,19 @@ def test_files_of_a_package_are_all_in_its_folder(folder):
     (folder / "sub" / "__pycache__" / "part.pyc").touch()
     (folder / "sub" / ".hidden").touch()
     assert sorted(files_of("sub")) == ["sub/__init__.py", "sub/map.bin", "sub/part.py"]
+
+
+def test_files_of_a_package_without_init_are_those_of_all_its_folders(folder, monkeypatch):
+    other = folder / "other"
+    (other / "loose").mkdir(parents=True)
+    for name in ("part.py", "far.py"):
+        (other / "loose" / name).write_text("second", encoding="utf-8")
+    before = files_of("loose")
+    assert sorted(before) == ["loose/more/table.bin", "loose/part.py"]
+    monkeypatch.setattr("sys.path", [*sys.path, str(other)])
+    after = files_of("loose")
+    assert sorted(after) == ["loose/far.py", "loose/more/table.bin", "loose/part.py"]
+    assert after["loose/part.py"] == before["loose/part.py"]
 
 
 def test_a_module_that_is_no_python_is_one_file(folder):
