@@ -237,8 +237,10 @@ def rigs_in(parameters: Sequence[Any], space: str, names: Sequence[str]) -> list
             rigs += [str(each[1])] if each[0] == "rig_file" else []
             continue
         try:
-            sections = list(_sections(yaml.safe_load(read_file(str(each), YAML_BYTES))))
-        except (PlateError, yaml.YAMLError):
+            data = _Loader(read_file(str(each), YAML_BYTES)).get_single_data()
+            sections = list(_sections(data))
+        # PyYAML raises OverflowError for an escape beyond Unicode.
+        except (PlateError, yaml.YAMLError, OverflowError, RecursionError):
             continue
         rigs += [
             str(values["rig_file"])
@@ -246,6 +248,17 @@ def rigs_in(parameters: Sequence[Any], space: str, names: Sequence[str]) -> list
             if values.get("rig_file") and any(re.fullmatch(section, path) for path in paths)
         ]
     return list(dict.fromkeys(rigs))
+
+
+class _Loader(yaml.BaseLoader):
+    """Loader of parameter files that reads all scalars as text, because rcl accepts values that
+    PyYAML refuses, such as an impossible date. It refuses aliases, as rcl does. With aliases, a
+    small file can have an endless number of sections."""
+
+    def compose_node(self, parent: Any, index: Any) -> Any:
+        if self.check_event(yaml.AliasEvent):
+            raise yaml.YAMLError("allowed: no aliases")
+        return super().compose_node(parent, index)
 
 
 def _sections(data: Any, above: str = "") -> Iterator[tuple[str, dict[Any, Any]]]:

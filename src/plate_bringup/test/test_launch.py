@@ -187,9 +187,14 @@ def test_rig_of_the_scenario_is_taken_where_none_is_given(stand_in, tmp_path):
     assert both == {"my_rig.yaml"}
     assert rigs("closed_loop", outer=[("rig_file", "washers")]) == {None}  # of SetParameter
     assert rigs("closed_loop", outer=[("seed", 3)]) == {"desk"}
-    for text in (b"[", b"\xff", b"", b"- rig_file"):  # the nodes refuse it
+    deep, alias = b"[" * 3000, b"/**: &all {ros__parameters: {rig_file: washers}, below: *all}"
+    beyond = b'"\\UFFFFFFFF"'
+    for text in (b"[", b"\xff", b"", b"- rig_file", deep, alias, beyond):  # the nodes refuse it
         mine.write_bytes(text)
         assert rigs("closed_loop", params_file=str(mine)) == {"desk"}
+    # In ROS, a date that does not exist is a text.
+    mine.write_text("/**: {ros__parameters: {rig_file: washers, day: 2026-13-45}}")
+    assert rigs("closed_loop", params_file=str(mine)) == {None}
 
 
 @pytest.mark.parametrize("space", ["", "left", "cell/left"])

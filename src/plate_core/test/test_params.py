@@ -95,6 +95,7 @@ FILES = {
     "here": "/**/parametric: {ros__parameters: {robot_name: ur5}}",
     "there": "/cell/parametric: {ros__parameters: {robot_name: ur5}}",
     "nested": "cell: {parametric: {ros__parameters: {robot_name: ur5}}}",
+    "dated": "/**: {ros__parameters: {robot_name: 2026-13-45}}",
     "nothing": "",
 }
 
@@ -105,6 +106,7 @@ FILES = {
         (["everyone"], {"robot_name", "gain", "nested.deep"}),
         (["anyone", "nothing"], {"robot_name"}),
         (["below"], {"robot_name"}),
+        (["dated"], {"robot_name"}),
         (["here"], set()),
         (["anyone", "there"], set()),
         (["nested", "anyone"], set()),

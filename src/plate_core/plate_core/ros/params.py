@@ -161,7 +161,9 @@ def for_others(words: Sequence[str], node: str) -> set[str]:
         if word in ("-p", "--param"):
             by_name.add(value.partition(":=")[0].rpartition(":")[2])
         elif word == "--params-file":
-            read = yaml.safe_load(Path(value).read_text(encoding="utf-8"))
+            # Read all scalars as text, because rcl accepts values that PyYAML refuses, such as an
+            # impossible date.
+            read = yaml.BaseLoader(Path(value).read_text(encoding="utf-8")).get_single_data()
             for section, name in _given(read, ""):
                 last = section.rpartition("/")[2]
                 if last == node:
