@@ -105,3 +105,14 @@ def test_flexures_take_force_where_the_plate_is():
     np.testing.assert_array_equal(twist, np.zeros((4, 3)))
     np.testing.assert_allclose(accel @ [10.0, 0, 0], [10, 10, 0, 0], atol=1e-9)
     np.testing.assert_array_equal(RIG.motor_loads[:2], np.zeros((2, 4, 3)))
+
+
+def test_a_user_of_a_rig_cannot_change_its_cached_arrays():
+    """Otherwise it would change the rig of all others, also of its shallow copies."""
+    shapes = RIG.part_type("nut"), RIG.part_type("part")
+    arrays = [RIG.motor_levers, RIG.plate_mass, RIG.motor_loads]
+    for array in (*arrays, *(a for shape in shapes for a in (shape.polygon, shape.spread_m2))):
+        with pytest.raises(ValueError, match="read-only"):
+            array[0] *= 2
+    heavy = replace(RIG, plate=replace(RIG.plate, mass_kg=2 * RIG.plate.mass_kg))
+    np.testing.assert_allclose(heavy.motor_loads[2], 2 * RIG.motor_loads[2])

@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from ..arrays import read_only
 from ..errors import RigError
 from ..parts import NAMELESS
 from ..yaml_fields import (
@@ -149,10 +150,8 @@ class PartType:
     @cached_property
     def polygon(self) -> np.ndarray:
         """Corners (n, 2) of the outline [m]. For a disc, a polygon of equal area with
-        `ROUND_CORNERS` corners."""
-        if self.outline:
-            return np.array(self.outline)
-        return disc_polygon(self.radius_m)
+        `ROUND_CORNERS` corners. Read-only."""
+        return read_only(np.array(self.outline) if self.outline else disc_polygon(self.radius_m))
 
     @cached_property
     def reach_m(self) -> float:
@@ -167,9 +166,9 @@ class PartType:
     @cached_property
     def spread_m2(self) -> np.ndarray:
         """Second moments of the area, divided by the area: the means of x x, x y; y x, y y (2, 2)
-        [m2]. The trace is the squared radius of gyration."""
+        [m2]. The trace is the squared radius of gyration. Read-only."""
         area, _, second = self._moments
-        return np.asarray(second / area)
+        return read_only(np.asarray(second / area))
 
     def placed(self, position: np.ndarray, angle: float) -> Geometry:
         """Return the part at a pose [m, rad] for calculations with shapely. The result is the

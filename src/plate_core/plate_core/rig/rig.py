@@ -9,6 +9,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from ..arrays import read_only
 from .fiducials import Fiducials
 from .motors import Reach, levers, loads, reach
 from .part_types import PartType
@@ -78,25 +79,25 @@ class Rig:
     @cached_property
     def motor_levers(self) -> np.ndarray:
         """Derivatives B^T (4, 3) of the motors' travel with respect to the pose x, y, theta of the
-        plate at home [1, 1, m]. See `motors.levers`."""
-        return levers(self.motors)
+        plate at home [1, 1, m]. Read-only. See `motors.levers`."""
+        return read_only(levers(self.motors))
 
     @cached_property
     def plate_mass(self) -> np.ndarray:
         """Mass matrix M (3, 3) of the suspension, or of a uniform plate if the rig has no
-        suspension."""
+        suspension. Read-only."""
         if self.suspension is not None:
-            return np.array(self.suspension.mass)
-        return np.array(mass_matrix(self.plate.mass_kg, self.plate.inertia_kgm2))
+            return read_only(np.array(self.suspension.mass))
+        return read_only(np.array(mass_matrix(self.plate.mass_kg, self.plate.inertia_kgm2)))
 
     @cached_property
     def motor_loads(self) -> np.ndarray:
         """Matrices (3, 4, 3) that convert pose, twist and acceleration of the plate to motor forces
-        [N]."""
+        [N]. Read-only."""
         suspension, none = self.suspension, np.zeros((3, 3))
         stiffness = none if suspension is None else np.array(suspension.stiffness)
         damping = none if suspension is None else np.array(suspension.damping)
-        return loads(self.motor_levers, stiffness, damping, self.plate_mass)
+        return read_only(loads(self.motor_levers, stiffness, damping, self.plate_mass))
 
     @cached_property
     def motor_reach(self) -> Reach:
