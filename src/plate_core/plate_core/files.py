@@ -11,6 +11,7 @@ from __future__ import annotations
 import contextlib
 import fcntl
 import os
+import shutil
 import stat
 from collections.abc import Iterator
 from pathlib import Path
@@ -112,7 +113,8 @@ def draft(path: str | Path, what: str, keeps: bool = True) -> Iterator[BinaryIO]
     """Open a temporary file in the folder of `path` for writing.
 
     When the context ends, the data are flushed to the disk. If `keeps` is True, the temporary file
-    then replaces `path`. If `keeps` is False or an error occurs, the temporary file is removed.
+    then replaces `path` and gets its permissions. If `keeps` is False or an error occurs, the
+    temporary file is removed.
 
     Raises
     ------
@@ -123,6 +125,8 @@ def draft(path: str | Path, what: str, keeps: bool = True) -> Iterator[BinaryIO]
     beside = path.with_name(f".{path.name}.{os.getpid()}")
     try:
         with beside.open("wb") as file:
+            with contextlib.suppress(FileNotFoundError):
+                shutil.copymode(path, beside)
             yield file
             file.flush()
             os.fsync(file.fileno())
@@ -170,16 +174,24 @@ class OwnFile:
         self.close()
 
     def write(self, text: str) -> None:
-        """Replace the content."""
+        """Replace the content and keep the permissions. If an error occurs, the file stays
+        unchanged."""
         if not self._replaced:
             self._path.write_text(text, encoding="utf-8")
             return
         beside = self._place.with_name(f"{self._place.name}.draft")
         number = os.open(beside, os.O_WRONLY | os.O_CREAT | os.O_TRUNC, 0o666)
-        _lock(number)
-        with open(number, "w", encoding="utf-8", closefd=False) as file:
-            file.write(text)
-        beside.replace(self._place)
+        try:
+            _lock(number)
+            os.fchmod(number, stat.S_IMODE(os.fstat(self._held).st_mode))
+            with open(number, "w", encoding="utf-8", closefd=False) as file:
+                file.write(text)
+            beside.replace(self._place)
+        except BaseException:  # also a KeyboardInterrupt
+            os.close(number)
+            with contextlib.suppress(OSError):
+                beside.unlink()
+            raise
         os.close(self._held)
         self._held = number
 

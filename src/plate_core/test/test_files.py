@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from plate_core import PlateError, RigError, load_rig
-from plate_core.files import OwnFile, check_file, read_file
+from plate_core.files import OwnFile, check_file, draft, read_file
 
 MOST = 1_000_000
 ALLOWED = "allowed: a regular file up to 1 MB"
@@ -142,6 +142,34 @@ def test_an_own_file_of_the_system_is_written_directly(tmp_path):
     with OwnFile("/dev/null") as file, OwnFile("/dev/null") as again:
         file.write("1")
         again.write("2")
+
+
+def test_a_written_file_keeps_its_permissions(tmp_path):
+    path = tmp_path / "rows.json"
+    path.touch(0o600)
+    with OwnFile(path) as file:
+        file.write("1")
+    assert path.stat().st_mode & 0o777 == 0o600
+    with draft(path, "rows") as file:
+        file.write(b"2")
+    assert (path.read_text(), path.stat().st_mode & 0o777) == ("2", 0o600)
+
+
+def test_a_write_that_fails_leaves_the_file_and_keeps_no_lock(tmp_path):
+    path = tmp_path / "rows.json"
+    with OwnFile(path) as file:
+        file.write("1")
+        with pytest.raises(UnicodeEncodeError):
+            file.write("\ud800")
+        assert path.read_text() == "1"
+        with pytest.raises(PlateError, match="is in use"):
+            OwnFile(path)
+        file.write("2")
+        with pytest.raises(UnicodeEncodeError):
+            file.write("\ud800")
+    OwnFile(path).close()
+    assert [one.name for one in tmp_path.iterdir()] == ["rows.json"]
+    assert path.read_text() == "2"
 
 
 @pytest.mark.parametrize("kind", [fifo, folder])

@@ -6,7 +6,6 @@ The changed file is read and checked before it replaces the old one.
 
 from __future__ import annotations
 
-import shutil
 from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
@@ -47,7 +46,6 @@ def edit_rig(path: Path, values: Values, expected: Callable[[Rig], bool]) -> Non
     with draft(path, "rig file") as file:
         file.write(edited(text, values).encode())
         file.flush()
-        shutil.copymode(path, file.name)
         try:
             if not expected(load_rig(file.name)):
                 raise PlateError("the changed file would have other values")
