@@ -85,8 +85,8 @@ class Answer:
         that replace a search always start at rest. If the plate is in motion, it plays the tail of
         the running cycle before a cycle at rest.
     solution : Solution or None
-        Solution of the search. None without a search, that is, if there are no parts or all parts
-        are at their targets.
+        Solution of the search. None without a search, that is, if there are no parts, or if a plate
+        at rest meets the request exactly.
     message : str
         Text for the log.
     error_m, requested_m : float
@@ -216,8 +216,10 @@ class Controller:
         self._memory = start.memory
         goal = form_goal(rig, request, start, period, LOOKAHEAD_S if facts.far else 0.0, free_end)
         rest = PlateCycle.rest(period)
-        if goal.lasting and not np.any(goal.error(goal.end(*finely_sampled(rest)))[0]):
-            return Answer(rest, None, "all parts are at their targets: plate at rest", 0.0, 0.0)
+        if not np.any(goal.error(goal.end(*finely_sampled(rest)))[0]):
+            if goal.lasting:
+                return Answer(rest, None, "all parts are at their targets: plate at rest", 0.0, 0.0)
+            return Answer(rest, None, "no motion is requested: plate at rest", 0.0, goal.size)
         for fraction in FRACTIONS:
             miss = EXACT_MISS if facts.exact else GOOD_MISS
             solution = search(solver, goal, fraction, period, miss, until)

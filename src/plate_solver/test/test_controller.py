@@ -154,6 +154,22 @@ def test_no_parts_no_motion(rig, scene, method):
     np.testing.assert_allclose(drift[-1], 0.005, atol=0.002)
 
 
+@METHOD
+def test_forces_that_a_plate_at_rest_meets_need_no_motion(rig, scene, method):
+    """Parts at rest without force, and any force with a larger tolerance."""
+    controller, position = Controller(rig, method), scene(0, 3)[1]
+    parts = Parts.make(("part_0", "part_1", "part_2"), position)
+    force = np.array([[0.0, 0.0], [1e-3, 0.0], [0.0, -1e-3]])
+    for tolerance in (np.abs(force) * 2, np.full((3, 2), np.inf)):
+        answer = controller.answer(CycleRequest.make(parts, force, tolerance), None)
+        assert not answer.cycle.moves
+        assert (answer.error_m, answer.solution) == (0.0, None)
+    assert not controller.answer(CycleRequest.make(parts), None).cycle.moves
+    assert controller.answer(CycleRequest.make(parts, force), None).cycle.moves
+    turned = CycleRequest.make(parts, torque=np.array([1e-6, 0.0, 0.0]))
+    assert controller.answer(turned, None).cycle.moves
+
+
 def test_parts_that_return_to_an_empty_plate_are_at_rest(rig):
     """Whatever speed parts of the same names had before it was empty."""
     position = np.array([[0.0, 0.05], [0.05, -0.05]])

@@ -73,7 +73,9 @@ brings no improvement: see docs/results.md."""
 FORCE_LOOKAHEAD_S = 0.01
 """Time by which the search extrapolates the parts if forces are requested [s] (`Goal.ahead`). The
 final corrections remove the error of the displacements that this causes. Without the extrapolation,
-a fast part often ends a cycle too slowly, and the next cycle cannot reach its displacement."""
+a fast part often ends a cycle too slowly, and the next cycle cannot reach its displacement. If
+moving parts must stop, 58 % of 800 searches with 1 to 10 parts have an error below
+`DRIFT_TOLERANCE`. Without the extrapolation, 67 % have."""
 
 AIMS = 2
 """Number of final corrections of the best motion. The corrections keep the limits and compensate
