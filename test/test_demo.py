@@ -346,3 +346,32 @@ def test_why_a_task_failed_is_told_before_its_nodes_end(monkeypatch, capsys):
     )
     watch(plan, observer, 0.0)
     assert why in told[0]
+
+
+def test_a_frozen_planner_is_named_within_two_seconds(monkeypatch, capsys):
+    now, reports = [0.0], [1]
+    record = SimpleNamespace(ended=False, states=["done"], tables=[], reports=lambda _: reports)
+
+    def wait(*_):
+        now[0] += 0.5
+        if now[0] <= 3.0 or now[0] > 8.0:  # frozen in between
+            reports.append(1)
+        record.ended = now[0] > 10.0
+
+    reason = "solver: no part_forces for 1.5 s; check that the planner runs"
+    observer = SimpleNamespace(record=record, until=wait, blame=lambda: reason)
+    record.last = lambda *_: "done"
+    monkeypatch.setattr("graph.demo.progress", lambda *_: f"progress at {now[0]:g} s")
+    monkeypatch.setattr("graph.demo.time", SimpleNamespace(monotonic=lambda: now[0]))
+    plan = SimpleNamespace(
+        scenario=SimpleNamespace(time_limit_s=60.0, task=None),
+        options=SimpleNamespace(lockstep=False),
+    )
+    watch(plan, observer, 0.0)
+    lines = capsys.readouterr().out.splitlines()
+    first = next(k for k, line in enumerate(lines) if "no message from the planner" in line)
+    assert lines[first] == f"  no message from the planner for 2 s: {reason}"
+    assert "progress at" in lines[first - 1]
+    times = [float(line.split()[-2]) for line in lines if "progress at" in line]
+    assert times[-1] == 11.0
+    assert not [t for t in times if 5.0 <= t <= 8.0]

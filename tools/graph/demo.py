@@ -51,6 +51,10 @@ from .processes import Interrupted, ros_environment, signals_raise, signals_wait
 from .robot import Grip, Robot, feed_result
 from .session import Session, session
 
+QUIET_S = 1.8
+"""Time without diagnostics of the planner after which the reason is shown [s]. Their period is 1
+s."""
+
 SILENCE_S = 30.0
 """Maximum time without diagnostics of the planner [s]."""
 
@@ -476,17 +480,23 @@ def watch(plan: Plan, observer: Observer, began: float) -> None:
     line, record, task = StatusLine(PROGRESS_S), observer.record, plan.scenario.task
     allowed = plan.scenario.time_limit_s * (LOCKSTEP_SLOWER if plan.options.lockstep else 1)
     end = time.monotonic() + allowed + EXTRA_S
-    count, news, seen, moving = 0, time.monotonic(), 0, False
+    count, news, seen, moving, quiet = 0, time.monotonic(), 0, False, False
     while not record.ended:
         observer.until(lambda: record.ended, line.PERIOD_S)
         if not moving:
             moving, seen = any(map(moves, record.tables[seen:])), len(record.tables)
             if moving:
                 line.end(f"The plate moves {time.monotonic() - began:.1f} s after the start.")
-        line.show(progress(task, record))
         now = time.monotonic()
         if len(record.reports("planner")) > count:
             count, news = len(record.reports("planner")), now
+        if now - news > QUIET_S:  # the values of the planner are old
+            text = f"no message from the planner for {now - news:.0f} s: {observer.blame()}"
+            (line.show if quiet else line.end)(text)
+            quiet = True
+        else:
+            line.show(progress(task, record))
+            quiet = False
         if now - news > SILENCE_S:
             raise GraphError(f"no message from the planner for {SILENCE_S:g} s")
         if now > end:
