@@ -325,11 +325,13 @@ class Follower(TaskRules):
         kept = min(KEPT_MPS[min(count, len(KEPT_MPS)) - 1], REACHED * self._bound)
         if fastest <= kept:
             return ()
-        why = f"{count} parts on this rig reach about {kept:.2g} m/s: they will be slowed down"
+        parts, reach = ("part", "reaches") if count == 1 else ("parts", "reach")
+        reached = f"{reach} about {kept:.2g} m/s"
+        why = f"{count} {parts} on this rig {reached}: the references will be slowed down"
         if fastest > self._bound:
             why = (
                 f"no motion of this plate moves a part faster than {self._bound:.2g} m/s "
-                f"(a T/16); {count} parts reach about {kept:.2g} m/s"
+                f"(a T/16); {count} {parts} {reached}"
             )
         return (f"speed_mps is {fastest:g}; {why}",)
 
