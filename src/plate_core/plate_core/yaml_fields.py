@@ -486,7 +486,8 @@ def parse_yaml(content: bytes, path: str | Path, error: type[PlateError]) -> Fie
         raise error(f"{path}: broken YAML{line}: {reason}") from None
     except RecursionError:
         raise error(f"{path}: broken YAML: nested too deeply") from None
-    except ValueError as problem:  # PyYAML's scanner raises ValueError for an escape beyond Unicode
+    # PyYAML's scanner raises these errors for an escape beyond Unicode.
+    except (ValueError, OverflowError) as problem:
         raise error(f"{path}: broken YAML: {problem}") from None
     if mistake:
         raise error(f"{path.name}: {mistake}")

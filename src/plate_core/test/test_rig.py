@@ -124,8 +124,9 @@ def test_motors_that_cannot_turn_the_plate_are_refused(data, load):
 
 @pytest.mark.parametrize(
     "text",
-    ["", "- 1\n- 2\n", "plate: [1, 2\n", "plate: {a: 1}\nplate: b: c\n", '"\\U00110000": 1\n'],
-)
+    ["", "- 1\n- 2\n", "plate: [1, 2\n", "plate: {a: 1}\nplate: b: c\n", '"\\U00110000": 1\n',
+     '"\\UFFFFFFFF": 1\n'],
+)  # fmt: skip
 def test_broken_files_are_refused(load, text):
     with pytest.raises(RigError, match=r"rig\.yaml: (got|broken YAML)"):
         load(text)
@@ -254,6 +255,21 @@ def test_a_lens_is_added_to_a_rig_file(tmp_path, data, block):
     values = {**LENS, "distortion": "[-0.1, 1e-05, 0, 0]", "distortion_model": "plumb_bob"}
     edit_rig(path, {("camera",): values}, lambda rig: rig == after)
     assert load_rig(path) == after
+
+
+@pytest.mark.parametrize(
+    "text",
+    ["", "- a", "3", "{", "plate: {}", "friction: {}", "friction: ~", "friction: [1]",
+     "? {a: b}\n: c", "a: 1\n---\nb: 2", '"\\UFFFFFFFF": 1', "[" * 3000,
+     "friction: &a {mu: 1, b: *a}"],
+)  # fmt: skip
+def test_a_broken_rig_file_is_not_edited(tmp_path, text):
+    path = tmp_path / "rig.yaml"
+    path.write_text(text, encoding="utf-8")
+    with pytest.raises(PlateError, match=r"rig file|rig\.yaml"):
+        edit_rig(path, {("friction",): {"mu": "0.3"}}, lambda rig: True)
+    assert path.read_text(encoding="utf-8") == text
+    assert [one.name for one in tmp_path.iterdir()] == ["rig.yaml"]
 
 
 def test_a_rig_file_that_is_edited_is_a_regular_file(tmp_path):

@@ -315,7 +315,8 @@ class Graph(Services):
             if isinstance(before, float) and type(value) is int:
                 value = float(value)
             allowed = type(value) is kind
-        except (yaml.YAMLError, ValueError):  # a ValueError means an invalid date
+        # The errors after the first mean an invalid date, an escape beyond Unicode, deep nesting.
+        except (yaml.YAMLError, ValueError, OverflowError, RecursionError):
             allowed = False
         if not allowed:
             raise PlateError(f"{node} {name} is {text!r}, allowed: a {kind.__name__}")

@@ -12,8 +12,9 @@ from typing import Any
 
 import yaml
 
-from ..errors import PlateError
+from ..errors import PlateError, RigError
 from ..files import YAML_BYTES, draft, read_file
+from ..yaml_fields import parse_yaml
 from .rig import Rig
 from .rig_file import load_rig
 
@@ -36,13 +37,13 @@ def edit_rig(path: Path, values: Values, expected: Callable[[Rig], bool]) -> Non
     Raises
     ------
     PlateError
-        If the file cannot be written, or the changed file fails `expected` or is not a rig file.
+        If the file is not YAML or has not the mappings in `values`, if it cannot be written, or if
+        the changed file fails `expected` or is not a rig file.
     """
     path = path.resolve()  # if the file is a symbolic link, change its target
-    try:
-        text = read_file(path, YAML_BYTES).decode()
-    except UnicodeDecodeError as error:
-        raise PlateError(f"rig file {path}: cannot be read ({error})") from None
+    content = read_file(path, YAML_BYTES)
+    parse_yaml(content, path, RigError)
+    text = content.decode()
     with draft(path, "rig file") as file:
         file.write(edited(text, values).encode())
         file.flush()
@@ -55,13 +56,21 @@ def edit_rig(path: Path, values: Values, expected: Callable[[Rig], bool]) -> Non
 
 def edited(text: str, values: Values) -> str:
     """Return a rig file's text with new values. Missing keys are added at the end of their mapping,
-    in the style of this mapping."""
+    in the style of this mapping.
+
+    Raises
+    ------
+    RigError
+        If a mapping is missing or empty.
+    """
     root: Any = yaml.compose(text, yaml.SafeLoader)
     edits = []  # list of (start, end, new text)
     for keys, new in values.items():
         mapping = root
         for key in keys:
             mapping = _item(mapping, key)
+        if not isinstance(mapping, yaml.MappingNode) or not mapping.value:
+            raise RigError(f"rig file: {', '.join(keys)} is missing or empty, expected a mapping")
         last_key, last = mapping.value[-1]
         indent = " " * last_key.start_mark.column
         for key, value in new.items():
@@ -97,5 +106,7 @@ def _end(node: Any) -> int:
 
 
 def _item(node: Any, key: str) -> Any:
-    """Return the node of a key in a mapping; None if the key is missing."""
+    """Return the node of a key in a mapping. Return None if the key or the mapping is missing."""
+    if not isinstance(node, yaml.MappingNode):
+        return None
     return next((value for name, value in node.value if name.value == key), None)
