@@ -1,7 +1,8 @@
 """Utilisation of the rig's limits by a sampled motion (1: exactly at the limit).
 
-The plate has the position c, the rotation matrix R and the spin w. A motor acts at the point p in
-the direction e, both at home. r is the vector R times a corner of the plate. The utilisation is the
+The plate has the position c, the rotation matrix R and the spin w. When the plate is at home, a
+motor acts at the point p in the direction e. The vector r is a corner of the plate, rotated by R.
+The motor has the force f, a linear function of pose, twist and acceleration. The utilisation is the
 maximum of these ratios over all samples, motors and corners:
 
     travel        abs(e . (c + R p - p)) / stroke
@@ -10,8 +11,9 @@ maximum of these ratios over all samples, motors and corners:
     force         abs(f) / peak force, with the motor's force f per pose, twist and acceleration
     heat          root mean square of f / continuous force
 
-Both methods use this module. The check is implemented in C++, because a search calls it at every
-step. `plate_core.motion.usage` does the same check for a whole cycle. A test compares both.
+The solvers of both methods (rotations and sinusoids) use this module. The check is implemented in
+C++, because a search calls it at every step. `plate_core.motion.usage` does the same check for a
+whole cycle. A test compares the two results.
 """
 
 from __future__ import annotations
@@ -42,7 +44,7 @@ CERTAIN: float = _kernels.CERTAIN
 is computed from the control points of the cycle."""
 
 EQUAL_WEIGHT = np.ones(1)
-"""Argument `weight` of `limit_use` for samples at equal steps."""
+"""Argument `weight` of `limit_use` for samples with equal time steps."""
 
 
 class Limits(NamedTuple):
@@ -63,7 +65,8 @@ class Limits(NamedTuple):
     levers : (4, 3)
         Derivative of each motor's travel with respect to the pose, at home.
     loads : (3, 4, 3)
-        Force of each motor per pose, twist and acceleration, divided by its peak force.
+        Force of each motor per unit of pose, of twist and of acceleration, divided by the motor's
+        peak force.
     heat : float
         Peak force divided by continuous force.
     forceful : bool
@@ -84,7 +87,7 @@ class Limits(NamedTuple):
 
     @classmethod
     def of(cls, rig: Rig, fraction: float = MARGIN) -> Limits:
-        """Return a fraction of the limits of a rig."""
+        """Return the limits of a rig, multiplied by `fraction`."""
         limits = rig.limits
         weak = rig.motor_reach.accel < HEADROOM * limits.accel
         return cls(
@@ -110,7 +113,7 @@ def limit_use(
 
     With the control points of a spline motion, the result is an upper bound, as in
     `plate_core.motion.usage`. With `linear`, the motors' travel and the corners' positions are
-    linearised in theta. Searches linearise, so that the result still depends on the amplitude if a
+    linearised in theta. Searches set `linear`. The result then grows with the amplitude, even if a
     motion is far beyond the limits.
 
     Parameters
@@ -126,7 +129,8 @@ def limit_uses(
     pose: np.ndarray, twist: np.ndarray, accel: np.ndarray, weight: np.ndarray, limits: Limits,
     linear: bool,
 ) -> np.ndarray:  # fmt: skip
-    """Return `limit_use` (N,) of the samples (N, n, 3) of N motions."""
+    """Return the result of `limit_use` (N,) for each of N motions. The samples have the shape (N,
+    n, 3)."""
     return _kernels.limit_use(pose, twist, accel, weight, limits, linear)
 
 

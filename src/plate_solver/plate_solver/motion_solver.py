@@ -87,8 +87,8 @@ class MotionSolver(ABC):
         tolerance : float
             A descent stops when its largest error is at most this value [m].
         good_enough : float
-            The search stops when the root mean square error is at most this value [m]. Otherwise it
-            tries further starts.
+            The search stops when the root mean square error is at most this value [m]. Otherwise
+            the search continues from further starts.
         until : float
             Deadline on the clock `time.monotonic` [s]. A finite deadline may end the search early.
             In this case the result depends on the speed of the computer.
@@ -96,7 +96,8 @@ class MotionSolver(ABC):
         Returns
         -------
         Solution
-            Result of the search. `residual` is the displacement error divided by mu g T^2.
+            Result of the search. The field `residual` of the solution is the displacement error
+            divided by mu g T^2.
         """
 
     @abstractmethod

@@ -39,12 +39,13 @@ from .controller import METHODS, Answer, Controller
 from .library import Library, condition_number
 
 RESTART_NS = 1_000_000_000
-"""Minimum decrease of the stamp that counts as a restart of the camera or the simulator [ns]. It is
-also the minimum difference between a stamp and this node's clock with which the stamp counts as one
-of another clock."""
+"""Threshold for the stamps of requests [ns]. If the stamp decreases by at least this time, the
+camera or the simulator has restarted. If the stamp differs from this node's clock by at least this
+time, it is from another clock."""
 
 MAX_S = 1.0
-"""Maximum duration of a search in real time, even if the cycle begins later [s]."""
+"""Maximum time for a search, in real time [s]. It applies even if more time remains until the cycle
+begins."""
 
 LATER_S = 0.01
 """Increase of the publishing margin after a cycle that was not executed [s]. The publishing margin
@@ -55,7 +56,8 @@ SOONER_S = 5e-4
 """Decrease of the publishing margin after a cycle that was executed [s]."""
 
 LATEST_S = 0.06
-"""Maximum publishing margin [s]. A larger `handover_s` replaces this maximum."""
+"""Maximum publishing margin [s]. If the parameter `handover_s` is larger, the publishing margin
+equals `handover_s`."""
 
 
 @dataclass(frozen=True)
@@ -206,7 +208,8 @@ class SolverNode(SafeLifecycleNode[Options]):
             self._sent.append(Sent(stamp_ns, self._now_ns(stamp_ns), cycle))
 
     def _send(self, cycle: PlateCycle, stamp: Time) -> None:
-        """Publish a cycle. Publish its markers if there is a subscriber."""
+        """Publish a cycle. If the topic markers has a subscriber, also publish the markers of the
+        cycle."""
         self._cycles.publish(cycle_to_msg(cycle, stamp))
         if self._markers.get_subscription_count():
             self._markers.publish(centres_to_msg(self._rig, cycle, stamp))
@@ -248,7 +251,7 @@ class SolverNode(SafeLifecycleNode[Options]):
             self._handover_s = max(min(wished, LATEST_S), least)
 
     def _rest(self, why: str) -> PlateCycle:
-        """Count a request without a solution. Return a cycle at rest."""
+        """Count a request without a solution, and return a cycle at rest."""
         self._tally.failed = why
         self._count["no_solution"] += 1
         self.get_logger().error(f"no solution, plate rests: {why}", throttle_duration_sec=WARN_S)
@@ -270,12 +273,12 @@ class SolverNode(SafeLifecycleNode[Options]):
         return now_ns if abs(now_ns - stamp_ns) < RESTART_NS else stamp_ns
 
     def _plate_condition(self) -> float:
-        """Return the condition number for the part positions of the last request. It is 0 if there
-        are no parts."""
+        """Return the condition number of the forces that the plate can exert on the parts of the
+        last request. The result is 0 if the request has no parts."""
         return condition_number(self._rig, self._parts, self._library) if len(self._parts) else 0.0
 
     def _find(self, now: float) -> Finding:
-        """Return the diagnostics of the received requests and of the solutions, see
+        """Return the diagnostics of the received requests and of the solutions, in the form of
         `plate_core.status`."""
         tally = self._tally
         findings = [

@@ -18,7 +18,7 @@ MIN_TOKEN = 12
 
 
 class AccessError(PlateError):
-    """The settings of the access are not safe or not valid."""
+    """The settings of the page's access rules are unsafe or invalid."""
 
 
 class Role(StrEnum):
@@ -37,8 +37,9 @@ class Access:
     address : str
         IP address on which the page is served.
     operator_token, viewer_token : str
-        Tokens that give a browser the role of operator or viewer. They are at the end of the page's
-        address, `?token=...`. If a token is empty, no token gives this role.
+        Tokens that give a browser the role of operator or viewer. A browser sends its token at the
+        end of the page's address, `?token=...`. If the token of a role is empty, no browser can get
+        this role by a token.
 
     Raises
     ------
@@ -79,7 +80,8 @@ class Access:
         return ipaddress.ip_address(self.address).is_loopback
 
     def role(self, token: str) -> Role | None:
-        """Return the role of a browser with this token. Return None if it has no access."""
+        """Return the role of a browser with this token. Return None if the browser has no
+        access."""
         if self.operator_token and hmac.compare_digest(
             token.encode(), self.operator_token.encode()
         ):
@@ -98,5 +100,6 @@ class Access:
         return not self.is_local or name in (*LOCAL_NAMES, self.address)
 
     def allows_origin(self, origin: str, host: str) -> bool:
-        """Whether a web page of this origin may connect. Only the page itself may connect."""
+        """Whether a web page of this origin may connect. Only the page of this server may
+        connect."""
         return origin in (f"http://{host}", f"https://{host}")

@@ -31,11 +31,11 @@ SERVICES = {
     "place": ("/simulator/place_part", "plate_interfaces/srv/PlacePart"),
     "remove": ("/simulator/remove_part", "plate_interfaces/srv/RemovePart"),
 }
-"""Name and type of the service, for each command that calls one service."""
+"""Name and type of the called service, for each command that calls exactly one service."""
 
 
 def call_text(command: Command) -> str:
-    """Return the terminal command with the same effect."""
+    """Return the terminal command that has the same effect as a command of a browser."""
     values = command.values
     match command.name:
         case "cancel" | "stop" | "emergency_stop" | "cut_power":

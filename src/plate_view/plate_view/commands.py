@@ -16,14 +16,15 @@ MAX_TEXT = 200
 """Maximum number of characters of a name or a value."""
 
 LARGEST = 1e10
-"""Maximum magnitude of a number. Stamps of the wall clock, which are 1.8e9 s, are allowed."""
+"""Maximum magnitude of a number in a command. The maximum is larger than a stamp of the wall clock,
+which is about 1.8e9 s."""
 
 MAX_POINTS = 2000
 """Maximum number of points of a drawn path."""
 
 
 class CommandError(PlateError):
-    """A command of a browser is not valid, or not permitted for its role."""
+    """A command of a browser is invalid, or the role of the browser does not permit it."""
 
 
 @dataclass(frozen=True)
@@ -35,9 +36,9 @@ class Command:
     name : str
         Name, such as `stop`.
     number : int
-        Number that the browser gave to the command. The reply contains it.
+        Number that the browser gave to the command. The reply contains this number.
     values : mapping
-        Arguments of the command, after a check.
+        Checked arguments of the command.
     """
 
     name: str
@@ -54,8 +55,8 @@ def read_command(text: str | bytes, role: Role) -> Command:
     Raises
     ------
     CommandError
-        If the command is not valid. The message contains the wrong value and what is allowed.
-        `number_of` returns the number for the reply.
+        If the command is not valid. The error message contains the wrong value and the allowed
+        values. `number_of` returns the number of the command for the reply.
     """
     try:
         data = json.loads(text)
@@ -79,7 +80,7 @@ def read_command(text: str | bytes, role: Role) -> Command:
 
 
 def number_of(data: Any) -> int:
-    """Return the number of a command. The number is -1 if the command has none."""
+    """Return the number of a command. Return -1 if the command has no number."""
     number = data.get("number") if isinstance(data, dict) else None
     if isinstance(number, int) and not isinstance(number, bool) and 0 <= number <= LARGEST:
         return number
@@ -201,7 +202,7 @@ COMMANDS: Mapping[str, Mapping[str, Reader]] = {
 """Arguments of each command, with the functions that check them."""
 
 FOR_ALL = ("watch", "parameters", "replay")
-"""Commands that change nothing in the graph. Viewers may send them."""
+"""Commands that change nothing in the ROS graph. Viewers may also send these commands."""
 
 URGENT = ("emergency_stop", "cut_power", "stop")
 """Commands that stop the plate. They are executed before all other commands, and a browser may send

@@ -1,5 +1,5 @@
-"""The effect of a plate cycle on parts that rest at any place when the cycle begins. The functions
-compute the drift of the parts, and the mean force as defined in the paper."""
+"""The effect of a plate cycle on parts that are at rest at any position when the cycle begins. The
+functions compute the drift of the parts, and the mean force as defined in the paper."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ STEPS = 200
 """Number of time steps per cycle."""
 
 RESTING = 1e-6
-"""Speed of the surface below which a resting part does not slide [m/s]."""
+"""Speed of the plate's surface below which a resting part does not slide [m/s]."""
 
 
 def grid(rig: Rig, count: int = 17) -> tuple[np.ndarray, np.ndarray]:
@@ -29,7 +29,8 @@ def grid(rig: Rig, count: int = 17) -> tuple[np.ndarray, np.ndarray]:
 def mean_force(cycle: PlateCycle, point: np.ndarray) -> np.ndarray:
     """Mean friction on parts that rest at world-fixed points (section 3.1 of the paper).
 
-    With the velocity s(t) of the surface at a point, it is the mean of s / norm(s) over a cycle.
+    s(t) is the velocity of the plate's surface at a point. The mean force is the mean of s /
+    norm(s) over a cycle.
 
     Parameters
     ----------
@@ -52,7 +53,7 @@ def drift(cycle: PlateCycle, point: np.ndarray, accel: float) -> np.ndarray:
     """Mean velocity over one cycle of parts that rest at the given points when the cycle begins.
 
     Parts are points that slide or stick. The parts are integrated in steps of 1/200 of the cycle.
-    This accuracy is sufficient for display, but not for planning.
+    The accuracy of the result is sufficient for display, but not for planning.
 
     Parameters
     ----------

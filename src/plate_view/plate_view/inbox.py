@@ -1,4 +1,4 @@
-"""Queue of commands from the server's thread to the thread of the ROS node."""
+"""Queue that passes commands from the thread of the web server to the thread of the ROS node."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ may not expect its effect any more."""
 
 
 class Inbox:
-    """Queue of commands. One thread appends to it, and another thread empties it."""
+    """Queue of commands. One thread appends commands, and another thread removes them."""
 
     def __init__(self) -> None:
         self._waiting: deque[tuple[Any, Command, float]] = deque()

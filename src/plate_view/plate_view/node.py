@@ -32,14 +32,14 @@ SLOW_S = 0.5
 
 
 SWITCH_S = 0.0005
-"""Interval at which Python switches between threads [s]. The thread that stops the plate waits at
-most for this interval until it runs."""
+"""Interval at which Python switches between threads [s]. The thread that stops the plate therefore
+starts to run after at most this time."""
 
 ALWAYS_THERE = ("black", "grey")
 """Types of parts that every rig has."""
 
 REPLAY = ("begin", "end", "now", "playing", "rate", "problem")
-"""State of a replay. The state is sent to browsers."""
+"""Attributes of a replay that are sent to browsers."""
 
 
 @dataclass(frozen=True)
@@ -182,8 +182,8 @@ class PageNode(SafeLifecycleNode[Options]):
         self._wake()
 
     def _work(self) -> None:
-        """Execute the next command. Then return to the executor, so that other callbacks can
-        run."""
+        """Execute the next command from the queue. Then return to the ROS executor, so that other
+        callbacks can run."""
         if self._inbox:
             self._do_next()
         if self._inbox:
@@ -216,7 +216,8 @@ class PageNode(SafeLifecycleNode[Options]):
             self._listener.receive("/rosout" if topic == "rosout" else topic, msg)
 
     def _do_replay(self, browser: Socket, command: Command) -> None:
-        """Play, seek or change the rate of a replay. All other commands need a running graph."""
+        """Play a replay, jump to another time, or change the rate. All other commands need a
+        running ROS graph."""
         server, replay, values = self._server, self._replay, command.values
         assert server is not None
         why = ""

@@ -31,7 +31,8 @@ SAMPLES = 65
 """Number of samples of a cycle's motion."""
 
 FAR_HALVES = 3.0
-"""Maximum distance of centres of rotation that are shown [half lengths of the plate]."""
+"""Maximum distance between the plate's centre and a displayed centre of rotation, in half lengths
+of the plate."""
 
 CAMERA_PX = 960
 """Maximum width of the camera's picture in browsers [px]."""
@@ -103,7 +104,7 @@ def parts_scene(
 
 
 def request_scene(rig: Rig, stamp: float, request: CycleRequest) -> Scene:
-    """Return the planner's request for each part: its target, and its mean force [mu m g]."""
+    """Return the planner's request for each part: the target and the mean force [mu m g]."""
     to, count = request.targets, len(request.parts)
     unasked: list[list[Any]] = [[None, None, None]] * count
     intervals = unasked
@@ -182,7 +183,8 @@ def motors_scene(rig: Rig, cycle: PlateCycle) -> Scene:
 
 
 def task_scene(rig: Rig, task: Task | None) -> Scene:
-    """Return the target places of a task: paths, regions and places. Empty if there is no task."""
+    """Return the targets of a task: paths, regions and places. The lists are empty if there is no
+    task."""
     scene: Scene = {"kind": "paths", "paths": [], "regions": [], "places": []}
     match task:
         case FollowTask():

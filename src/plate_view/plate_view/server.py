@@ -1,10 +1,10 @@
 """The server of the page: HTTP and a websocket. The server runs on a separate thread, so that it
 cannot delay the graph.
 
-Each browser has an outgoing queue. Of data that are sent repeatedly, such as the parts, the queue
-contains only the newest message of each kind. Of all other messages, it contains the last
-`MAX_QUEUE`. A slow browser therefore misses frames. If a browser accepts no data, it is
-disconnected.
+Each browser has an outgoing queue. Some data are sent repeatedly, for example the parts. Of these
+data, the queue contains only the newest message of each kind. Of all other messages, the queue
+contains the last `MAX_QUEUE`. A slow browser therefore misses frames. If a browser accepts no data,
+it is disconnected.
 """
 
 from __future__ import annotations
@@ -36,8 +36,8 @@ MAX_MESSAGE = 64_000
 """Maximum size of a message from a browser [bytes]."""
 
 MAX_QUEUE = 200
-"""Maximum number of messages in the queue of a browser. It applies to messages that must not be
-skipped. If there are more, the oldest ones are dropped."""
+"""Maximum number of messages in the queue of a browser. This maximum applies to messages that must
+not be skipped. If the queue is full, the oldest message is dropped."""
 
 HUNG_S = 10.0
 """Maximum time without progress in sending [s]. After that, the browser is disconnected."""
@@ -56,14 +56,14 @@ COMMANDS_PER_S = 100.0
 """Mean rate of commands that one browser may send [1/s]. A drag sends 60 commands per second."""
 
 BURST = 200.0
-"""Number of commands that one browser may send at once."""
+"""Maximum number of commands that one browser may send in a burst."""
 
 MAX_OPEN = 50
-"""Maximum number of commands of one browser without a reply. Further commands are refused, except
-stops."""
+"""Maximum number of commands of one browser that wait for a reply. Further commands are refused,
+except stops."""
 
 MAX_TOTAL = 200
-"""Maximum number of commands of all browsers without a reply."""
+"""Maximum number of commands of all browsers that wait for a reply."""
 
 COST = {"move": 1.0, "watch": 1.0, "replay": 1.0}
 """Costs of commands that are frequent while a person drags. Each command reduces the allowance of
@@ -73,15 +73,15 @@ DEFAULT_COST = 10.0
 """Cost of a command that is not in `COST`. Usually, another node must process such a command."""
 
 STILL_S = 2.0
-"""Minimum duration of a stall of the server [s]. After a stall, other commands than stops are
-refused for a moment."""
+"""Minimum duration of a stall of the server [s]. After a stall, the server briefly refuses all
+commands except stops."""
 
 KEPT = ("log", "call")
 """Kinds of messages that must not be skipped. Replies must not be skipped either. Replies are sent
 first."""
 
 NEW_PORTS = 20
-"""Number of ports after the given one that are tried if this port is in use."""
+"""Number of further ports that the server tries if the given port is in use."""
 
 HEADERS = {
     "Content-Security-Policy": "default-src 'none'; script-src 'self'; style-src 'self'; "
@@ -97,7 +97,7 @@ class Socket(tornado.websocket.WebSocketHandler):
     """The connection to one browser."""
 
     def initialize(self, page: PageServer) -> None:
-        """Initialise the state of the connection."""
+        """Initialise the state of a browser's connection."""
         self.page = page
         self.role: Role | None = None
         self.watches = {"image": False, "field": False, "camera": False}
@@ -146,13 +146,14 @@ class Socket(tornado.websocket.WebSocketHandler):
         self.page.changed()
 
     async def on_message(self, text: str | bytes) -> None:
-        """Process a command. Then let commands of other browsers run. If a browser exceeds its
-        allowance, its messages are read slowly."""
+        """Process a command. Then process the commands of other browsers. If a browser exceeds its
+        allowance of commands, the server reads its messages slowly."""
         within = self._take(text)
         await asyncio.sleep(0 if within else 1 / COMMANDS_PER_S)
 
     def _take(self, text: str | bytes) -> bool:
-        """Process a command. Return whether this browser has stayed within its allowance."""
+        """Process a command. Return whether the browser has stayed within its allowance of
+        commands."""
         now = asyncio.get_event_loop().time()
         self._allowance = min(BURST, self._allowance + COMMANDS_PER_S * (now - self._counted))
         self._counted = now
@@ -179,7 +180,8 @@ class Socket(tornado.websocket.WebSocketHandler):
         return within
 
     def _refusal(self, within: bool) -> str:
-        """Return the reason to refuse a command that is not a stop. Return "" if it is accepted."""
+        """Return the reason for refusing a command that is not a stop. Return "" if the command is
+        accepted."""
         if not within:
             return f"too many commands, allowed: {COMMANDS_PER_S:g} per second"
         if self.page.is_late():
@@ -241,10 +243,10 @@ def _number(text: str | bytes) -> int:
 
 
 class File(tornado.web.StaticFileHandler):
-    """A file of the page."""
+    """HTTP request handler for the files of the page."""
 
     def initialize(self, access: Access, path: str, default_filename: str) -> None:  # type: ignore[override]
-        """Store the access rules."""
+        """Store the access rules for the requests."""
         self._access = access
         super().initialize(path, default_filename)
 
@@ -278,8 +280,8 @@ class Door(tornado.httpserver.HTTPServer):
 
 
 class PageServer:
-    """Server of the page. Create and close it on the thread of the ROS node, not on the server's
-    own thread.
+    """Server of the page. The thread of the ROS node must create and close the server, not the
+    server's own thread.
 
     Parameters
     ----------
@@ -328,25 +330,25 @@ class PageServer:
         return f"http://{shown}:{self.port}/"
 
     def wants(self, what: str) -> bool:
-        """Whether any browser watches this kind of data."""
+        """Whether at least one browser displays this kind of data."""
         return any(browser.watches[what] for browser in tuple(self.browsers))
 
     def is_late(self) -> bool:
-        """Whether a message that arrives now may have been sent during a stall of the server. This
-        function is called on the server's thread."""
+        """Whether a message that arrives now may have been sent during a stall of the server. Call
+        this method only on the server's thread."""
         return self._standstill.is_late(self._loop.time())
 
     def _keep_time(self) -> None:
         self.is_late()
 
     def publish(self, kind: str, message: Mapping[str, Any] | bytes, keep: bool = True) -> None:
-        """Send a message to all browsers. This may be called from any thread. If `keep`, also send
-        it to browsers that connect later."""
+        """Send a message to all browsers. If `keep`, also send the message to browsers that connect
+        later. Any thread may call this method."""
         text = message if isinstance(message, bytes) else json.dumps(message, allow_nan=False)
         self._loop.call_soon_threadsafe(self._publish, kind, text, keep)
 
     def answer(self, browser: Socket, number: int, ok: bool, text: str) -> None:
-        """Reply to an accepted command. This may be called from any thread."""
+        """Reply to an accepted command. Any thread may call this method."""
         self._loop.call_soon_threadsafe(self._answer, browser, number, ok, text)
 
     def close(self) -> None:

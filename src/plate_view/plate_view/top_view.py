@@ -1,4 +1,4 @@
-"""The camera's image, rectified to a view from straight above, in plate_home."""
+"""Rectification of the camera's image to a view from straight above, in the frame plate_home."""
 
 from __future__ import annotations
 

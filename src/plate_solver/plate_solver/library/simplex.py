@@ -42,7 +42,8 @@ class TimeFractions:
         Value of the objective. It equals y . b.
     basis : (R,)
         Indices of the columns in the basis of the solution. The basis is a start for the next
-        problem. The indices K + r and K + R + r are the slack variables of row r.
+        problem. With K columns and R rows, index K + i is the unmet amount of row i, and index K +
+        R + i is its exceeded amount.
     pivots : int
     optimal : bool
         False if the number of pivots reached its maximum. The solution is feasible in both cases.

@@ -18,17 +18,19 @@ from ..limits import Limits
 from .sequence import knot_poses, motion
 
 RAMP_STEPS = 8
-"""Number of steps in a ramp during a search."""
+"""Number of time steps per ramp during a search. A ramp is the transition from one rotation to the
+next."""
 
 MIN_STEPS = 6
-"""Minimum number of steps in a hold during a search."""
+"""Minimum number of time steps per hold during a search. A hold is the phase in which a rotation
+has a constant twist."""
 
 HOLD_STEP = 1e-3
-"""Length of a step [s] in a hold of mean length."""
+"""Length of a time step in a hold that has the mean length of all holds [s]."""
 
 RAMP_PART = 0.95
-"""Fraction of the acceleration limit that ramps may use. The correction that closes the motion
-needs the rest."""
+"""Fraction of the acceleration limit that ramps may use. The remaining acceleration is for the
+correction that closes the motion."""
 
 UNLIMITED_M = 1e9
 """Stroke limit that disables the check of the stroke [m]."""
@@ -42,11 +44,12 @@ class Sequences(NamedTuple):
     basis : (J, F, 3)
         Twist j is the product of its F parameters and basis j.
     hold_scale : float
-        Relative duration of a rotation per unit of its parameter.
+        Relative duration of a rotation whose duration parameter is 1.
     period, accel : float
         Length of the cycle [s] and peak acceleration of ramps [m/s2].
     loads : (m, 3)
-        Rows that limit the motors' forces, as in sequence.hpp. Empty if the forces are not checked.
+        Limits of the motors' forces. Each row, multiplied by a plate acceleration, must not exceed
+        the acceleration limit `accel`. Without a check of the forces, the array is empty.
     steps : (int, int)
         Number of steps in each ramp, and number of steps in each hold.
     limits : Limits
@@ -67,13 +70,14 @@ Moved = tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, np.ndarray]
 
 
 def line_of(theta: np.ndarray, family: Sequences) -> Line:
-    """Return the knot times and the twists at the knots, as in sequence.hpp."""
+    """Return the knot times and the twists at the knots. The module `sequence` describes the
+    knots."""
     return _kernels.line_of(theta, family)
 
 
 def runnable(theta: np.ndarray, family: Sequences) -> tuple[np.ndarray, Line, Moved]:
-    """Return admissible parameters, and the knots and samples of their motion. Admissible
-    parameters have positive durations and a motion within the limits."""
+    """Make the parameters admissible. Return them, and the knots and samples of their motion.
+    Admissible parameters have positive durations and a motion within the limits."""
     return _kernels.runnable(theta, family)
 
 
@@ -82,8 +86,8 @@ class RotationFamily:
 
     The parameters are the J + 1 relative durations in units of 1/J, and the three components of
     each twist in units of the usual speed. The last duration is the rest at the end. In a search, a
-    violation of the stroke limit is a penalty. If `within_stroke` is set, all admissible parameters
-    keep the stroke limit.
+    violation of the stroke limit adds a penalty to the errors. If `within_stroke` is set, all
+    admissible parameters keep the stroke limit.
     """
 
     def __init__(

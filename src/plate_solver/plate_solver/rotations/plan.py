@@ -1,4 +1,4 @@
-"""Selection of the rotations for requested forces, and of their durations, by a linear programme.
+"""Linear programme that selects the rotations for requested forces, and their durations.
 
 The inputs are a library of rotations, the positions of the parts and the requested forces. The
 output is a `RotationPlan`. The plan uses averaged forces, which do not depend on the order of the
@@ -15,12 +15,13 @@ import numpy as np
 from ..library import CURL_LENGTH_M, Library, TimeFractions, least_time
 
 SPEEDS = (1.0, 0.5)
-"""Speeds of a rotation in the linear programme, in units of the usual speed. Averaged friction does
-not depend on the speed, but the closure of the motion does."""
+"""Speeds of a rotation in the linear programme, in units of the usual speed. The averaged friction
+does not depend on the speed. The displacement of the plate depends on the speed, and its sum over
+the sequence must be 0."""
 
 CLOSURE_PRICE = 1e4
-"""Price of a gap between the start and the end of the sequence. With this high price, the gap
-becomes 0."""
+"""Price per unit of the gap between the plate's poses at the start and at the end of the sequence.
+The price is so high that the solution has no gap."""
 
 
 @dataclass(frozen=True)
@@ -30,11 +31,13 @@ class RotationPlan:
     Attributes
     ----------
     twist : (J, 3)
-        Signed twist of each rotation. At 1, the fastest corner has the usual speed (see `SPEEDS`).
+        Signed twist of each rotation, in units of the usual speed of the fastest corner (see
+        `SPEEDS`).
     fraction : (J,)
         Duration of each rotation as a fraction of the cycle. The sum is at most 1.
     priority : (J,)
-        Priority of section 3.1.4: weight divided by the distance to the nearest part [1/m].
+        Priority as in section 3.1.4 of the paper: weight divided by the distance between the centre
+        of rotation and the nearest part [1/m].
     met : float
         Fraction of the request that fits into the cycle, at most 1.
     times : TimeFractions
@@ -80,7 +83,7 @@ def plan_rotations(
     position, force : (M, 2)
         Positions of the parts [m] and requested forces on them [mu m g].
     curl : (M,), optional
-        Requested curls [mu m g / m]. NaN accepts any curl.
+        Requested curls [mu m g / m]. If an entry is NaN, any curl of this part is accepted.
     price : float
         Maximum time per unit of force [cycles / (mu m g)]. Forces that cost more are not met.
     start : optional

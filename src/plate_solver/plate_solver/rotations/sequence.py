@@ -23,7 +23,7 @@ from .. import _kernels
 
 
 def knot_poses(times: np.ndarray, knots: np.ndarray) -> np.ndarray:
-    """Return the pose (K, 3) at every knot before the motion is closed."""
+    """Return the pose (K, 3) at every knot, without the correction that closes the motion."""
     return _kernels.knot_poses(times, knots)
 
 
@@ -31,10 +31,11 @@ def motion(
     times: np.ndarray, knots: np.ndarray, counts: tuple[int, int]
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
     """Return pose, twist and acceleration (n, 3) at the middles of the steps, the step lengths (n,)
-    [s], and the gap (3,) between end and start before the motion is closed.
+    [s], and the gap (3,) between end and start. The motion includes the correction that closes it,
+    but the gap does not.
 
     Each ramp has `counts[0]` equal steps, and each hold has `counts[1]` equal steps. No step
-    crosses the end of a segment. Therefore the results depend on the parameters as smoothly as the
-    friction model permits.
+    crosses the end of a ramp or hold. Therefore the results depend on the parameters as smoothly as
+    the friction model permits.
     """
     return _kernels.motion(times, knots, counts)

@@ -26,18 +26,21 @@ from .family import RotationFamily
 from .plan import RotationPlan, plan_rotations
 
 FEW = (2, 4)
-"""Maximum number of parts for a cycle of half the period, and for a cycle of three quarters of the
-period. A few parts require only a few rotations. A short cycle gives an earlier result."""
+"""Numbers of parts up to which a cycle is shortened. With up to 2 parts, it lasts half of the
+option `period`. With up to 4 parts, it lasts three quarters of this period. A few parts require
+only a few rotations. A short cycle gives an earlier result."""
 
 SETTLE = 0.05
 """Approximate time in which friction stops a part that has an initial velocity [s]."""
 
 PUSH = 0.04
-"""Drift in plans towards targets, of the part that moves the longest distance [m/s]."""
+"""Drift in a plan that moves parts towards targets [m/s]. This value applies to the part with the
+longest displacement."""
 
 FINER = 3
-"""Factor on the number of steps if the evaluation with fine steps contradicts the search. The
-search then continues with the larger number of steps."""
+"""Factor that increases the number of time steps. It is used if a search meets the goal, but the
+evaluation with fine steps does not confirm this. The search then continues with the larger number
+of steps."""
 
 POLISH = 6
 """Maximum number of iterations of a search that continues with more steps (see `FINER`)."""
@@ -57,19 +60,19 @@ class RotationOptions:
     Attributes
     ----------
     period : float
-        Length of the cycle [s]. On the cycle map, the length is half of this value for one or two
-        parts, and three quarters of it for three or four parts.
+        Length of the cycle [s]. The actual length is half of this value for one or two parts, and
+        three quarters of it for three or four parts.
     speed : float
         Usual speed of the plate's fastest corner in a rotation [m/s].
     max_price : float
         Maximum time per unit of force on a part [cycles / (mu m g)]. The plan does not meet forces
         that cost more. An example is a force that separates two parts that almost touch.
     iterations : int
-        Maximum number of iterations from the last motion. For all other starts, the maximum is
-        twice this number.
+        Maximum number of iterations of a search that starts from the last motion. For all other
+        starts, the maximum is twice this number.
     restarts : int
         Maximum number of further starts if the first one fails. If the first start is the last
-        motion, one more is permitted.
+        motion, one additional start is permitted.
     seed : int
         Random seed of the further starts.
     """
@@ -180,7 +183,7 @@ class RotationCycles(MotionSolver):
         return Start(near.family, near.family.admissible(shaken))
 
     def planned(self, goal: Goal, spread: bool = False) -> Start:
-        """Return a start for the search from a plan that uses averaged forces.
+        """Return a start for the search. It is computed from a plan that uses averaged forces.
 
         The requested force F on a part of mass m is constant. The force moves the part by the
         displacement d from rest in the period T: F = 2 m d / T^2. If targets are requested, d is in

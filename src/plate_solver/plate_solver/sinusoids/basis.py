@@ -17,7 +17,8 @@ rest. The plate's motion in play k is
 
     u_k = B a + S p_k,    p_0 given,    p_k = E a  for k > 0,
 
-because S ends at rest within one play. Therefore all plays are linear in the coefficients a.
+This equation holds because the motion S p comes to rest within one play. Therefore the motions of
+all plays are linear in the coefficients a.
 """
 
 from __future__ import annotations
@@ -37,11 +38,11 @@ STEPS_PER_HARMONIC = 26
 
 MAX_STEP = 0.4e-3
 """Maximum step [s]. The friction model is integrated by first-order steps. Steps of 1 ms would
-cause an error of 10 % of a drift."""
+cause a drift error of 10 %."""
 
 TAIL_S = 0.05
-"""Duration of the quintic from any state to rest, and of the quintic from rest to any final state
-[s]."""
+"""Duration of the quintic polynomial from any state to rest [s]. The quintic polynomial from rest
+to any final state has the same duration."""
 
 TAIL_PERIOD_S = 0.1
 """Length of a tail, including the rest at its end [s]. In this time, the solver can compute the
@@ -49,10 +50,11 @@ result for the image that is taken at the start of the tail."""
 
 END_UNITS = np.array([TAIL_S / 1.875, 1.0, 5.0625 / TAIL_S])
 """Units of the final state in a search: pose [m], velocity [m/s], acceleration [m/s2]. The units
-determine only the relative size of the steps of the search. The maximum speed of a quintic from
-rest to one unit of pose is 1 m/s (15/8 pose/TAIL_S). For one unit of velocity it is 1 m/s, and for
-one unit of acceleration 0.34 m/s (0.068 acceleration TAIL_S). The maximum accelerations of these
-three quintics are 3.1, 3.9 and 5.1 m/s divided by TAIL_S."""
+determine only the relative size of the steps of the search. A quintic from rest to one unit of pose
+has a maximum speed of 1 m/s (15/8 pose/TAIL_S). A quintic to one unit of velocity also has a
+maximum speed of 1 m/s. A quintic to one unit of acceleration has a maximum speed of 0.34 m/s (0.068
+acceleration TAIL_S). The maximum accelerations of these three quintics are 3.1, 3.9 and 5.1 m/s,
+each divided by TAIL_S."""
 
 CHECKS_PER_HARMONIC = 8
 """Number of instants per period of the highest harmonic at which the limits are checked."""
@@ -90,7 +92,8 @@ class SinusoidBasis:
     knots : tuple of (k + 1, h)
         Basis (pose, twist, acceleration) at the knots.
     spline : (6 k, h)
-        Polynomial coefficients in the time since each knot, as `PlateCycle.coefficients`.
+        Coefficients of the polynomials between the knots, as `PlateCycle.coefficients`. The
+        variable is the time since the last knot.
     hull : (3 c, h)
         Control points of pose, twist and acceleration, as `PlateCycle.control_points`.
     free_end : bool

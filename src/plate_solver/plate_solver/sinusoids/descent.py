@@ -1,7 +1,7 @@
 """One descent of a sinusoidal motion on the cycle map, computed by C++ kernels.
 
-One call runs the Levenberg-Marquardt method on the coefficients of the motion. The errors are the
-errors of the parts' final positions and rotations (`goal.ends`), and the limit violations. The
+One call runs the Levenberg-Marquardt method on the coefficients of the motion. The method minimises
+the errors of the parts' final positions and rotations (`goal.ends`), and the limit violations. The
 inputs are a `Problem` and initial parameters. The output is a `Fit`. The whole descent is a single
 call, because an evaluation takes only about ten microseconds and Python overhead would dominate.
 """
@@ -57,7 +57,7 @@ class Problem(NamedTuple):
     settling : _kernels.Settling
         Motion of the plate from its initial state to rest. The motion of the basis is added to it.
     start : (b, STATE) or (b, TURNING_STATE)
-        Parts at the start, in blocks.
+        States of the parts at the start of the cycle, in blocks for the C++ kernels.
     ends : Ends
     coast : float
         Time of the extrapolation, as in `Goal` [s].

@@ -20,13 +20,14 @@ HARMONIC_S = 0.025
 option."""
 
 EXACT_CYCLES = (8, 8, 0.1), (16, 8, 0.15), (24, 12, 0.3), (math.inf, 16, 0.4)
-"""Cycles from rest to rest for force requests. Their forces have rank 6 N - 7. Each entry contains
-the maximum number of requested coordinates, the number of harmonics N, and the period [s]. The
-values were tuned in closed loop. Few harmonics make the search fast, short cycles correct friction
-errors early, and long cycles use the stroke."""
+"""Cycles from rest to rest for force requests. The forces of such cycles have rank 6 N - 7. Each
+entry contains the maximum number of requested coordinates, the number of harmonics N, and the
+period [s]. The values were tuned in closed loop. Few harmonics make the search fast, short cycles
+correct friction errors early, and long cycles use the stroke."""
 
 LASTING_CYCLES = (4, 4, 0.1), (8, 6, 0.15), (math.inf, 8, 0.2)
-"""Cycles from rest to rest for lasting goals. The entries are the same as in `EXACT_CYCLES`."""
+"""Cycles from rest to rest for goals with targets, which several cycles may complete. The entries
+have the same form as in `EXACT_CYCLES`."""
 
 GOING_ON = (15.0, 8, 0.2), (math.inf, 8, 0.1)
 """Cycles with a free end. Each entry contains the maximum shaking ratio Gamma, the number of

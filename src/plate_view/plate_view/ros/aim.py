@@ -17,7 +17,8 @@ STATES = state_names(LensPictures, "IDLE", "TAKING", "FITTING", "FITTED")
 
 
 def aim_scene(msg: Aim) -> Scene:
-    """Convert the detector's measurements of a picture. Positions are in pixels."""
+    """Convert the detector's measurements in a picture to a message for the page. Positions are in
+    pixels."""
     lens = msg.lens
     return {
         "kind": "aim", "stamp": seconds(msg.header.stamp), "width": msg.width, "height": msg.height,

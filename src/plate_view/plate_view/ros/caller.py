@@ -23,7 +23,7 @@ URGENT_S = 1.0
 """Maximum wait for the reply to an urgent command [s]."""
 
 AGAIN_S = 0.25
-"""Time without a reply after which the request of a stop is repeated [s]."""
+"""Interval at which a request to stop is repeated until there is a reply [s]."""
 
 POLL_S = 0.02
 """Interval at which pending calls are polled [s]."""
@@ -69,14 +69,14 @@ class Caller:
             self._timer.cancel()
 
     def client(self, kind: Any, name: str) -> Any:
-        """Return the client of a service. If it is created early, the discovery is complete when
-        the client is needed."""
+        """Return the client of a service. If the client is created early, ROS has discovered the
+        service before the client is needed."""
         if name not in self._clients:
             self._clients[name] = self._node.create_client(kind, name, qos_profile=CALLS)
         return self._clients[name]
 
     def call(self, pending: PendingCommand, kind: Any, name: str, request: Any, then: Then) -> None:
-        """Call a service. `then` is called with its response.
+        """Call a service, and call `then` with the response of the service.
 
         An urgent request is repeated until there is a reply. DDS may lose the reply of a node that
         has just started.

@@ -1,5 +1,5 @@
-"""Subscriber that passes messages of the graph to the browsers. The object subscribes only while a
-browser is connected."""
+"""Subscriber that passes ROS messages to the browsers. It subscribes only while a browser is
+connected."""
 
 from __future__ import annotations
 
@@ -52,7 +52,7 @@ SAME_CLOCK_S = 10.0
 the stamp is from another clock."""
 
 LATENCIES = 200
-"""Number of setpoint messages over which the latency is measured."""
+"""Number of setpoint messages from which the latency is computed."""
 
 CAMERA_S = 0.1
 """Minimum time between two pictures in the view for aiming the camera [s]."""
@@ -65,13 +65,13 @@ DRIVER_STATES = state_names(
 )  # fmt: skip
 FRICTION_STATES = state_names(Friction, "NONE", "RUNNING", "DONE", "FAILED")
 SEVERITIES = {20: "info", 30: "warn", 40: "error", 50: "error"}
-"""Severities of rcl_interfaces/Log that are shown."""
+"""Names of the severities of rcl_interfaces/Log. Messages with other severities are not shown."""
 
 ROSOUT = QoSProfile(depth=100, durability=DurabilityPolicy.TRANSIENT_LOCAL)
 
 
 class Listener:
-    """Subscribes while a browser is connected, and passes the messages on to all browsers.
+    """Subscribes to topics while a browser is connected, and passes the messages to all browsers.
 
     Parameters
     ----------
@@ -189,7 +189,7 @@ class Listener:
     # Messages that are sent at the rate at which browsers can draw
 
     def tick(self) -> None:
-        """Send the browsers the messages that are new since the last tick."""
+        """Send the browsers all messages that have arrived since the last call."""
         newest, self._newest = self._newest, {}
         for topic, msg in newest.items():
             try:
@@ -282,8 +282,8 @@ class Topic(NamedTuple):
     """A topic, and the function that handles its messages.
 
     If `at_once`, each message is handled on arrival. Otherwise only the newest message is handled,
-    at the rate at which browsers can draw. If `watched` is not empty, the topic is subscribed to
-    only while a browser watches one of these kinds of data.
+    at the rate at which browsers can draw. If `watched` is not empty, it contains kinds of data.
+    The page then subscribes to the topic only while a browser displays one of these kinds.
     """
 
     kind: type

@@ -1,5 +1,5 @@
-"""Executes commands of browsers with the public actions, services, topics and parameters of the
-graph."""
+"""Executes commands of browsers with the public actions, services, topics and parameters of the ROS
+nodes."""
 
 from __future__ import annotations
 
@@ -52,20 +52,20 @@ FOUND_S = 2.0
 """Maximum time for the discovery of an action server [s]."""
 
 MOVE_TOLERANCE_M = 0.001
-"""Maximum distance of a dragged part from its target that counts as reached [m]."""
+"""Distance from its target at which a dragged part counts as arrived [m]."""
 
 MOVE_TOLERANCE_RAD = 0.05
-"""Maximum angle error of a dragged part that counts as reached [rad]."""
+"""Angle error at which a dragged part counts as arrived [rad]."""
 
 MAX_SQUARES = 255
-"""Maximum number of squares along a side of a board that the message TakeLensPictures can contain.
-The detector allows only smaller numbers."""
+"""Maximum number of squares along a side of a calibration board. The message TakeLensPictures
+cannot contain larger numbers, and the detector allows only smaller ones."""
 
 FOLLOW_ERROR_M = 0.02
-"""Maximum distance of a part from its drawn path [m]. If it is exceeded, the task ends."""
+"""Maximum distance of a part from its drawn path [m]. If the distance is larger, the task ends."""
 
 FOLLOW_LIMIT_S = 600.0
-"""Maximum time for a drawn path [s]. After that, the task ends."""
+"""Maximum time for following a drawn path [s]. After this time, the task ends."""
 
 SECRET = ("operator_token", "viewer_token")
 """Parameters that are not sent to browsers."""
@@ -73,7 +73,8 @@ SECRET = ("operator_token", "viewer_token")
 
 @dataclass(eq=False)
 class Goal:
-    """A goal that the page has sent. `handle` is set when the planner accepts the goal."""
+    """An action goal that the page has sent. The attribute `handle` is set when the planner accepts
+    the goal."""
 
     task: Task
     handle: Any = None
@@ -143,7 +144,8 @@ class Operator:
         self._call(pending, SetBool, "enable", request, pending.done)
 
     def _reset(self, pending: PendingCommand) -> None:
-        """Reset the parts of the simulator, then the detector. The ids then restart at 1."""
+        """Reset the parts of the simulator, then the detector. After that, the ids of parts restart
+        at 1."""
         seed, request = pending.values["seed"], Trigger.Request()
 
         def forget(answer: Any) -> None:
@@ -174,8 +176,8 @@ class Operator:
         self._call(pending, RemovePart, "simulator/remove_part", request, pending.done)
 
     def _take_lens_pictures(self, pending: PendingCommand) -> None:
-        """Take pictures of a calibration board. Refuse numbers that are outside the range of the
-        message."""
+        """Take pictures of a calibration board. Refuse numbers of squares that are too large for
+        the ROS message."""
         given = {key: value for key, value in pending.values.items() if value is not None}
         for side in ("columns", "rows"):
             if given.get(side, 0) > MAX_SQUARES:
@@ -224,7 +226,8 @@ class Operator:
         self._call(pending, SetParameters, f"{self._found(node)}/set_parameters", request, on_reply)
 
     def _found(self, name: str) -> str:
-        """Return the name of an existing node. No clients are made for other names."""
+        """Return the name of an existing node. The page creates no service clients for other
+        names."""
         here = self._node.get_namespace()
         nodes = self._node.get_node_names_and_namespaces()
         there = sorted({each for each, space in nodes if space == here})
@@ -300,7 +303,8 @@ class Operator:
         self._send_after_move(pending, name, goal)
 
     def _send(self, pending: PendingCommand, name: str, goal: Any) -> None:
-        """Send a goal. Reply when the goal is executed, or with the reason why it is not."""
+        """Send a goal. Reply when the goal is executed. If the goal is not executed, reply with the
+        reason."""
         client, end = self._actions[name], time.monotonic() + FOUND_S
         before: Goal | None = None
         own = Goal(goal_to_scenario(goal).task)
@@ -419,8 +423,8 @@ class Operator:
         self._waiting = None
 
     def _on_task(self) -> None:
-        """Show the target places of a task that begins. Send the targets that waited for this
-        task."""
+        """Show the target places of a task that begins. Publish the targets that waited until this
+        task runs."""
         status = self._listener.task
         running = status.task if status.state == TaskStatus.RUNNING else ""
         if running != self._shown:
@@ -455,8 +459,8 @@ class Operator:
         self._send_after_move(pending, "follow_paths", goal)
 
     def _send_after_move(self, pending: PendingCommand, name: str, goal: Any) -> None:
-        """Send a goal. If the task `move` of this page runs, cancel it first, because it does not
-        end by itself.
+        """Send a goal. If the task `move` of this page runs, cancel this task first, because it
+        does not end by itself.
 
         Raises
         ------
@@ -484,7 +488,7 @@ KINDS = {
     SortTask: "sort", FollowTask: "follow", AssembleTask: "assemble", PoseTask: "pose",
     FeedTask: "feed",
 }  # fmt: skip
-"""Names in task_status of the tasks whose target places are shown."""
+"""Tasks whose target places are shown, and their names in the topic task_status."""
 
 DONE: Mapping[str, Callable[[Operator, PendingCommand], None]] = {
     "learn_plate": Operator._trigger,

@@ -11,7 +11,7 @@ from ..commands import Command
 from ..server import PageServer, Socket
 
 QUIET = ("parameters",)
-"""Commands that change nothing and are not logged."""
+"""Commands that are not shown in the page's log, because they change nothing."""
 
 
 class PendingCommand:
@@ -37,11 +37,11 @@ class PendingCommand:
         self.answer(True, text)
 
     def refuse(self, text: str) -> None:
-        """Reply that the command failed, with the reason."""
+        """Reply that the command failed, and give the reason."""
         self.answer(False, text)
 
     def done(self, response: Any) -> None:
-        """Pass on the reply of a service."""
+        """Pass the reply of a service to the browser."""
         self.answer(bool(response.success), str(response.message))
 
     def answer(self, ok: bool, text: str) -> None:

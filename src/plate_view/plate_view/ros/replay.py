@@ -28,7 +28,7 @@ METADATA_BYTES = 10**6
 """Maximum size of metadata.yaml [bytes]. The file is read as a whole."""
 
 RATES = 0.05, 20.0
-"""Allowed range of the rate, in recorded seconds per second."""
+"""Allowed range of the replay rate, in recorded seconds per second."""
 
 Receive = Callable[[str, Any], None]
 
@@ -48,12 +48,14 @@ class Replay:
     Attributes
     ----------
     begin, end, now : float
-        Time of the beginning, of the end, and of the present position [s of the recording].
+        Start of the recording, end of the recording, and current position of the replay [s, time of
+        the recording].
     playing : bool
     rate : float
         Recorded seconds per second.
     problem : str
-        Reason why the replay stopped before the end. Empty if it did not stop.
+        Reason why the replay stopped before the end of the recording. Empty if the replay did not
+        stop early.
 
     Raises
     ------
@@ -113,7 +115,7 @@ class Replay:
         Raises
         ------
         PlateError
-            If the rate is out of range.
+            If the rate is outside the range `RATES`.
         """
         low, high = RATES
         if not low <= rate <= high:
@@ -126,7 +128,7 @@ class Replay:
         Raises
         ------
         PlateError
-            If the bag is damaged at this place.
+            If the bag is damaged at this time.
         """
         self.now = t = min(max(t, self.begin), self.end)
         self._coming, self._next, self.problem = iter(()), None, ""
@@ -192,5 +194,5 @@ def _damaged(error: Exception) -> PlateError:
 
 
 KEPT = ("rosout", "diagnostics")
-"""Topics whose messages are all passed on. For any other topic, only the newest message is passed
-on."""
+"""Topics of which the replay passes on all messages. For any other topic, it passes on only the
+newest message."""

@@ -15,11 +15,12 @@ from .caller import Caller
 from .pending import PendingCommand
 
 END_S = 2.0
-"""Maximum wait for the thread to end [s]."""
+"""Maximum time to wait until the thread ends [s]."""
 
 
 class Stops:
-    """Calls the services that stop the plate. The object uses a separate node on a separate thread.
+    """Calls the services that stop the plate. For these calls, it uses a separate ROS node on a
+    separate thread.
 
     Parameters
     ----------
@@ -62,7 +63,7 @@ class Stops:
                 self._executor.spin_once()
 
     def _call(self) -> None:
-        """Make one call of a service for all waiting commands with the same name, so that many
+        """Call a service only once for all waiting commands with the same name, so that many
         commands do not delay each other."""
         waiting: dict[str, list[PendingCommand]] = {}
         while self._waiting:

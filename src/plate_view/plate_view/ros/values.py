@@ -6,7 +6,7 @@ import math
 
 
 def state_names(kind: type, *names: str) -> dict[int, str]:
-    """Return the names of the constants of a message in lower case, by their values."""
+    """Return a mapping from the values of a message's constants to their names in lower case."""
     return {getattr(kind, name): name.lower() for name in names}
 
 
