@@ -1,4 +1,5 @@
-"""Build plate_drives as an ament_python package, or by `pip install ./src/plate_drives`."""
+"""Build plate_drives as an ament_python package. `pip install ./src/plate_drives` is also
+possible."""
 
 from pathlib import Path
 

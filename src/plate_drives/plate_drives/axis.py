@@ -1,9 +1,10 @@
 """One drive that the host commands during commissioning. The host sets the drive up, enables it,
 moves it by small amounts, and disables it.
 
-The set-up is the same as in the board's firmware. Each bus cycle has one setpoint, independently of
-the clock. If the host is late, the motion is therefore slower but does not jump. If the host's
-heartbeat is missing for `SILENT_MS`, the drive stops without a command.
+The set-up is the same as in the board's firmware. The host sends one setpoint in each bus cycle,
+even if the cycle starts late. A delay of the host therefore slows the motion down, but the motor
+does not jump. If the host's heartbeat is missing for `SILENT_MS`, the drive stops without a
+command.
 """
 
 from __future__ import annotations
@@ -22,10 +23,10 @@ from .master import HEARTBEAT, NMT, OWN_NODE, RPDO, SYNC, TPDO, Master, Refused,
 from .survey import enabled, in_fault
 
 CYCLE_MS = 10
-"""Length of a bus cycle [ms]. The drive interpolates over this time."""
+"""Length of a bus cycle [ms]. The drive interpolates between two setpoints over this time."""
 
 BEAT_MS = 50
-"""Period of the heartbeats of a drive and of this program [ms]."""
+"""Period at which each drive and this program send heartbeats [ms]."""
 
 SILENT_MS = 300
 """Time without a heartbeat of this program after which a drive stops without a command [ms]."""
@@ -39,7 +40,8 @@ STILL_CYCLES = 30
 """Number of bus cycles during which a motor must rest before it is enabled."""
 
 STILL_M = 5e-4
-"""Maximum displacement of a motor that counts as at rest, from the place where it stopped [m]."""
+"""A motor counts as at rest while its displacement from the place where it stopped is at most this
+distance [m]."""
 MISSED = 3
 """Number of consecutive SYNCs without a reply, or with two replies, after which a fault is
 reported."""
@@ -70,8 +72,8 @@ used here. The node number is added to the values of 1400h:01 and 1800h:01."""
 
 @contextlib.contextmanager
 def uninterrupted() -> Iterator[None]:
-    """Ignore SIGINT, SIGTERM and SIGHUP in the context, so that they cannot interrupt the disabling
-    of drives."""
+    """Ignore SIGINT, SIGTERM and SIGHUP in the context. These signals then cannot interrupt the
+    code that disables drives."""
     signals = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
     before = [signal.signal(each, signal.SIG_IGN) for each in signals]
     try:
@@ -82,8 +84,8 @@ def uninterrupted() -> Iterator[None]:
 
 
 def switch_off(master: Master, motor: int, node: int) -> None:
-    """Disable a drive and check that it has no current. Raise a PlateError if it may have
-    current."""
+    """Disable a drive and check that it has no current. Raise a PlateError if the drive may still
+    have current."""
     end = master.now + OFF_S
     try:
         master.write(node, 0x6040, 0, DISABLE, 2)
@@ -103,7 +105,8 @@ def switch_off(master: Master, motor: int, node: int) -> None:
 
 
 class Axis:
-    """A motor's drive. Its context manager always disables the drive at the end.
+    """A motor's drive, as a context manager. At the end of the context, the drive is always
+    disabled.
 
     All methods raise a PlateError, with the text of `driver_status`, if there is a fault of the
     drive or the bus.
@@ -138,7 +141,7 @@ class Axis:
         self._led = self._deviates = False
 
     def __enter__(self) -> Axis:
-        """Set the drive up, without current."""
+        """Configure the drive without switching on its current."""
         try:
             self._set_up()
         except BaseException as error:
@@ -147,9 +150,9 @@ class Axis:
         return self
 
     def __exit__(self, _: object, error: BaseException | None, *__: object) -> None:
-        """Disable the drive. After an error, first use the drive's quick stop. The quick stop is
-        not used if the drive did not follow its setpoints, because it would not follow the ramp of
-        a quick stop either."""
+        """Disable the drive. After an error, first brake with the drive's quick stop. The quick
+        stop is omitted if the drive did not follow its setpoints. Such a drive would not follow the
+        ramp of a quick stop either."""
         master, end = self._master, self._master.now + OFF_S
         with uninterrupted():
             with contextlib.suppress(PlateError):  # the SDOs below report a bus fault
@@ -198,8 +201,8 @@ class Axis:
         self._missed = self._doubled = 0
 
     def _exchange(self, word: int | None) -> None:
-        """Send a controlword with the target, send SYNC, and receive the frames of the bus
-        cycle."""
+        """Send a controlword and the target position, then SYNC. Receive the frames of this bus
+        cycle. If `word` is None, only SYNC is sent."""
         master, places, cycle_s = self._master, self._received.places, 1e-3 * CYCLE_MS
         places.clear()
         self._beat -= CYCLE_MS
@@ -281,12 +284,13 @@ class Axis:
         self.start, self._led = self._target, True
 
     def hold(self) -> None:
-        """Send the present target again, and run one bus cycle."""
+        """Keep the motor at its present target for one bus cycle."""
         self._cycle(OPERATE, self._target)
 
     def follow(self, path: Callable[[float], float], seconds: float) -> np.ndarray:
-        """Follow a path for a time [s]. Return the targets, and the positions one bus cycle later,
-        as displacements since the drive was enabled: (2, n) [m].
+        """Move the motor along a path for the time `seconds` [s]. Return an array (2, n) of
+        displacements since the drive was enabled [m]. The first row contains the targets, the
+        second row the positions measured one bus cycle later.
 
         `path` is a function from time [s] to displacement since the drive was enabled [m]."""
         rows = []

@@ -1,6 +1,6 @@
 """Commission the drives of a rig in a dialogue: `ros2 run plate_drives commission`.
 
-Without ROS, `python -m plate_drives.commission RIG` does the same.
+Without ROS, use `python -m plate_drives.commission RIG`.
 """
 
 from __future__ import annotations
@@ -26,12 +26,12 @@ from .survey import Found, doubts, drives_of, enabled, survey
 __all__ = ["Ask", "ask", "commission", "main"]
 
 SIZE_M = 5e-4
-"""Amplitude of the motions [m]. It is reduced to a quarter of the stroke if the stroke is short."""
+"""Amplitude of the test motions [m]. The amplitude is at most a quarter of the motor's stroke."""
 FRACTION = 0.1
-"""Maximum fraction of the rig's speed and acceleration that the motions use."""
+"""Maximum fraction of the rig's speed and acceleration limits that the test motions use."""
 STAGES = (0.01, 0.1, 1.0)
-"""Fractions of the amplitude for successive moves. The program asks the user before each larger
-move, because counts_per_m may be far too large."""
+"""Distances of successive moves, as fractions of the amplitude. The program asks the user before
+each larger move, because counts_per_m may be far too large."""
 MOVE_S = 0.5
 """Minimum time of a move [s]."""
 
@@ -41,19 +41,20 @@ SWING_S = 4.0
 SWING_HZ = 2.0
 """Maximum frequency of the motion in the test that measures the following error [Hz]."""
 ANSWER_S = 60.0
-"""Maximum wait for a person's answer while a motor has current [s]."""
+"""Maximum time to wait for a person's answer while a motor has current [s]."""
 ROUGH = 0.1
-"""Maximum relative error of a travel that a person reads. If the person's value differs from the
-measured value by at most this fraction, the scale of the rig file is kept."""
+"""Maximum relative error when a person reads the travel of a motor. If the value differs from the
+commanded travel by at most this fraction, the program keeps the scale of the rig file."""
 
 
 Ask = Callable[[str, Callable[[], object]], str]
-"""Function that asks a question. It calls its second argument repeatedly until there is an
-answer."""
+"""Function that asks the user a question and returns the answer. Until the user answers, the
+function calls its second argument repeatedly."""
 
 
 def ask(question: str, meanwhile: Callable[[], object]) -> str:
-    """Ask a person, or read from a pipe. Raise a PlateError if the input has ended."""
+    """Print a question and read the answer from the standard input. Raise a PlateError if the input
+    has ended."""
     print(question, end=" ", flush=True)
     # Read without a buffer, because select does not report lines that are already in a buffer.
     with open(0, "rb", buffering=0, closefd=False) as lines:
@@ -66,14 +67,16 @@ def ask(question: str, meanwhile: Callable[[], object]) -> str:
 
 
 class Dialogue:
-    """Dialogue with the user about each motor. All drives on the bus must fit the rig."""
+    """Dialogue with the user about each motor. Before the dialogue, check that all drives on the
+    bus match the rig file."""
 
     def __init__(self, rig: Rig, master: Master, found: dict[int, Found], ask: Ask) -> None:
         self._rig, self._master, self._found, self._ask = rig, master, found, ask
         self._size = min(SIZE_M, rig.limits.stroke_m / 4)
 
     def ask(self, question: str, axis: Axis | None = None) -> str:
-        """Ask a question. If an axis has current, hold it, and limit the time for the answer."""
+        """Ask the user a question. If `axis` is given, keep its motor at rest until the user
+        answers, and limit the time for the answer to `ANSWER_S`."""
         end = self._master.now + ANSWER_S
 
         def meanwhile() -> None:
@@ -87,7 +90,8 @@ class Dialogue:
         return self._ask(question, meanwhile)
 
     def measured(self) -> tuple[dict[str, Drive], bool]:
-        """Return the drives of the motors that were moved, and whether all of them succeeded."""
+        """Return the measured drives by the names of their motors, and whether no measurement has
+        failed."""
         new: dict[str, Drive] = {}
         well = True
         for number, drive in enumerate(drives_of(self._rig), 1):
@@ -112,7 +116,8 @@ class Dialogue:
         return new, well
 
     def _axis(self, number: int, drive: Drive) -> tuple[str, Drive]:
-        """Identify, measure and test one drive. Return the name of its motor and its new values."""
+        """Identify, measure and test one drive. Return the name of the drive's motor and the new
+        values of the drive."""
         limits, size, values = self._rig.limits, self._size, self._found[drive.node].values
         ends = values.get("lowest", 0), values.get("highest", 0)
         scale = drive.sign * drive.counts_per_m
@@ -172,7 +177,7 @@ class Dialogue:
         )  # fmt: skip
 
     def _check_off(self) -> None:
-        """Refuse to enable a motor while another drive is enabled."""
+        """Raise a PlateError if any drive is enabled."""
         for number, drive in enumerate(drives_of(self._rig), 1):
             if enabled(self._master.read(drive.node, 0x6041)):
                 raise PlateError(f"motor_{number}: the drive has current, allowed: no current")
@@ -185,7 +190,7 @@ class Dialogue:
         return own if serials.count(own) == 1 else drive.serial
 
     def _swing(self, axis: Axis, size: float, limits: Limits) -> None:
-        """Follow a sine within the limits, and print the following error."""
+        """Move the motor along a sine within the limits, and print the following error."""
         by_speed, by_accel = FRACTION * limits.speed / size, np.sqrt(FRACTION * limits.accel / size)
         rate = min(2 * np.pi * SWING_HZ, by_speed, by_accel)
         targets, actual = axis.follow(
@@ -205,21 +210,22 @@ class Dialogue:
 
 
 def _smooth(u: float) -> float:
-    """Return 10 u^3 - 15 u^4 + 6 u^5. It rises from 0 to 1 with zero slope and curvature at both
-    ends."""
+    """Return 10 u^3 - 15 u^4 + 6 u^5, with u clipped to 0 to 1. The polynomial rises from 0 to 1
+    with zero slope and curvature at both ends."""
     u = min(max(u, 0.0), 1.0)
     return u**3 * (10 - u * (15 - 6 * u))
 
 
 def _move(start: float, end: float, seconds: float) -> Callable[[float], float]:
-    """Return a path from one displacement to another [m]."""
+    """Return a function from time [s] to displacement [m]. The displacement changes smoothly from
+    `start` to `end` within `seconds`."""
     return lambda t: start + (end - start) * _smooth(t / seconds)
 
 
 def _scale(scale: float, commanded_mm: float, answer: str) -> float:
-    """Return the counts per metre. They are negative if the drive counts against the motor's
-    direction. `commanded_mm` is the travel according to `scale`, and `answer` is the travel that a
-    person observed [mm]."""
+    """Return the corrected counts per metre. The value is negative if the drive counts against the
+    motor's direction. `commanded_mm` is the travel according to `scale`, and `answer` is the travel
+    that a person observed [mm]."""
     try:
         seen = float(answer or commanded_mm)
     except ValueError:
@@ -233,8 +239,8 @@ def _scale(scale: float, commanded_mm: float, answer: str) -> float:
 
 
 def commission(path: Path, master: Master, only_check: bool, ask: Ask = ask) -> int:
-    """Check the drives on a bus. If `only_check` is false, also move and measure them, and write
-    the result to the rig file.
+    """Check the drives on a bus. If `only_check` is False, also move and measure the motors, and
+    write the result to the rig file.
 
     Return 0 if all drives fit the rig file or the result was written, otherwise 1.
     """

@@ -1,7 +1,7 @@
-"""Measure the delay of this computer as the master of drives: `ros2 run plate_drives lateness`.
+"""Measure how late this computer sends setpoints as the master of drives: `ros2 run plate_drives
+lateness`.
 
-The program needs no bus and moves nothing. Without ROS, `python -m plate_drives.lateness RIG` does
-the same.
+The program needs no bus and moves nothing. Without ROS, use `python -m plate_drives.lateness RIG`.
 """
 
 from __future__ import annotations
@@ -24,16 +24,16 @@ __all__ = ["main"]
 POLL_S = 0.002
 
 FIRST_S = 10.0
-"""Maximum time until the first report of the process [s]. On a busy computer, the process starts
-late."""
+"""Maximum time until the process with the firmware sends its first report [s]. On a busy computer,
+this process starts late."""
 
 
 def measured(transport: HostTransport, seconds: float) -> np.ndarray:
-    """Return the maximum delay in each interval of 10 ms [ms], starting with the first report of
-    the process.
+    """Return the maximum delay of setpoints in each interval of 10 ms [ms]. The first interval
+    begins with the first report of the process with the firmware.
 
-    The measurement ends after `seconds`, or with Ctrl-C. The value is infinite if the process does
-    not report.
+    The measurement ends after `seconds`, or when the user presses Ctrl-C. If the process sends no
+    report, the result is a single infinite value.
     """
     late: list[float] = []
     end = time.monotonic() + FIRST_S
@@ -52,7 +52,8 @@ def measured(transport: HostTransport, seconds: float) -> np.ndarray:
 
 @piped()
 def main() -> None:
-    """Run the command line. Exit code 0: in time, 1: too late, 2: wrong arguments or files."""
+    """Run the command line. Exit code 0: setpoints are in time, 1: setpoints are too late, 2: wrong
+    arguments or files."""
     parser = argparse.ArgumentParser(
         prog="lateness", description="Measure how late this computer sends setpoints as the master "
         "of drives on a CAN bus, and compare the result with the limit of a rig. During the "

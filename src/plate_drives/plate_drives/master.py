@@ -1,6 +1,7 @@
 """Master of a CAN bus with the services of CANopen (CiA 301), for all interfaces of python-can.
 
-The module uses one thread. Frames are received only in `Master.wait`.
+The module uses no other threads. It receives frames only in the methods `Master.frames` and
+`Master.wait`.
 """
 
 from __future__ import annotations
@@ -37,7 +38,8 @@ class Refused(PlateError):
 
 
 def trouble_text(motor: int, kind: Trouble, index: int = 0, code: int = 0) -> str:
-    """Return the text of a fault of a motor's drive, as in `driver_status` of a board."""
+    """Return the text of a fault of a motor's drive. `driver_status` contains the same text if a
+    board commands the drives."""
     return DriveTrouble(motor, kind, index, code % 2**32).words
 
 
@@ -56,9 +58,10 @@ class Received:
     state : int or None
         State of the node in the last heartbeat. None before the first heartbeat.
     boots : int
-        Number of boot-ups since it was set to 0.
+        Number of boot-up messages of the node since this counter was set to 0.
     emergency : (int, int) or None
-        Error code and error register of the first emergency. None if there was none.
+        Error code and error register of the node's first emergency message. None if the node has
+        sent none.
     """
 
     answers: list[bytes] = field(default_factory=list)
@@ -70,13 +73,13 @@ class Received:
 
 
 class Master:
-    """Master of a bus of python-can. It must be the only master of this bus."""
+    """Master of a CAN bus, by means of python-can. The bus must have no other master."""
 
     def __init__(self, bus: Any) -> None:
         self._bus = bus
         self.received = {node: Received() for node in NODES}
         self.other_master = False
-        """Whether frames of another master were received."""
+        """Whether frames that only another master can send were received."""
 
     @property
     def now(self) -> float:
@@ -97,8 +100,8 @@ class Master:
             ) from None
 
     def frames(self, until: float) -> Iterator[tuple[int, bytes]]:
-        """Yield the identifier and the data of each frame that is received until this time [s].
-        Raise a PlateError if the bus fails or reports an error."""
+        """Yield the identifier and the data of each frame that is received until the time `until`
+        [s]. Raise a PlateError if the bus fails or reports an error."""
         import can
 
         while True:
@@ -122,7 +125,7 @@ class Master:
             self._bus.shutdown()
 
     def wait(self, seconds: float, done: Callable[[], object] = lambda: False) -> None:
-        """Receive frames for a time [s], or until a condition holds."""
+        """Receive frames for `seconds` [s], or until `done` returns a true value."""
         for identifier, data in self.frames(self.now + seconds):
             self._take(identifier, data)
             if done():
@@ -145,7 +148,8 @@ class Master:
             received.emergency = received.emergency or (int.from_bytes(data[:2], "little"), data[2])
 
     def answering(self, index: int) -> list[int]:
-        """Request an object from all nodes. Return the nodes that reply, even if they refuse."""
+        """Request an object from all nodes. Return the numbers of the nodes that reply. A node that
+        refuses the request is included."""
         for node in NODES:
             self.received[node].answers.clear()
             self._request(node, 0x40, index, 0)
@@ -155,13 +159,13 @@ class Master:
         return [node for node in NODES if self.received[node].answers]
 
     def read(self, node: int, index: int, sub: int = 0, signed: bool = False) -> int:
-        """Return the value of an object of a node.
+        """Read an object of a node, and return its value.
 
         Raises
         ------
         PlateError
-            If there is no reply, if the value has more than four bytes, or if the node refuses. The
-            class is `Refused` if the node refuses.
+            The node does not reply, the value has more than four bytes, or the node refuses the
+            request. If the node refuses, the error is a `Refused`.
         """
         answer = self._transfer(node, 0x40, index, sub)
         if answer[0] & 0xE2 != 0x42:
@@ -175,7 +179,8 @@ class Master:
         self._transfer(node, 0x23 | (4 - size) << 2, index, sub, value)
 
     def _request(self, node: int, command: int, index: int, sub: int, value: int = 0) -> bytes:
-        """Send a request. Return the bytes that identify the object in the reply."""
+        """Send a request for an object. Return the bytes by which the reply identifies this
+        object."""
         name = index.to_bytes(2, "little") + bytes([sub])
         self.send(REQUEST + node, bytes([command]) + name + (value % 2**32).to_bytes(4, "little"))
         return name
@@ -193,8 +198,8 @@ class Master:
 
 
 def open_bus(interface: str, channel: str, bitrate: int) -> Any:
-    """Return a bus of python-can. Raise a PlateError if python-can is missing or the bus does not
-    open."""
+    """Open a CAN bus with python-can, and return it. Raise a PlateError if python-can is missing or
+    the bus does not open."""
     try:
         import can
     except ImportError:

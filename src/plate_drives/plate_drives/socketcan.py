@@ -1,9 +1,10 @@
 """The transport `socketcan`: this computer commands the drives over a CAN interface of Linux.
 
-The board's firmware runs as a separate real-time process, firmware/boards/linux. The driver
-communicates with it as with a board, so tables, limits, tails, stops and drives are handled in the
-same way. In contrast to a board, the process may be late. Its delay is measured, and the plate is
-stopped if the delay is too large for the rig.
+The board's firmware runs as a separate real-time process, firmware/boards/linux. The driver node
+communicates with this process as with a board. Tables, limits, tails, stops and drives are
+therefore handled in the same way. In contrast to a board, the process may send setpoints too late.
+The transport measures this delay. If the delay is too large for the rig, the transport stops the
+plate.
 """
 
 from __future__ import annotations
@@ -34,14 +35,14 @@ from plate_sim.device import DeviceLimits, c_header
 __all__ = ["HostPort", "HostTransport", "build", "make", "open_can", "program_of"]
 
 SOURCES = Path(__file__).parent / "firmware"
-"""Folder of the firmware's sources. It is a symbolic link in the source tree, and a copy in the
-installed package."""
+"""Folder of the firmware's sources. In the source tree, the folder is a symbolic link. In the
+installed package, it is a copy."""
 FLAGS = ("-std=c99", "-O2", "-ffp-contract=off")
 
 ENDED = "the process that controls the drives has ended"
 FADE = 1e-3
-"""Fraction by which the reported maximum delay of the process decreases with each telemetry
-message. The time constant is about 10 s."""
+"""Fraction by which the recorded maximum delay of setpoints decreases with each telemetry message.
+The resulting time constant is about 10 s."""
 
 
 def build(header: str, kind: str, folder: Path, *files: str) -> Path:
@@ -91,7 +92,7 @@ def program_of(rig: Rig) -> Path:
     Raises
     ------
     PlateError
-        If the rig does not suit this transport, or the firmware cannot be compiled.
+        The rig is not suitable for this transport, or the firmware cannot be compiled.
     """
     drives = [motor.drive for motor in rig.motors if motor.drive is not None]
     if not drives:
@@ -109,7 +110,8 @@ def program_of(rig: Rig) -> Path:
 
 
 def open_can(channel: str) -> socket.socket:
-    """Open a CAN interface of Linux. Raise a PlateError if it is absent or down."""
+    """Open a CAN interface of Linux. Raise a PlateError if the interface does not exist or is
+    down."""
     try:
         can = socket.socket(socket.AF_CAN, socket.SOCK_RAW, socket.CAN_RAW)
         can.bind((channel,))
@@ -121,10 +123,10 @@ def open_can(channel: str) -> socket.socket:
 
 
 class HostPort:
-    """The firmware in a separate process, with the interface of a serial port.
+    """Firmware that runs in a separate process. The class has the methods of a serial port.
 
-    When the port is closed, or this process ends, the firmware brakes, disables the drives and
-    ends.
+    When the port is closed or the driver process ends, the firmware brakes the motors, disables the
+    drives and ends.
 
     Parameters
     ----------
@@ -132,14 +134,16 @@ class HostPort:
     channel : str
         Name of the bus. Only one process may command a bus.
     opened : callable
-        Opens the bus. Returns a socket with datagrams of `struct can_frame`.
+        Function that opens the bus. It returns a socket whose datagrams are of the type `struct
+        can_frame`.
     ticks : int, optional
-        File descriptor that provides the ticks instead of a timer.
+        File descriptor from which the firmware reads its ticks, for tests. Default: a timer.
 
     Raises
     ------
     PlateError
-        If the bus does not open, another process still commands it, or the program does not start.
+        The bus does not open, another process still commands the bus, or the program does not
+        start.
     """
 
     def __init__(
@@ -194,31 +198,31 @@ class HostPort:
             raise OSError(ENDED) from None
 
     def close(self) -> None:
-        """Close the pipes, so that the process ends."""
+        """Close the pipes to the firmware's process. The process then ends."""
         self._in.close()
         self._out.close()
         threading.Thread(target=self._process.wait, daemon=True).start()
 
 
 class HostTransport(SerialTransport):
-    """Transport to the firmware on this computer.
+    """Transport to the firmware that runs as a process on this computer.
 
     Parameters
     ----------
     make_port : callable
-        Starts the firmware.
+        Function that starts the firmware.
     limits : Limits
         Limits of the rig.
     clock : callable
-        Monotonic time [s].
+        Function that returns the monotonic time [s].
     seed : int
-        First session number, different for each run.
+        Number of the first session with the firmware. It must differ between runs.
 
     Attributes
     ----------
     allowed_ms : float
-        Maximum delay of a setpoint [ms]. In this time, a motor at its maximum speed moves by the
-        maximum following error.
+        Maximum allowed delay of a setpoint [ms]. During this delay, a motor at its maximum speed
+        moves by the maximum following error.
     """
 
     def __init__(
@@ -230,7 +234,8 @@ class HostTransport(SerialTransport):
         self._too_late = ""
 
     def poll(self) -> list[Measured]:
-        """Poll, and brake if setpoints are too late for the rig."""
+        """Poll the firmware as in `SerialTransport`. Stop the plate if setpoints are too late for
+        the rig."""
         measured = super().poll()
         self._late_ms = max(
             self.load, self._late_ms * (1 - FADE) ** len(measured)
@@ -242,23 +247,23 @@ class HostTransport(SerialTransport):
         return measured
 
     def enable(self) -> Order:
-        """Request the enabling of the motors. Refuse it if earlier setpoints were too late for the
-        rig."""
+        """Request that the motors are enabled. The request fails if recent setpoints were too late
+        for the rig."""
         if self._late_ms > self.allowed_ms:
             return Order().complete(self._lateness())
         self._too_late = ""
         return super().enable()
 
     def report(self) -> Report:
-        """Return the state of the motors. If late setpoints have stopped them, this is the
-        reason."""
+        """Return the state of the motors. If late setpoints have stopped the motors, the report
+        contains this reason."""
         report = super().report()
         if self._too_late and report.condition in (Condition.OFF, Condition.BRAKING):
             return Report(report.condition, DriverReason.OTHER, self._too_late)
         return report
 
     def values(self) -> dict[str, str]:
-        """Return values for diagnostics, by name."""
+        """Return values for the diagnostics, by name."""
         values = super().values()
         if "device_load" in values:
             values["setpoints_late_ms"] = values.pop("device_load")

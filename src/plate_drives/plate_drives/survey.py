@@ -1,4 +1,4 @@
-"""Survey of the drives on a bus: their objects, and a comparison with the rig."""
+"""Reads the objects of all drives on a bus, and compares them with the rig file."""
 
 from __future__ import annotations
 
@@ -17,23 +17,24 @@ OBJECTS = {
     "lowest": (0x607D, 1), "highest": (0x607D, 2), "speed": (0x607F, 0), "window": (0x6065, 0),
     "period": (0x60C2, 1), "exponent": (0x60C2, 2), "consumer": (0x1016, 1), "abort": (0x6007, 0),
 }  # fmt: skip
-"""Objects that are read from a node: object and subindex."""
+"""Objects that are read from each node: name, index and subindex."""
 SIGNED = ("position", "lowest", "highest", "exponent")
 
 NEEDED = ("consumer", "abort", "exponent")
-"""Objects that a drive must have, because it must stop if its master fails, and it must interpolate
-setpoints."""
+"""Names of the objects that a drive must have. The drive needs them to stop if its master fails,
+and to interpolate setpoints."""
 
 PROFILE, CYCLIC_POSITION, UNWATCHED = 402, 1 << 7, 2**32 - 1
 
 
 def enabled(status: int) -> bool:
-    """Whether a drive with this statusword has current: in operation, or in its quick stop."""
+    """Whether a drive with this statusword has current. A drive has current in operation and during
+    its quick stop."""
     return status & 0x6F in (0x27, 0x07)
 
 
 def in_fault(status: int) -> bool:
-    """Whether a drive with this statusword is in fault, or in its fault reaction."""
+    """Whether a drive with this statusword is in the state fault or fault reaction."""
     return status & 0x48 == 0x08
 
 
@@ -50,7 +51,7 @@ class Found:
     refusals : mapping of str to str
         Errors for objects that could not be read, by the names of `OBJECTS`.
     twice : bool
-        Whether two nodes have this number.
+        Whether several nodes on the bus have this number.
     """
 
     node: int
@@ -75,12 +76,12 @@ class Found:
 
 
 def survey(master: Master) -> dict[int, Found]:
-    """Return all nodes on the bus by their numbers. Nothing is written.
+    """Read all nodes on the bus, and return them by their numbers. No object is written.
 
     Raises
     ------
     PlateError
-        If the bus fails, or a node does not reply.
+        The bus fails, or a node does not reply to a later request.
     """
     found = {}
     for node in master.answering(0x1000):
@@ -95,8 +96,8 @@ def survey(master: Master) -> dict[int, Found]:
 
 
 def drives_of(rig: Rig) -> list[Drive]:
-    """Return the drives of motor_1 to motor_4. Raise a PlateError if they are not CiA 402
-    drives."""
+    """Return the drives of motor_1 to motor_4. Raise a PlateError if the rig file names other
+    drives than CiA 402."""
     drives = [motor.drive for motor in rig.motors if motor.drive is not None]
     kinds = {drive.kind for drive in drives} or {"bridge"}
     if kinds != {"cia402"}:
@@ -105,8 +106,8 @@ def drives_of(rig: Rig) -> list[Drive]:
 
 
 def doubts(rig: Rig, found: Mapping[int, Found], other_master: bool) -> Iterator[Doubt]:
-    """Yield the differences between bus and rig. If a difference is `impossible`, it must be
-    corrected before motors are moved."""
+    """Yield the differences between the drives on the bus and the rig file. If a difference is
+    `impossible`, it must be corrected before motors are moved."""
     if other_master:
         yield Doubt("bus", trouble_text(0, Trouble.OTHER_MASTER), True)
     drives = drives_of(rig)
@@ -154,8 +155,8 @@ def _of_drive(number: int, drive: Drive, found: Mapping[int, Found]) -> Iterator
 
 
 def _of_limits(drive: Drive, one: Found, limits: Limits) -> Iterator[tuple[str, bool]]:
-    """Yield a text about each limit of the drive that is missing or stricter than the rig's limits,
-    and whether it is an error."""
+    """Yield a text about each limit of the drive that is missing, or that is stricter than the
+    limits of the rig. Also yield whether the text describes an error."""
     low, high, speed, window = (
         one.values.get(name, 0) / drive.counts_per_m
         for name in ("lowest", "highest", "speed", "window")

@@ -1,5 +1,5 @@
-"""A feeder. The feeder dispenses parts to a robot one by one, while the planner gets the next parts
-ready."""
+"""A feeder. The feeder gives parts to a robot one by one, while the planner moves the next parts to
+places where the robot can pick them."""
 
 from .codes import Code
 from .feeder import Feeder

@@ -1,4 +1,5 @@
-"""Reply codes of the feeder. ROS and TCP use the same codes."""
+"""Codes in the replies of the feeder to a robot. Replies over ROS and over TCP contain the same
+codes."""
 
 from __future__ import annotations
 
@@ -26,5 +27,5 @@ class Code(IntEnum):
 
     @property
     def done(self) -> bool:
-        """Whether the request was fulfilled."""
+        """Whether the code states that the request was fulfilled."""
         return self < 300

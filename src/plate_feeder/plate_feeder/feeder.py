@@ -1,11 +1,11 @@
 """The rules of the feeder, without ROS. The rules determine which part a robot gets, when the plate
-rests, and when the hopper opens.
+rests, and when the hopper (the container that drops new parts onto the plate) opens.
 
 A `Feeder` receives the statuses of the planner (`receive_status`) and the commands of the robots.
-After each of them, and about every 0.1 s, `step` returns the actions that the caller must take. All
-times are arguments. They are from one steady clock, except the stamps of statuses
-(`FeedStatus.stamp`), which are from the clock of the camera. A loop without ROS uses the feeder
-like this::
+The caller calls `step` after each status, after each command, and about every 0.1 s. `step` returns
+the actions that the caller must take. Times are arguments of the methods, measured by one steady
+clock. Only the stamps of statuses (`FeedStatus.stamp`) are measured by the clock of the camera. A
+loop without ROS uses the feeder like this::
 
     feeder = Feeder(task, rig)
     reply = feeder.get_part("robot", now=t)  # None: the reply comes with a later `step`
@@ -18,37 +18,41 @@ The rules:
 
 - The planner gets parts ready (mode `FEED`) until no more parts are needed. Then the planner stops
   the plate without an order. The feeder then orders the planner to keep the plate at rest (mode
-  `REST`), so that a robot need not wait. If a command waits, the feeder orders the planner to stop
-  the plate when one part is ready.
-- A part is offered only from a status that was made under an order to rest and that reports the
-  plate at rest. The mode of an order is not changed until a status has confirmed it. Therefore a
-  status of an earlier rest is never mistaken for a status of the present rest. If the mode stays
-  the same, the picks of an order and `hidden` change at once.
-- From the reply on, the part is reserved and the plate rests. The reservation ends with
-  `part_taken`, with the next accepted `get_part`, `prepare_part` or `purge` of the same client, or
-  at the end of its validity. Only one part is reserved at a time, for one client. If other
-  clients send one of these commands, they get `BUSY`. Only the client of the reservation may
-  report the part as taken. The feeder sends the part's id only to this client. If this client has
-  disconnected, any client that knows the id may report the part.
-- After a `stop`, no command starts before a person calls `resume`.
-- A part that was reserved is not offered again until a later image shows that it is ready. The
-  stamp of this image must exceed the newest stamp at the end of the reservation by at least
+  `REST`), so that the next robot need not wait. If a command of a robot already waits, the feeder
+  orders the planner to stop the plate when one part is ready.
+- The feeder offers a part to a robot only if the newest status contains the mode `REST` and reports
+  the plate at rest. The feeder does not change the mode of an order until a status has confirmed
+  this mode. Therefore, the feeder never mistakes a status of an earlier rest for a status of the
+  present rest. The other fields of an order, its picks and `hidden`, change at once if the mode
+  stays the same.
+- When a client receives the reply with a part, this part is reserved for the client and the plate
+  rests. The reservation ends with `part_taken`, or with the next accepted `get_part`,
+  `prepare_part` or `purge` of the same client. It also ends when the validity of the reservation
+  has expired. Only one part is reserved at a time, for one client. If another client sends
+  `get_part`, `prepare_part` or `purge` during the reservation, this client gets the reply `BUSY`.
+  Only the client of the reservation may report the part as taken. The feeder sends the part's id
+  only to this client. If this client has disconnected, any client that knows the id may report the
+  part.
+- After a `stop`, the feeder refuses all commands that move the plate until a person calls `resume`.
+- A part that was reserved is not offered again until a later image shows that the part is ready.
+  The stamp of this image must exceed the newest stamp at the end of the reservation by at least
   `SEEN_AGAIN_S`. After `MAX_FAILURES` failed picks at one place, a part is not offered until it is
-  at another place. While a part is not offered for one of these two reasons, one more part of its
-  class is requested, because the planner counts this part as ready.
-- If several parts are ready, the part with the fewest failed picks is offered. Among parts with the
-  same number, the one nearest to the centre of its pick window is offered.
-- The hopper is opened if there are fewer parts than `least`. It is also opened if a command waits,
-  no part of its class is on the plate, and there are fewer parts than `fill`. It stays open for the
-  time in which the missing parts fall, so that there are about `fill` parts. The hopper is not
-  opened if it counts as empty, while a part is reserved, while the plate is purged, or while
-  messages of the planner are missing.
-- The result of an opening is evaluated `FALLEN_S` after the hopper has closed, with an image that
-  was taken without a reservation. During a reservation, a robot may hide some parts. Until the
-  evaluation, the hopper is not opened again, the plate does not count as purged, and parts within
-  `SPREADS` spreads of the place where parts fall are not offered.
-- The hopper is closed when a purge begins and when the task ends. After `MAX_OPENINGS` openings
-  without new parts, it counts as empty. Each new command then permits one more opening.
+  at another place. The planner counts a part as ready even while the feeder does not offer it for
+  one of these two reasons. Therefore, the feeder then requests one more part of the same class.
+- If several parts are ready, the feeder offers the part with the fewest failed picks. Among parts
+  with equal numbers of failed picks, the feeder offers the part nearest to the centre of its pick
+  window.
+- The hopper opens if fewer parts than `least` are on the plate. If a command waits for a class of
+  which no part is on the plate, the hopper opens if fewer parts than `fill` are on the plate. The
+  hopper stays open until so many parts should have fallen that about `fill` parts are on the plate.
+  The hopper does not open if it counts as empty, while a part is reserved, while the plate is
+  purged, or while messages of the planner are missing.
+- The feeder counts the new parts `FALLEN_S` after the hopper has closed. The image for this count
+  must be taken while no part is reserved, because during a reservation the robot may hide some
+  parts. Until this count, the hopper does not open again and the plate does not count as purged.
+  Parts near the place where parts fall (within `SPREADS` spreads) are not offered until then.
+- The hopper closes when a purge begins and when the task ends. After `MAX_OPENINGS` openings
+  without new parts, the hopper counts as empty. Each new command then permits one more opening.
 """
 
 from __future__ import annotations
@@ -73,47 +77,49 @@ from .codes import Code
 from .interface import FeedStatus, Output, Quantity, ReadyPart, Reply, Reserved, State
 
 LATE_S = 0.3
-"""Maximum delay of images [s]. When a reservation ends, the newest stamp may be older than the
-present time by this delay. An image with a stamp that exceeds the newest stamp by this delay was
-certainly taken after the end of the reservation."""
+"""Maximum delay from an image to its status [s]. When a reservation ends, the newest image may be
+older than the present time by this delay. A later image was certainly taken after the end of the
+reservation if its stamp exceeds the newest stamp by this delay."""
 
 SEEN_AGAIN_S = 1.0
-"""Maximum time for which the detector reports a part after a robot has taken it [s]. The detector's
-tracker keeps a missing part for some images. A part that is reported after this time was not
-taken."""
+"""Maximum time for which the detector reports a part after a robot has taken it [s]. The reason is
+that the detector's tracker still reports a missing part for some images. If a part is reported
+after this time, the robot has not taken the part."""
 
 SILENT_S = 1.0
-"""Maximum time between two statuses of a running task [s]. It is about ten cycles of the plate."""
+"""Maximum time between two statuses of a running task [s]. Ten cycles of the plate last about this
+time."""
 
 START_S = 10.0
-"""Maximum time from a command to the first status of its task [s]."""
+"""Maximum time from the command that starts the planner's task to the first status of this task
+[s]."""
 
 SETTLED = 2
-"""Number of statuses at rest after which the plate counts as settled. A part may have moved between
-the last image of the moving plate and the first image of the plate at rest. Therefore, the first
-status at rest contains no ready parts. Until the plate has settled, a waiting command keeps the
-order to rest."""
+"""Number of consecutive statuses with the plate at rest after which the plate counts as settled. A
+part may have moved between the last image of the moving plate and the first image of the plate at
+rest. Therefore, the first status at rest contains no ready parts. While a command waits, the feeder
+does not order the plate to move again before the plate has settled."""
 
 FALLEN_S = 1.0
 """Time after the hopper closes until all dropped parts are visible [s]."""
 
 MAX_OPENINGS = 3
-"""Maximum number of consecutive openings without a new part. After that, the hopper counts as
-empty."""
+"""Number of consecutive openings without a new part after which the hopper counts as empty."""
 
 MAX_FAILURES = 3
-"""Maximum number of failed picks of a part at one place. After that, the part is no longer
-offered."""
+"""Number of failed picks of a part at one place after which the part is no longer offered to
+robots."""
 
 MOVED_M = 0.002
-"""Distance from the place of a failed pick above which a part counts as moved [m]. It is larger
-than the error of the camera."""
+"""If a part is farther than this distance from the place of a failed pick, it counts as moved [m].
+The distance is larger than the error of the camera."""
 
 SPREADS = 2.0
-"""Maximum distance of a falling part from the hopper's place [spread of the hopper]."""
+"""Maximum horizontal distance of a falling part from the hopper's place, divided by the hopper's
+`spread_m`."""
 
 WAITS = "stopped until a person calls resume_feeding: "
-"""First part of the reply after a stop. The second part is the reason for the stop."""
+"""Beginning of the reply to commands after a stop. The reason for the stop follows."""
 
 MAX_S = 3600.0
 """Maximum `timeout_s` of a command [s]."""
@@ -127,8 +133,8 @@ class _Task(Enum):
 
 @dataclass(frozen=True)
 class _Request:
-    """Request of a command: a class ("" for any class), and optionally a pick that replaces the
-    pick of the recipe."""
+    """Part that a command requests: a class ("" for any class), and optionally a pick. The pick
+    replaces the pick of this class in the recipe."""
 
     label: str = ""
     pick: Pick | None = None
@@ -147,7 +153,7 @@ class _Waiting:
 
 @dataclass(frozen=True)
 class _Failures:
-    """Number of failed picks of a part at a place [m]."""
+    """Number of failed picks of a part, and the place of these picks [m]."""
 
     count: int
     x: float
@@ -155,7 +161,7 @@ class _Failures:
 
 
 class Feeder:
-    """Dispenses parts to robots, one at a time. The top of this file describes the rules.
+    """Gives parts to robots, one at a time. The docstring of this module describes the rules.
 
     Parameters
     ----------
@@ -165,9 +171,9 @@ class Feeder:
 
     Notes
     -----
-    A `client` is any key other than None that identifies a client. `prepare_part` and `part_taken`
-    return a `Reply` at once. `get_part` and `purge` return a refusal at once. Otherwise they return
-    None, and the reply comes with a later `step`.
+    A `client` is any hashable value except None that identifies a client. The methods
+    `prepare_part` and `part_taken` return a `Reply` at once. If `get_part` or `purge` is refused,
+    it returns a `Reply` at once. Otherwise it returns None, and a later `step` returns the reply.
     """
 
     def __init__(self, task: FeedTask, rig: Rig) -> None:
@@ -199,7 +205,7 @@ class Feeder:
     # Inputs
 
     def receive_status(self, status: FeedStatus, now: float) -> None:
-        """Process a status of the planner."""
+        """Process a new status of the planner, which arrived at the time `now` [s]."""
         self._status = status
         self._held = {
             part: since
@@ -215,16 +221,16 @@ class Feeder:
         self._planner_rested |= status.mode is FeedMode.FEED and status.at_rest
 
     def task_ended(self, text: str) -> None:
-        """Handle the end or the refusal of the planner's task. The caller may also call this
-        function if the task must end. A waiting command gets a reply with `text`."""
+        """Record that the planner's task has ended or was refused. The caller may also call this
+        method if the task must end. A waiting command then gets a reply with the text `text`."""
         self._answer_waiting(Code.STOPPED, text)
         self._end()
         self._ended = True
 
     def stop(self, why: str) -> None:
-        """End the task, and refuse each command that would move the plate until `resume` is called.
-        Call this method if a person has stopped the plate, or if a person must check it. `why` is
-        the reason as text."""
+        """End the task. Until `resume` is called, refuse each command that would move the plate.
+        Call this method if a person has stopped the plate, or if a person must check the plate.
+        `why` is the reason as text."""
         self._stop = WAITS + why
         self.task_ended(self._stop)
 
@@ -242,25 +248,27 @@ class Feeder:
         *,
         now: float,
     ) -> Reply | None:
-        """Request a part. The reply comes with a later `step`. A refusal is returned at once.
+        """Request a part for a robot. If the request is accepted, a later `step` returns the reply.
+        A refusal is returned at once.
 
         Parameters
         ----------
         client : hashable
         label : str
-            Class of the part. If it is empty, the class is taken from `pick`, or from
-            `prepare_part`. Otherwise it may be any class of the recipe.
+            Class of the part. If `label` is empty, the class of `pick` is used. If there is no
+            `pick` either, the request of the last `prepare_part` is used, or else any class of the
+            recipe.
         pick : Pick, optional
             Window, angle or number that replaces the values of the recipe for this command.
         timeout_s : float
-            Maximum wait [s]. 0 means the value of the recipe.
+            Maximum time until the reply [s]. 0 selects the value of the recipe.
         now : float
             Present time [s].
 
         Returns
         -------
         Reply or None
-            Reply. None if the command waits.
+            Refusal, or None if the request was accepted and waits for its reply.
         """
         wanted = self._read(label, pick, timeout_s)
         if isinstance(wanted, Reply):
@@ -279,8 +287,9 @@ class Feeder:
     def prepare_part(
         self, client: Hashable, label: str = "", pick: Pick | None = None, *, now: float
     ) -> Reply:
-        """Get a part ready for the next `get_part` without a class, of any client. The preparation
-        stays in force if this client disconnects. The parameters are the same as in `get_part`."""
+        """Request that a part is made ready for the next `get_part` without a class. Any client may
+        send this `get_part`. The request stays valid if the client that made it disconnects. The
+        parameters are the same as in `get_part`."""
         wanted = self._read(label, pick)
         if isinstance(wanted, Reply):
             return wanted
@@ -292,15 +301,16 @@ class Feeder:
         return Reply(Code.DONE, f"{wanted.label or 'a part'} is being prepared")
 
     def part_taken(self, client: Hashable, part: str = "", taken: bool = True) -> Reply:
-        """Report that the robot has tried to take a part and is no longer above it.
+        """Record the report of a robot that has tried to take a part and is no longer above this
+        part.
 
         Parameters
         ----------
         client : hashable
         part : str
-            Id of the part. Empty: the part that is reserved for this client. If the client of the
-            reservation has disconnected, the id must be given. A part whose validity has ended may
-            still be reported until the next part is reserved.
+            Id of the part. An empty text selects the part that is reserved for this client. If the
+            client of the reservation has disconnected, the id must be given. If the reservation of
+            a part has expired, the part may still be reported until the next part is reserved.
         taken : bool
             Whether the robot has the part. If False, the part is still on the plate.
         """
@@ -334,8 +344,9 @@ class Feeder:
         return Reply(Code.DONE, text)
 
     def purge(self, client: Hashable, timeout_s: float = 0.0, *, now: float) -> Reply | None:
-        """Request that all parts are moved to the chute. Then the task ends. Return None if the
-        command waits. `timeout_s` and `now` are the same as in `get_part`."""
+        """Request that all parts are moved to the chute. When the plate is empty, the task ends.
+        Return a refusal, or None if the request was accepted and waits for its reply. `timeout_s`
+        and `now` are the same as in `get_part`."""
         problem = _time_problem(timeout_s)
         if problem:
             return Reply(Code.BAD_ARGUMENT, problem)
@@ -352,8 +363,9 @@ class Feeder:
         return None
 
     def cancel(self, client: Hashable) -> None:
-        """Withdraw the waiting command of a client without a reply. A reserved part remains
-        reserved, because the robot may be above it. If a purge is withdrawn, the task ends."""
+        """Withdraw the waiting command of a client. The command gets no reply. A reserved part
+        remains reserved, because the robot may be above this part. If the withdrawn command is a
+        purge, the task ends."""
         waiting = self._waiting
         if waiting is not None and waiting.client == client:
             self._waiting = None
@@ -361,8 +373,8 @@ class Feeder:
                 self._end()
 
     def remove_client(self, client: Hashable) -> None:
-        """Remove a client that has disconnected, and withdraw its command. If a part is reserved
-        for this client, the part remains reserved, but without a client."""
+        """Remove a client that has disconnected, and withdraw the client's waiting command. A part
+        that is reserved for this client remains reserved, but no longer for a client."""
         self.cancel(client)
         self._reserved, self._late = (
             replace(each, client=None) if each is not None and each.client == client else each
@@ -372,7 +384,7 @@ class Feeder:
     # Outputs
 
     def step(self, now: float) -> Output:
-        """Return the actions that must be taken now [s]."""
+        """Return the actions that the caller must take at the time `now` [s]."""
         if self._reserved is not None and now >= self._reserved.until:
             self._give_up()
         if self._waiting is not None:
@@ -385,7 +397,8 @@ class Feeder:
         return Output(self._task is not _Task.IDLE, self._sent, open_s, replies)
 
     def quantity(self) -> Quantity:
-        """Return the numbers of parts. See `Quantity`."""
+        """Return how many parts are on the plate, are ready, and have left the plate, see
+        `Quantity`."""
         status = self._status or FeedStatus(0.0, FeedMode.FEED, False)
         running = self._task is _Task.RUNNING
         return Quantity(
@@ -415,13 +428,13 @@ class Feeder:
 
     @property
     def stopped(self) -> str:
-        """Reason why commands are refused until `resume` is called, as text for a robot. Empty if
-        the next command may start the task."""
+        """Reason why commands are refused until `resume` is called, as text for a robot. The text
+        is empty if the next command may start the task."""
         return self._stop
 
     @property
     def reserved(self) -> Reserved | None:
-        """The reserved part. None if there is none."""
+        """Part that is reserved for a client. None if no part is reserved."""
         return self._reserved
 
     @property
@@ -430,8 +443,8 @@ class Feeder:
         return self._vain_openings >= MAX_OPENINGS
 
     def silence(self, now: float) -> str:
-        """Return a text that describes missing messages of the planner. Empty if none are
-        missing."""
+        """Return a text that describes which messages of the planner are missing. The text is empty
+        if no messages are missing."""
         silent = now - self._since
         if self._task is _Task.REQUESTED and silent > START_S:
             return f"the planner has not started feed_parts within {START_S:g} s"
@@ -443,8 +456,8 @@ class Feeder:
     # Commands
 
     def _read(self, label: str, pick: Pick | None, timeout_s: float = 0.0) -> _Request | Reply:
-        """Return the request of a command. If the command is wrong, return a reply with the
-        error."""
+        """Convert the arguments of a command to a request. If an argument is invalid, return a
+        reply with the error instead."""
         labels = [each.label for each in self.task.picks]
         problem = _time_problem(timeout_s)
         if pick is not None:
@@ -461,8 +474,8 @@ class Feeder:
         return Reply(Code.BAD_ARGUMENT, problem) if problem else _Request(label, pick)
 
     def _refusal(self, client: Hashable) -> Reply | None:
-        """Return the reason to refuse a command that would move the plate. None if the command is
-        accepted."""
+        """Return a refusal of a command that would move the plate, or None if the command is
+        allowed."""
         if self._stop:
             return Reply(Code.STOPPED, self._stop)
         waiting, reserved = self._waiting, self._reserved
@@ -488,7 +501,8 @@ class Feeder:
         self._task, self._prepared = _Task.IDLE, None
 
     def _give_up(self) -> None:
-        """End the reservation. Later images show whether the part is still there."""
+        """End the reservation without a report about the pick. Later images show whether the part
+        is still on the plate."""
         if self._reserved is not None:
             self._hold(self._reserved.part)
             self._late, self._reserved = self._reserved, None
@@ -566,8 +580,8 @@ class Feeder:
     # Parts
 
     def _picks(self) -> tuple[Pick, ...]:
-        """Return the picks that the planner must get ready. If ready parts of a class are not
-        offered, one more part of this class is requested for each of them."""
+        """Return the picks that the planner must get ready. For each ready part that must not be
+        offered to robots, one more part of the same class is requested."""
         wanted = self._waiting.request if self._waiting is not None else self._prepared
         other = None if wanted is None else wanted.pick
         picks = [
@@ -593,7 +607,7 @@ class Feeder:
         return () if self._status is None else self._status.ready
 
     def _offers(self, wanted: _Request) -> list[ReadyPart]:
-        """Return the parts in the newest status that a robot may get."""
+        """Return the parts in the newest status that may be offered for the request `wanted`."""
         picks = {pick.label: pick for pick in self._picks()}
         return [
             part
@@ -615,8 +629,8 @@ class Feeder:
         )
 
     def _is_fallen_on(self, part: ReadyPart) -> bool:
-        """Whether a dropped part may fall on this part, or may have fallen on it since the
-        image."""
+        """Whether a part from the hopper may fall on the part `part`, or may have fallen on it
+        after the newest image."""
         hopper = self.task.hopper
         if hopper is None or self._total_before_opening is None:
             return False
@@ -645,8 +659,8 @@ class Feeder:
     # Orders
 
     def _decide(self) -> None:
-        """Update the order. Its mode changes only after a status has confirmed the previous
-        mode."""
+        """Update the order to the planner. The mode of the order changes only after a status has
+        confirmed the previous mode."""
         if self._task is not _Task.RUNNING:
             return
         order = FeedOrder(self._mode(), self._picks(), hidden=self._reserved is not None)
@@ -678,8 +692,8 @@ class Feeder:
     # The hopper
 
     def _open(self, now: float) -> float | None:
-        """Return the time for which the hopper must be open from now on [s], in the form of
-        `Output.open_s`."""
+        """Return the value of `Output.open_s`: the time for which the hopper must be open from now
+        on [s]."""
         hopper, status = self.task.hopper, self._status
         purging = self._waiting is not None and self._waiting.purge
         is_open = self._total_before_opening is not None and now < self._evaluate_at - FALLEN_S

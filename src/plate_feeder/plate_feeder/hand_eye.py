@@ -1,5 +1,5 @@
-"""The pose of the plate in the frame of the robot. The pose is fitted to points that the robot's
-tool has touched."""
+"""The pose of the plate in the frame of the robot. The pose is fitted to points of the plate that
+the robot's tool has touched."""
 
 from __future__ import annotations
 
@@ -15,14 +15,15 @@ from plate_core.yaml_fields import Key, List, Numbers, Section, Text, read_yaml
 from .interface import ReadyPart
 
 MAX_RESIDUAL_M = 1e-3
-"""Maximum residual of a point [m]. A larger residual shows a measurement error."""
+"""Maximum residual of a point [m]. A larger residual indicates that a point was measured
+incorrectly."""
 
 MIN_BASE_M = 0.05
-"""Minimum extent of the points on the plate [m]. Points that are closer to each other do not
-determine the angle."""
+"""Minimum extent of the points on the plate [m]. If the points are closer to each other, they do
+not determine the angle of the plate accurately."""
 
 FAR_M = 10.0
-"""Maximum magnitude of a coordinate [m]."""
+"""Maximum absolute value of a coordinate in a hand-eye file [m]."""
 
 FILE = Section(
     "hand-eye file",
@@ -48,12 +49,12 @@ POINT = Section(
 
 
 class HandEyeError(PlateError):
-    """The points do not determine the pose of the plate."""
+    """The points in a hand-eye file do not determine the pose of the plate."""
 
 
 @dataclass(frozen=True)
 class HandEye:
-    """The pose of the plate in another frame: a rotation followed by a translation.
+    """Pose of the plate in the frame of the robot: a rotation followed by a translation.
 
     Attributes
     ----------
@@ -73,7 +74,7 @@ class HandEye:
     residual_m: float = 0.0
 
     def part(self, part: ReadyPart) -> ReadyPart:
-        """Transform a part from plate_home to this frame."""
+        """Transform the pose of a part from the frame plate_home to this frame."""
         cos, sin = math.cos(self.angle), math.sin(self.angle)
         covariance = part.covariance
         if covariance[0] >= 0:  # a negative value means that the covariance is unknown
@@ -95,8 +96,8 @@ def load_hand_eye(path: str | Path) -> HandEye:
     Raises
     ------
     HandEyeError
-        If the file is invalid. The message contains the file, the key, its value and what is
-        allowed.
+        The file is invalid. The message contains the name of the file, the key, its value and the
+        allowed values.
     """
     fields = read_yaml(path, HandEyeError)
     frame = fields.value(FILE["frame"])
@@ -119,12 +120,12 @@ def fit_hand_eye(frame: str, plate: np.ndarray, robot: np.ndarray) -> HandEye:
     frame : str
         Name of the frame of `robot`.
     plate, robot : (N, 2)
-        The same points in both frames [m].
+        Coordinates of the same points on the plate and in the frame of the robot [m].
 
     Raises
     ------
     HandEyeError
-        If there are too few points, if they are too close to each other, or if the residual is too
+        There are too few points, the points are too close to each other, or the residual is too
         large.
 
     Notes
@@ -158,8 +159,8 @@ def fit_hand_eye(frame: str, plate: np.ndarray, robot: np.ndarray) -> HandEye:
 
 
 def _fit(p: np.ndarray, q: np.ndarray) -> tuple[np.ndarray, complex, complex]:
-    """Return the residuals (N,) [m], and the rotation and the translation as complex numbers [-,
-    m]."""
+    """Return the residuals (N,) [m], the rotation as a complex number of magnitude 1, and the
+    translation as a complex number [m]."""
     turn = np.sum((p - p.mean()).conj() * (q - q.mean()))
     turn = turn / max(abs(turn), np.finfo(float).tiny)
     shift = q.mean() - turn * p.mean()

@@ -17,7 +17,7 @@ from .codes import Code
 
 @dataclass(frozen=True)
 class ReadyPart:
-    """A part that may be gripped.
+    """A part that a robot may grip.
 
     Attributes
     ----------
@@ -28,8 +28,8 @@ class ReadyPart:
     angle : float
         Angle, counter-clockwise from x [rad].
     covariance : tuple of 9 floats
-        Covariance of (x, y, angle), row by row [m2, m rad, rad2]. If it is unknown, the first value
-        is -1.
+        Covariance matrix of (x, y, angle), row by row [m2, m rad, rad2]. If the covariance is
+        unknown, the first value is -1.
     """
 
     id: str
@@ -45,23 +45,23 @@ class ReadyPart:
 
     @property
     def alone(self) -> Parts:
-        """This part as `Parts` of length 1."""
+        """Convert this part to a `Parts` object with one row."""
         return Parts.make((self.id,), np.array([[self.x, self.y]]), angle=np.array([self.angle]))
 
 
 @dataclass(frozen=True)
 class FeedStatus:
-    """Status of the planner at one image.
+    """Status of the planner's feed task after one image.
 
     Attributes
     ----------
     stamp : float
-        Stamp of the image by the clock of the camera [s]. The stamp is compared only with other
-        stamps.
+        Stamp of the image, measured by the clock of the camera [s]. The feeder compares the stamp
+        only with other stamps.
     mode : FeedMode
         Current mode of the planner.
     at_rest : bool
-        Whether the parts are still where the image shows them.
+        Whether the plate rests, so that the parts are still where the image shows them.
     ready : tuple of ReadyPart
     seen : mapping of str to int
         Number of parts on the plate, by class.
@@ -97,9 +97,9 @@ class Reply:
     part : ReadyPart or None
         Part for the robot. None if the reply contains no part.
     valid_until : float
-        End of the reservation of the part [s, the clock of `now`].
+        Time at which the reservation of the part ends, on the steady clock of the feeder [s].
     left : int
-        Number of parts on the plate after a purge.
+        Number of parts that are still on the plate after a purge.
     """
 
     code: Code
@@ -120,8 +120,8 @@ class Output:
     order : FeedOrder
         Order to the running task.
     open_s : float or None
-        Time for which the hopper must be open from now on [s]. 0 closes it. None leaves it
-        unchanged.
+        Time for which the hopper must be open from now on [s]. 0 closes the hopper. None leaves the
+        hopper unchanged.
     replies : tuple of (client, Reply)
         Replies to commands that were waiting.
     """
@@ -164,10 +164,10 @@ class Reserved:
     Attributes
     ----------
     client : hashable or None
-        Client that has reserved the part. None if this client has disconnected.
+        Client for which the part is reserved. None if this client has disconnected.
     part : ReadyPart
     until : float
-        End of the reservation [s].
+        Time at which the reservation ends, on the steady clock of the feeder [s].
     """
 
     client: Hashable | None

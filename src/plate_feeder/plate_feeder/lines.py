@@ -17,10 +17,11 @@ MAX_LINE = 256
 """Maximum length of a robot's line [bytes]."""
 
 MAX_ANSWER = 250
-"""Maximum length of a reply line [characters]. A longer text is cut between two words."""
+"""Maximum length of a reply line [characters]. A longer reply is cut off at the end of a word."""
 
 NUMBER = re.compile(r"[-+.\d]")
-"""First character of a number. Classes and ids do not begin with these characters."""
+"""First character of a number. The names of classes and the ids of parts do not begin with these
+characters."""
 
 SECONDS = re.compile(r"\d{1,6}(\.\d{1,6})?")
 
@@ -36,11 +37,11 @@ COMMANDS: Mapping[str, str] = {
 """Commands and their arguments."""
 
 WAITING = ("get_part", "purge")
-"""Commands whose reply may take a long time."""
+"""Commands that may get their reply much later."""
 
 
 class LineError(PlateError):
-    """A line is not a valid command. `code` contains the reason."""
+    """A line from a robot is not a valid command. `code` is the reply code for this error."""
 
     def __init__(self, code: Code, text: str) -> None:
         super().__init__(text)
@@ -56,13 +57,13 @@ class Command:
     name : str
         Name of the command, one of `COMMANDS`.
     label : str
-        Class. Empty if not given.
+        Class of the part. Empty if the line contains no class.
     part : str
-        Id of a part. Empty if not given.
+        Id of the part. Empty if the line contains no id.
     timeout_s : float
-        Timeout [s]. 0 if not given.
+        Timeout of the command [s]. 0 if the line contains no timeout.
     taken : bool
-        Whether the pick has succeeded.
+        Whether the robot reports that the pick has succeeded.
     """
 
     name: str
@@ -73,12 +74,12 @@ class Command:
 
 
 def read_line(line: bytes) -> Command:
-    """Convert a line, without its line end, to a command.
+    """Convert a line from a robot to a command. `line` does not contain the end of the line.
 
     Raises
     ------
     LineError
-        If the line is invalid. The message contains the error and what is allowed.
+        The line is invalid. The message contains the error and the allowed values.
     """
     if len(line) > MAX_LINE:
         raise LineError(Code.BAD_LINE, f"line has {len(line)} bytes, allowed: up to {MAX_LINE}")
@@ -115,7 +116,7 @@ def _seconds(word: str) -> float:
 
 
 def answer_line(code: Code, text: str) -> bytes:
-    """Return the reply line for a command."""
+    """Return the reply to a command as one line: the code and the text."""
     plain = " ".join(text.encode("ascii", "replace").decode().split())
     line = f"{code:d} {plain}"
     if len(line) > MAX_ANSWER:  # cut at a space, because a cut number would be wrong
@@ -133,7 +134,8 @@ def part_text(part: ReadyPart, valid_s: float) -> str:
 
 
 def quantity_text(quantity: Quantity) -> str:
-    """Return the numbers of parts as text. The numbers on the plate are given by class."""
+    """Convert the numbers of parts to text. The number of parts on the plate is also given for each
+    class."""
     counts = {
         "seen": sum(quantity.seen.values()), "ready": quantity.ready, "taken": quantity.taken,
         "discharged": quantity.discharged, "lost": quantity.lost, **quantity.seen,

@@ -1,4 +1,5 @@
-"""The node `feeder`. The node dispenses parts to a robot, by actions and services or over TCP."""
+"""The node `feeder`. The node gives parts to robots. Robots send their commands over ROS or over
+TCP."""
 
 from __future__ import annotations
 
@@ -48,43 +49,45 @@ from .ros import FeedGoal
 from .server import Answer, RobotServer
 
 STEP_S = 0.05
-"""Interval at which the rules are polled [s]."""
+"""Interval between two calls of `Feeder.step`, which evaluates the feeder's rules [s]."""
 
 ORDER_S = 0.5
-"""Interval at which an unchanged order is published again, in case the planner has missed it
-[s]."""
+"""Interval at which an unchanged order to the planner is published again [s]. The repetition is
+necessary because an earlier message may have been lost."""
 
 HOPPER_S = 1.0
-"""Maximum delay of the hopper's reply after the hopper has closed [s]."""
+"""Maximum time from the planned closing of the hopper to the reply of the service hopper/open
+[s]."""
 
 FEEDBACK_S = 0.5
-"""Time between two feedback messages [s]."""
+"""Interval between two feedback messages of the node's actions [s]."""
 
 WARN_PERIOD_S = 10.0
 """Minimum time between two warnings with the same text [s]."""
 
 ROS = 0
-"""Number that represents all ROS clients together. TCP clients have the numbers 1 and above."""
+"""Client number of all ROS clients, which count as one client. TCP clients have the numbers 1 and
+above."""
 
 ONE_MACHINE = ("127.0.0.1", "::1", "localhost")
-"""Names of hosts that other machines cannot reach."""
+"""Addresses of the TCP server that other machines cannot reach."""
 
 STOPPED = "the feeder was deactivated"
 
 NEED_A_PERSON = (
     TaskStatus.STOPPED, TaskStatus.CANCELED, TaskStatus.PREEMPTED, TaskStatus.DRIVER_STOPPED,
 )  # fmt: skip
-"""Values of `TaskStatus.reason` at the end of the planner's task after which a person must call
-resume_feeding. Either another client has requested the end, or a person must enable the motors
-anyway."""
+"""Values of `TaskStatus.reason`. If the planner's task ends with one of these reasons, a person
+must call resume_feeding. With such a reason, either another client has ended the task, or a person
+must also enable the motors."""
 
 BY_PERSON = (
     DriverStatus.SWITCHED_OFF, DriverStatus.EMERGENCY_STOP, DriverStatus.POWER_CUT,
     DriverStatus.STOP_UNANSWERED,
 )  # fmt: skip
-"""Values of `DriverStatus.reason` after which a person must call resume_feeding. The motors were
-switched off or stopped on request, the driver was deactivated, or the motor controller did not
-acknowledge a stop."""
+"""Values of `DriverStatus.reason` after which a person must call resume_feeding. They state that
+the motors were switched off or stopped on request, that the driver was deactivated, or that the
+motor controller did not acknowledge a stop."""
 
 Replied = Callable[[Reply], None]
 
@@ -106,14 +109,14 @@ class Options(NodeOptions):
 
 
 class FeederNode(SafeLifecycleNode[Options]):
-    """Node `feeder`. The node dispenses parts to a robot one by one, while the planner gets the
-    next parts ready.
+    """Node `feeder`. The node gives parts to robots one by one, while the planner moves the next
+    parts to places where a robot can pick them.
 
     Actions: get_part and purge_plate. Services: part_taken, prepare_part, part_quantity, and
     resume_feeding, which a person calls after a stop. A TCP server serves robots that do not use
     ROS. The node subscribes to feed_status, task_status and driver_status. The node publishes
-    feed_orders and diagnostics. The node sends feed_parts to the planner when a command needs it,
-    and it calls hopper/open.
+    feed_orders and diagnostics. When a robot's command requires it, the node sends the action goal
+    feed_parts to the planner. The node opens the hopper with the service hopper/open.
     """
 
     def __init__(self) -> None:
@@ -127,7 +130,7 @@ class FeederNode(SafeLifecycleNode[Options]):
         self.report(self._find, self._values)
 
     def configure(self) -> None:
-        """Read the recipe and the hand-eye points, and create actions and services."""
+        """Read the recipe and the hand-eye file, and create actions and services."""
         options = self.options
         scenario = load_scenario(options.recipe)
         self._rig = load_rig(options.rig_file or scenario.rig)
@@ -167,7 +170,8 @@ class FeederNode(SafeLifecycleNode[Options]):
         self.managed_timer(FEEDBACK_S, self._publish_feedback)
 
     def begin(self) -> None:
-        """Reset all state except a stop by a person. Then serve robots."""
+        """Reset all state except a stop that waits for resume_feeding. Then start the TCP server
+        for robots."""
         options = self.options
         self._feeder = Feeder(self._recipe, self._rig)
         if self._stopped:
@@ -192,7 +196,7 @@ class FeederNode(SafeLifecycleNode[Options]):
             )
 
     def rest(self) -> None:
-        """Reply to waiting commands, end the task, and stop the server."""
+        """Reply to waiting commands, end the planner's task, and stop the TCP server."""
         self._stopped = self._feeder.stopped.removeprefix(core.WAITS)
         self._feeder.task_ended(STOPPED)
         self._step()
@@ -203,7 +207,7 @@ class FeederNode(SafeLifecycleNode[Options]):
     # The rules
 
     def _step(self) -> None:
-        """Take the actions that the rules return."""
+        """Evaluate the rules with `Feeder.step`, and execute the actions that it returns."""
         now = time.monotonic()
         output = self._feeder.step(now)
         self._task.request(output.run)
@@ -249,7 +253,8 @@ class FeederNode(SafeLifecycleNode[Options]):
         self.get_logger().warning(text, throttle_duration_sec=WARN_PERIOD_S)
 
     def _wait(self, client: int, reply: Reply | None, replied: Replied) -> None:
-        """Reply to a command, either now or when the rules return its reply."""
+        """Send the reply to a command. If `reply` is None, a later `Feeder.step` returns the reply,
+        which is then sent."""
         if reply is None:
             self._waiting[client] = replied
         else:
@@ -304,7 +309,8 @@ class FeederNode(SafeLifecycleNode[Options]):
             self._step()
 
     def _wait_for_person(self, why: str) -> None:
-        """Start no command until a person calls resume_feeding."""
+        """End the task, and refuse commands that move the plate until a person calls
+        resume_feeding."""
         if not self._feeder.stopped:
             self.get_logger().info(f"no longer feeding: {why}")
         self._feeder.stop(why)
@@ -445,7 +451,7 @@ class FeederNode(SafeLifecycleNode[Options]):
         self._step()
 
     def _do(self, client: int, command: Command, answer: Answer) -> None:
-        """Execute the command of a robot."""
+        """Execute a command that a robot has sent over TCP."""
         feeder, now = self._feeder, time.monotonic()
 
         def send_reply(reply: Reply) -> None:
@@ -492,7 +498,7 @@ class FeederNode(SafeLifecycleNode[Options]):
         )
 
     def _find(self, now: float) -> Finding:
-        """Return the most severe finding, see `plate_core.status`."""
+        """Return the most severe problem of the feeder, see `plate_core.status`."""
         feeder, quantity = self._feeder, self._feeder.quantity()
         found: list[Finding] = []
         if silence := feeder.silence(now):
@@ -523,8 +529,8 @@ class FeederNode(SafeLifecycleNode[Options]):
 
 
 def _pick(msgs: list[FeedPick]) -> Pick | None:
-    """Return the pick of a request. None if the request has no pick. The number of ready parts in
-    it is optional."""
+    """Return the pick of a request, or None if the request has no pick. If the pick contains no
+    number of ready parts, the number 1 is used."""
     if not msgs:
         return None
     pick = msg_to_pick(msgs[0])
@@ -532,7 +538,8 @@ def _pick(msgs: list[FeedPick]) -> Pick | None:
 
 
 def pose_to_msg(part: ReadyPart) -> PoseWithCovarianceStamped:
-    """Return the pose of a part as a message, without stamp and frame."""
+    """Convert the pose of a part to a message. The stamp and the frame of the message stay
+    empty."""
     msg = PoseWithCovarianceStamped()
     pose = msg.pose.pose
     pose.position.x, pose.position.y = float(part.x), float(part.y)

@@ -1,11 +1,11 @@
-"""The TCP server for robots. The server runs on a separate thread, so that it cannot delay the
-graph.
+"""TCP server for robots. The server runs on a separate thread, so that it cannot delay the ROS
+nodes.
 
-The commands of a client are executed one after the other. The replies are sent in the same order.
-The number of clients, the number of waiting commands and the length of lines are limited. If a
-limit is exceeded, the server sends a reply with an error code. A client is disconnected if it
-leaves a line incomplete or does not read its replies. An idle client may stay connected for an
-hour.
+The commands of a client are executed one after the other, and their replies are sent in the same
+order. The number of clients, the number of waiting commands and the length of lines are limited. If
+a client exceeds a limit, the server sends a reply with an error code. The server disconnects a
+client that does not complete a line in time or does not read its replies. An idle client may stay
+connected for an hour.
 """
 
 from __future__ import annotations
@@ -25,12 +25,12 @@ from .lines import MAX_LINE, WAITING, Command, LineError, answer_line, help_text
 MAX_CLIENTS = 8
 
 MAX_WAITING = 4
-"""Maximum number of commands of one client that wait for the previous command. Further commands are
-refused."""
+"""Maximum number of commands of one client that wait until the client's previous command is
+complete. Further commands are refused."""
 
 MAX_ANSWERS = 100
-"""Maximum number of lines of one client that wait for replies. Lines that are refused wait for
-replies too. If there are more, the client is disconnected."""
+"""Maximum number of lines of one client that wait for a reply, including lines that are refused. If
+more lines wait, the client is disconnected."""
 
 IDLE_S = 3600.0
 """Idle time after which a client is disconnected [s]."""
@@ -39,38 +39,37 @@ LINE_S = 5.0
 """Maximum time from the first byte of a line to the end of the line [s]."""
 
 SENT_S = 5.0
-"""Maximum time in which a client must accept a reply [s]. After that, the client is
+"""Maximum time in which a client must read a reply [s]. If the client is slower, it is
 disconnected."""
 
 LAST_S = 0.5
-"""Maximum time in which the last commands of a client may end after the client has closed its side
-of the connection [s]."""
+"""If a client has closed its side of the connection, its last commands may run for this time
+[s]."""
 
 ANSWER_S = 5.0
-"""Maximum time for the reply to a command that does not wait [s]."""
+"""Maximum time until the reply to a command that is executed at once [s]."""
 
 PAUSE_S = 0.01
 """Pause between two commands of a client [s]. The pause prevents continuous commands from occupying
 the thread of the ROS node."""
 
 KEEPALIVE = {socket.TCP_KEEPIDLE: 30, socket.TCP_KEEPINTVL: 10, socket.TCP_KEEPCNT: 3}
-"""TCP keepalive. Keepalive disconnects a robot within a minute after the robot was switched off or
-unplugged."""
+"""Options of TCP keepalive. With these values, the server disconnects a robot within a minute after
+the robot was switched off or unplugged."""
 
 CHUNK = 4096
-"""Maximum number of bytes that are read at once."""
+"""Maximum number of bytes that are read from a connection at once."""
 
 WEB = b" http/"
-"""Text in the first line that a browser sends. Browsers are disconnected, because web pages must
-not send commands."""
+"""Text in the first line that a web browser sends. Browsers are disconnected, because web pages
+must not send commands to the feeder."""
 
 Answer = Callable[[Code, str], None]
 Ask = Callable[[int, Command, Answer], None]
 
 
 class RobotServer:
-    """TCP server for robots. The server is created and closed in the thread of the ROS
-    executor.
+    """TCP server for robots. The thread of the ROS executor creates and closes the server.
 
     Parameters
     ----------
@@ -80,7 +79,7 @@ class RobotServer:
         TCP port. 0 means any free port.
     ask : callable
         Function that is called on the server's thread for each command. Its arguments are the
-        number of the client, the command, and a function that takes the reply. The last function
+        number of the client, the command, and a function that sends the reply. The third argument
         must be called once, on any thread.
     on_disconnect : callable
         Function that is called on the server's thread with the number of a disconnected client.
@@ -94,7 +93,7 @@ class RobotServer:
     Raises
     ------
     PlateError
-        If the port is in use, or if the address does not belong to this machine.
+        The port is in use, or the address does not belong to this machine.
     """
 
     def __init__(
@@ -122,7 +121,7 @@ class RobotServer:
         return len(self._tasks)
 
     def close(self) -> None:
-        """Stop serving. Replies that were given before are still sent."""
+        """Stop the server. Replies that already exist are still sent."""
         self._loop.call_soon_threadsafe(self._stop.set)
         self._thread.join(2 * LAST_S + 1)
 
@@ -163,7 +162,7 @@ class RobotServer:
 
 
 class _Client:
-    """One robot: its incoming lines, and its queue of commands."""
+    """Connection to one robot, with a queue of the commands that the robot has sent."""
 
     def __init__(
         self,
@@ -184,7 +183,7 @@ class _Client:
             own.setsockopt(socket.IPPROTO_TCP, option, value)
 
     async def refuse(self, text: str) -> None:
-        """Send a refusal, and disconnect."""
+        """Send a refusal to the robot, and disconnect."""
         with contextlib.suppress(OSError, TimeoutError):
             await self._send(Code.TOO_MANY, text)
             self._writer.close()
@@ -213,8 +212,8 @@ class _Client:
             await asyncio.wait_for(self._writer.wait_closed(), LAST_S)
 
     async def _read(self) -> None:
-        """Queue incoming lines until the client closes its side of the connection or must be
-        disconnected."""
+        """Read lines and append them to the queue. Stop when the client closes its side of the
+        connection or must be disconnected."""
         loop, buffer, began = asyncio.get_running_loop(), b"", 0.0
         while True:
             limit = IDLE_S if not buffer else began + LINE_S - loop.time()
@@ -244,7 +243,7 @@ class _Client:
             buffer = rest
 
     def _take(self, line: bytes) -> bool:
-        """Queue a line. Return False if too many lines are queued."""
+        """Append a line to the queue. Return False if the queue is too long."""
         item: Command | tuple[Code, str]
         try:
             item = read_line(line)
@@ -258,7 +257,7 @@ class _Client:
         return self._queue.qsize() <= MAX_ANSWERS
 
     async def _do(self) -> None:
-        """Execute the queued commands one after the other until the client no longer accepts the
+        """Execute the queued commands one after the other. Stop when the client no longer reads the
         replies."""
         with contextlib.suppress(OSError, TimeoutError):
             while True:

@@ -1,5 +1,5 @@
-"""Interface of agents: the information that an agent receives, and the methods that it must
-have."""
+"""Interface of agents. The interface defines the information that an agent receives, and the
+methods that it must have."""
 
 from __future__ import annotations
 
@@ -22,8 +22,8 @@ KNOWN = (
     "time_s", "running", "bare_images", "limit_share", "scaled", "path_s", "pace", "ids", "rests",
     "order",
 )  # fmt: skip
-"""Keys of `info` that an agent receives. A real plate provides the same information, except for the
-references of paths."""
+"""Keys of the dictionary `info` that an agent receives. A real plate provides the same information,
+except for the reference positions on paths."""
 
 
 @dataclass(frozen=True)
@@ -39,9 +39,9 @@ class Brief:
     ids : tuple of str
         Ids of the parts, in the order of the rows.
     friction_limit : (M,)
-        mu m g of each part according to the rig file [N].
+        Maximum friction force mu m g on each part according to the rig file [N].
     motions : Motions
-        Converts values of the action `motion` to motions.
+        Object that converts values of the action `motion` to motions.
     """
 
     action_space: Space
@@ -54,7 +54,7 @@ class Brief:
 
     @classmethod
     def of(cls, env: PlateEnv) -> Brief:
-        """Return the brief of an environment after its reset."""
+        """Return the `Brief` of an environment that was reset before."""
         plates = env.plates
         check_begun(plates.plates)
         return deepcopy(
@@ -67,7 +67,7 @@ class Brief:
 
 class Agent(Protocol):
     """Interface of agents for `evaluate`. For each episode, `evaluate` creates an agent from a
-    `Brief` and a random seed. Of `info`, the agent receives only the keys `KNOWN`.
+    `Brief` and a random seed. The agent receives only the keys `KNOWN` of the dictionary `info`.
 
     Attributes
     ----------
@@ -81,4 +81,4 @@ class Agent(Protocol):
     def __init__(self, brief: Brief, seed: int) -> None: ...
 
     def act(self, observation: np.ndarray, info: dict[str, Any]) -> Any:
-        """Return the action for the present observation."""
+        """Return the agent's action for the present observation."""

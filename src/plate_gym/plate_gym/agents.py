@@ -37,7 +37,8 @@ class Random:
 
 
 class Ours:
-    """This project's planner and solver: Method B, which uses sinusoids on the cycle map."""
+    """Agent with this project's planner and solver. The solver uses Method B: it chooses sinusoids
+    by the cycle map, which predicts the positions of the parts after one cycle."""
 
     action, observation, method = "cycle", "parts", "sinusoids"
 
@@ -84,13 +85,15 @@ class Ours:
 
 
 class MethodA(Ours):
-    """This project's planner with Method A, which uses rotations about a few centres."""
+    """Agent with this project's planner and Method A, which moves the plate by rotations about a
+    few centres."""
 
     method = "rotations"
 
 
 class ByImage(Ours):
-    """Agent `Ours`, with the positions that this project's vision measures in images."""
+    """The same as agent `Ours`, but this project's detector measures the positions of the parts in
+    images."""
 
     observation = "image"
 
@@ -100,8 +103,9 @@ class ByImage(Ours):
         self._expected: Prediction | None = None
 
     def act(self, observation: np.ndarray, info: dict[str, Any]) -> PlateCycle:
-        """Return the cycle that the solver computes for the planner's request. Images of the bare
-        plate, if they are needed, are in `info` together with the first image."""
+        """Return the cycle that the solver computes for the planner's request. If the detector
+        needs images of the plate without parts, `info` contains these images together with the
+        first image."""
         if "bare_images" in info:
             self._vision = replace(self._vision, background=learn_plate(info["bare_images"]))
         return super().act(observation, info)
@@ -119,7 +123,8 @@ class ByImage(Ours):
 
 
 class Averaged(Ours):
-    """Method B on the averaged map, as in the paper. The averaged map assumes resting parts."""
+    """Agent with Method B on the averaged map, as in the paper. The averaged map predicts mean
+    forces on the assumption that the parts are at rest."""
 
     def __init__(self, brief: Brief, seed: int) -> None:
         super().__init__(brief, seed)

@@ -273,7 +273,8 @@ class SerialTransport:
 
     @property
     def calibrates(self) -> bool:
-        """Whether the device plays whole cycles, which a calibration requires."""
+        """Whether this transport can be used for a calibration. A calibration requires a device
+        that receives whole cycles instead of a stream of setpoints."""
         return not self._streams
 
     @property
@@ -289,18 +290,20 @@ class SerialTransport:
         return float("inf") if device is None else device.hold_ms * 1e-3
 
     def open(self) -> None:
-        """Open the port and send Hello. If the port does not open, `poll` tries again."""
+        """Open the port and send the message Hello. If the port does not open, later calls of
+        `poll` try again."""
         self._closed = False
         self._reopen(self._clock())
         self.poll()
 
     def send(self, table: MotorTable, repeats: int) -> None:
-        """Upload or stream a table. The device plays it when the current cycle has ended.
+        """Upload or stream a motor table. The device plays the table when its current cycle has
+        ended.
 
         Raises
         ------
         CycleError
-            If the device is not ready or cannot store the table's knots.
+            The device is not ready, or it cannot store all knots of the table.
         """
         report = self.report()
         if report.condition is not Condition.READY:
@@ -421,12 +424,13 @@ class SerialTransport:
         return self._load
 
     def troubles(self) -> list[str]:
-        """Return the problems since the last call."""
+        """Return the problems that occurred since the last call of this method."""
         troubles, self._troubles = self._troubles, []
         return troubles
 
     def values(self) -> dict[str, str]:
-        """Return diagnostic values since the last call, by name."""
+        """Return values for the diagnostics, by name. Maxima and minima are those since the last
+        call of this method."""
         link, lead, self.min_lead_s = self._link, self.min_lead_s, float("inf")
         values = {
             "retries": str(self.retries),
@@ -453,8 +457,8 @@ class SerialTransport:
     # Orders of a person
 
     def stop(self, cut: bool = False) -> Order:
-        """Make the device brake. If `cut` is True, switch off the current immediately instead. All
-        other commands are dropped."""
+        """Make the device brake. If `cut` is True, the device switches off the motor current
+        immediately instead. All other pending commands are dropped."""
         self._streamed = self._next = None
         self._complete_request("another stop has come since; call enable again")
         order = self._ordered(STOP_ANSWER_S)
@@ -467,7 +471,8 @@ class SerialTransport:
         return order
 
     def enable(self) -> Order:
-        """Request one enable, for the stop number that the device reports now."""
+        """Request that the device enables the motors once. The request contains the stop number
+        that the device reports now."""
         telemetry = self._link.telemetry
         order = self._ordered(READY_S)
         if self._unfit:
@@ -490,7 +495,8 @@ class SerialTransport:
         return order
 
     def home(self) -> Order:
-        """Request a new search for home. The device refuses it unless its motors are off."""
+        """Request that the motors search for home again. The device refuses this request unless its
+        motors are off."""
         order = self._ordered(HOME_ANSWER_S)
         if self.report().condition is Condition.GONE:
             return order.complete(UNANSWERED)
@@ -537,7 +543,7 @@ class SerialTransport:
                 self._complete_request(f"it has stopped again: {reason}")
 
     def _complete_request(self, failure: str = "") -> None:
-        """Complete the pending enable or home, if any. An empty `failure` means success."""
+        """Complete the pending enable or home order, if any. An empty `failure` means success."""
         request, self._request = self._request, None
         if request is not None:
             request.complete(failure)
@@ -581,8 +587,8 @@ class SerialTransport:
         return message if self._link.clock.known else None
 
     def _greeted(self, device: Capabilities) -> None:
-        """Check whether a device that has answered Hello was reset, and whether its limits are
-        those of this rig."""
+        """Process the device's reply to Hello. Check whether the device was reset, and whether its
+        limits equal those of this rig."""
         self._reset = self._reset or self._boot not in (None, device.boot)
         self._boot = device.boot
         why = "" if self._limits is None else differing(device, self._limits)
@@ -606,8 +612,8 @@ class SerialTransport:
         self._link = self._link.stopping()
 
     def _measured(self, telemetry: Telemetry, time: float, now: float) -> Measured:
-        """Return the measurement at the host time `time` [s]. While the device brakes, the
-        measurement has no table."""
+        """Convert telemetry to a measurement at the host time `time` [s]. While the device brakes,
+        the field `playing` of the measurement is None."""
         braking = telemetry.state is State.BRAKING
         playing = None if braking else self._sent.get(telemetry.table)
         ticks = telemetry.ticks
@@ -631,7 +637,7 @@ class SerialTransport:
     def _lead(self, now: float) -> float:
         """Return the time by which the stream is ahead of the device [s].
 
-        Infinite if no stream plays or the whole stream was sent.
+        The result is infinite if no stream plays or if the whole stream was sent.
         """
         if self._streamed is None or self._stream_began is None or self._streamed.ended:
             return float("inf")

@@ -1,4 +1,4 @@
-"""Transport to the simulator, which publishes motor tables. There are no motors that must be
+"""Transport that publishes motor tables for the simulator. The simulator has no motors that must be
 enabled."""
 
 from __future__ import annotations
@@ -12,16 +12,17 @@ from .transport import Condition, Measured, Order, Report, TransportContext
 
 
 class SimTransport:
-    """Transport to the simulator, which subscribes to the published setpoints.
+    """Transport that publishes motor tables. The simulator subscribes to them.
 
-    A parameter of the simulator determines how often it repeats a table. There are no motors, so
-    the state is READY until a stop.
+    A parameter of the simulator determines how often it repeats a table. The simulator has no
+    motors, so this transport reports READY until a stop.
 
     Parameters
     ----------
     rig : Rig
     publish : callable
-        Publishes a table. The node provides it, so this module needs no ROS.
+        Function that publishes a motor table. The node provides this function, so this module does
+        not import ROS.
     """
 
     motors = False
@@ -42,7 +43,7 @@ class SimTransport:
         return []
 
     def report(self) -> Report:
-        """Return READY, or OFF after a stop."""
+        """Return the state OFF after a stop, and otherwise READY."""
         return Report(Condition.OFF if self._stopped else Condition.READY)
 
     def send(self, table: MotorTable, repeats: int) -> None:
@@ -51,8 +52,8 @@ class SimTransport:
         self._publish(table)
 
     def stop(self, cut: bool = False) -> Order:
-        """Publish rest if a table was sent. The simulator rests after the end of its present
-        cycle."""
+        """If a table was sent, publish a table that keeps the plate at rest. The simulator plays
+        this table after the end of its present cycle."""
         last, self._last, self._stopped = self._last, None, True
         if last is not None:
             self._publish(MotorTable.rest(self._rig, last.cycle.period, last.stamp_ns))
@@ -64,7 +65,7 @@ class SimTransport:
         return Order().complete()
 
     def home(self) -> Order:
-        """Do nothing, because the simulator always knows home."""
+        """Do nothing. The simulator always knows the home position."""
         return Order().complete()
 
     def troubles(self) -> list[str]:

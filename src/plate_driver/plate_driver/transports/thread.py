@@ -1,5 +1,5 @@
 """Transport thread and latch. A separate thread polls the transport, so that no message can delay a
-stop. The latch counts stops, and blocks cycles after a stop until an enable succeeds."""
+stop. The latch counts stops. After a stop, it blocks cycles until the motors are enabled again."""
 
 from __future__ import annotations
 
@@ -24,7 +24,8 @@ POLL_PERIOD_S = 0.002
 """Time between two polls of the transport [s]. An upload takes about twenty polls."""
 
 NO_MOTORS_PERIOD_S = 0.02
-"""Time between two polls of a transport without motors, which has nothing to upload [s]."""
+"""Time between two polls of a transport without motors [s]. Such a transport uploads nothing, so it
+needs fewer polls."""
 
 STOPPED_SINCE = "another stop has come since; call enable again"
 BUSY = "the transport is busy"
@@ -36,18 +37,20 @@ CLOSE_S = 2.0
 """Maximum time to wait for the end of a transport's thread [s]."""
 
 ANSWER_S = 0.3
-"""Maximum time to wait for the result of an order [s]. With it, the caller gets a reply within 0.5
-s."""
+"""Maximum time to wait for the result of an order [s]. This limit ensures that the caller gets a
+reply within 0.5 s."""
 
 SHOWN_S = 0.1
-"""A measurement shows whether a stop has succeeded if it is at most this much older than the
-deadline of the stop [s]. All messages that the device sent before the stop arrive earlier."""
+"""Maximum time from a measurement to the deadline of a stop [s]. Only measurements after this time
+can show that the stop has succeeded. All messages that the device sent before the stop arrive
+earlier."""
 
 REMEMBERED = 2000
 """Maximum number of measurements that are stored until `measured` is called. They cover 20 s."""
 
 URGENT = -15
-"""Niceness of the threads that stop motors. The system must allow it (CAP_SYS_NICE)."""
+"""Niceness (Linux scheduling priority) of the threads that stop motors. The process needs the
+capability CAP_SYS_NICE to set this value."""
 
 
 @contextlib.contextmanager
@@ -67,8 +70,8 @@ def urgent() -> Iterator[None]:
 class Latch:
     """Blocks cycles after a stop, and stores the reason of the stop.
 
-    A latch is thread-safe. It is kept when the transport is closed. Each stop has a number, so that
-    a table that was prepared before a stop is never sent after the stop.
+    A latch is thread-safe. It still exists after the transport was closed. The latch numbers the
+    stops. A table that was prepared before a stop is therefore never sent after the stop.
     """
 
     def __init__(self) -> None:
@@ -80,7 +83,7 @@ class Latch:
 
     @property
     def reason(self) -> DriverReason:
-        """Reason why the latch is closed. NONE if it is open."""
+        """Reason why the latch is closed. NONE if the latch is open."""
         return self._reason
 
     @property
@@ -90,7 +93,7 @@ class Latch:
 
     @property
     def enabling(self) -> bool:
-        """Whether an enable is in progress, and no stop was requested since it began."""
+        """Whether an enable is in progress and no stop was requested since the enable began."""
         return self._number in self._enabling
 
     @property
@@ -110,7 +113,7 @@ class Latch:
                 self._reason = reason
 
     def enable_began(self, number: int) -> None:
-        """Record that an enable has started, which will end the stop with this number."""
+        """Record that an enable has started. The enable applies to the stop `number`."""
         self._enabling.append(number)
 
     def enable_ended(self, number: int) -> None:
@@ -119,7 +122,7 @@ class Latch:
 
     def open(self, number: int) -> bool:
         """Open the latch, unless the motors were stopped again after the stop `number`. Return
-        whether it is open."""
+        whether the latch is open."""
         with self._lock:
             if number != self._number:
                 return False
@@ -140,7 +143,8 @@ class _Enable:
 
 
 class TransportThread:
-    """Polls a transport every few milliseconds, and makes all other calls of the transport.
+    """Polls a transport every few milliseconds on a separate thread, and makes all other calls of
+    its methods.
 
     Parameters
     ----------
@@ -171,7 +175,8 @@ class TransportThread:
 
     @property
     def motors(self) -> bool:
-        """See `Transport`. The next three properties are defined there too."""
+        """Whether the transport has motors that need an enable. `Transport` describes this property
+        and the next three."""
         return self._transport.motors
 
     @property
@@ -213,7 +218,8 @@ class TransportThread:
                 self._latch.late = None
 
     def _follow(self) -> None:
-        """Open the latch as soon as the motors are ready after an Enable command."""
+        """Complete the enables that have succeeded, failed or timed out. Open the latch if an
+        enable has succeeded."""
         for each in list(self._enables):
             completed, failure = each.order.completed, each.order.failure
             if not completed and time.monotonic() < each.end:
@@ -231,7 +237,8 @@ class TransportThread:
                 self._tried(self._transport.stop)
 
     def _tried(self, call: Callable[[], T]) -> T | None:
-        """Call `call` while the lock is held. Return None if it raises an unexpected exception.
+        """Call the function `call`. Return None if the function raises an unexpected exception. The
+        caller must hold the lock.
 
         A transport may be third-party code. Any exception except a PlateError stops the motors and
         blocks all cycles. Such an exception must not end this thread, or the thread that replies to
@@ -256,7 +263,7 @@ class TransportThread:
                 self.poll()
 
     def _ordered(self, call: Callable[[], Order]) -> Order:
-        """Call a method of the transport for an order of a person."""
+        """Call a method of the transport that executes an order of a person."""
         if not self._lock.acquire(timeout=BUSY_S):
             return Order().complete(BUSY)
         try:
@@ -276,7 +283,7 @@ class TransportThread:
     # Calls from other threads
 
     def send(self, table: MotorTable, repeats: int, number: int) -> None:
-        """Send a table that was made when the latch had counted `number` stops.
+        """Send a motor table. `number` is the value of `Latch.number` when the table was made.
 
         Raises
         ------
@@ -298,8 +305,8 @@ class TransportThread:
                 raise CycleError(self.report.text)
 
     def stop(self, cut: bool = False) -> Order:
-        """Stop the motors, see `Transport.stop`. If another thread uses the transport, the motors
-        are stopped as soon as possible."""
+        """Stop the motors as described in `Transport.stop`. If another thread uses the transport
+        for too long, the next poll stops the motors."""
         order = self._stop = self._ordered(lambda: self._transport.stop(cut))
         if order.failure == BUSY:
             self._owed.append(cut)
@@ -311,10 +318,11 @@ class TransportThread:
         return bool(self._owed) or not self._stop.completed
 
     def stopped(self, order: Order, cut: bool, end: float) -> bool:
-        """Wait for a stop until `end` (steady clock [s]), and return whether it is done.
+        """Wait at most until the time `end` (steady clock [s]) for a stop to succeed. Return
+        whether the stop has succeeded.
 
-        A stop is also done if a recent measurement shows motors without current or, unless `cut` is
-        True, motors that brake.
+        A stop has also succeeded if a recent measurement shows that the motors have no current.
+        Unless `cut` is True, motors that brake are sufficient.
         """
         stopped = (Condition.OFF,) if cut else (Condition.OFF, Condition.BRAKING)
 
@@ -326,11 +334,12 @@ class TransportThread:
         return order.done if order.completed else shown()
 
     def enable(self, number: int) -> Order:
-        """Enable the motors, see `Transport.enable`. `number` is the value of `Latch.number` at the
-        time of the request.
+        """Enable the motors as described in `Transport.enable`. `number` is the value of
+        `Latch.number` at the time of the request.
 
-        When the motors are ready, the latch opens and the order is done. If they do not become
-        ready, the order fails with the reason. This does not depend on whether a caller waits.
+        When the motors are ready, the latch opens and the order is done. If the motors do not
+        become ready, the order fails with the reason. The latch opens even if no caller waits for
+        the order.
         """
 
         def call() -> Order:
@@ -346,29 +355,30 @@ class TransportThread:
         return self._ordered(call)
 
     def home(self) -> Order:
-        """Request a new search for home, see `Transport.home`."""
+        """Request that the motors search for home again, see `Transport.home`."""
         return self._ordered(self._transport.home)
 
     def measured(self) -> list[Measured]:
-        """Return the measurements since the last call."""
+        """Return the measurements that arrived since the last call of this method."""
         with self._lock:
             measured = list(self._measured)
             self._measured.clear()
             return measured
 
     def troubles(self) -> list[str]:
-        """Return the problems since the last call."""
+        """Return the problems that occurred since the last call of this method."""
         with self._lock:
             troubles, self._troubles = self._troubles, []
             return troubles
 
     def values(self) -> dict[str, str]:
-        """Return diagnostic values since the last call."""
+        """Return values for the diagnostics, by name, see `Transport.values`."""
         with self._lock:
             return self._tried(self._transport.values) or {}
 
     def close(self) -> None:
-        """Stop the motors, wait for the answer, and release the transport."""
+        """Stop the motors, wait at most `ANSWER_S` for the confirmation, and release the
+        transport."""
         order = self.stop()
         if self._thread.is_alive():
             order.wait(ANSWER_S)

@@ -1,18 +1,18 @@
 """Interface `Transport` between the driver node and the hardware that moves the plate.
 
-Another package can add a transport. The package defines a class with the methods of `Transport`,
-and a function that returns an instance for a `TransportContext`. The setup.py of the package names
-the function:
+Another package can add a transport. The package defines a class with the methods of `Transport`. It
+also defines a function that receives a `TransportContext` and returns an instance of this class.
+The setup.py of the package names the function:
 
     entry_points={"plate_driver.transports": ["ethercat = my_package.plate:make"]}
 
-The driver then accepts `transport:=ethercat`. `make` raises a PlateError if a parameter is invalid.
-The message is one line with the parameter, its value and the allowed values. `open` raises a
-PlateError if any other requirement is not met.
+The driver then accepts `transport:=ethercat`. The function raises a PlateError if a parameter is
+invalid. The message of the error is one line with the parameter, its value and the allowed values.
+The method `open` raises a PlateError if any other requirement is not met.
 
-All methods return immediately. The driver calls them from several threads, but never two methods at
-the same time. It calls `poll` every few milliseconds. Times are on `TransportContext.clock`, so
-that a test can replace the clock.
+All methods return immediately. The driver calls the methods of a transport from several threads,
+but never two methods at the same time. The driver calls `poll` every few milliseconds. All times
+are read from `TransportContext.clock`, so that a test can replace the clock.
 """
 
 from __future__ import annotations
@@ -52,9 +52,9 @@ class Report:
     ----------
     condition : Condition
     reason : DriverReason
-        Reason why the motors are off or brake, or why their controller does not answer. A requested
-        stop is EARLIER_STOP, because only the driver knows whether it requested the stop itself.
-        OTHER is used for all reasons without a separate value.
+        Reason why the motors are off or brake, or why their controller does not answer. The reason
+        of every requested stop is EARLIER_STOP, because only the driver knows whether the driver
+        itself requested the stop. OTHER represents all reasons that have no separate value.
     text : str
         The reason as text.
     values : mapping of str to str
@@ -78,15 +78,16 @@ class Measured:
     device_s : float
         The same time on the device's clock [s], without the jitter of the clock conversion.
     table : int
-        Number of the table that plays. 0 if no table plays.
+        Number of the motor table that plays. 0 if no table plays.
     position, acceleration : tuple of 4 float
         Travel [m] and acceleration [m/s2] of each motor.
     playing : MotorTable or None
-        Table that plays. If the tail of a table plays, this is the tail. None if unknown.
+        Motor table that plays. If the tail of a table plays, the tail itself. None if the table is
+        unknown.
     began : float
         Time at which this table or tail started, on the context's clock [s].
     clock_problem : str
-        Reason why `time` and `began` are rejected. Empty if they are accepted.
+        Reason why `time` and `began` are unreliable. Empty if both times are reliable.
     """
 
     time: float
@@ -105,7 +106,7 @@ class Order:
     Parameters
     ----------
     longest_s : float
-        Maximum time until the motor controller answers [s].
+        Maximum time until the motor controller confirms or refuses the order [s].
     """
 
     def __init__(self, longest_s: float = 0.0) -> None:
@@ -124,8 +125,8 @@ class Order:
         return self.completed and not self.failure
 
     def complete(self, failure: str = "") -> Order:
-        """Mark the order as done. If `failure` is not empty, mark it as failed. Later calls have no
-        effect."""
+        """Mark the order as done. If `failure` is not empty, mark the order as failed. Only the
+        first call of this method has an effect."""
         if not self.completed:
             self.failure = failure
             self._completed.set()
@@ -134,7 +135,8 @@ class Order:
     def wait(self, longest_s: float | None = None) -> bool:
         """Wait until the order is complete (done or failed), and return whether it is done.
 
-        The method waits at most `longest_s` [s]. None selects the value from the constructor.
+        The method waits at most `longest_s` [s]. If `longest_s` is None, the method uses the value
+        from the constructor.
         """
         self._completed.wait(self.longest_s if longest_s is None else max(0.0, longest_s))
         return self.done
@@ -153,7 +155,7 @@ class Transport(Protocol):
     max_knots : int
         Maximum number of knots of a table.
     hold_s : float
-        Maximum time for which a table is repeated [s].
+        Maximum time for which the motors repeat a table if no other table arrives [s].
     """
 
     motors: bool
@@ -166,60 +168,64 @@ class Transport(Protocol):
     def hold_s(self) -> float: ...
 
     def open(self) -> None:
-        """Prepare the transport for calls of the other methods, without any motion.
+        """Prepare the transport for calls of the other methods. This method must not move the
+        motors.
 
-        If this method raises a PlateError, the driver's configuration fails. A resource that may
-        become available later, such as a port, must not raise an error. `poll` waits for it. Until
-        it is available, the report is GONE and names the resource.
+        If this method raises a PlateError, the configuration of the driver node fails. If a
+        resource may become available later, such as a port, its absence must not raise an error.
+        The method `poll` then tries to open the resource. Until the resource is available, `report`
+        returns the condition GONE and a text that names the resource.
         """
 
     def poll(self) -> list[Measured]:
-        """Perform due work, and return the measurements since the last call."""
+        """Perform all work that is due, and return the measurements since the last call of
+        `poll`."""
 
     def report(self) -> Report:
         """Return the state of the motors."""
 
     def send(self, table: MotorTable, repeats: int) -> None:
-        """Send a table. Every table ends at rest at home. It begins at rest at home, or at the
-        splice of another table.
+        """Send a motor table. Every table ends with the plate at rest at home. A table begins with
+        the plate at rest at home, or at the splice of another table.
 
-        When the current play ends, the motors start the newest table. They play it `repeats` times
-        if no other table arrives, and then rest. A table with a tail is played once. At its splice,
-        the motors continue with the newest table if this table begins at this splice, otherwise
-        with the tail.
+        When the current cycle ends, the motors start the newest table. If no other table arrives,
+        the motors play the table `repeats` times and then rest. A table with a tail is played once.
+        At the splice of this table, the motors continue with the newest table if the newest table
+        begins at this splice. Otherwise, they continue with the tail.
 
         Raises
         ------
         CycleError
-            If the motors do not accept a table now, or refuse this table. The message states the
-            reason.
+            The motors do not accept a table at present, or refuse this table. The message of the
+            error states the reason.
         """
 
     def stop(self, cut: bool = False) -> Order:
-        """Make the motors brake along their path, go home and switch off. If `cut` is True, switch
-        them off immediately instead.
+        """Make the motors brake along their path, return to home and switch off. If `cut` is True,
+        switch off the motors immediately instead.
 
-        The order is done when the controller has confirmed it. Earlier tables and orders are
-        dropped.
+        The returned order is done when the motor controller has confirmed the stop. Earlier tables
+        and orders are dropped.
         """
 
     def enable(self) -> Order:
-        """Switch on the motors' current once, on a person's request. The order is done when the
-        motors are ready.
+        """Switch on the motors' current once, on a person's request. The returned order is done
+        when the motors are ready.
 
-        A stop after this request has priority. No other method or event is allowed to switch on the
-        current, such as `open`, `send` or a restart of the controller.
+        A stop after this request has priority. No other method or event may switch on the current.
+        For example, `open`, `send` or a restart of the controller must not switch it on.
         """
 
     def home(self) -> Order:
-        """Make the motors search for home at the next enable. Calls are allowed only while the
-        motors are off."""
+        """Make the motors search for home at the next enable. This method may be called only while
+        the motors are off."""
 
     def troubles(self) -> list[str]:
-        """Return the problems since the last call, one line each."""
+        """Return the problems since the last call of this method, one line of text each."""
 
     def values(self) -> dict[str, str]:
-        """Return diagnostic values since the last call, by name."""
+        """Return values for the diagnostics, by name. Maxima and minima are those since the last
+        call of this method."""
 
     def close(self) -> None:
         """Stop the motors and release all resources."""
@@ -233,9 +239,9 @@ class TransportContext:
     ----------
     rig : Rig
     publish : callable
-        Publishes a table on motor_setpoints.
+        Function that publishes a motor table on the topic motor_setpoints.
     clock : callable
-        Returns the monotonic time [s].
+        Function that returns the monotonic time [s].
     parameters : mapping of str to value
         All parameters of the driver, such as `port` and `baud`.
     seed : int
@@ -251,8 +257,8 @@ class TransportContext:
 
 @cache
 def installed() -> dict[str, EntryPoint]:
-    """Return the installed transports by name. The search is made only once, because it takes 0.05
-    s."""
+    """Return the installed transports by name. The installed packages are searched only once,
+    because a search takes 0.05 s."""
     return {point.name: point for point in entry_points(group=GROUP)}
 
 
@@ -262,7 +268,7 @@ def make_transport(name: str, context: TransportContext) -> Transport:
     Raises
     ------
     PlateError
-        If the transport is not installed, cannot be loaded, or refuses a parameter.
+        The transport is not installed, it cannot be loaded, or it refuses a parameter.
     """
     known = installed()
     _check_name(name, known)
@@ -278,7 +284,8 @@ def make_transport(name: str, context: TransportContext) -> Transport:
 
 
 def check_transport(name: str, port: str) -> None:
-    """Refuse a transport that is not installed, or lacks its port."""
+    """Raise a PlateError if the transport is not installed, or if it requires a port and `port` is
+    empty."""
     _check_name(name, installed())
     if name == "serial" and not port:
         raise PlateError("port is '', but transport serial requires the name of a serial port")

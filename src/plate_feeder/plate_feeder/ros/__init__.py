@@ -1,4 +1,4 @@
-"""The feeder's client of the planner's task."""
+"""Action client of the feeder for the planner's action feed_parts."""
 
 from .feed_goal import FeedGoal
 

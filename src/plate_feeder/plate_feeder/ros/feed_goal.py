@@ -1,5 +1,4 @@
-"""The planner's feeding task. The task is started when requested, and canceled when no longer
-requested."""
+"""Action client that starts and cancels the planner's feed task."""
 
 from __future__ import annotations
 
@@ -18,12 +17,13 @@ END_S = 5.0
 """Maximum time for the planner to end a canceled task [s]."""
 
 ANSWER_S = 1.0
-"""Time without a reply after which a goal is sent again [s]. Either the planner was killed or has
-stalled, or the reply was lost. The goal has the same id, so the planner executes it only once."""
+"""If the planner does not reply to a goal within this time [s], the goal is sent again. The planner
+may have been killed or may have stalled, or the reply was lost. The new goal has the same id, so
+the planner executes it only once."""
 
 
 class FeedGoal:
-    """The goal of `feed_parts`. `request` starts it and cancels it.
+    """Action goal of `feed_parts`. The method `request` starts the goal and cancels it.
 
     Parameters
     ----------
@@ -52,7 +52,8 @@ class FeedGoal:
         self._ending, self._until = 0, 0.0  # number of the canceled goal; deadline for its end
 
     def request(self, run: bool) -> None:
-        """Start the task or cancel it. The caller must call this function repeatedly."""
+        """Start the task if `run` is True, otherwise cancel it. The caller must call this method
+        repeatedly, because lost messages are sent again only in this method."""
         if self._sent and not run:
             self._cancel()
         now = time.monotonic()
@@ -69,7 +70,8 @@ class FeedGoal:
             future.add_done_callback(lambda done: self._on_answer(number, again, done))
 
     def on_task_status(self, status: TaskStatus) -> None:
-        """Detect that the planner has restarted and does not execute the task any more."""
+        """Process a `task_status` message of the planner. This method detects that the planner has
+        restarted and therefore no longer executes the task."""
         running = status.state == TaskStatus.RUNNING and status.task == "feed"
         if self.runs and self._seen and not running:
             reason = status.reason
