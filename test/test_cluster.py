@@ -60,10 +60,10 @@ class Processes:
         self.address = json.loads(file.read_text())["address"]
         return process
 
-    def worker(self, **changed):
+    def worker(self, *options, **changed):
         return self.start(
             "worker", self.address, "--nthreads", "1", "--no-nanny", "--no-dashboard",
-            "--local-directory", str(self.folder), **changed,
+            "--local-directory", str(self.folder), *options, **changed,
         )  # fmt: skip
 
     def end(self):
@@ -135,6 +135,27 @@ def test_a_late_worker_takes_over_from_all_that_have_died(processes, pool):
     late = processes.worker()
     assert numbers(runs) == list(range(10))
     assert late.pid in {run.result()[1] for run in runs}
+
+
+SLOW_ADMISSION = """
+import asyncio
+from distributed import Worker
+
+async def slow(worker, fast=Worker.set_resources, **resources):
+    await asyncio.sleep(0.25)
+    await fast(worker, **resources)
+
+Worker.set_resources = slow
+"""
+
+
+def test_waiting_runs_reach_a_worker_that_is_admitted_slowly(processes, tmp_path):
+    """Dask's memory monitor checks the status of the worker several times during the admission."""
+    (tmp_path / "slow.py").write_text(SLOW_ADMISSION, encoding="utf-8")
+    with Cluster(processes.address) as pool:
+        runs = submitted(pool, 3)
+        processes.worker("--preload", str(tmp_path / "slow.py"))
+        assert numbers(runs) == list(range(3))
 
 
 def test_no_run_is_lost_with_a_scheduler_that_restarts(processes, pool):

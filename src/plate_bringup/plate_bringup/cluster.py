@@ -370,12 +370,12 @@ async def _admit(
         _make_bench_importable()
     found = differences(expected, await asyncio.to_thread(facts, *terms))
     if not found and key not in dask_worker.state.total_resources:
-        status = type(dask_worker.status)
-        running = dask_worker.status == status.running
-        if running:
-            dask_worker.status = status.paused
         await dask_worker.set_resources(**{key: 1})
-        if running:  # this makes the scheduler send waiting runs to this worker
+        # The scheduler sends waiting runs to a worker only when it begins to run. Nothing may be
+        # awaited between the two changes, because Dask's memory monitor also ends a pause.
+        status = type(dask_worker.status)
+        if dask_worker.status == status.running:
+            dask_worker.status = status.paused
             dask_worker.status = status.running
     return found
 
