@@ -4,11 +4,11 @@ The tables are in README, docs/graph.md, docs/guide/rig.md and docs/guide/trust.
 
 python bench/charts.py [--quick] [--draw] [--cluster ADDRESS]
 
-Measurements are written to out/bench/*.json. An existing measurement is repeated only if its code
-has changed, or if it was quick and --quick is not given. The measurements of docs/results.md
-require a committed tree, and wait until the computer is idle. --draw draws the existing
-measurements. A chart that was not measured here is then drawn from its CSV file in docs/results (or
-OUT, with --out OUT).
+Measurements are written to out/bench/*.json. An existing measurement is repeated if its code has
+changed. A quick measurement is also repeated if --quick is not given. The measurements of
+docs/results.md require a committed tree, and wait until the computer is idle. --draw draws the
+existing measurements. With --draw, a chart that was not measured on this computer is drawn from its
+CSV file in docs/results (or OUT, with --out OUT).
 """
 
 from __future__ import annotations

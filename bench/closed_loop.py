@@ -2,7 +2,7 @@
 
 python bench/closed_loop.py --scenario sort_10 --seeds 0:20 --json out/bench/sort_10.json
 
-A second call with the same file runs only the seeds that are missing in it.
+A second call with the same file runs only the seeds that are missing in the file.
 """
 
 from __future__ import annotations
@@ -86,7 +86,8 @@ def main() -> int:
 
 
 def _pool(args: argparse.Namespace) -> AbstractContextManager[Executor | None]:
-    """Return where the runs are run: on a cluster, by processes, or, if None, in this process."""
+    """Return the executor of the runs: a cluster or a pool of processes. None if all runs use this
+    process."""
     if args.cluster:
         return Cluster(args.cluster)
     return executor(args.workers) if args.workers > 1 else nullcontext()
@@ -101,8 +102,8 @@ def _results(workers: Executor | None, work: list[tuple[Setup, Rig, bytes]]) -> 
 
 
 def _run(setup: Setup, rig: Rig, code: bytes) -> dict[str, object]:
-    """Run the loop and return its row. `code` is the content of the planner's file, which need not
-    be on this computer."""
+    """Run the loop and return its row. `code` is the content of the planner's file, because the
+    file may be on another computer. Empty without a separate planner."""
     if not code:
         return summary(setup, rig)
     with TemporaryDirectory() as folder:
@@ -114,8 +115,9 @@ def _run(setup: Setup, rig: Rig, code: bytes) -> dict[str, object]:
 def _marks(
     scenario: Scenario, rig: Rig, code: bytes, settings: dict[str, str]
 ) -> dict[str, str | dict[str, str]]:
-    """Return the facts that determine the row of a seed, for `Rows`: digests of the code, scenario,
-    rig and planner's file, the settings, and facts about the computer."""
+    """Return all facts on which the result of a run depends, except its seed. They are the `marks`
+    of `Rows`: digests of the code, scenario, rig and planner's file, the settings, and facts about
+    the computer."""
     with np.printoptions(threshold=sys.maxsize, precision=17):
         parts = {"scenario": repr(replace(scenario, file="")), "rig": repr(rig)}
     marks = {name: hashlib.sha256(text.encode()).hexdigest()[:16] for name, text in parts.items()}
@@ -125,7 +127,7 @@ def _marks(
 
 
 def _note(text: str) -> None:
-    """Show the progress on a terminal, in a line that the next one overwrites."""
+    """Show the progress on a terminal. The next text overwrites the same line."""
     if sys.stderr.isatty():
         print(f"\r{text}\x1b[K", end="\r", file=sys.stderr, flush=True)
 

@@ -37,7 +37,8 @@ START, MAX_S = 0.08, 3600
 """Initial distance of the coin from the plate's centre [m], and maximum duration [s]."""
 
 SHOWN, MEAN = 2.0, 10
-"""Time between drawn coins, and time over which rates are averaged [s]."""
+"""Time between two drawn positions of the coin, and time over which its angular and radial speeds
+are averaged [s]."""
 
 INK, COIN = "#3b3b3b", "#0b6e99"
 
@@ -85,12 +86,13 @@ def carried(rig: Rig, cycle: PlateCycle) -> np.ndarray:
 
 
 def polar(track: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return angle [rad] and radius [m] of positions (n, 2) [m]."""
+    """Return the polar coordinates of positions (n, 2) [m]: angle [rad] and radius [m]."""
     return np.unwrap(np.arctan2(track[:, 1], track[:, 0])), np.hypot(track[:, 0], track[:, 1])
 
 
 def slopes(values: np.ndarray) -> np.ndarray:
-    """Return mean rates over intervals of `MEAN` seconds, from the second one on."""
+    """Return the mean angular and radial speeds over intervals of `MEAN` seconds. The first
+    interval is omitted."""
     return np.diff(values[MEAN * FREQUENCY :: MEAN * FREQUENCY]) / MEAN
 
 

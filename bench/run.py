@@ -1,4 +1,4 @@
-"""Measure every stage and its best baseline: out/bench/NAME.json and a short table.
+"""Measure every stage and its best baseline. Write out/bench/NAME.json and print a short table.
 
 python bench/run.py [NAME ...] [--quick] [--cluster ADDRESS]
 """

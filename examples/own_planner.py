@@ -15,7 +15,8 @@ import numpy as np
 from plate_core import CycleRequest, Parts, Rig, load_rig, part_class
 
 RATE, FASTEST = 0.5, 0.020
-"""Requested drift velocity per metre of distance to the goal [1/s], and its maximum [m/s]."""
+"""Requested drift velocity per metre of distance to the goal [1/s], and maximum drift velocity
+[m/s]."""
 
 GOAL, LANE = 0.7, 0.6
 """Distance of the goal from the plate's centre [half lengths], and half-width of the lane in which
@@ -23,8 +24,8 @@ parts can have any y [half widths]."""
 
 
 class OwnPlanner:
-    """Control law: returns the requested forces for the parts at the start of a cycle. A planner
-    needs only this class."""
+    """Control law of the planner. It returns the requested forces for the parts at the start of a
+    cycle. The bench needs only this class."""
 
     def __init__(self, rig: Rig) -> None:
         self._rig, self._seen_at = rig, -np.inf
@@ -69,11 +70,12 @@ if __name__ == "__main__":
 
         Subscribes to parts and cycle_started. Publishes part_forces.
 
-        It requests once per cycle, from the image nearest to the cycle's start. If the camera is
-        triggered, this image is taken at the start. If it is free-running, the image is up to half
-        an interval away, and older than its stamp. At 30 images per second this is sufficient to
-        sort, but not to follow a path. `at_start` stays false: the solver assumes that the parts
-        have these positions at the start of the cycle.
+        The node publishes one request per cycle, from the image nearest to the cycle's start. If
+        the camera is triggered, this image is taken at the start. If the camera is free-running,
+        the time between image and start is up to half an image interval. The image is also older
+        than its stamp. 30 images per second are sufficient for sorting, but not for following a
+        path. `at_start` of the request is false. The solver therefore assumes that the parts have
+        these positions at the start of the cycle.
         """
 
         def __init__(self) -> None:
@@ -95,8 +97,8 @@ if __name__ == "__main__":
             self._answer()
 
         def _answer(self) -> None:
-            """Publish the request for the running cycle when an image from its start or later has
-            arrived."""
+            """Publish the request for the running cycle. Do nothing until an image from the start
+            of this cycle or later has arrived."""
             if not self._images:
                 return
             newest = self._images[-1].header.stamp

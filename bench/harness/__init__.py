@@ -1,7 +1,7 @@
 """Common functions of all measurements: fair timing, results and their files, cache, parallel runs.
 
-The closed loop without ROS is `plate_bringup.loop`. `harness.serial` is its transport over a serial
-line.
+The closed loop without ROS is `plate_bringup.loop`. `harness.serial` runs this loop over a
+simulated serial line.
 """
 
 import sys

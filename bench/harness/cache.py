@@ -17,15 +17,15 @@ FOLDERS = (ROOT / "bench", ROOT / "tools")
 
 
 class Cache:
-    """Results by key. Each result is written at once, so that an interrupted measurement can
-    continue.
+    """Cached results of a measurement, by key. Each result is written at once, so that an
+    interrupted measurement can continue.
 
     Parameters
     ----------
     path : Path
         File with lines of JSON: `code`, `key` and `value`.
     code : str
-        Digest of the code of the results. Results of other code are ignored.
+        Digest of the code of the results. Results with a different digest in the file are ignored.
     """
 
     def __init__(self, path: Path, code: str) -> None:
@@ -56,9 +56,9 @@ class Cache:
 def code_of(module: str) -> str:
     """Return a digest of all files on which a module of a measurement depends.
 
-    These are the installed packages with their kernels and the configuration, and the module with
-    the files of `bench` and `tools` that it imports. The digest also includes the versions of the
-    libraries and the other facts of `machine`.
+    The files are those of the installed packages with their compiled kernels, the configuration,
+    the module, and the files of `bench` and `tools` that the module imports. The digest also
+    includes the versions of the libraries and other facts about the computer (`machine`).
     """
     digest = hashlib.sha256(f"{code_of_packages()} {machine()}".encode())
     for path in sorted(own_files(module)):
@@ -67,7 +67,8 @@ def code_of(module: str) -> str:
 
 
 def own_files(module: str) -> set[Path]:
-    """Return a module's file and the files of `bench` and `tools` that it imports."""
+    """Return a module's file and the files of `bench` and `tools` that it imports, directly or
+    indirectly."""
     found: set[Path] = set()
     waiting = [module]
     while waiting:

@@ -27,14 +27,15 @@ CHAPTERS = {
         "views", "serial", "lines", "closed_loop", "feeding", "feeding_hour",
     ),
 }  # fmt: skip
-"""Modules with `measure(quick)`, by their folder in bench. The first line of a module's docstring
-is printed when it runs."""
+"""Names of the measurements by folder of `bench`. Each name is a module with a function
+`measure(quick)`. The first line of its docstring is printed when the measurement starts."""
 
 MEASUREMENTS = {name: f"{chapter}.{name}" for chapter, names in CHAPTERS.items() for name in names}
 """Module of each measurement, by its name."""
 
 LONG = {"feeding_hour", "sameness", "tasks", "views"}
-"""Measurements that take hours. `bench/run.py` runs them only if they are named."""
+"""Measurements that take hours. `bench/run.py` runs these measurements only if their names are
+given."""
 
 PUBLISHED = ROOT / "docs/results/measured.json"
 """File with facts about the measurements in docs/results, such as their duration."""
@@ -45,9 +46,9 @@ MAX_CORES = 0.3
 
 def run_all(names: Iterable[str], quick: bool, out: Path, quiet: bool = False) -> list[str]:
     """Run measurements one after the other, print the progress, and write the result of each. If
-    `quiet`, each waits until other programs are idle.
+    `quiet` is True, each measurement waits until other programs are idle.
 
-    If one fails, the others still run. Return the names of the failed measurements.
+    If a measurement fails, the others still run. Return the names of the failed measurements.
     """
     names = list(names)
     failed: list[str] = []
@@ -82,14 +83,16 @@ def run_all(names: Iterable[str], quick: bool, out: Path, quiet: bool = False) -
 
 
 def report_failures(failed: list[str]) -> int:
-    """Print the names of failed measurements. Return the exit code of the program."""
+    """Print the names of failed measurements. Return the exit code of the program: 1 if a
+    measurement failed, otherwise 0."""
     if failed:
         print(f"error: failed measurements: {', '.join(failed)}", file=sys.stderr)
     return bool(failed)
 
 
 def await_quiet() -> None:
-    """Wait until other programs use at most `MAX_CORES`, and print that it waits."""
+    """Wait until other programs use at most `MAX_CORES` CPU cores. Print a message if they use more
+    at first."""
     has_printed = False
     while (cores := busy_cores()) > MAX_CORES:
         if not has_printed:
@@ -107,14 +110,14 @@ def busy_cores() -> float:
 
 
 def idle_s() -> float:
-    """Return the idle time of all CPU cores together [s]."""
+    """Return the sum of the idle times of all CPU cores since the computer started [s]."""
     cpu = Path("/proc/stat").read_text(encoding="ascii").split(maxsplit=6)
     return (int(cpu[4]) + int(cpu[5])) / os.sysconf("SC_CLK_TCK")
 
 
 def last_seconds(out: Path, name: str, quick: bool) -> float:
-    """Return the duration of the last equally thorough measurement [s], on this computer or for
-    docs/results. 0 if there is none."""
+    """Return the duration of the last measurement with the same value of `quick` [s], on this
+    computer or for docs/results. 0 without such a measurement."""
     published = json.loads(PUBLISHED.read_text(encoding="utf-8"))["measurements"]
     there = (read(out, [name]) or published).get(name, {"quick": None})
     return float(there["seconds"]) if there["quick"] == quick else 0.0
@@ -126,7 +129,8 @@ def clock(seconds: float) -> str:
 
 
 def is_done(folder: Path, name: str, quick: bool) -> bool:
-    """Whether a result of the current code exists that is at least as thorough as requested."""
+    """Whether a result of the current code exists. A quick result counts only if `quick` is
+    True."""
     there = read(folder, [name]).get(name)
     code = code_of(MEASUREMENTS[name])
     return there is not None and there["quick"] <= quick and there.get("code") == code

@@ -6,7 +6,8 @@ import numpy as np
 from scipy.optimize import linear_sum_assignment
 
 OUT_OF_REACH = 1e3
-"""Cost of a pair beyond its reach [reach]."""
+"""Cost of a pair whose distance exceeds the allowed one. The cost of other pairs is distance /
+`reach`."""
 
 
 def paired(
@@ -23,7 +24,7 @@ def paired(
     Returns
     -------
     i, j, gap : (k,) each
-        Indices of both, and their distance.
+        Index of the detected position, index of the true position, and distance of each pair.
     """
     gap = np.linalg.norm(found[:, None] - true, axis=2)
     cost = np.where(gap <= reach, gap / reach, OUT_OF_REACH)

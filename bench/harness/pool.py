@@ -15,7 +15,7 @@ from harness.cache import Cache
 from plate_bringup.cluster import Cluster
 
 _cluster: list[Executor] = []
-"""The cluster of `on_cluster`, in its context."""
+"""The cluster during the context of `on_cluster`. Otherwise empty."""
 
 
 def cluster_option(parser: argparse.ArgumentParser) -> None:
@@ -25,14 +25,14 @@ def cluster_option(parser: argparse.ArgumentParser) -> None:
 
 
 def executor(workers: int | None = None) -> Executor:
-    """Return an executor of new processes on this computer. Default: one for each core."""
+    """Return an executor of new processes on this computer. Default: one process for each core."""
     return ProcessPoolExecutor(workers or os.cpu_count(), mp_context=get_context("spawn"))
 
 
 @contextmanager
 def on_cluster(address: str) -> Iterator[None]:
-    """Let `by_case` run on a cluster in this context. If the address is empty, it runs on this
-    computer."""
+    """Context in which `by_case` runs its work on a cluster. If the address is empty, `by_case`
+    runs it on this computer."""
     if not address:
         yield
         return
@@ -50,15 +50,17 @@ def parallel(
     work: Sequence[tuple],
     note: Callable[[str], None] = lambda text: None,
 ) -> Iterator[tuple[int, Any]]:
-    """Yield the index of an item of work and run(*item), for each item as soon as it is done.
+    """Call run(*item) for each item of work. Yield the item's index and the result as soon as the
+    call is done.
 
-    If a run raises an error, the runs that have not begun are canceled, and the error is raised
-    after the others. If the caller stops early, the rest is canceled.
+    If a call raises an error, the calls that have not begun are canceled. The error is raised when
+    the calls that have begun are done. If the caller stops the iteration, the calls that have not
+    begun are canceled.
 
     Parameters
     ----------
     note : callable
-        Receives a line on the progress with each result.
+        Function that receives a text on the progress with each result.
     """
     began, count, problem = time.monotonic(), 0, None
     runs = {pool.submit(run, *item): k for k, item in enumerate(work)}
@@ -86,14 +88,15 @@ def parallel(
 def resumed(
     pool: Executor, run: Callable[..., Any], work: Mapping[str, tuple], cache: Cache
 ) -> list[Any]:
-    """Return run(*item) for every item of work, in order. A cached item is not run again.
+    """Return run(*item) for every item of work, in order. An item whose result is in the cache is
+    not run again.
 
     Parameters
     ----------
     run : callable
-        Returns values that JSON can represent.
+        Function that returns values that JSON can represent.
     work : mapping of str to tuple
-        Arguments, by key in the cache.
+        Arguments of each call, by the key of its result in the cache.
     """
     missing = [key for key in work if key not in cache]
     for k, value in parallel(pool, run, [work[key] for key in missing]):
@@ -105,15 +108,17 @@ def by_case(
     run: Callable[..., Any], cases: Mapping[Any, Sequence[tuple]], cache: Cache,
     workers: int | None = None,
 ) -> dict[Any, list[Any]]:  # fmt: skip
-    """Return run(*item) for every item of every case, by case. Default: on all cores, or on the
-    cluster of `on_cluster`. If `workers` is given, that number of processes on this computer.
+    """Return the results of run(*item) for all items of all cases, by case. By default, the calls
+    run on all cores, or on the cluster of `on_cluster`. If `workers` is given, they run in that
+    number of processes on this computer.
 
     Parameters
     ----------
     run : callable
         As in `resumed`.
     cases : mapping to sequence of tuple
-        Arguments of the runs, by case. The text of a case is part of the key in the cache.
+        Arguments of the calls, by case. The name of the case, converted to text, is part of the key
+        in the cache.
     """
     work = {f"{case} {k}": item for case, items in cases.items() for k, item in enumerate(items)}
     shared = nullcontext(_cluster[0]) if _cluster and workers is None else executor(workers)

@@ -14,15 +14,16 @@ BATCH_S = 2e-3
 """Minimum time of a timed batch of calls [s], which is much longer than the clock's resolution."""
 
 MIN_ROUNDS = 3
-"""Minimum number of rounds, also for slow functions, because a median needs them."""
+"""Minimum number of rounds. Slow functions also run in this number of rounds, because the median of
+fewer times is unreliable."""
 
 cpu_time = time.process_time
 """Clock of all measurements [s]: CPU time of all threads of this process. On an idle computer it
-equals the wall time of a single thread. CPU time of other programs is not included."""
+equals the wall time of a single thread. It does not include the CPU time of other programs."""
 
 
 def timed(call: Callable[..., Any], *arguments: Any, **named: Any) -> tuple[Any, float]:
-    """Return the result of a call, and its time [s]."""
+    """Return the result of a call, and the CPU time of the call [s]."""
     began = cpu_time()
     found = call(*arguments, **named)
     return found, cpu_time() - began
@@ -50,7 +51,8 @@ class Race:
 
 
 def race(contestants: Mapping[str, Callable[[], object]], seconds: float) -> Race:
-    """Time functions in turn for about `seconds` in total. The first call of each is not timed."""
+    """Time functions in turn for about `seconds` in total. The first call of each function is not
+    timed."""
     batch = {}
     for name, call in contestants.items():
         call()

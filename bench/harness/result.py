@@ -1,4 +1,4 @@
-"""Result of a measurement: tables and sentences, and the file in which they are written."""
+"""Result of a measurement: its tables, its sentences, and the file that contains them."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ class Table:
     columns : mapping of str to str
         Heading with unit, by key of a row.
     rows : list of dict
-        Rows. Values without a column are not written.
+        Rows. Values whose key is not in `columns` are not written.
     """
 
     key: str
@@ -155,7 +155,7 @@ def write(
 
 
 def shown(value: Any) -> str:
-    """Return the text of a cell."""
+    """Return the text of a table's cell."""
     if value is None:
         return "-"
     if isinstance(value, bool):

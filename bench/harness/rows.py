@@ -1,4 +1,4 @@
-"""JSON file with a row per run, which a later call continues."""
+"""JSON file with one row per run. A later call adds the missing rows."""
 
 from __future__ import annotations
 
@@ -17,12 +17,12 @@ WRITE_S = 1.0
 
 
 class Rows:
-    """Rows by seed. As a context, it writes all rows to the file at the end.
+    """Rows by seed. When the context ends, all rows are written to the file.
 
     Parameters
     ----------
     path : Path, optional
-        File of the rows. Default: none is read or written.
+        File of the rows. Default: no file is read or written.
     marks : mapping
         Digests of the code and the settings of the runs, and facts about the computer by name. Each
         row contains them.

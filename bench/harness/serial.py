@@ -1,9 +1,10 @@
 """The closed loop over the serial line, in simulated time.
 
-It has the driver's transport, a line with faults, the device, and an independent check of the
-device's setpoints. Time is counted in ticks of the device. An image is taken at each boundary of
-the device's segments. The result reaches the driver `ANSWER_S` later, and is uploaded while the
-previous cycle is played.
+The simulation consists of the driver's transport, a serial line with faults, the device (motor
+controller), and an independent check of its setpoints. The simulated time advances in ticks of the
+device, 1 ms each. An image is taken whenever the device finishes a segment of a cycle. The next
+cycle reaches the driver `ANSWER_S` after the image. The driver uploads it while the previous cycle
+is played.
 """
 
 from __future__ import annotations
@@ -25,32 +26,33 @@ from plate_sim import PlateMotion
 from plate_sim.device import DeviceLimits, Emulator, FaultSchedule, Segment
 
 ANSWER_S = 0.05
-"""Time from an image to the driver [s]: computation of detector, planner and solver, plus a
-margin."""
+"""Time from an image until the next cycle reaches the driver [s]. It contains the computation of
+detector, planner and solver, plus a margin."""
 
 POLL_TICKS = 2
 """Period at which the driver polls its port [ticks of 1 ms]."""
 
 MIN_S = 0.02
-"""Minimum length of a segment with an image at its end [s]."""
+"""Minimum length of a segment [s]. No image is taken at the end of a shorter segment."""
 
 LOOK_S = 1.0
-"""Time from the report of a stop until the operator has checked the rig and enables it [s]."""
+"""Time from the report of a stop until the operator enables the motors again [s]. It stands for a
+check of the rig."""
 
 SETTLE_S = 3.0
 """Maximum time until a plate without a new cycle is at rest [s]."""
 
 ROUNDING = 2e-3
-"""Fraction by which a limit is allowed to be exceeded, because the splines of the motors differ
-from the plate's."""
+"""Fraction by which a setpoint can exceed a limit. The limits are checked for the plate's motion,
+and the splines of the motors differ slightly from this motion."""
 
 JUMP_M = 2e-6
-"""Maximum deviation of a setpoint from the interpolation of its neighbours [m], by rounding in the
-protocol."""
+"""Maximum deviation of a setpoint from the interpolation of its neighbours [m]. Rounding in the
+serial protocol causes deviations below this value."""
 
 
 class Port:
-    """The driver's end of the line."""
+    """The driver's end of the simulated serial line."""
 
     def __init__(self, emulator: Emulator) -> None:
         self._emulator = emulator
@@ -83,14 +85,14 @@ def opened(emulator: Emulator) -> Port:
 
 @dataclass
 class Operator:
-    """Simulated operator. He enables the motors at the start, and `LOOK_S` after the report of each
-    stop. Nothing else enables them.
+    """Simulated operator, who enables the motors at the start, and `LOOK_S` after the report of
+    each stop. Nothing else enables the motors.
 
     Attributes
     ----------
     transport : SerialTransport
     enables : int
-        Number of enables so far.
+        Number of times that the operator has enabled the motors.
     """
 
     transport: SerialTransport
@@ -99,7 +101,8 @@ class Operator:
     _since: float | None = None
 
     def look(self, now: float) -> None:
-        """Check the driver's report at the time `now` [s], and enable the motors if it is time."""
+        """Check the driver's report at the time `now` [s]. Enable the motors at the start, or if
+        they have been off for `LOOK_S`."""
         if self.transport.report().condition is not Condition.OFF:
             self._since = None
             return
@@ -111,7 +114,8 @@ class Operator:
 
 
 class SerialLine:
-    """The closed loop's transport (`plate_bringup.loop.Transport`) over a line and a device.
+    """Transport of the closed loop (`plate_bringup.loop.Transport`) over a simulated serial line to
+    a simulated device.
 
     Parameters
     ----------
@@ -121,9 +125,9 @@ class SerialLine:
     schedule : FaultSchedule
         Permanent faults of the line.
     event : str
-        Single event: `disconnect`, `reset` or `brown_out`. Empty: none.
+        Single fault during the run: `disconnect`, `reset` or `brown_out`. Empty: no such fault.
     at : float
-        Time of the event [s], at any phase of a cycle.
+        Time of this fault [s]. It can be within a cycle.
     """
 
     def __init__(
@@ -212,8 +216,8 @@ class SerialLine:
 def serial_run(
     setup: Setup, schedule: FaultSchedule | None = None, event: str = "", at: float = 0.0
 ) -> tuple[Moment, SerialLine]:
-    """Run a task over the serial line, with faults as in `SerialLine`. Return the last moment, and
-    the line after the plate has come to rest."""
+    """Run a task over the serial line, with faults as in `SerialLine`. Return the state of the loop
+    at its last moment, and the line. The line is simulated until the plate is at rest."""
     rig = load_rig()
     line = SerialLine(rig, setup.seed, schedule or FaultSchedule(), event, at)
     *_, last = run(setup, rig, line)
@@ -223,7 +227,7 @@ def serial_run(
 
 @dataclass(frozen=True)
 class Verdict:
-    """Maximum fractions of the rig's limits over all commanded setpoints.
+    """Maximum of each quantity over all setpoints of the device, as a fraction of the rig's limit.
 
     Attributes
     ----------
@@ -232,7 +236,8 @@ class Verdict:
     accel : float
         Fraction for the motors and the plate's corners.
     jump : float
-        Maximum deviation of a step between two setpoints from the one by their speeds [m].
+        Maximum deviation of the step between two setpoints from the step computed with Hermite's
+        rule [m].
     travel : float
         Actual travel of the motors as a fraction of the stroke, also without current.
     """
@@ -251,13 +256,13 @@ class Verdict:
 
     @property
     def kept(self) -> bool:
-        """Whether all limits were kept, and no setpoint jumped."""
+        """Whether no limit was exceeded by more than `ROUNDING`, and no setpoint jumped."""
         return bool(self.worst <= 1 + ROUNDING and self.jump < JUMP_M)
 
 
 @dataclass
 class Judge:
-    """Independent check of a device's setpoints: all limits, at every tick."""
+    """Independent check of a device's setpoints against all limits, at every tick."""
 
     rig: Rig
     _setpoints: list[tuple[float, np.ndarray]] = field(default_factory=list)
@@ -295,10 +300,11 @@ class Judge:
 
 
 def _jump(times: np.ndarray, q: np.ndarray, qd: np.ndarray, qdd: np.ndarray) -> float:
-    """Return the maximum deviation of a step from Hermite's rule [m], except over pauses without
-    current.
+    """Return the maximum deviation of a step between two setpoints from Hermite's rule [m].
 
-    The rule is dq = dt (v0 + v1)/2 - dt^2 (a1 - a0)/12.
+    Hermite's rule computes the step dq of a position over a time dt from the speeds v0, v1 and the
+    accelerations a0, a1 at both ends: dq = dt (v0 + v1)/2 - dt^2 (a1 - a0)/12. Steps over pauses
+    without current are not checked.
     """
     dt = np.diff(times)
     step = dt[:, None] * (qd[1:] + qd[:-1]) / 2 - dt[:, None] ** 2 * (qdd[1:] - qdd[:-1]) / 12

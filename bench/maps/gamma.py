@@ -22,25 +22,27 @@ REQUESTS = 8
 
 SEED = 83
 SHORT_S = 0.001
-"""Length of a cycle [s]. It is so short that the plate's travel, which averages also neglect,
-causes no error. The accuracy of averages depends on the shaking ratio, but not on the length."""
+"""Length of a cycle [s]. Averaged forces also neglect the plate's displacement. In such a short
+cycle this displacement causes no error. The accuracy of averaged forces depends on the shaking
+ratio, but not on the length of a cycle."""
 
 FREE_M, FREE_MPS = 1.0, 100.0
-"""Stroke [m] and speed [m/s] that limit no motion."""
+"""Limits of stroke [m] and speed [m/s], so large that they limit no motion."""
 
 SAMPLES = 4096
 
 TOLERANCE = 1e-4
-"""Tolerance of the simulated displacement, relative to the displacement by full friction."""
+"""Tolerance of the simulated displacement, relative to mu g T^2 with the length T of a cycle."""
 
 LEVEL = 0.3
 """Level of the map's border: error of the force, relative to the request."""
 
 
 def motions(rig: Rig, parts: int, count: int) -> list[tuple[PlateCycle, np.ndarray, float]]:
-    """Return motions that meet random requests on average, parts (M, 2) [m], and the requests.
+    """Return a motion, the parts' positions (M, 2) [m] and the size [mu m g] of random requests.
 
-    Motions are scaled to a shaking ratio of 1; requests are given by their root mean square.
+    Each motion meets its request on average. It is then scaled to a shaking ratio of 1. The size of
+    a request is the root mean square of its components.
     """
     limits = replace(rig.limits, stroke_m=FREE_M, speed=FREE_MPS)
     free = replace(rig, limits=limits)
@@ -55,8 +57,8 @@ def motions(rig: Rig, parts: int, count: int) -> list[tuple[PlateCycle, np.ndarr
 
 
 def error(rig: Rig, cycle: PlateCycle, position: np.ndarray) -> float:
-    """Return the difference of the simulated force on parts from rest and the averaged force
-    [mu m g]."""
+    """Return the root mean square difference between the simulated and the averaged force [mu m g].
+    The parts are at rest at first."""
     still, friction = np.zeros_like(position), rig.friction
     unit = friction.accel * cycle.period**2
     run = simulate(
@@ -67,13 +69,16 @@ def error(rig: Rig, cycle: PlateCycle, position: np.ndarray) -> float:
 
 
 def first_order(rig: Rig, cycle: PlateCycle, position: np.ndarray) -> float:
-    """Return the theoretical value of `error` for a large shaking ratio. This error is proportional
-    to 1/Gamma.
+    """Return the theoretical value of `error`, for a large shaking ratio Gamma.
 
-    Let n(t) be the direction of the slip w(t) of a held part. Until t, a free part gains the
-    velocity v(t) = mu g (integral of n), which changes the direction of its slip by
-    -(v - (n.v) n)/|w|. The mean of this is the change of the force. Since |w| is proportional to
-    Gamma mu g T/(2 pi h) for the harmonic h, the change is about 2 pi h/Gamma.
+    A held part does not move; only friction moves a free part. Let w(t) be the slip velocity of
+    a held part, and n(t) the direction of w(t). Until t, a free part gains the velocity
+
+        v(t) = mu g (integral of n from 0 to t)
+
+    This velocity changes the direction of the free part's slip by -(v - (n.v) n)/|w|. The mean of
+    this change over the cycle is the error of the averaged force. For the harmonic h of a cycle
+    with the length T, |w| is about Gamma mu g T/(2 pi h), so the error is about 2 pi h/Gamma.
     """
     t = (np.arange(SAMPLES) + 0.5) * cycle.period / SAMPLES
     twist, missed = cycle.twist(t), []
@@ -88,8 +93,8 @@ def first_order(rig: Rig, cycle: PlateCycle, position: np.ndarray) -> float:
 
 
 def least_gamma(rig: Rig, cases: list[tuple[PlateCycle, np.ndarray, float]]) -> float:
-    """Return the median shaking ratio above which the error of the averaged forces is below the
-    level, by a first-order theory."""
+    """Return the shaking ratio above which the error of the averaged forces is below `LEVEL`. It is
+    the median over the cases, by the theory of `first_order`."""
     return (
         float(np.median([first_order(rig, c, p) / requested for c, p, requested in cases])) / LEVEL
     )

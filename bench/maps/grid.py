@@ -20,7 +20,7 @@ class Grid:
     Attributes
     ----------
     title : str
-        Title that distinguishes the grids of one chart. Empty if there is only one.
+        Title that distinguishes the grids of one chart. Empty if the chart has only one grid.
     x, y : list
         Values of the two parameters.
     z : list of list
@@ -74,20 +74,20 @@ class StabilityMap:
     Attributes
     ----------
     key : str
-        Key of its table and its chart.
+        Key of the map's table and chart.
     title : str
     x_label, y_label, z_label, line_label : str
         Labels with units.
     level : float
         Value of z at the border.
     measure : function of bool
-        Measures all grids. The argument requests a quick measurement.
+        Function that measures all grids. If its argument is True, the measurement is quick.
     bounds : (float, float)
         Ends of the colour scale.
     log : str
-        Logarithmic axes: "", "x", "y" or "xy".
+        Axes with a logarithmic scale: "", "x", "y" or "xy".
     steps : bool
-        Whether x is a count, so that lines have steps.
+        Whether x is a whole number, so that lines are drawn as steps.
     finding : str
         Conclusion.
     note : str
@@ -110,8 +110,8 @@ class StabilityMap:
 
 
 def crossing(place: Sequence[float], value: Sequence[float], level: float) -> float:
-    """Return the place where a curve first crosses a level, by linear interpolation. NaN if it does
-    not cross the level."""
+    """Return the position at which a curve first crosses a level, by linear interpolation. NaN if
+    the curve does not cross the level."""
     above = np.asarray(value, float) >= level
     turns = np.flatnonzero(above[1:] != above[:-1])
     if not len(turns):

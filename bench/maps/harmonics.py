@@ -1,4 +1,5 @@
-"""Method B: number of parts whose forces can be requested, by the number of harmonics."""
+"""Method B: number of parts for which arbitrary forces can be requested, by the number of
+harmonics."""
 
 from __future__ import annotations
 
@@ -10,8 +11,8 @@ from plate_solver import SinusoidSolver, average_force
 from stages.scenes import LARGEST, targets
 
 FORCE = 0.02
-"""Size of the requests [mu m g]. It is small, so that the number of parameters limits the success,
-not the force."""
+"""Size of the requested forces [mu m g]. The forces are small, so that only the number of
+parameters limits the success."""
 
 TOLERANCE = 1e-4
 """Maximum error of a force in a solved request [mu m g]."""
@@ -28,8 +29,8 @@ def most_parts(harmonics: int) -> int:
 
     N sines and N cosines for each of three degrees of freedom have 6 N parameters. Two parameters,
     the scale of all amplitudes and the time shift, do not change the forces. Section 3.2.2 of the
-    paper omits this. M parts have 2 M force components. A single harmonic has no mean force
-    (3.2.1).
+    paper does not subtract these two parameters. M parts have 2 M force components. A single
+    harmonic has no mean force (3.2.1).
     """
     return 3 * harmonics - 1 if harmonics > 1 else 0
 

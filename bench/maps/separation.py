@@ -10,7 +10,8 @@ from plate_solver import manipulability
 from plate_solver.library import REACH, Library
 
 LEVEL = 0.1
-"""Sufficient guaranteed force [mu m g]: the force with which ten parts are sorted."""
+"""Guaranteed force that counts as sufficient [mu m g]. Tasks that sort ten parts need about this
+force."""
 
 GRIDS = ((4, 2), (6, 3), (8, 4), (12, 6), (17, 9), (24, 13), (30, 16), (48, 26))
 """Numbers of centres along and across the plate. The solver's library has 30 x 16."""
@@ -32,18 +33,20 @@ def spacing(rig: Rig, centres: int) -> float:
 def least_separation(rig: Rig, centres: float) -> float:
     """Return the separation d [m] below which the force `LEVEL` cannot be guaranteed.
 
-    A centre at the distance r from both parts moves them in directions that differ by the angle
-    between its arms, d sin(b)/r. Half of this difference separates the parts. The component of this
-    half along the line between the parts is d sin(2 b)/(4 r), at most d/(4 r). A centre on the
-    other side cancels the common force and adds the same separation. The nearest centres are at r =
-    h, the distance between centres. Hence force = d/(4 h) for d < h. Section 3.1.5 of the paper
-    only states that near parts are difficult.
+    Let a centre of rotation be at the distance r from both parts, and b the angle between its arm
+    and the line of the parts. The two directions of motion differ by the angle between the arms, d
+    sin(b)/r. Half of this difference separates the parts. The component of this half along the line
+    between the parts is d sin(2 b)/(4 r), at most d/(4 r). A second centre on the other side
+    cancels the common part of the forces and separates the parts by the same amount again. The
+    centres are a grid with the spacing h, so the nearest centres are at r = h. Hence force = d/(4
+    h) for d < h. Section 3.1.5 of the paper only states that parts near each other are difficult.
     """
     return 4 * LEVEL * spacing(rig, int(centres))
 
 
 def guaranteed(rig: Rig, library: Library, separation: float, pairs: int) -> float:
-    """Return the guaranteed force of two parts, the median over random positions [mu m g]."""
+    """Return the guaranteed force of two parts [mu m g]: the median of `manipulability` over random
+    positions."""
     rng = np.random.default_rng(SEED)
     forces = []
     for _ in range(pairs):

@@ -1,4 +1,4 @@
-"""Stability maps: borders where methods fail, measured and by theory."""
+"""Stability maps: borders between success and failure of the methods, measured and by theory."""
 
 from __future__ import annotations
 
@@ -27,7 +27,8 @@ def measure(quick: bool) -> Result:
 
 
 def grids(one: StabilityMap, quick: bool, cache: Cache) -> list[Grid]:
-    """Return a map's grids from the cache, or measure the grids."""
+    """Return a map's grids from the cache. If the cache does not contain them, measure the
+    grids."""
     key = f"{one.key}, quick" if quick else one.key
     if key not in cache:
         cache[key] = rounded([asdict(grid) for grid in one.measure(quick)])
@@ -35,7 +36,8 @@ def grids(one: StabilityMap, quick: bool, cache: Cache) -> list[Grid]:
 
 
 def borders(one: StabilityMap, grid: Grid) -> tuple[list[float], list[float]]:
-    """Return y of the measured and of the predicted border for each x. NaN if there is none."""
+    """Return y of the measured and of the predicted border for each x. NaN if there is no border at
+    this x."""
     place = np.log(grid.y) if "y" in one.log else np.array(grid.y)
     columns = np.array(grid.z, dtype=float).T
     observed = [crossing(place.tolist(), column.tolist(), one.level) for column in columns]

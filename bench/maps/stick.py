@@ -1,4 +1,4 @@
-"""Fraction of a cycle in which a part sticks to the plate, by request and shaking ratio."""
+"""Fraction of a cycle in which a part sticks to the plate, by requested force and shaking ratio."""
 
 from __future__ import annotations
 
@@ -21,10 +21,12 @@ RESTING = 1e-6
 """Slip that counts as rest, relative to the plate's maximum speed. Friction permits no creep."""
 
 LEVEL = 0.005
-"""Fraction of a cycle above which a part counts as resting at times."""
+"""Level of the map's border: fraction of a cycle in which the part sticks. A part with a smaller
+fraction counts as always sliding."""
 
 FORCES = np.linspace(0.0, 0.2, 11)
-"""Requests [mu m g]. The maximum force of two harmonics along a line is 1/3."""
+"""Requests [mu m g]. A motion of two harmonics along a line produces a force of at most 1/3 mu m
+g."""
 
 GAMMAS = np.geomspace(0.9, 8, 19)
 
@@ -51,9 +53,9 @@ def least_gamma(force: float) -> float:
     A part that never sticks gains the speed mu g T/2 in one half of the cycle and loses it in the
     other half. The plate is faster than the part in the first half and slower in the second. At the
     changes both speeds are equal, so u(t + T/2) - u(t) = mu g T/2. Only the first harmonic of u,
-    with its acceleration a_1, contributes: sin(wt) = -(pi/2) mu g/a_1. The part does not stick if
-    the plate's acceleration exceeds mu g at both changes. The condition at the second one is
-    stricter:
+    with the peak acceleration a_1, contributes to this difference. Hence sin(wt) = -(pi/2) mu g/a_1
+    at a change. The part does not stick if the plate's acceleration exceeds mu g at both changes.
+    The condition at the second change is stricter:
 
         sqrt((a_1/mu g)^2 - (pi/2)^2) (1 - 2 pi b mu g/a_1) >= 1
 

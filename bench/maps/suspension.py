@@ -1,4 +1,4 @@
-"""Error of the plate's motion on a soft suspension, by natural frequency and method."""
+"""Error of the plate's motion on a soft suspension, by natural frequency and solution method."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ METHODS = {"sinusoids": SinusoidSolver, "rotations": RotationSolver}
 PARTS = (1, 2, 4, 6, 10)
 FREQUENCIES_HZ = np.geomspace(20, 320, 11)
 DRIFT = 0.01
-"""Size of the requests [m/s]."""
+"""Standard deviation of the requested drifts [m/s]."""
 
 REQUESTS = 3
 """Number of random requests for each cell."""
@@ -26,11 +26,12 @@ SETTLED = 4.0
 """Time after which the plate's motion is periodic [time constants of the suspension]."""
 
 LEVEL = 0.5
-"""Relative error of the motion at which almost no force of a request remains."""
+"""Level of the map's border: relative error of the plate's motion. At this error almost nothing of
+a requested force remains."""
 
 
 def motions(rig: Rig, method: str, parts: int, count: int = REQUESTS) -> list[PlateCycle]:
-    """Return the plate's motions for random requests."""
+    """Return the plate's motions that a solver finds for random requests."""
     rng = np.random.default_rng([SEED, parts])
     solver = METHODS[method](rig, iterations=24, restarts=1)
     period = solver.steering_period(parts)
@@ -44,12 +45,14 @@ def motions(rig: Rig, method: str, parts: int, count: int = REQUESTS) -> list[Pl
 
 
 def lengths(rig: Rig) -> np.ndarray:
-    """Return the factors (3,) that convert a twist to speeds at the plate's corners."""
+    """Return the lengths (3,) that convert a twist (vx, vy, omega) to speeds: 1, 1 and the distance
+    of a corner from the centre [m]."""
     return np.array([1.0, 1.0, float(np.hypot(*rig.plate.half))])
 
 
 def realised_error(rig: Rig, cycle: PlateCycle, frequency: float) -> float:
-    """Return the simulated relative error of the plate's velocity, both as root mean squares."""
+    """Return the simulated relative error of the plate's velocity: root mean square of the error /
+    root mean square of the commanded velocity."""
     real, state = hung(rig, frequency), PlateState.at_rest()
     settling = SETTLED / (DAMPING * 2 * np.pi * frequency)
     for _ in range(1 + int(np.ceil(settling / cycle.period))):
@@ -61,15 +64,16 @@ def realised_error(rig: Rig, cycle: PlateCycle, frequency: float) -> float:
 
 
 def predicted_error(rig: Rig, cycle: PlateCycle, frequency: float | np.ndarray) -> np.ndarray:
-    """Return the same error by theory, for one natural frequency or many (F,).
+    """Return the error of `realised_error` by theory, for one natural frequency or many (F,) [Hz].
 
     A drive that only holds the flexures at the commanded position has the transfer function
 
         H = 1/(1 - r^2 + 2 i z r),    r = f/f_n
 
-    for a harmonic at f, whose error is |H - 1|. The error of the motion is the root of the mean of
-    |H - 1|^2 over its harmonics, weighted by their power in the velocity. All motors are assumed
-    equal.
+    Here f is the frequency of a harmonic, f_n the natural frequency, and z the damping ratio. The
+    relative error of a harmonic is |H - 1|. The error of the motion is the root of the weighted
+    mean of |H - 1|^2 over its harmonics. The weight of a harmonic is its power in the velocity. All
+    motors are assumed equal.
     """
     t = np.arange(SAMPLES) * cycle.period / SAMPLES
     spectrum = np.fft.rfft(cycle.twist(t) * lengths(rig), axis=0)

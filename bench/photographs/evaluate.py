@@ -1,4 +1,4 @@
-"""Evaluate detectors on the photographs of one half.
+"""Evaluate detectors on the photographs of the tuning half, or of the held-out half.
 
 cd bench && python -m photographs.evaluate [--held-out]
 """
@@ -22,12 +22,12 @@ from photographs.taught import teach_examples
 from plate_core import piped
 
 REACH = 0.5
-"""Maximum distance of a detection from the centre of its part [radii of the part]. The assignment
-is one to one."""
+"""Maximum distance of a detection from the centre of its part [radii of the part]. Each detection
+is assigned to at most one part."""
 
 ALIKE = 2.5
-"""Maximum ratio of the sizes of a detection and an ignored object, for the detection to be
-ignored."""
+"""Maximum ratio of the radii of a detection and an ignored object. A detection at the object with a
+larger ratio is not ignored."""
 
 TAUGHT = "ours, taught"
 
@@ -37,11 +37,12 @@ Score = dict[str, list[Any]]
 """Results of one detector in several pictures.
 
 hit: Whether each part was detected.
-touching, fresh: As `hit`, for parts that touch others, and for parts that were not examples.
-true: Whether each counted detection is a part.
+touching, fresh: As `hit`, only for parts that touch others, and only for parts that were not used
+as examples.
+true: Whether each counted detection belongs to a part.
 right: Whether the class of each detected part is correct. Parts without a class are omitted.
 centre_px: Errors of centres.
-angle_deg: Errors of angles, modulo symmetry, relative to the mean error of a class in a picture.
+angle_deg: Errors of angles, as `angle_errors` defines them.
 """
 
 COLUMNS = {
@@ -55,7 +56,7 @@ COLUMNS = {
 
 
 def percent(kept: list[bool]) -> float | None:
-    """Return the percentage of true values. None if there are no values."""
+    """Return the percentage of True values in a list. None if the list is empty."""
     return 100 * sum(kept) / len(kept) if kept else None
 
 
@@ -73,8 +74,8 @@ def row_of(score: Score) -> dict[str, float | int | None]:
 
 
 def counts(found: np.ndarray, photograph: Photograph) -> np.ndarray:
-    """Return whether each detection (n,) counts. Detections outside the plate, and detections of
-    ignored objects, do not count."""
+    """Return whether each detection (n,) is counted as right or false. Detections outside the plate
+    and detections of ignored objects are not counted."""
     kept = np.ones(len(found), bool)
     if photograph.plate is not None:
         corners = photograph.plate.astype(np.float32)
@@ -131,7 +132,8 @@ def angle_errors(found: np.ndarray, parts: np.ndarray, directed: bool) -> list[f
 
 
 def evaluate(photographs: Iterable[Photograph]) -> tuple[list[dict[str, Any]], list[str]]:
-    """Run all detectors on photographs. Return rows of totals, and the refusals during teaching."""
+    """Run all detectors on photographs. Return one row of totals for each detector, and the
+    messages on refused examples."""
     total: dict[str, Score] = {}
     pictures: Counter[str] = Counter()
     refused: list[str] = []

@@ -26,7 +26,8 @@ TIMEOUT_S = 30.0
 
 @piped()
 def main() -> int:
-    """Run the command line, and return its exit code. It is 0 even if pictures are missing."""
+    """Run the command line, and return its exit code. The exit code is 0 even if pictures are
+    missing."""
     argparse.ArgumentParser(description=(__doc__ or "").partition("\n")[0]).parse_args()
     photographs = load_photographs()
     there = 0

@@ -1,7 +1,7 @@
-"""Compared detectors: the project's, and baselines with the settings of their guides.
-
-No detector gets the number or the size of the parts, or settings for a single picture. If a guide
-gives no value for a setting of a baseline, it is the best of a few values on the tuning half.
+"""The compared detectors: the project's detector, and baselines with the settings that their guides
+recommend. No detector gets the number or the size of the parts, or settings for a single picture.
+If a guide recommends no value, a few values were tried on the tuning half, and the best one is
+used.
 """
 
 from __future__ import annotations
@@ -36,8 +36,8 @@ LARGEST = 0.25
 """Maximum area of a patch, as a fraction of the picture."""
 
 DEEPER_PX = 1.5
-"""Minimum difference between the contour distances at the middles of two parts and at their contact
-[px]."""
+"""Minimum height of a peak of the distance to the contour above the saddle to the next peak [px].
+Two higher peaks are separate parts."""
 
 OURS = "ours, untaught"
 
@@ -54,7 +54,7 @@ def make_finders() -> dict[str, Finder]:
 
 
 def find_ours(image: np.ndarray) -> np.ndarray:
-    """Find parts by `plate_vision.detect` without options. Groups are omitted."""
+    """Find parts with `plate_vision.detect` and its default options. Groups are omitted."""
     seen = detect(image)
     seen = seen[seen["method"] != "group"]
     return as_found(seen, seen["label"])

@@ -1,7 +1,6 @@
-"""The photographs and their truth, from `photographs.yaml`.
-
-Angles are in degrees, counter-clockwise in the picture. In image coordinates x points to the right
-and y down, and the centre of the first pixel is (0, 0).
+"""The photographs and the true parts in them, from `photographs.yaml`. Angles are in degrees,
+counter-clockwise in the picture. In image coordinates x points to the right and y down, and the
+centre of the first pixel is (0, 0).
 """
 
 from __future__ import annotations
@@ -23,7 +22,8 @@ FOLDER = ROOT / "out/photographs"
 """Folder of downloaded files and of figures."""
 
 HALVES = ("tuning", "held_out")
-"""Half for tuning, and half that is used only once at the end."""
+"""Names of the two halves of the photographs. One half is for tuning; the other is used only once,
+at the end."""
 
 TRUTH = np.dtype(
     [
@@ -43,7 +43,7 @@ much from the side; class; whether it touches another part."""
 
 @dataclass(frozen=True, eq=False)
 class Photograph:
-    """A photograph and its truth.
+    """A photograph and the true parts in it.
 
     Attributes
     ----------
@@ -59,13 +59,13 @@ class Photograph:
     crop_px : (4,) of int, optional
         x, y, width, height of the part of the file that is used.
     shrink : int
-        Factor by which this part is reduced in size.
+        Factor by which the used part of the file is reduced in size.
     parts : (n,) TRUTH
     ignore : (m, 3)
         x, y, radius [px] of cut or doubtful parts. Detections of these parts are ignored, and so
         are missed ones.
     plate : (k, 2), optional
-        Corners of a polygon [px]. Detections outside do not count.
+        Corners of a polygon [px]. Detections outside this polygon are not counted.
     """
 
     name: str

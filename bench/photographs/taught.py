@@ -1,8 +1,8 @@
-"""The project's detector with taught types. It gets at most five examples of each class, and must
-find and name the other parts.
+"""The project's detector with taught types. The detector gets at most five examples of each class,
+and must find and classify the other parts.
 
-A class such as `coin` can contain several types. If its examples are refused together because they
-differ, each is taught as a separate type.
+A class such as `coin` can contain several types. If the examples of a class differ too much for one
+type, each example is taught as a separate type.
 """
 
 from __future__ import annotations
@@ -34,13 +34,15 @@ def teach_examples(
     image : (H, W, 3) uint8
         Blue, green, red.
     parts : (n,) TRUTH
-        Separate parts are used as examples first, at most `MAX_EXAMPLES` of a class.
+        At most `MAX_EXAMPLES` parts of a class are used as examples. Parts that touch no other part
+        are preferred.
 
     Returns
     -------
     finder, shown, refused
-        The taught detector, a function from an image to (m,) FOUND; the parts (n,) bool that were
-        used as examples; and the refused examples with the reasons.
+        `finder` is the taught detector, a function from an image to (m,) FOUND. `shown` (n,) bool
+        is True for the parts that were used as examples. `refused` contains the refused examples
+        and the reasons.
     """
     calibration = calibrate_by_scale(SCALE)
     bare = model_background(image)

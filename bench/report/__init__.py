@@ -35,7 +35,7 @@ __all__ = [
 
 
 class Entry(NamedTuple):
-    """Definition of a chart: key, function that draws it from rows, function that takes the rows
+    """Definition of a chart: key, function that draws it from rows, function that extracts the rows
     from measurements, and names of these measurements."""
 
     key: str
@@ -47,8 +47,8 @@ class Entry(NamedTuple):
 def of_table(
     draw: Callable[[list[Row]], Drawn], key: str, measurement: str = "", name: str = ""
 ) -> Entry:
-    """Return the entry of a chart whose rows are one table of a measurement. By default,
-    measurement and table have the same name as the chart."""
+    """Return the entry of a chart whose rows are one table of a measurement. By default, the
+    measurement and the table have the same name as the chart."""
     source = measurement or key
     return Entry(key, draw, lambda data: table(data, source, name or key), (source,))
 
@@ -85,7 +85,8 @@ WORDS: dict[str, dict[str, str]] = {
 def made(data: Data, folder: Path, columns: Mapping[str, dict[str, str]]) -> list[Chart]:
     """Draw all charts from measurements, or from CSV files if measurements are missing.
 
-    A chart with neither is omitted, with a message on stderr.
+    A chart without a measurement and without a CSV file is omitted, and a message is printed on
+    stderr.
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""Axes of charts: their ends, and the positions of their numbers."""
+"""Axes of charts: limits, and positions of the numbers."""
 
 from __future__ import annotations
 
@@ -16,16 +16,16 @@ PAD = 0.08
 """Margin beyond the outermost points [length of the axis]."""
 
 MIN_TICKS, MAX_TICKS = 3, 8
-"""Minimum and maximum number of ticks of a logarithmic axis. A single number does not show the
-scale."""
+"""Minimum and maximum number of ticks of a logarithmic axis. At least two ticks are needed, because
+a single number does not show the scale."""
 
 STEPS = ((1,), (1, 3), (1, 2, 5), (1, 1.5, 2, 3, 5, 7))
-"""Sets of numbers within a decade, from few to many."""
+"""Choices of ticks within a decade [10^k], from few to many."""
 
 
 @dataclass(frozen=True)
 class Axis:
-    """One axis: its label with the unit, and its divisions.
+    """One axis: label with unit, limits and ticks.
 
     Attributes
     ----------
@@ -40,7 +40,7 @@ class Axis:
     limits : (low, high), optional
         Ends of the axis. Default: chosen automatically.
     least : float, optional
-        Minimum number. Smaller numbers are rounding errors, and are drawn at this number.
+        Minimum number. Smaller values are only rounding errors, and are drawn at this minimum.
     """
 
     label: str
@@ -55,11 +55,12 @@ class Axis:
         return value if None in (value, self.least) else max(value, self.least)
 
     def place(self, value: float) -> float:
-        """Return the coordinate of a range's end in plotly, the exponent on a logarithmic axis."""
+        """Return the coordinate of an end of the axis in plotly. On a logarithmic axis, this is the
+        exponent of 10."""
         return log10(value) if self.log else value
 
     def ends(self, values: Sequence[float]) -> tuple[float, float]:
-        """Return the coordinates of the axis's ends for these numbers."""
+        """Return the coordinates of both ends of the axis, if it shows these numbers."""
         if self.limits:
             return self.place(self.limits[0]), self.place(self.limits[1])
         at = [self.place(value) for value in values if not self.log or value > 0] or [0.0]
@@ -68,7 +69,7 @@ class Axis:
         return low - pad, high + pad
 
     def settings(self, values: Sequence[float]) -> dict[str, Any]:
-        """Return plotly's settings of the axis for these numbers."""
+        """Return plotly's settings of the axis, if it shows these numbers."""
         found: dict[str, Any] = {
             "title": {"text": self.label, "standoff": 6, "font": {"size": 14}},
             "gridcolor": GRID, "zeroline": False, "tickangle": 0,
@@ -92,7 +93,7 @@ class Axis:
 
 
 def log_ticks(low: float, high: float) -> list[float]:
-    """Return the ticks of a logarithmic axis from 10^low to 10^high: few, but at least three."""
+    """Return the ticks of a logarithmic axis from 10^low to 10^high."""
     decades = range(floor(low), ceil(high) + 1)
     every = ceil((high - low) / MAX_TICKS)
     for steps in STEPS:
@@ -123,7 +124,8 @@ def numbers(ticks: Iterable[float]) -> list[str]:
 
 
 def edges(middles: Sequence[float], log: bool) -> list[float]:
-    """Return the edges of cells from their middles, at least two."""
+    """Return the edges of neighbouring cells, computed from their centres. At least two cells are
+    needed."""
     at = np.log10(middles) if log else np.asarray(middles, float)
     inner = [(a + b) / 2 for a, b in pairwise(at)]
     found = np.array([2 * at[0] - inner[0], *inner, 2 * at[-1] - inner[-1]])

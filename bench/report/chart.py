@@ -38,14 +38,14 @@ class Drawn(NamedTuple):
 
 @dataclass(frozen=True)
 class Chart:
-    """A figure that answers one question, with its rows and texts.
+    """A chart: a figure that shows the result for one question, with its rows and texts.
 
     Attributes
     ----------
     key : str
         Name of its files, and of its section in the page.
     letter : str
-        Letter in the list of charts. May be empty.
+        Letter of the chart in the list of charts, or empty.
     title, reading : str
         The question, and an explanation of the figure.
     finding : str
@@ -54,7 +54,7 @@ class Chart:
         The project's choice and its reason, or an empty text if there is no choice.
     panels : Panels
     sheet : Sheet
-        Rows from which it is drawn.
+        Rows from which the chart is drawn.
     sources : tuple of str
         Measurements of these rows.
     """

@@ -1,7 +1,7 @@
 """Tables of measurements in handwritten pages.
 
-A table is written between `<!-- measured: NAME TABLE -->` and `<!-- end -->`. If the key of the
-table is `summary`, the sentences of the measurement are written instead."""
+A table is written between `<!-- measured: NAME TABLE -->` and `<!-- end -->`. If TABLE is
+`summary`, the sentences of the measurement are written instead of a table."""
 
 from __future__ import annotations
 

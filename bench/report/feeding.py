@@ -1,4 +1,5 @@
-"""The chart of the feeder and its baselines: speed against accuracy of the pose, and waiting."""
+"""The chart of the feeder and its baselines: speed against accuracy of the pose, and waiting time
+of the robot."""
 
 from __future__ import annotations
 
@@ -21,12 +22,13 @@ CHANGED = {
 """Label and values of the axis, by the varied column."""
 
 ROBOT_S, GOAL = 2.0, 2.0
-"""The robot's cycle in most cases [s], and the maximum allowed fraction of waiting with it [%]."""
+"""The robot's cycle time in most cases [s], and the maximum allowed waiting time at this cycle time
+[% of the time]."""
 
 
 def feeding(rows: list[Row]) -> Drawn:
-    """Return the chart of parts per minute against accuracy, and of waiting against the varied
-    value."""
+    """Return the chart of parts per minute against accuracy, and of the robot's waiting time
+    against the varied value."""
     panels, cases = Panels(), [r | {"case": case(r)} for r in rows]
     speed = panels.add(
         "Speed and accuracy, robot cycle of 2 s", Axis("parts a minute"),

@@ -1,4 +1,4 @@
-"""Charts of the force map and of learning the plate."""
+"""Charts of the averaged forces, and of learning the plate's response."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ MIN_ERROR = 1e-11
 """Minimum drawn error [mu mg]. Smaller errors are rounding errors, and are drawn at this value."""
 
 MAX_P99 = 1e-6
-"""Required error of the force map at the 99th percentile [mu mg]."""
+"""Maximum allowed error of averaged forces at the 99th percentile [mu mg]."""
 
 
 COLOURS = (PEER, SECOND, THIRD, "#8a6d00", LIMIT)

@@ -13,7 +13,7 @@ COUNT_COLOURS = ("#0b5f8a", "#c4560b", "#2e7d4a", "#7d4f9e", "#8a6d00", "#b02a37
 SPEEDS = (2, 5, 10, 20, 40, 80, 160, 320, 1000)
 
 ENDED = "{succeeded} ended well"
-"""Text shown at the pointer."""
+"""Text of a point, which the page shows at the mouse pointer."""
 
 
 def tracking(rows: list[Row]) -> Drawn:
@@ -76,7 +76,7 @@ CAMERAS = {
 
 
 RATES = (5, 7.5, 10, 15, 30, 60, 120)
-"""Image rates with a number at the axis [1/s]."""
+"""Image rates that have a tick at the axis [1/s]."""
 
 
 def cameras(rows: list[Row]) -> Drawn:
@@ -145,8 +145,8 @@ def drives(rows: list[Row]) -> Drawn:
 
 
 def rigs(rows: list[Row]) -> Drawn:
-    """Return the chart of success, time and error on small and weak rigs, and of the predictions of
-    `feasible`."""
+    """Return the chart of success, time and error on small and weak rigs. It also shows the
+    predictions of `feasible`."""
     names, panels = tuple(by(rows, "rig"))[::-1], Panels()
     y = Axis("", names=names)
     share = panels.add("Ended well", Axis("runs [%]", limits=(-5, 105)), y)
@@ -181,7 +181,8 @@ def rigs(rows: list[Row]) -> Drawn:
 
 
 def not_all(row: Row) -> bool:
-    """Whether some runs of a row failed. The row contains a text such as "9 of 10"."""
+    """Whether some runs of a row failed. The row contains the number of successes as text, such as
+    "9 of 10"."""
     return percent(row) < 100
 
 

@@ -1,4 +1,5 @@
-"""The chart of the simulator's model of parts, which computes only the effects in a scene."""
+"""The chart of the simulator's model of parts. The model omits computations that a scene does not
+need, such as collisions of distant parts."""
 
 from __future__ import annotations
 

@@ -59,7 +59,8 @@ def warning(facts: Data) -> str:
 
 
 def machines(facts: Data) -> dict[str, list[str]]:
-    """Return the names of the measurements by a text on their computer."""
+    """Return the names of the measurements, grouped by a description of the computer on which they
+    ran."""
     found: dict[str, list[str]] = {}
     for name, item in facts.items():
         description = [f"{key} {value}" for key, value in item["machine"].items() if key != "load"]
@@ -99,8 +100,8 @@ def repeat(sources: Iterable[str], facts: Data) -> str:
 
 
 def measured(facts: Mapping[str, Any] | None, common: str = "") -> str:
-    """Return a text on the duration, the load and the commit of a measurement, as far as they are
-    known. The commit is omitted if it is the `common` one."""
+    """Return a text with the duration, the load and the commit of a measurement. Unknown values are
+    omitted. The commit is also omitted if it equals `common`."""
     if facts is None:
         return ""
     commit, load = facts.get("commit") or "unknown", facts["machine"]["load"]
@@ -109,7 +110,8 @@ def measured(facts: Mapping[str, Any] | None, common: str = "") -> str:
 
 
 def usual_commit(facts: Data) -> str:
-    """Return the commit of most measurements, or an empty text without measurements."""
+    """Return the commit that occurs most often among the measurements, or an empty text without
+    measurements."""
     commits = Counter(item.get("commit") or "unknown" for item in facts.values())
     return commits.most_common(1)[0][0] if commits else ""
 

@@ -34,24 +34,25 @@ DASHES = {"-": "solid", "--": "dash", ":": "dot"}
 FRONT, DEFAULT = "Pareto front", "default"
 
 ACROSS = 2
-"""Maximum number of panels in a row. Pages show pictures with a width of about 700 px."""
+"""Maximum number of panels in a row. More panels would be too small, because pages show pictures
+with a width of about 700 px."""
 
 PANEL_PX, BAR_PX = (440, 350), 26
 """Width and height of a panel, and height of one line of a bar chart."""
 
 LABEL_PX, TITLE_PX, LINE_PX = 95, 36, 28
-"""Space for the numbers and the label of an axis, for a panel's title, and for a line of the
-key."""
+"""Space for the numbers and the label of an axis, for a panel's title, and for a line of the legend
+(key)."""
 
 WORDS_PX = 13
-"""Size of small text. Other texts are 1 px larger."""
+"""Size of small text."""
 
 LETTER = 0.6
 """Mean width of a letter [size of the text]."""
 
 
 class Look(NamedTuple):
-    """Appearance of the points of one kind.
+    """Appearance of the points of one kind, for example of one method.
 
     Attributes
     ----------
@@ -71,7 +72,8 @@ class Look(NamedTuple):
 
 
 def by(rows: Sequence[Row], *keys: str) -> dict[Any, list[Row]]:
-    """Return groups of rows with equal values of one or more columns, in the order of the rows."""
+    """Return the groups of rows that have equal values in one or more columns. The order of the
+    rows is kept."""
     found: dict[Any, list[Row]] = {}
     for row in rows:
         values = tuple(row[key] for key in keys)
@@ -214,10 +216,10 @@ class Panel:
         Parameters
         ----------
         x, y : str
-            Columns with numbers, or with names of the axis. A row with None has no point.
+            Columns with numbers, or with names of the axis. A row with the value None has no point.
         hollow : callable
-            Whether a row does not count, for example because parts were missed. The front ignores
-            such a row.
+            Function of a row. If it returns True, the point is hollow, for example because parts
+            were missed. The Pareto front ignores hollow points.
         note : str
             Text that the page shows at the pointer for each point, with columns in braces.
         in_front : bool
@@ -251,7 +253,8 @@ class Panel:
     def kinds(
         self, rows: Sequence[Row], key: str, x: str, y: str, looks: Mapping[Any, Look], **more: Any
     ) -> None:
-        """Draw the points of every kind, by the values of a column. `more` is as in `points`."""
+        """Draw the points of every kind. The value in a column determines the kind of a row. `more`
+        contains further arguments of `points`."""
         for kind, mine in by(rows, key).items():
             self.points(mine, x, y, looks[kind], **more)
 
@@ -259,7 +262,8 @@ class Panel:
         self, x: Sequence[float], y: Sequence[float], z: Sequence[Sequence[float | None]],
         label: str, limits: tuple[float, float],
     ) -> None:  # fmt: skip
-        """Draw values z (m, n) as colours of a grid. x (n,) and y (m,) are the middles of cells."""
+        """Draw values z (m, n) as colours of a grid. x (n,) and y (m,) are the centres of the
+        cells."""
         self.field = label, limits
         self.traces.append(
             go.Heatmap(
@@ -292,7 +296,7 @@ class Panel:
 
     @property
     def all(self) -> list[Any]:
-        """All drawn elements: the added ones, and the Pareto front."""
+        """All drawn elements: the added elements and the Pareto front."""
         return [*self.traces, *self.front()]
 
     def front(self) -> list[go.Scatter]:
@@ -305,15 +309,14 @@ class Panel:
         return [go.Scatter(x=x, y=y, name=FRONT, mode="lines", line=line, hoverinfo="skip")]
 
     def places(self, which: str) -> list[float]:
-        """Return all numbers along one axis."""
+        """Return the numbers of all elements along one axis."""
         found = [value for trace in self.traces for value in trace[which]]
         found += [getattr(rule, which) for rule in self.rules]
         return [v for v in found if isinstance(v, int | float) and isfinite(v)]
 
 
 def pareto_front(places: Sequence[tuple[float, float]], better: str) -> list[tuple[float, float]]:
-    """Return the corners of the Pareto front as a staircase, or no corners if there is no better
-    direction.
+    """Return the corners of the Pareto front, drawn as a staircase. Empty if `better` is empty.
 
     No point beyond the staircase is better in both x and y.
     """

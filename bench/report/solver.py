@@ -13,7 +13,7 @@ MIN_ERROR = 1e-11
 """Minimum drawn error [mu mg]. Smaller errors are rounding errors, and are drawn at this value."""
 
 MAX_ERROR = 1e-4
-"""Maximum error of a force that counts as met [mu mg]."""
+"""Maximum error of a force with which a request counts as met [mu mg]."""
 
 METHODS = {"sinusoids": Look("B: sinusoids", OURS), "rotations": Look("A: rotations", SECOND)}
 """Appearance of both methods."""
@@ -26,7 +26,7 @@ def solver_rows(data: Data) -> Sheet:
 
 
 def solver(rows: list[Row]) -> Drawn:
-    """Return the chart of error against time for single requests on the averaged map, with
+    """Return the chart of error against solution time for single requests of averaged forces, with
     baselines."""
     looks = {
         "RotationSolver": Look("A: RotationSolver", SECOND, "s"),
@@ -63,8 +63,8 @@ def solver(rows: list[Row]) -> Drawn:
 
 
 def options(rows: list[Row]) -> Drawn:
-    """Return the chart of the simulated error against the time of a solution, for all options and
-    scipy."""
+    """Return the chart of the simulated error against the solution time, for all options of both
+    methods and for scipy."""
     looks = {
         ("B", "restarts"): Look("B: sinusoids, increasing restarts", OURS, "o", "-"),
         ("A", "restarts"): Look("A: rotations, increasing restarts", SECOND, "s", "-"),

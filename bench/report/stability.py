@@ -14,7 +14,7 @@ from report.chart import Data, Drawn, Sheet
 from report.panels import PEER, Look, Panels, Row, by
 
 MAX_NAMED = 14
-"""Maximum number of whole numbers on an axis that are all labelled."""
+"""Maximum number of integer values on an axis for which each value has a label."""
 
 
 def rows_of(data: Data, one: StabilityMap) -> Sheet:
@@ -42,7 +42,7 @@ def chart_of(rows: list[Row], one: StabilityMap) -> Drawn:
 
 
 def add_panel(panels: Panels, one: StabilityMap, grid: Grid) -> None:
-    """Add a panel for one grid with its lines."""
+    """Add a panel for one grid, with the measured and the predicted border."""
     x, y = axis(one, "x", one.x_label, grid.x), axis(one, "y", one.y_label, grid.y)
     panel = panels.add(grid.title, x, y)
     panel.heat(

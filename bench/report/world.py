@@ -21,7 +21,7 @@ SIMULATORS = {
     "pymunk": Look("pymunk", PEER, "D"), "MuJoCo": Look("MuJoCo", THIRD, "^"),
     "scipy RK45": Look("scipy", FAINT, "x"),
 }  # fmt: skip
-"""Appearance of the project's integrators and the baselines."""
+"""Appearance of the simulator's methods and of the baselines."""
 
 SIMULATED = (
     ("travel", "gamma", "1 part, shaken at {} mu g", "error of the travel after 1 s [mm]",

@@ -17,15 +17,17 @@ from plate_core.serial_protocol import Status
 PIECES = (1, 2, 8, 24, 48, 96, 200, 500)
 PACKETS = 10_000
 LINES = (92, 128)
-"""Bytes that the line carries per tick: at 921,600 baud, and the maximum that a tick reads."""
+"""Bytes that arrive per tick: the number at 921,600 baud, and the maximum number that the firmware
+reads in a tick."""
 
 MAX_INSTRUCTIONS = 42_000
-"""Maximum number of instructions per tick: a quarter of 1 ms at 168 MHz."""
+"""Maximum allowed number of instructions per tick. At one instruction per clock cycle of 168 MHz,
+they take a quarter of 1 ms."""
 
 
 def measure(quick: bool) -> Result:
-    """Commit tables of all sizes while another one plays, then send hostile packets. A quick
-    measurement uses fewer."""
+    """Commit tables of all sizes while another table plays. Then send malformed packets at the
+    maximum rate. A quick measurement uses fewer."""
     if lacking := packages([need for need in NEEDS if program(need) is None]):
         raise PlateError(f"the board's tools are not installed: apt install {lacking}")
     pieces, packets = ((1, 48, 500), 500) if quick else (PIECES, PACKETS)
@@ -38,7 +40,7 @@ def measure(quick: bool) -> Result:
 
 
 def commit_rows(elf: Path, pieces: tuple[int, ...]) -> list[dict[str, Any]]:
-    """Return a row for a table of each size, all on one board."""
+    """Return a row for a table of each size. All tables are sent to the same emulated board."""
     rows = []
     with EmulatedBoard(elf) as board:
         host = Host(board)
@@ -51,7 +53,7 @@ def commit_rows(elf: Path, pieces: tuple[int, ...]) -> list[dict[str, Any]]:
 
 
 def attack_row(elf: Path, pace: int, packets: int) -> dict[str, Any]:
-    """Return the row of a board that receives hostile packets, `pace` bytes per tick."""
+    """Return the row of a board that receives malformed packets, `pace` bytes per tick."""
     with EmulatedBoard(elf) as board:
         host = Host(board, pace)
         host.begin()

@@ -1,7 +1,7 @@
 """A disc that slides and rotates: error and speed, compared with scipy.
 
 The reference is scipy's DOP853 with a tight tolerance and friction integrated over the disc by the
-midpoints of many cells. The baselines are the same equations with fewer cells and looser
+midpoints of many cells. The baselines solve the same equations with fewer cells and looser
 tolerances.
 """
 
@@ -39,7 +39,7 @@ OURS, PEER = "bodies", "scipy RK45"
 
 
 def measure(quick: bool) -> Result:
-    """Simulate the disc with several settings of both programs."""
+    """Simulate the disc with several settings of the project's simulator and of scipy."""
     truth = by_scipy(TRUE_CELLS, "DOP853", 1e-5 if quick else 1e-8)
     cases = [(OURS, f"{ms:g} ms", partial(by_steps, ms)) for ms in STEPS_MS]
     for tolerance in TOLERANCES[:1] if quick else TOLERANCES:
@@ -57,7 +57,7 @@ def measure(quick: bool) -> Result:
 
 def apart(one: np.ndarray, other: np.ndarray) -> float:
     """Return the difference of two poses (3,) [m, m, rad] of the disc [m]: the distance of the
-    centres or that of the contour points, whichever is larger."""
+    centres or the distance of a point of the contour, whichever is larger."""
     x, y, turn = one - other
     return max(float(np.hypot(x, y)), RADIUS * abs(turn))
 

@@ -1,7 +1,7 @@
 """Scenes with the effects of real cameras: height, gloss, shadow, contrast, tilt, lens, light.
 
-Each scene has 100 discs, or 56 parts of several types. The simulator's camera draws it, so the true
-positions are known.
+Each scene has 100 discs, or 56 parts of several types. The simulated camera draws the scene, so the
+true positions are known.
 """
 
 from __future__ import annotations
@@ -37,18 +37,19 @@ FIRST_SEED = 54000
 """Seed of the first layout. Smaller seeds are for tuning."""
 
 SHOTS, TYPED_SHOTS = 5, 6
-"""Numbers of successive images of each layout, with different noise. For discs only the last image
-is evaluated, because a detector can learn from the others. For parts with part types, all images
-are evaluated, because the light changes between the images."""
+"""Numbers of successive images of each layout: for discs, and for parts with part types. The images
+differ in noise. For discs, only the last image is evaluated, because a detector can learn from the
+others. For parts with part types, all images are evaluated, because the light changes between the
+images."""
 
 INTERVAL_S = 0.15
 """Time between two images [s], one cycle of the plate."""
 
 BARREL = (-0.2675, 0.0926, 0.0, 0.0, 0.0)
-"""Published distortion of a webcam, k1, k2, p1, p2, k3."""
+"""Published coefficients k1, k2, p1, p2, k3 of a webcam's lens distortion."""
 
 MOVED_PX = 12
-"""Shift of the image after a push of the camera [px]."""
+"""Shift of the image if somebody pushes the camera [px]."""
 
 WEBCAM_QUALITY = 70
 """JPEG quality of a webcam's images."""
@@ -56,13 +57,13 @@ WEBCAM_QUALITY = 70
 
 @dataclass(frozen=True)
 class Kind:
-    """One kind of scene, as its differences from the plain one.
+    """One kind of scene. The default values of the attributes describe the simplest scene.
 
     Attributes
     ----------
     name : str
     rig : callable
-        Returns the true rig.
+        Function that returns the true rig.
     lighting : Lighting
     greys : tuple of float, or of (blue, green, red)
         Grey values or colours of the parts at full light, used in turn. Empty for typed parts.
@@ -71,20 +72,21 @@ class Kind:
     height : float
         Height of the parts [m].
     known : callable, optional
-        Converts the true rig to the one that the detector gets. None: the true rig.
+        Function that converts the true rig to the rig that the detector gets. None: the detector
+        gets the true rig.
     warp : callable, optional
-        Changes each image before the detector gets it.
+        Function that changes each image before the detector gets it.
     sizes : tuple of float
-        Sizes of the parts relative to the rig's, used in turn.
+        Factors from the rig's part size to the sizes of the parts, used in turn.
     noise, defocus_px : float
     blur_px : float
         Motion of parts during the exposure [px], in random directions.
     marked : bool
         Whether discs have marks.
     typed : bool
-        Whether parts are of several types, and the detector gets images of the bare plate before.
+        Whether the parts have several types. The detector then gets images of the bare plate first.
     levels : tuple of float
-        Factors of the light in successive images. The last one continues.
+        Factors of the light in successive images. The last factor applies to all further images.
     softer_px : float
         Additional defocus after the bare plate was learned.
     jpeg : int
@@ -131,8 +133,8 @@ class Scene:
 
 
 def seen_from(name: str = "", radius_m: float = 0.0, **view: float) -> Rig:
-    """Return a rig of config/rigs with another camera position (`view_from`). A radius of 0 keeps
-    the rig's parts."""
+    """Return a rig of config/rigs with another camera position (`view_from`). If the radius is 0,
+    the parts of the rig are unchanged."""
     rig = view_from(load_rig(name), **view)  # type: ignore[arg-type]
     return replace(rig, parts=replace(rig.parts, radius_m=radius_m or rig.parts.radius_m))
 
@@ -158,24 +160,24 @@ def strong_lens() -> Rig:
 
 
 def flat(rig: Rig) -> Rig:
-    """Return the rig of a file without heights."""
+    """Return the rig that the detector would get from a rig file without heights."""
     return with_height(rig, 0.0)
 
 
 def without_distortion(rig: Rig) -> Rig:
-    """Return the rig of a file without the lens's distortion."""
+    """Return the rig that the detector would get from a rig file without lens distortion."""
     lens = rig.camera.lens
     assert lens is not None
     return replace(rig, camera=replace(rig.camera, lens=Lens(lens.focal_px, lens.centre_px)))
 
 
 def mirrored(image: np.ndarray) -> np.ndarray:
-    """Return a mirrored image, with left and right exchanged."""
+    """Return the image with left and right exchanged."""
     return np.ascontiguousarray(image[:, ::-1])
 
 
 def moved(image: np.ndarray) -> np.ndarray:
-    """Return the image shifted to the right by `MOVED_PX`, as after a push of the camera."""
+    """Return the image shifted to the right by `MOVED_PX`, as if somebody had pushed the camera."""
     return np.roll(image, MOVED_PX, axis=1)
 
 
@@ -185,7 +187,7 @@ def shapes() -> Rig:
 
 
 def shade(length_m: float, depth: float = 0.5) -> Lighting:
-    """Return a lamp whose shadows have this length."""
+    """Return the lighting by a lamp whose shadows have this length."""
     return Lighting(shadows=depth, shadow_m=length_m, penumbra_m=min(0.003, length_m / 2))
 
 
@@ -349,8 +351,8 @@ def compressed(image: np.ndarray, quality: int) -> np.ndarray:
 
 
 def seen(one: Scene) -> Iterator[tuple[Tracker, bool]]:
-    """Yield the detector's result after each image of a scene, and whether it reports a problem:
-    objects rejected as parts, a moved outline of the plate, or an image that it refuses."""
+    """Yield the detector's result for each image of a scene, and whether the detector reports a
+    problem. Problems are rejected objects, a moved outline of the plate, and a refused image."""
     vision, tracker, plate, stamp = make_vision(one.rig), Tracker(), BarePlate(), 1.0
     outline = OutlineCheck.of(one.rig, vision.calibration)
     if one.types:

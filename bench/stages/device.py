@@ -15,11 +15,13 @@ from plate_sim.device import TICK_US, DeviceLimits, Emulator, PseudoTerminal
 PERIOD_S = 0.2
 
 MAX_BEHIND_US = 100_000
-"""Maximum delay that the device makes up for after it got no CPU time [us]."""
+"""Maximum time that the device simulates at once to catch up with real time [us]. It falls behind
+if its process gets no CPU time."""
 
 
 def shaking(knots: int, amplitude: float) -> MotorTable:
-    """Return the table of a cycle of `PERIOD_S` that starts at rest, with an amplitude [m]."""
+    """Return the table of a cycle with the length `PERIOD_S` that starts at rest. Its amplitude is
+    given [m]."""
     t = np.arange(knots) * PERIOD_S / knots
     wave = np.sin(np.pi * t / PERIOD_S) ** 4
     phase = 8 * np.pi * t / PERIOD_S
@@ -32,8 +34,8 @@ def shaking(knots: int, amplitude: float) -> MotorTable:
 
 
 def device(link: str, ready: Event, done: Event) -> Iterator[bytes]:
-    """Run the device in real time until `done` is set. Yield the bytes received since the last
-    poll."""
+    """Run the device in real time until `done` is set. At each poll of the port, yield the bytes
+    that arrived since the previous poll."""
     emulator, terminal = Emulator(DeviceLimits.of_rig(load_rig())), PseudoTerminal(link)
     terminal.plug()
     ready.set()

@@ -1,6 +1,7 @@
 """Average friction over a cycle: time and error of several methods.
 
-The reference is scipy's quad with a tolerance of 1e-10, split at the times of nearly zero slip.
+The reference is scipy's quad with a tolerance of 1e-10. It integrates separately between the times
+of nearly zero slip.
 """
 
 from __future__ import annotations
@@ -29,11 +30,11 @@ ForceMap = Callable[[np.ndarray], np.ndarray]
 """Function from positions (M, 2) [m] to forces (M, 2) [mu m g]."""
 
 NUMBER, PERIOD = 2, 0.05
-"""Harmonics and period [s] of the motions: 2 x 2 x 3 = 12 parameters."""
+"""Number of harmonics and period [s] of the motions. They have 2 x 2 x 3 = 12 parameters."""
 
 
 def measure(quick: bool) -> Result:
-    """Measure error over random cases, and time per part."""
+    """Measure the errors of the average friction forces in random cases, and the time per part."""
     rig = load_rig()
     rng = np.random.default_rng(0)
     basis = sinusoid_basis(NUMBER, PERIOD, False)
@@ -57,7 +58,8 @@ def measure(quick: bool) -> Result:
 
 @njit(cache=True, fastmath=True)
 def plain_forces(coefficients: np.ndarray, position: np.ndarray, waves: np.ndarray) -> np.ndarray:
-    """Return average forces (C, 2) by equal steps, the simplest method."""
+    """Return the average forces (C, 2), computed with equal time steps. This is the simplest
+    method."""
     force = np.empty((len(coefficients), 2))
     for i in range(len(coefficients)):
         fx = fy = 0.0
@@ -78,7 +80,7 @@ def plain_forces(coefficients: np.ndarray, position: np.ndarray, waves: np.ndarr
 def batch_rows(
     cases: list[tuple[np.ndarray, np.ndarray]], truth: np.ndarray, seconds: float
 ) -> list[dict[str, Any]]:
-    """Time one call with all cases, for the methods in turn."""
+    """Measure the time of each method for all cases. The methods run in turn."""
     motion, position = (np.array(column) for column in zip(*cases, strict=True))
     still, steps = np.zeros_like(position), sinusoid_basis(NUMBER, PERIOD, False, 128).twist
     calls: dict[str, Callable[[], np.ndarray]] = {
@@ -119,7 +121,8 @@ def slip(coefficients: np.ndarray, point: np.ndarray) -> Callable[[float], tuple
 
 
 def exact_force(coefficients: np.ndarray, point: np.ndarray) -> np.ndarray:
-    """Return the force (2,) [mu m g] by adaptive quadrature between the dips of the slip speed."""
+    """Return the force (2,) [mu m g] by adaptive quadrature between the minima of the slip
+    speed."""
     grid = np.linspace(0, PERIOD, 2049)
     velocity = slip(coefficients, point)
     speed = np.array([hypot(*velocity(t)) for t in grid.tolist()])
@@ -152,8 +155,8 @@ def adaptive(
 
 
 def evaluators(basis: SinusoidBasis) -> dict[str, Callable[[np.ndarray], ForceMap]]:
-    """Return functions by name that convert coefficients (4, 3) to a `ForceMap`, so that only the
-    map is timed."""
+    """Return functions, by name of the method, that convert coefficients (4, 3) to a `ForceMap`.
+    This conversion is not timed."""
 
     def twist(coefficients: np.ndarray, n: int) -> np.ndarray:
         return np.asarray(sinusoid_basis(NUMBER, PERIOD, False, n).twist @ coefficients)
@@ -170,12 +173,12 @@ def evaluators(basis: SinusoidBasis) -> dict[str, Callable[[np.ndarray], ForceMa
 
 
 def by_steps(twist: np.ndarray, dt: np.ndarray, position: np.ndarray) -> np.ndarray:
-    """Average by the project's kernel for equal steps."""
+    """Return average forces, computed by the project's kernel for equal time steps."""
     return step_forces(position, np.zeros_like(position), twist, dt)[:, :2]
 
 
 def by_numpy(twist: np.ndarray, position: np.ndarray) -> np.ndarray:
-    """Average by numpy."""
+    """Return average forces, computed by numpy with equal time steps."""
     u = twist[:, None]
     velocity = np.stack(
         [u[..., 0] - u[..., 2] * position[:, 1], u[..., 1] + u[..., 2] * position[:, 0]], -1
@@ -185,7 +188,7 @@ def by_numpy(twist: np.ndarray, position: np.ndarray) -> np.ndarray:
 
 
 def by_quad(coefficients: np.ndarray, position: np.ndarray) -> np.ndarray:
-    """Average by scipy's quad with its default tolerance."""
+    """Return average forces, computed by scipy's quad with its default tolerance."""
     return (
         np.array([adaptive(coefficients, p, 0, PERIOD, 1.5e-8 * PERIOD) for p in position]) / PERIOD
     )

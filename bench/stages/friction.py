@@ -1,7 +1,7 @@
-"""Friction measured by pushes of the plate, compared with the simulator's.
+"""Friction measured by pushes of the plate, compared with the simulated friction.
 
-Eight parts are pushed as by `plate friction`. Their friction differs between parts and over the
-plate. The detector gets rendered images with noise.
+The plate pushes eight parts as the command `plate friction` does. Friction differs between the
+parts and over the plate. The detector gets rendered images with noise.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ WORLDS = (
     (0.25, 0.1, 0.1, 1.2), (0.25, 0.2, 0.2, 1.0), (0.4, 0.0, 0.0, 1.0), (0.4, 0.2, 0.0, 1.2),
     (0.6, 0.0, 0.0, 1.2), (0.6, 0.2, 0.0, 1.0),
 )  # fmt: skip
-"""Nominal mu, `friction_spread`, `friction_patches` and `static_ratio` of the worlds."""
+"""Nominal mu, `friction_spread`, `friction_patches` and `static_ratio` of each simulated world."""
 
 SEEDS = 2
 

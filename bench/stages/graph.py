@@ -22,7 +22,7 @@ MESSAGES, QUICK_MESSAGES = 10_000, 500
 GOALS, QUICK_GOALS = 200, 10
 
 FAULTS = {key: key for key in ("fault", "node", "task_status", "plate rests", "to go on")}
-"""Columns of the tables of faults; the case `faults` also prints the diagnostics."""
+"""Columns of the tables of faults. The table of the case `faults` also contains the diagnostics."""
 
 MINUTES, QUICK_MINUTES = 8.0, 0.5
 """Duration of sorting [min]."""

@@ -16,7 +16,7 @@ from harness import Result, Table
 
 TASKS = 4
 QUICK_S = 6.0
-"""Length of the single task of a quick run [s]."""
+"""Length of the task in a quick run [s]."""
 
 
 def measure(quick: bool) -> Result:
@@ -32,7 +32,8 @@ def measure(quick: bool) -> Result:
 
 
 def measured(quick: bool, one_process: bool) -> tuple[list[dict[str, Any]], dict[str, float]]:
-    """Run the graph. Return the rows of the stages, and the fractions of a CPU core."""
+    """Run the graph. Return a row for the latency of each stage, and the CPU use of the processes
+    as fractions of a core."""
     from graph.series import TASK_S, stages_ms, work_again
 
     from plate_bringup import RunOptions
@@ -55,5 +56,5 @@ def measured(quick: bool, one_process: bool) -> tuple[list[dict[str, Any]], dict
 
 
 def cpu(shares: dict[str, float]) -> list[dict[str, Any]]:
-    """Return the fraction of a CPU core of each process [%]."""
+    """Return the CPU use of each process [% of a core]."""
     return [{"node": name, "cpu": 100 * share} for name, share in shares.items()]

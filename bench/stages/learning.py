@@ -1,8 +1,9 @@
 """Learning the plate's response: error of realised harmonics.
 
-The simulated plate has a suspension with 35 Hz and 3 % damping, and an off-centre mass. The forces
-of its motors are 15 % too large or too small, with a bandwidth of 200 Hz. Sensors are read every
-10 ms, with noise. The evaluated cycles are not used by the procedure.
+The simulated plate has a suspension with a natural frequency of 35 Hz and 3 % damping, and an
+off-centre mass. The forces of its motors are 15 % too large or too small, with a bandwidth of 200
+Hz. Sensors are read every 10 ms, with noise. The learning procedure does not use the cycles with
+which the error is evaluated.
 """
 
 from __future__ import annotations
@@ -32,10 +33,10 @@ NOISE = 0.2
 
 PERIOD, HARMONICS = 0.2, 8
 CYCLES = 10
-"""Number of evaluated cycles. Each cycle is repeated until the plate's motion is periodic."""
+"""Number of evaluated cycles. The plate repeats each cycle until its motion is periodic."""
 
 TRUST = 0.3
-"""Weight of an experiment after the calibration."""
+"""Weight of each further experiment after the three of the calibration."""
 
 MAX_EXPERIMENTS = 10
 """Number of experiments: the three of the calibration, then further ones. The response is evaluated
@@ -94,8 +95,8 @@ class Plate:
         return motion
 
     def read(self, cycle: PlateCycle, times: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Play a cycle `times` times. Return times since its start (n,), and two arrays of sensor
-        values (n, 4)."""
+        """Play a cycle `times` times. Return the times since its start (n,), and two arrays of
+        sensor values (n, 4)."""
         begin, parts = self.rng.uniform(0, SAMPLE_S), []
         for k in range(times):
             motion = self.play(cycle)
@@ -109,7 +110,8 @@ class Plate:
 
 
 def error(rig: Rig, cycle: PlateCycle, command: PlateCycle) -> float:
-    """Return the error of a cycle's harmonics in periodic motion [%]."""
+    """Return the error of the harmonics [%] if the plate repeats a cycle until its motion is
+    periodic."""
     motion = Plate(rig, 0).play(command, 12)
     t = np.arange(512) * cycle.period / 512
     got = 2 / 512 * np.fft.rfft(motion.accel(t), axis=0)[1 : HARMONICS + 1]
@@ -119,7 +121,7 @@ def error(rig: Rig, cycle: PlateCycle, command: PlateCycle) -> float:
 
 
 def judged(rig: Rig, iteration: int, response: Response, cycles: int) -> dict[str, Any]:
-    """Return a row with the errors of cycles that the procedure does not use."""
+    """Return a row with the errors of cycles that the learning procedure does not use."""
     tries = [random_cycle(1000 + k) for k in range(cycles)]
     errors = [error(rig, cycle, response.command(cycle)) for cycle in tries]
     return {"iteration": iteration, "median": float(np.median(errors)), "most": max(errors)}

@@ -1,8 +1,9 @@
 """The simulator's model of parts: cost and error by scene, compared with the reference and pymunk.
 
-In the scenes parts are apart or touch, or the plate rotates or has a suspension. For each number of
-parts the cost of a plate cycle and the error at its end are measured. The reference simulates
-points event by event.
+There are scenes with separate parts, with touching parts, with a rotating plate, and with a
+suspended plate. For each number of parts the cost of a plate cycle and the error at its end are
+measured. The reference simulates parts as points. It computes the exact times at which a part
+begins to slide or to stick.
 """
 
 from __future__ import annotations
@@ -40,7 +41,7 @@ RIMS = 0.2
 """Friction coefficient between parts that touch on a rotating plate."""
 
 CYCLES = 3
-"""Number of cycles in a timed run. The error is measured after the first one."""
+"""Number of cycles in a timed run. The error is measured after the first cycle."""
 
 FINE = 1e-5
 """Time step of the reference in scenes where parts cannot be simulated as points [s]."""
@@ -53,7 +54,7 @@ MODEL, JUDGE, PYMUNK = "one model", "by events", "pymunk"
 
 @dataclass(frozen=True)
 class Scene:
-    """Parts at the start of `CYCLES` equal cycles.
+    """Scene: parts at the start of `CYCLES` equal cycles.
 
     Attributes
     ----------
@@ -96,14 +97,15 @@ class Scene:
                 yield motion
 
     def run(self, cycles: int = CYCLES, step: float = STEP) -> np.ndarray:
-        """Return the final positions of the parts by the simulator's world (M, 2) [m]."""
+        """Return the final positions of the parts (M, 2) [m] in the simulator's `World`."""
         state = self.state
         for motion in self.motions(cycles):
             state = run_cycle(state, motion, self.rig, step=step, contacts=self.contacts)
         return state.position
 
     def judge(self, cycles: int = CYCLES, tolerance: float = 1e-7) -> np.ndarray:
-        """Return the final positions of points without collisions (M, 2) [m]."""
+        """Return the final positions (M, 2) [m] of the parts, simulated as points without
+        collisions."""
         place, speed, friction = self.state.position, self.state.velocity, self.rig.friction
         for motion in self.motions(cycles):
             run = simulate(motion, place, speed, friction.mu, friction.gravity, 1, 1, tolerance)

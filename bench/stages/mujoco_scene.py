@@ -1,10 +1,11 @@
 """Baseline of the simulator: the same scenes in MuJoCo.
 
 A plate that moves as a mocap body does not drag parts. Therefore the scene is in the plate's frame,
-and gravity contains the negative acceleration of the plate. Parts on a plane have errors of several
-percent at every time step, because a sliding contact also lifts them. The best tested model is the
-dry friction of two slide joints per part, along x and y. This model is as accurate as pymunk if the
-plate moves along one of these axes. In other directions friction is too strong, by up to sqrt(2).
+and gravity contains the negative acceleration of the plate. With contacts between parts and a
+plane, the error is several percent at every time step, because a sliding contact also lifts a part.
+The best tested model is the dry friction of two slide joints per part, along x and y. This model is
+as accurate as pymunk if the plate moves along one of these axes. In other directions friction is
+too strong, by up to sqrt(2).
 """
 
 from __future__ import annotations
@@ -53,7 +54,7 @@ class MujocoScene:
     mu : float
         Friction coefficient.
     radius : float
-        Radius of the parts [m]. If it is 0, they never touch.
+        Radius of the parts [m]. 0: parts never touch.
     half : (2,), optional
         Half sides of a plate with walls [m]. Contacts stop parts.
     """

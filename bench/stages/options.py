@@ -1,9 +1,9 @@
-"""Both methods with their options, and scipy, on the stick-slip cycle map.
+"""Error and time of both methods with their options, and of scipy, on the stick-slip cycle map.
 
-Parts start at rest. A different drift of each part over one cycle is requested, without tolerance
-and without a warm start. `plate_sim` checks all results. The baselines are scipy's least squares
-with Method B's unknowns and the same prediction, with scipy's finite differences and with the
-project's derivatives.
+Parts start at rest. Each request contains a different drift of each part over one cycle, without
+tolerance and without a warm start. `plate_sim` checks all results. The baselines are scipy's least
+squares with Method B's unknowns and the same prediction, once with scipy's finite differences, and
+once with the project's derivatives.
 """
 
 from __future__ import annotations
@@ -39,7 +39,8 @@ CASES = {2: 20, 4: 12, 6: 10, 10: 8}
 """Number of requests, by number of parts."""
 
 HARMONICS = {2: 8, 4: 8, 6: 8, 10: 12}
-"""Number of harmonics, by number of parts, as `SinusoidSolver` chooses for exact drifts."""
+"""Number of harmonics, by number of parts. `SinusoidSolver` chooses the same numbers for exact
+drifts."""
 
 B_RESTARTS, A_RESTARTS, PEER_RESTARTS = (0, 1, 3, 10, 40), (0, 1, 4), (0, 3)
 METHODS = {"A": "rotations", "B": "sinusoids"}
@@ -106,7 +107,8 @@ def miss(rig: Rig, goal: Goal, cycle: PlateCycle) -> float:
 
 
 def good_enough(goal: Goal) -> tuple[float, float]:
-    """Return the tolerance, and the error that counts as met [m], as in `Controller`."""
+    """Return the tolerance of a request and the maximum error of a met request [m], both as in
+    `Controller`."""
     least = DRIFT_TOLERANCE * period_of(len(goal.position))
     return least, max(EXACT_MISS * goal.size, least)
 
@@ -132,7 +134,7 @@ def contestants(rig: Rig, parts: int) -> dict[tuple[str, str], Contestant]:
 
 
 def steered(solver: SinusoidSolver | RotationSolver) -> Contestant:
-    """Return the project's solver on the stick-slip map."""
+    """Return a function that solves with the project's solver on the stick-slip map."""
 
     def run(goal: Goal) -> PlateCycle:
         solver.reset()
@@ -142,8 +144,8 @@ def steered(solver: SinusoidSolver | RotationSolver) -> Contestant:
 
 
 def averaged(solver: SinusoidSolver | RotationSolver, period: float) -> Contestant:
-    """Return the project's solver on the paper's averages. From rest, a force f moves a part by
-    f mu g T^2 / 2."""
+    """Return a function that solves with the project's solver on the paper's averaged forces. From
+    rest, a force f moves a part by f mu g T^2 / 2."""
 
     def run(goal: Goal) -> PlateCycle:
         solver.reset()

@@ -11,8 +11,8 @@ MASS = 0.02
 
 
 class PymunkScene:
-    """Parts on a kinematic plate. Friction is a PivotJoint with limited force, as usual for
-    top-down scenes.
+    """Parts on a kinematic plate. Friction is modelled by a PivotJoint with limited force, which is
+    usual for scenes seen from above.
 
     Parameters
     ----------
@@ -23,7 +23,7 @@ class PymunkScene:
     friction_accel : float
         mu g [m/s2].
     radius : float
-        Radius of the parts [m]. If it is 0, they never touch.
+        Radius of the parts [m]. 0: parts never touch.
     offset : float
         Time within a step, 0 to 1, at which the plate's velocity is evaluated.
     """

@@ -22,7 +22,8 @@ CYCLES = 30
 """Number of cycles in a scene, 1 s."""
 
 EXACT_M = {4: 4.9974160443e-3, 20: 65.346182922e-3}
-"""Travel after 1 s of a part that starts at rest [m], by peak acceleration divided by mu g."""
+"""Displacement after 1 s of a part that starts at rest [m]. The key is the plate's peak
+acceleration divided by mu g."""
 
 MU, GRAVITY = 0.25, 9.81
 MU_G = MU * GRAVITY
@@ -58,8 +59,8 @@ class Scene:
         return np.asarray(run.position[-1] - self.position)
 
     def travel_in_steps(self, step: float) -> np.ndarray:
-        """Simulate the scene with the world's model of parts, in steps [s]. Return the displacement
-        of each part (M, 2) [m]."""
+        """Simulate the scene with the model of parts of the simulator's `World`, in time steps [s].
+        Return the displacement of each part (M, 2) [m]."""
         run = simulate_bodies(
             self.cycle, disc(RADIUS), self.position, 0, self.velocity, 0, MU, GRAVITY, CYCLES, 0,
             step,
@@ -91,7 +92,8 @@ def wave_cycle(
 def exact_cycle(gamma: float, spin: float = 0.0) -> PlateCycle:
     """Return the motion of the exact scene with the peak acceleration gamma mu g.
 
-    With `spin`, theta' has the same wave, a quarter of a cycle later.
+    If `spin` is True, the plate also rotates: theta' has the same waveform, a quarter of a cycle
+    later.
     """
     phase = np.linspace(0, 2 * np.pi, 20001)
     most = np.max(np.abs(np.cos(phase) - np.sin(2 * phase)))
@@ -117,12 +119,13 @@ LARGEST = 0.2
 
 
 TRIES = 1000
-"""Number of scenes drawn at once. With 24 parts, only about one in 100,000 has the required
-gaps."""
+"""Number of random scenes generated at once. With 24 parts, only about one scene in 100,000 has the
+required gaps."""
 
 
 def scatter(rig: Rig, parts: int, rng: np.random.Generator) -> np.ndarray:
-    """Return random positions (M, 2) [m], at least 40 mm apart, and 15 % away from the edges."""
+    """Return random positions (M, 2) [m]. Their distances from each other are at least 40 mm, and
+    from the edges 15 % of the plate's size."""
     room = 0.85 * rig.plate.half
     while True:
         before = rng.bit_generator.state

@@ -23,8 +23,8 @@ EVENTS, STEPS, PYMUNK, MUJOCO = "by events", "in steps", "pymunk", "MuJoCo"
 """Methods: the reference, the simulator's model of parts, and the baselines."""
 
 PEER_STEP_MS = 0.1
-"""Time step at which pymunk's error in the exact scene is 0.12 %. Speeds are compared at this
-error."""
+"""Time step of pymunk. With this step pymunk's error in the exact scene is 0.12 %. Speeds are
+compared at this error."""
 
 SPAN, PEER_SPAN = CYCLES / FREQUENCY, 0.1
 """Simulated time of a scene, and of a timed run of a baseline [s]."""
@@ -41,7 +41,7 @@ SPACING_M = 0.02
 
 def measure(quick: bool) -> Result:
     """Measure the error of each setting, the speed at the error of pymunk, colliding discs, and the
-    cost."""
+    CPU time."""
     tables = [
         Table.of("error", error_rows(quick)),
         Table.of("speed", speed_rows(quick), step=PEER_STEP_MS),
@@ -68,7 +68,8 @@ def peer_travel(scene: Scene, dt: float, offset: float) -> np.ndarray:
 
 
 Setting = tuple[str, str, list[float], Callable[[], object], float]
-"""Method, its setting, its errors [m], a function to time, and its simulated time [s]."""
+"""One method with one setting: method, setting, errors [m], function to time, and the time that
+this function simulates [s]."""
 
 
 def error_rows(quick: bool) -> list[dict[str, Any]]:
@@ -136,7 +137,7 @@ def lead(count: int, quick: bool) -> float:
 
 
 def loosest(scene: Scene, truth: np.ndarray, limit: float) -> float:
-    """Return the largest tolerance whose error does not exceed the required one [m]."""
+    """Return the largest tolerance with which the error does not exceed `required` [m]."""
     for tolerance in 10.0 ** np.arange(-3, -10, -1):
         if rms(scene.travel(tolerance) - truth) <= limit:
             break

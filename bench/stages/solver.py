@@ -1,6 +1,6 @@
 """Plate motions for requested average forces, without a warm start.
 
-All results are checked by the force map on samples that no method has used.
+All results are checked by average forces from samples that no method has used.
 """
 
 from __future__ import annotations
@@ -18,11 +18,11 @@ from plate_solver.sinusoids import SinusoidFamily, sinusoid_basis
 from stages.scenes import targets
 
 HARMONICS = {1: 2, 2: 2, 3: 3, 4: 4}
-"""Number of harmonics N for each number of parts M. It is the minimum number with which there are
-more parameters than forces. `SinusoidSolver` chooses it too."""
+"""Number of harmonics N for each number of parts M. N is the minimum number with which a motion has
+more parameters than the request has force components. `SinusoidSolver` chooses it too."""
 
 PERIOD_PER_HARMONIC = 0.025
-"""Period per harmonic [s]. Averaged forces do not depend on it."""
+"""Period per harmonic [s]. Averaged forces do not depend on the period."""
 
 ROTATION_SHARE = 3
 """`RotationSolver` gets only every third target, because it takes ten times as long."""
@@ -34,11 +34,12 @@ RESTARTS = 20
 """Number of restarts of every method."""
 
 SAMPLES = 1024
-"""Number of samples in scipy's final steps. They resolve most dips of the slip."""
+"""Number of samples in scipy's final steps. They resolve most short minima of the slip speed."""
 
 JUDGE_SAMPLES = 6007
 """Number of samples per cycle from which the error of each solution is computed. It is not a
-multiple of any method's number of samples, so the error between the method's samples is visible."""
+multiple of any method's number of samples, so errors between the samples of a method are visible
+too."""
 
 OURS, PEER, ROTATIONS = METHODS = "SinusoidSolver", "scipy lm", "RotationSolver"
 """Methods. scipy is least_squares(method='lm') with the project's Jacobian on the same samples,
@@ -59,7 +60,8 @@ def measure(quick: bool) -> Result:
 
 
 def solve_all(rig: Rig, parts: int, count: int) -> list[dict[str, Any]]:
-    """Solve the same requests with all methods in turn. Return a sample per request and method."""
+    """Solve the same requests with all methods in turn. Return one result per request and
+    method."""
     number = HARMONICS[parts]
     period = PERIOD_PER_HARMONIC * number
     ours = SinusoidSolver(
@@ -99,7 +101,8 @@ def solve_all(rig: Rig, parts: int, count: int) -> list[dict[str, Any]]:
 
 
 class ScipySolver:
-    """scipy's least_squares on the force map, the obvious solution without the project's solver."""
+    """scipy's least_squares on the averaged forces: the obvious alternative to the project's
+    solver."""
 
     def __init__(self, rig: Rig, number: int, period: float) -> None:
         limits = Limits.of(rig)
@@ -108,7 +111,7 @@ class ScipySolver:
         self.reset()
 
     def reset(self) -> None:
-        """Restart the random numbers from their seed."""
+        """Reset the random number generator to its seed."""
         self._rng = np.random.default_rng(0)
 
     def solve(self, position: np.ndarray, force: np.ndarray) -> np.ndarray:
@@ -145,7 +148,7 @@ class ScipySolver:
 
 
 def solved_sentence(parts: int, method: str, samples: list[dict[str, Any]]) -> str:
-    """Return the statistics of one method's samples for one number of parts."""
+    """Return the statistics of one method's results for one number of parts."""
     mine = [s for s in samples if s["parts"] == parts and s["method"] == method]
     met = 100 * np.mean([s["error"] <= TOLERANCE for s in mine])
     ms = np.median([s["ms"] for s in mine])

@@ -1,6 +1,7 @@
 """Computation time of each stage of the loop for one image.
 
-`loop.run` runs the loop. Afterwards, every stage gets the inputs of this run again, and is timed.
+`loop.run` runs the loop. After a run of the loop, every stage gets the inputs of this run again,
+and is timed.
 """
 
 from __future__ import annotations
@@ -27,8 +28,8 @@ IMAGES = 40
 """Number of images of a run."""
 
 FIRST = 4
-"""Number of first images that are not counted, because the parts are not known yet or caches are
-being filled."""
+"""Number of first images that are not counted, because the loop has not detected all parts yet, or
+fills caches."""
 
 STAGES = ("camera", "vision", "planner", "solver", "driver", "simulator")
 

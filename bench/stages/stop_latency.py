@@ -40,10 +40,11 @@ START_S = 60.0
 
 
 def serve(link: str, ready: Event, done: Event, stops: Any) -> None:
-    """Run the device. For each new Stop on the wire, put two times into `stops`: the time of the
-    poll that read it, and the time of the poll before [s].
+    """Run the device. For each new Stop frame, put two times [s] into `stops`: the time of the poll
+    that received the frame, and the time of the previous poll.
 
-    If this process gets no CPU time, the frame has arrived earlier than the first of these times.
+    The frame has arrived between these two times. Their difference grows if this process gets no
+    CPU time.
     """
     reader, last, last_poll = Reader(), -1, time.monotonic()
     for data in device(link, ready, done):
@@ -112,7 +113,8 @@ class Bench(Listener):
         self.state = msg.state
 
     def until(self, condition: Callable[[], bool], seconds: float) -> bool:
-        """Wait until a condition is true, for at most `seconds`. Return whether it is true."""
+        """Wait until a condition is true, for at most `seconds`. Return whether the condition is
+        true."""
         end = time.monotonic() + seconds
         while not condition() and time.monotonic() < end:
             time.sleep(0.005)
@@ -134,8 +136,8 @@ def latencies(
     count: int, domain: int, points: int = 0, pause_s: float = 0.1, period_s: float = PERIOD_S,
     busy: int = 0, graph: bool = False, **options: Any,
 ) -> list[tuple[float, float]]:  # fmt: skip
-    """Return the upper and lower bounds of the times from the call of emergency_stop to the frame
-    [ms]."""
+    """Return the upper and the lower bound of each latency, from the call of emergency_stop to the
+    Stop frame on the line [ms]."""
     context = multiprocessing.get_context("spawn")
     ready, done, stops = context.Event(), context.Event(), context.Queue()
     found: list[tuple[float, float]] = []
@@ -170,8 +172,8 @@ def latencies(
 
 
 def one(bench: Bench, stops: Any, number: int, task: bool) -> list[tuple[float, float]]:
-    """Enable, start a task if requested, play for a while, and stop. Return the bounds of the time
-    from the call to the line [ms]."""
+    """Enable, start a task if requested, play for a while, and stop. Return the bounds of the
+    latency as in `latencies` [ms]."""
     if not bench.is_enabled():
         return []
     if task:
@@ -192,7 +194,7 @@ def one(bench: Bench, stops: Any, number: int, task: bool) -> list[tuple[float, 
 
 
 def measure(quick: bool) -> Result:
-    """Measure all conditions. A quick measurement has only a few stops of each."""
+    """Measure all conditions. A quick measurement has only a few stops in each condition."""
     rows: list[dict[str, Any]] = []
     with ExitStack() as stack:
         domain = stack.enter_context(own_domain())

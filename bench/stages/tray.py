@@ -31,15 +31,15 @@ SPAN = CYCLES / FREQUENCY
 """Simulated time [s]."""
 
 SLOP = 1e-5
-"""Overlap that pymunk allows [m], as small as the project's. pymunk's default of 0.1 is meant
-for pixels."""
+"""Overlap that pymunk allows [m], as small as in the project's simulator. pymunk's default of 0.1
+is meant for lengths in pixels."""
 
 THICK = 0.05
 """Thickness of pymunk's walls [m], so that no disc passes through."""
 
 REPEATS = 20
-"""Number of the simulator's runs in one timing. Together they take about as long as a run of a
-baseline, so that the caches are equally warm."""
+"""Number of the simulator's runs in one timing. These runs take about as long as one run of a
+baseline, so that the processor's caches are in a similar state."""
 
 GRIDS = {10: (5, 2), 100: (20, 5), 300: (30, 10)}
 """Columns and rows of the grid, by number of discs."""

@@ -1,4 +1,4 @@
-"""Creep compared with baselines, neglected effects, other laws of friction.
+"""Creep compared with baselines, neglected effects, and other laws of friction.
 
 Three measurements show how accurate the simulator is: the creep of parts that should stick, the
 size of the effects that the model neglects, and the results of tasks under laws of friction that
@@ -26,8 +26,9 @@ from stages.scenes import FREQUENCY, GRAVITY, MU, MU_G, RADIUS, exact_cycle
 from tasks.runs import runs_of, summed
 
 Method = tuple[str, float | None, Callable[[PlateCycle, float, float], float]]
-"""Name, time step [ms] if there is one, and a function that returns the drift [m] for a motion of
-the plate, a pull [mu g] and a time [s]."""
+"""One simulation method: name, time step [ms] or None, and a function. The function returns the
+drift [m] of a part. Its arguments are a motion of the plate, the pull of gravity along the plate
+[mu g], and a time [s]."""
 
 CREEP_S = 10
 """Time in which a part should not move relative to the plate [s]."""
@@ -60,14 +61,15 @@ WORLDS: tuple[dict[str, float], ...] = (
     {}, {"static_ratio": 1.3}, {"friction_slope": 0.5}, {"friction_slope": -0.5},
     {"friction_slope": 2.0}, {"friction_slope": -2.0}, {"heave": 0.01}, {"heave": 0.05},
 )  # fmt: skip
-"""Laws of friction for the tasks. The loop assumes the first one."""
+"""Differences of the simulated worlds from the model that the loop assumes. The first world has no
+difference."""
 
 LEFT = ("effect", "formula", "assumed", "size")
 """Columns of the table of neglected effects."""
 
 DENSITY, STIFFNESS, PLATE_DENSITY, POISSON = 7850.0, 70e9, 2700.0, 0.33
-"""Density of a steel part [kg/m3]; Young's modulus [Pa], density [kg/m3] and Poisson's ratio of an
-aluminium plate."""
+"""Density of a steel part [kg/m3], and Young's modulus [Pa], density [kg/m3] and Poisson's ratio of
+an aluminium plate."""
 
 OFF_PLANE_M, OUT_OF_PLANE = 1e-3, 0.01
 """Assumptions: distance of the motors' forces from the plate's middle plane [m], and vertical
@@ -84,7 +86,7 @@ WEAR, HARDNESS = 1e-4, 1e9
 """Archard's coefficient of dry sliding [-], and hardness of the softer surface [Pa]."""
 
 PRESLIDING_M = 1e-6
-"""Displacement by which the contact's asperities deform before they slide [m]."""
+"""Displacement by which the asperities in a contact deform before the surfaces slide [m]."""
 
 
 def measure(quick: bool) -> Result:
@@ -111,7 +113,7 @@ def creep_rows(methods: list[Method], span: float) -> list[dict[str, Any]]:
 
 
 def tilted(pull: float) -> Ground:
-    """Return the ground whose tilt has this pull along x [mu g]."""
+    """Return the ground whose tilt pulls parts along x with this acceleration [mu g]."""
     return Ground(tilt=(float(np.arcsin(pull * MU)), 0.0))
 
 
@@ -124,7 +126,7 @@ def by_events(cycle: PlateCycle, pull: float, span: float) -> float:
 
 
 def in_steps(part: Footprint, cycle: PlateCycle, pull: float, span: float) -> float:
-    """Return the drift of a part by the simulator's world [m]."""
+    """Return the drift of a part in the simulator's `World` [m]."""
     start, cycles = cycle.twist(0.0)[:, :2], round(span * FREQUENCY)
     run = simulate_bodies(
         cycle, part, HOME, 0, start, 0, MU, GRAVITY, cycles, 0, ground=tilted(pull)

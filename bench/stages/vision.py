@@ -25,17 +25,19 @@ FRAMES, PEER_FRAMES = 250, 20
 to save time. All methods are timed with the smaller number of images."""
 
 ROUNDS = 5
-"""Number of timings of each method with every image, in a loop and in turn."""
+"""Number of timings of each method with every image. Each method is timed in its own loop, and in
+turn with the others."""
 
 THRESHOLD = 165
-"""Grey level between parts (up to 130) and plate (from 198), for the baselines."""
+"""Threshold of the baselines [grey level]. Parts are at most 130, and the plate is at least 198."""
 
 Finder = Callable[[np.ndarray], np.ndarray]
 """Function from an image (H, W) to centres (n, 2) [px]."""
 
 
 def measure(quick: bool) -> Result:
-    """Measure 10 and 100 discs, apart and touching."""
+    """Measure the detection of 10 and 100 discs, in scenes with separate and with touching
+    discs."""
     rig = load_rig()
     cv2.setNumThreads(1)
     finders = make_finders(rig)

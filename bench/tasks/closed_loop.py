@@ -48,7 +48,8 @@ def row(scenario: str, runs: list[dict[str, Any]]) -> dict[str, Any]:
 
 
 def error(runs: list[dict[str, Any]]) -> str:
-    """Return a text with the errors of the runs: of paths or positions, and of angles."""
+    """Return a text with the errors of the runs: errors of paths or positions, and errors of
+    angles."""
     sentences = []
     for key, unit, kind, factor in (
         ("rms_error_m", "mm", "RMS ", 1e3), ("turn_error_deg", "degrees", "turned ", 1.0),

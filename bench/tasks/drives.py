@@ -1,9 +1,9 @@
 """Drives on a bus: error against latency, jitter and the drives' own loop.
 
-Two parts follow paths at 40 mm/s with uneven friction. The board sends a setpoint every 2 ms. It
-reaches all drives after `latency_ms` plus a random fraction of `jitter_ms`, but never before an
-older one. Planner and solver do not know this delay. A drive's position loop is critically damped,
-with a feedforward of speed.
+Two parts follow paths at 40 mm/s with uneven friction. The board sends a setpoint every 2 ms. A
+setpoint reaches all drives after `latency_ms` plus a random fraction of `jitter_ms`. Setpoints
+never overtake each other. Planner and solver do not know this delay. The position loop of a drive
+is critically damped. One kind of drive has a feedforward of the speed.
 """
 
 from __future__ import annotations
@@ -20,15 +20,17 @@ from plate_sim import PlateMotion
 from tasks.runs import UNEVEN, median, summed
 
 DRIVES = ("interpolated", "held, with its speed", "held")
-"""Behaviour of drives: a straight line to the setpoint over 2 ms, as in CiA 402; the setpoint with
-its speed, as in an ODrive; only the setpoint."""
+"""Kinds of drives. `interpolated`: the position target moves along a straight line to the setpoint
+in 2 ms, as in CiA 402. `held, with its speed`: the target is the setpoint, with its speed as
+feedforward, as in an ODrive. `held`: the target is only the setpoint."""
 
 USUAL = {"latency_ms": 1.0, "jitter_ms": 0.0, "loop_hz": 150.0}
 VALUES = {
     "latency_ms": (0.0, 1.0, 2.0, 4.0), "jitter_ms": (0.0, 1.0, 2.0, 3.0, 5.0),
     "loop_hz": (75.0, 150.0, 300.0),
 }  # fmt: skip
-"""Values of each varied parameter. The frames of four axes take 1 ms at 1 Mbit/s."""
+"""Values of each varied parameter. For comparison, the frames of four axes take 1 ms on a bus with
+1 Mbit/s."""
 
 BUS_STEPS, STEP_S = 4, 5e-4
 
@@ -37,7 +39,7 @@ FIRST_SEED, SEEDS = 83000, 3
 
 
 class Driven(Direct):
-    """Transport to a simulated plate that is moved by drives on a bus."""
+    """Transport to a simulated plate, which is moved by simulated drives on a bus."""
 
     def __init__(
         self, drive: str, seed: int, latency_ms: float, jitter_ms: float, loop_hz: float
@@ -53,7 +55,7 @@ class Driven(Direct):
         """Squared distances of the plate from its commanded position [m2]."""
 
     def play(self, until: float) -> list[PlateCycle | PlateMotion]:
-        """Advance the time, while the drives follow the setpoints."""
+        """Simulate until a given time. The drives follow the setpoints."""
         began = self.now
         [cycle] = super().play(until)
         times = np.linspace(0, cycle.period, 1 + max(1, round(cycle.period / STEP_S)))
@@ -77,7 +79,8 @@ class Driven(Direct):
         return self._from + (self._goal - self._from) * share + fed
 
     def _followed(self, dt: float) -> np.ndarray:
-        """State of the plate (3, 3) a step later."""
+        """Advance the plate by a time step, and return its state (3, 3): pose, twist and
+        acceleration."""
         before, self._into = self._target(), self._into + 1
         slope, rate = (self._target() - before) / dt, self._rate
         behind = self._state[0] - before
@@ -90,15 +93,15 @@ class Driven(Direct):
 
 
 def driven_run(drive: str, seed: int, bus: dict[str, float]) -> dict[str, Any]:
-    """Run the task with a kind of drives, or with bridges, which follow exactly. Return its
-    result."""
+    """Run the task with one kind of drives. If `bus` is empty, bridges replace the drives, and the
+    plate follows its setpoints exactly. Return its result."""
     line = Driven(drive, seed, **bus) if bus else Direct()
     row = summary(with_settings(Setup("follow_2", seed), UNEVEN), load_rig(), line)
     return row | {"plate_um": 1e6 * float(np.sqrt(np.mean(getattr(line, "squares", 0))))}
 
 
 def measure(quick: bool) -> Result:
-    """Follow two rectangles with each kind of drive, and one changed value at a time."""
+    """Two parts follow rectangles, with each kind of drive. Each run changes at most one value."""
     cases = [("bridges", "", 0.0)] + [
         (drive, changed, value)
         for drive in DRIVES

@@ -20,14 +20,14 @@ from plate_core.tasks import FeedTask, Scenario, load_scenario
 from tasks.shaking import Shaker
 
 RECIPES = {"discs": "feed", "nuts": "feed_nuts", "bars": "feed_bars"}
-"""Recipe, by type of part. The angle of bars is requested within 5 degrees."""
+"""Recipe, by type of part. The recipe for bars requests their angle within 5 degrees."""
 
 METHODS = ("ours", "vibrated", "thrown")
 """The project's feeder, and the baselines."""
 
 SEEDS = range(60_000, 60_003)
 TIME_S, QUICK_S = 60.0, 10.0
-"""Duration of one production [s]."""
+"""Simulated duration of a production run [s], and of a quick one."""
 
 
 @dataclass(frozen=True)
@@ -39,11 +39,11 @@ class Case:
     kind : str
         Type of part, a key of `RECIPES`.
     fill : int
-        Number of parts that the hopper keeps on the plate.
+        Number of parts on the plate to which the hopper refills.
     clearance_m : float
         Clearance of the gripper [m].
     cycle_s : float
-        Cycle of the robot [s].
+        Cycle time of the robot [s].
     window_m : float or None
         Side length of a square pick window in the middle of the recipe's window [m]. None: the
         recipe's window.
@@ -81,7 +81,7 @@ CASES = {
     "window": [replace(BASE, window_m=0.1), BASE],
     "kind": [replace(BASE, kind=k) for k in RECIPES],
 }
-"""Cases by the changed value, including the base case."""
+"""Cases, grouped by the value that they change. Each group contains the base case."""
 
 
 def measure(quick: bool) -> Result:
@@ -101,7 +101,7 @@ def measure(quick: bool) -> Result:
 
 
 def run_case(case: Case, method: str, seed: int, time_s: float) -> dict[str, Any]:
-    """Run one production, and return its result for JSON."""
+    """Run one production, and return its result as values that JSON can represent."""
     setup = Setup(case.recipe, seed)
     if method == "ours":
         return produce(setup, case.cycle_s, time_s).row

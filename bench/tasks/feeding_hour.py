@@ -1,7 +1,8 @@
 """An hour of production: parts lost, stops, memory.
 
-The hour is one run, with failed picks, parts on the wrong face, and late and missing images. Parts
-must not be lost, production must not stop, and memory must not grow.
+The hour is one run. Its disturbances are failed picks, parts on the wrong face, and late and
+missing images. The run is good if no part is lost, production does not stop, and memory does not
+grow.
 """
 
 from __future__ import annotations
@@ -18,8 +19,8 @@ from plate_core.tasks import load_scenario
 from plate_sim import Disturbances
 
 RECIPE, FILL, CYCLE_S, SEED = "feed", 15, 2.0, 61_000
-"""Recipe, number of parts on the plate, robot's cycle [s] and seed. One part of ten is grey: it has
-the wrong face up, and goes to the chute."""
+"""Recipe, number of parts on the plate, robot's cycle [s] and seed. One part in ten is grey, which
+represents a part with the wrong face up. It must leave through the chute."""
 
 WORLD = Disturbances(
     pick_failure=0.05,
@@ -32,7 +33,8 @@ WORLD = Disturbances(
 and over the plate."""
 
 EVERY_S, HOUR_S, QUICK_S = 300.0, 3600.0, 20.0
-"""Time between two rows, and duration of the production and of a quick one [s]."""
+"""Time between two rows of the result, duration of the production, and duration of a quick
+production [s]."""
 
 
 def measure(quick: bool) -> Result:
@@ -61,7 +63,7 @@ def measure(quick: bool) -> Result:
 
 
 def row(now: Production, cell: FeederCell) -> dict[str, Any]:
-    """Return the row for the current time."""
+    """Return the row of the result for the current time."""
     return {
         "minute": cell.tally.time_s / 60, "picks": now.picks, "failed": now.failed,
         "waiting": 100 * now.waiting, "discharged": now.discharged, "lost": now.lost,

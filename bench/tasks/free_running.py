@@ -1,8 +1,8 @@
 """Free-running cameras: error against rate, exposure, latency and jitter.
 
-Two parts follow paths at 40 mm/s with uneven friction. The planner knows neither the latency nor
-the jitter of the stamps. A camera is sufficient if all runs succeed and the median of their errors
-is at most `ALLOWED_MM`. One value at a time is changed until the camera is no longer sufficient.
+Two parts follow paths at 40 mm/s with uneven friction. The planner does not know the latency and
+the jitter of the image stamps. A camera is sufficient if all runs succeed and the median of their
+errors is at most `ALLOWED_MM`. Each series changes only one value of the default camera.
 """
 
 from __future__ import annotations
@@ -27,14 +27,14 @@ TRIGGERED = {"exposure_s": 0.001}
 """Camera for comparison: it takes an image at the start of each cycle, with an exact stamp."""
 
 ALLOWED_MM = 0.2
-"""Maximum root mean square error of a sufficient camera [mm]."""
+"""Maximum tracking error (root mean square) with a sufficient camera [mm]."""
 
 FIRST_SEED, SEEDS = 82000, 5
 """First seed and number of seeds. No parameter was tuned with these seeds."""
 
 
 def measure(quick: bool) -> Result:
-    """Follow two rectangles with one camera after the other."""
+    """Two parts follow rectangles, with one camera after the other."""
     values, rig = {"image_rate": (30.0,)} if quick else VALUES, load_rig()
     cameras = {("triggered", 0.0): TRIGGERED} | {
         (changed, value): USUAL | {changed: value}

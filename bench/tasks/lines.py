@@ -21,7 +21,7 @@ DELAYS_S = (0.0, 0.02, 0.1)
 
 PIECES = 64
 PLAY_S = 60.0
-"""Time for which a cycle is sent in each period [s]."""
+"""Simulated time during which a cycle is sent in each period [s]."""
 
 BEGIN_S, STOP_S = 30.0, 5.0
 """Maximum time until the motors are ready, and until they brake [s]."""
@@ -31,7 +31,8 @@ STOPS = 5
 
 
 def line_run(baud: int, lost: float, delay_s: float, play_s: float, stops: int) -> dict[str, Any]:
-    """Send a new cycle in each period over a line, then stop the device a few times."""
+    """Send a new cycle in each period over a simulated serial line. Then stop the device a few
+    times, and return a row of results."""
     trouble = LineFaults(baud=float(baud), dropped=lost, delay=delay_s)
     emulator = Emulator(DeviceLimits.of_rig(load_rig()), 1, FaultSchedule(trouble))
     transport = SerialTransport(lambda: Port(emulator), lambda: emulator.now, 1, baud=float(baud))
@@ -42,7 +43,8 @@ def line_run(baud: int, lost: float, delay_s: float, play_s: float, stops: int) 
     sent, due = [0], [0.0]
 
     def run(seconds: float, plays: bool, until: Any = None) -> None:
-        """Advance the time, and send a cycle in each period if the device accepts it."""
+        """Simulate for some time. If `plays` is True, send a cycle in each period, unless the
+        transport refuses it."""
         for tick in range(round(seconds * 1e3)):
             emulator.tick()
             if plays and emulator.now >= due[0]:
@@ -91,7 +93,7 @@ def line_run(baud: int, lost: float, delay_s: float, play_s: float, stops: int) 
 
 
 def measure(quick: bool) -> Result:
-    """Run all lines. A quick measurement has only the fastest and a slow one."""
+    """Run all lines. A quick measurement uses only the fastest line and a slow line."""
     bauds, lost, delays = ((115_200, 921_600), (0.0, 0.03), (0.0, 0.1)) if quick else (
         BAUDS, LOST, DELAYS_S
     )  # fmt: skip

@@ -34,7 +34,8 @@ SEEDS = range(50_000, 50_003)
 """Seeds. No parameter was tuned with these seeds."""
 
 FULL_PACE = 0.95
-"""Fraction of the requested speed from which on the speed is not listed."""
+"""Fraction of the requested speed. The table omits a speed above this fraction, because it is
+practically the requested one."""
 
 
 def measure(quick: bool) -> Result:
@@ -63,7 +64,7 @@ def measure(quick: bool) -> Result:
 
 
 def rigs() -> dict[str, Rig]:
-    """Return the rigs by name."""
+    """Return the compared rigs by name."""
     default = load_rig()
 
     def limited(**limits: float) -> Rig:
@@ -90,8 +91,8 @@ def judged(rig: Rig, scenario: str) -> dict[str, Any]:
 
 
 def by_rig(rows: list[dict[str, Any]]) -> list[dict[str, Any]]:
-    """Return a row for each rig with the results of its tasks, and the predictions of `feasible` in
-    brackets."""
+    """Return a row for each rig with the results of all tasks. Each result is followed by the
+    prediction of `feasible` in brackets."""
     found: dict[str, dict[str, Any]] = {}
     for row in rows:
         mine = found.setdefault(row["rig"], {"rig": row["rig"], "gamma": row["gamma"]})

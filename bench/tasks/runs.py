@@ -15,7 +15,8 @@ from plate_core import Rig
 from plate_core.tasks import PartGroup, Scenario, SortTask, load_scenario
 
 UNEVEN = {"friction_spread": "0.1", "friction_patches": "0.1"}
-"""Friction differs by 10 % between parts and over the plate: settings of `bench/closed_loop.py`."""
+"""Settings of `bench/closed_loop.py` for uneven friction: it differs by 10 % between parts, and by
+10 % over the plate."""
 
 Loop = tuple[Setup, Mapping[str, str], Rig]
 """Setup of a run, settings of `bench/closed_loop.py`, and rig."""
@@ -34,8 +35,8 @@ def sorting(count: int) -> Scenario:
 
 
 def runs_of(cache: Cache, cases: Mapping[Any, Sequence[Loop]]) -> dict[Any, list[dict[str, Any]]]:
-    """Return a row of `bench/closed_loop.py` for each loop, by case. Loops that are not in the
-    cache are run."""
+    """Return a row as in `bench/closed_loop.py` for each run, by case. Only runs that are not in
+    the cache are executed."""
     work = {
         case: [(with_settings(setup, settings), rig) for setup, settings, rig in loops]
         for case, loops in cases.items()
@@ -44,7 +45,7 @@ def runs_of(cache: Cache, cases: Mapping[Any, Sequence[Loop]]) -> dict[Any, list
 
 
 def summed(runs: Iterable[Mapping[str, Any]]) -> dict[str, Any]:
-    """Return one row for the runs of a case. A value without data is None.
+    """Return one row for the runs of a case. A value for which no run has data is None.
 
     Times of the task are simulated times of successful runs. `most` and `worst` are values of the
     worst run. All other values are medians over the runs.

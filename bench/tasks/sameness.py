@@ -1,9 +1,9 @@
 """Bit-identical runs with the same seed: effect of load and of other processors.
 
-Every variation runs in new processes. It is compared with a run without load in which BLAS and
-numpy use their code for AVX2 (`ALIKE`). Other processors are represented by the code that the
-libraries would choose for them. The code of the project's kernels depends only on the actual
-processor. The measurement has about 1000 runs.
+Every variation runs in new processes. It is compared with a run without load. In this run, BLAS and
+numpy use their code for AVX2 (`ALIKE`). To represent another processor, the libraries are forced to
+use the code that they would choose on it. The code of the project's kernels depends only on the
+actual processor. The measurement has about 1000 runs.
 """
 
 from __future__ import annotations
@@ -30,19 +30,19 @@ PIECES = ("simulator", "camera", "vision", "planner", "solver")
 """Stages, in the order in which a cycle passes them."""
 
 BUSY = 4
-"""Number of processes that load the computer in a loaded run."""
+"""Number of extra processes that only use CPU time, in a run under load."""
 
 
 @dataclass(frozen=True)
 class Variation:
-    """Differences from the run without load.
+    """Variation of the run: its differences from the run without load.
 
     Attributes
     ----------
     settings : mapping
         Environment variables.
     workers, busy : int
-        Number of processes that share the runs, and of processes that only use CPU time.
+        Number of processes that execute the runs, and number of processes that only use CPU time.
     needs : str
         Required feature of the processor, by its name in /proc/cpuinfo.
     """
@@ -78,7 +78,7 @@ VARIATIONS = {
 
 
 def measure(quick: bool) -> Result:
-    """Run all variations. A quick measurement has two seeds."""
+    """Run all variations. A quick measurement uses only two seeds."""
     cache, seeds = Cache.of(__name__), SEEDS[:2] if quick else SEEDS
     reference = traces("quiet", Variation(), seeds, cache)
     rows: list[dict[str, Any]] = []
@@ -98,8 +98,8 @@ def measure(quick: bool) -> Result:
 def traces(
     name: str, variation: Variation, seeds: range, cache: Cache
 ) -> dict[str, list[list[str]]]:
-    """Return the traces of every scenario in a variation, by seed. Runs that are not in the
-    cache are made."""
+    """Return the traces of every scenario in a variation, by seed. Only runs that are not in the
+    cache are executed."""
     work = {(name, scenario): [(scenario, seed) for seed in seeds] for scenario in SCENARIOS}
     with surroundings(variation):
         found = by_case(trace, work, cache, variation.workers)
@@ -112,7 +112,7 @@ def trace(scenario: str, seed: int) -> list[str]:
 
 
 def made(moment: Moment) -> Iterator[list[np.ndarray]]:
-    """Yield the output of each of `PIECES`."""
+    """Yield the output of each stage in `PIECES`."""
     world, parts, request, cycle = moment.world, moment.parts, moment.request, moment.answer.cycle
     forces, start = request.forces, [] if request.start is None else [request.start]
     yield [world.position, world.angle]
@@ -128,7 +128,7 @@ def digest(arrays: list[np.ndarray]) -> str:
 
 
 def compared(pairs: list[tuple[list[str], list[str]]]) -> dict[str, Any]:
-    """Return the number of equal pairs of traces, and the first difference of the others."""
+    """Return the number of equal pairs of traces, and the first difference of the unequal pairs."""
     others = [pair for pair in pairs if pair[0] != pair[1]]
     row = {"runs": len(pairs), "same": len(pairs) - len(others), "piece": None, "cycle": None}
     for cycle, (a, b) in enumerate(zip(*others[0], strict=False)) if others else ():

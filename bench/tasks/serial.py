@@ -47,7 +47,7 @@ KINDS: dict[str, tuple[dict[str, float], str]] = {
 
 
 def measure(quick: bool) -> Result:
-    """Run all accidents. A quick measurement has only a few of each."""
+    """Run all accidents. A quick measurement has only a few runs of each kind of accident."""
     runs = 1 if quick else RUNS
     work = {kind: [(kind, seed) for seed in range(runs)] for kind in KINDS}
     faults = [

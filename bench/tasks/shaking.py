@@ -1,31 +1,34 @@
 """Baseline of the feeder: a plate that shakes all parts, takes an image, and shakes again.
 
-Commercial flexible feeders work in this way. Simulator, camera, vision, robot and hopper are those
-of the project's feeder.
+Commercial flexible feeders work in this way. Simulator, camera, vision, robot and hopper are the
+same as for the project's feeder.
 
 The baseline takes an image while the robot is away and the plate rests. All parts that are ready in
 one image are picked one after the other, without a further image. When no ready part is left, the
-plate shakes until an image shows one. It starts to shake at the last grip, but the project's feeder
-moves only after the robot has left the view. The hopper opens during a shake, by the same rule as
-the project's. An image takes 0.2 s: settling, exposure, evaluation.
+plate shakes until an image shows one. The baseline starts to shake at the robot's last grip. The
+project's feeder moves only after the robot has left the camera's view. The hopper opens during a
+shake, by the same rule as for the project's feeder. An image takes 0.2 s for settling, exposure and
+evaluation.
 
 There are two kinds of shakes:
 
 - Vibrated: the simulated plate moves in its plane as strongly as the rig allows, slowly in one
-  direction and fast in the other (a Fejer kernel as velocity). Conveying moves the centre of the
-  parts to that of the pick window, along x, then y. Stirring rotates the plate about two centres on
-  its long axis, one after the other (a blinking vortex, which mixes well), in a random direction
-  for each shake. If a part leaves over an edge, only the time until the next drop is lost, because
-  commercial feeders have a border. No vibration in the plane spreads resting parts, because the
-  field of mean friction forces has no divergence for any centre of rotation.
-- Thrown: idealised vertical shakes, better than any existing feeder's. Within 0.6 s with settling,
-  all parts get new random positions and angles, uniformly distributed, with disjoint circumscribed
-  discs. Unlike the vibrated baseline, this one spreads the parts.
+  direction and fast in the other. Its velocity is a Fejer kernel. A shake conveys and then stirs.
+  Conveying moves the centre of the parts towards the centre of the pick window, along x, then along
+  y. Stirring rotates the plate about two centres on its long axis, one after the other (a blinking
+  vortex, which mixes well), in a random direction for each shake. A part that leaves over an edge
+  costs only the time until the next drop, because commercial feeders have a border. No vibration in
+  the plane spreads resting parts, because the field of mean friction forces has no divergence for
+  any centre of rotation.
+- Thrown: idealised vertical shakes, better than the shakes of any existing feeder. A shake takes
+  0.6 s with settling. It gives all parts new random positions and angles, uniformly distributed.
+  The circumscribed discs of the parts do not overlap. Unlike the vibrated baseline, these shakes
+  spread the parts.
 
-Vibrating was tuned with 20 discs, a clearance of 6 mm, a robot cycle of 2 s and seeds 0 to 9, 60 s
-each, over 3 times of stirring, 3 fractions of the conveyed distance and 2 waveforms. `STIR_S`,
-`CONVEY` and `HARMONICS` are the values with the most parts per minute. Throwing has no parameters
-to tune. Results are from other seeds.
+The vibrated baseline was tuned with 20 discs, a clearance of 6 mm, a robot cycle of 2 s and seeds 0
+to 9, for 60 s each. The candidates were 3 times of stirring, 3 fractions of the conveyed distance
+and 2 waveforms. `STIR_S`, `CONVEY` and `HARMONICS` are the values with the most parts per minute.
+The thrown baseline has no parameters to tune. The published results use other seeds.
 """
 
 from __future__ import annotations
@@ -46,33 +49,34 @@ from plate_vision.bare_plate import BARE_IMAGES
 from plate_vision.shapes import learn_plate
 
 TICK_S = 0.1
-"""Period at which the robot is polled while the plate rests [s], as in the project's loop."""
+"""Period at which the robot's state is updated while the plate rests [s], as in the project's
+loop."""
 
 LOOK_TICKS, THROW_TICKS = 2, 6
-"""Duration of taking an image, and of an idealised shake [ticks]."""
+"""Duration of an image with settling and evaluation, and of an idealised shake [`TICK_S`]."""
 
 SAMPLES = 240
 """Number of samples per cycle."""
 
 MAX_CYCLES, COAST_S = 10, 0.5
-"""Maximum number of cycles of one conveying, and maximum time for which parts slide after it
-[s]."""
+"""Maximum number of conveying cycles per shake and axis, and maximum time for which parts slide
+afterwards [s]."""
 
 TRIES = 2000
 """Maximum number of random positions tried for a thrown part."""
 
 
 STIR_S, CONVEY = 0.8, 0.5
-"""Time of stirring per shake [s], and fraction of the distance to the window's centre by which
-parts are conveyed."""
+"""Stirring time per shake [s], and conveyed distance as a fraction of the distance to the pick
+window's centre."""
 
 PERIOD_S, HARMONICS = 0.1, 2
 """Period of a cycle [s], and number of harmonics of its velocity."""
 
 
 def waveform() -> tuple[np.ndarray, np.ndarray]:
-    """Return displacement and velocity (SAMPLES,) over a period of 1 s, slow in one direction and
-    fast in the other."""
+    """Return displacement and velocity (SAMPLES,) over a period of 1 s. The motion is slow in one
+    direction and fast in the other."""
     t = 2 * np.pi * np.arange(SAMPLES) / SAMPLES
     order = np.arange(1, HARMONICS + 1)
     share = 2 * (1 - order / (HARMONICS + 1))
@@ -89,8 +93,8 @@ def shaken(rig: Rig, axis: np.ndarray) -> PlateCycle:
 
 
 def conveyed(rig: Rig, cycle: PlateCycle, axis: int) -> np.ndarray:
-    """Return the distances (MAX_CYCLES,) [m] by which 1, 2, ... cycles move one part along an
-    axis, until it is at rest again."""
+    """Return the distances (MAX_CYCLES,) [m] that a part moves along an axis in 1, 2, ... cycles,
+    until it is at rest again."""
     ways = []
     for count in range(1, MAX_CYCLES + 1):
         position, velocity = np.zeros((1, 2)), np.zeros((1, 2))
@@ -109,11 +113,11 @@ class Shaker:
     Parameters
     ----------
     setup : Setup
-        Its scenario is a recipe with a hopper.
+        Setup of the run. Its scenario must be a recipe with a hopper.
     cycle_s : float
-        Cycle of the robot [s].
+        Cycle time of the robot [s].
     is_thrown : bool
-        Whether shakes are idealised.
+        Whether the baseline is the thrown one, with idealised shakes.
     """
 
     def __init__(self, setup: Setup, cycle_s: float, is_thrown: bool) -> None:
@@ -148,7 +152,7 @@ class Shaker:
         return Production.of(self.tally, self.robot, self.simulation, self.task)
 
     def _steps(self) -> Iterator[PlateCycle]:
-        """Yield the plate's cycles one after the other, without end."""
+        """Yield the plate's cycles one after the other. The sequence is endless."""
         while True:
             yield from self._thrown() if self.is_thrown else self._vibrated()
             while self._in_view:
@@ -246,13 +250,14 @@ def turn_about(centre: np.ndarray) -> np.ndarray:
 
 
 def mirrored(cycle: PlateCycle) -> PlateCycle:
-    """Return a cycle with the opposite direction."""
+    """Return a cycle with the opposite direction of motion."""
     return cycle.scaled(-1.0)
 
 
 def thrown(reach: np.ndarray, half: np.ndarray, rng: np.random.Generator) -> np.ndarray:
     """Return random positions (M, 2) [m] of disjoint discs with the radii `reach` (M,) [m], on a
-    plate with half side lengths (2,) [m]. A disc without free space overlaps others."""
+    plate with half side lengths (2,) [m]. A disc for which no free space is found overlaps
+    others."""
     place = np.zeros((len(reach), 2))
     for i, mine in enumerate(reach):
         for _ in range(TRIES):

@@ -1,4 +1,4 @@
-"""Every scenario with many seeds, and in worlds that differ from the assumed one.
+"""Every scenario with many seeds, in worlds that agree with the loop's model or differ from it.
 
 About 2000 runs take two hours on two cores. An interrupted measurement continues where it stopped.
 """
@@ -16,7 +16,7 @@ from plate_core.rig import Suspension, mass_matrix, modal_matrices
 from tasks.runs import UNEVEN, runs_of, summed
 
 FIRST_SEED = 20_000
-"""First seed. No parameter was chosen by runs with this seed or a larger one."""
+"""First seed. No parameter of the project was chosen by runs with this seed or a larger one."""
 
 LATE, LOST = {"latency": "0.05"}, {"missed_parts": "0.05", "false_parts": "0.01"}
 
@@ -25,7 +25,8 @@ MOTOR_GAIN = (1.1, 0.9, 1.1, 0.9)
 
 
 WEAK = "motors off by 10 %"
-"""Name of the world with the forces of `MOTOR_GAIN`, which the last world also has."""
+"""Part of the name of the world with the force errors of `MOTOR_GAIN`. The last world has the same
+force errors."""
 
 WORLDS: dict[str, dict[str, str]] = {
     "clean": {},
@@ -37,8 +38,8 @@ WORLDS: dict[str, dict[str, str]] = {
     "dirt, 5 % missed, 1 % false": UNEVEN | LOST,
     "all of these": UNEVEN | LATE | LOST | {"mu_scale": "0.7"},
 }
-"""Differences from the world that planner and solver assume, as settings of
-`bench/closed_loop.py`."""
+"""Simulated worlds by name. The settings of `bench/closed_loop.py` describe their differences from
+the world that planner and solver assume."""
 
 CASES = (
     ("sort_10", "sinusoids", "dirt", 300),
@@ -78,8 +79,8 @@ def measure(quick: bool) -> Result:
 def weak(rig: Rig) -> Rig:
     """Return the rig with motors whose forces differ from the requested ones by `MOTOR_GAIN`.
 
-    The plate has a soft suspension (5 Hz, well damped). Its drive compensates for the suspension,
-    but not for the motors.
+    The plate has a soft suspension (5 Hz, well damped). The plate's drive compensates for the
+    suspension, but not for the errors of the motor forces.
     """
     mass = mass_matrix(rig.plate.mass_kg, rig.plate.inertia_kgm2)
     damping, stiffness = modal_matrices(mass, np.full(3, 5.0), np.full(3, 0.5))

@@ -18,7 +18,8 @@ SPEEDS_MM = (2, 5, 20, 40, 80, 160, 320)
 """Speeds along the circles [mm/s]. The speeds are tried in this order until one fails."""
 
 SEEDS = (0, 1)
-"""Seeds of the runs at each speed. Image noise, friction and the solver's random numbers differ."""
+"""Seeds of the runs at each speed. The seeds differ in image noise, friction and the solver's
+random numbers."""
 
 CENTRES_M = ((-0.2, 0.07), (0.2, -0.07), (0.0, 0.07), (-0.2, -0.07), (0.2, 0.07), (0.0, -0.07))
 """Centres of the circles, in the order in which they are used [m]."""
@@ -30,15 +31,16 @@ RADIUS_M = 0.05
 """Radius of the circles [m]."""
 
 SPAN_S = 6.0
-"""Duration of a run [s], but at least 0.08 laps and at most two laps."""
+"""Duration of a run [s]. It is extended to at least 0.08 laps, or reduced to at most two laps."""
 
 MAX_RMS_M, MAX_DELAY = 6e-3, 1.05
-"""Limits for a speed that counts as reached, if all runs succeed: maximum error, a hundredth of the
-plate's length [m], and maximum ratio of the actual time to the time at this speed."""
+"""Limits for a speed that counts as reached. The first is the maximum error, a hundredth of the
+plate's length [m]. The second is the maximum ratio of the actual time to the time at this speed.
+All runs must also succeed."""
 
 
 def measure(quick: bool) -> Result:
-    """Move 1 to 6 parts with increasing speeds."""
+    """Move 1 to 6 parts on circles, with increasing speeds."""
     rig = load_rig()
     seeds, cache = SEEDS[:1] if quick else SEEDS, Cache.of(__name__)
     going = [("sinusoids", 2)] if quick else [(name, n) for name in COUNTS for n in COUNTS[name]]

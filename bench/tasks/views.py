@@ -31,7 +31,7 @@ SCENES: dict[str, dict[str, str]] = {
     "light 20 % down after 3 s": {"light_step": "-0.2", "light_step_s": "3"},
     "flicker 6 %": {"flicker": "0.06"},
 }  # fmt: skip
-"""Settings of `bench/closed_loop.py`, by name of a scene."""
+"""Settings of `bench/closed_loop.py` for each scene, by name of the scene."""
 
 
 def measure(quick: bool) -> Result:

@@ -1,7 +1,7 @@
 """Agent that searches each cycle's motion with CMA-ES.
 
-It searches the 18 numbers of the action `motion`, and evaluates them in a simulator of the nominal
-rig. It needs `pip install cma`. Run it in this folder:
+The agent searches for the 18 numbers of the action `motion`, and evaluates candidates in a
+simulator of the nominal rig. It needs `pip install cma`. Run it in this folder:
 
     python -m plate_gym.bench --agent cma_es:CmaEs --task Sort4-v1 --seeds 0:20
 """
@@ -24,18 +24,20 @@ TRIED, ROUNDS, SPREAD = 12, 8, 0.4
 last action."""
 
 COAST_S = 0.03
-"""Time for which parts are extrapolated with their final velocity before the evaluation [s]."""
+"""Time by which the parts' final positions are extrapolated with their final velocities before the
+evaluation [s]."""
 
 EDGE_M, EDGE_COST = 0.02, 3.0
-"""Width of the zone at the edges [m], and cost per metre into it [metres of distance to go]."""
+"""Width of the zone at the plate's edges [m]. Cost of a part in this zone, per metre beyond the
+zone's inner border [metres of distance to go]."""
 
 IDLE_S = 0.1
 """Length of the cycle at rest before the first action [s]."""
 
 
 class CmaEs:
-    """Agent that tries about a hundred motions, and returns the motion with the smallest remaining
-    distance."""
+    """Agent that tries about a hundred motions per decision. It returns the motion after which the
+    parts have the lowest cost: remaining distance plus cost near edges."""
 
     action, observation = "motion", "parts"
 
@@ -71,7 +73,7 @@ class CmaEs:
         return self._last
 
     def _after(self, cycles: list[PlateCycle]) -> list[WorldState]:
-        """Return the state after each cycle, simulated from the current state."""
+        """Return the state of the parts after each cycle, simulated from the current state."""
         worlds = self._worlds[: len(cycles)]
         for world in worlds:
             world.state = self._now

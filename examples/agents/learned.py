@@ -1,4 +1,4 @@
-"""Learned agent: evaluates the small network that train.py has trained, with numpy only.
+"""Learned agent. It evaluates the small network that train.py has trained, and needs only numpy.
 
 Run it in this folder:
 
@@ -30,7 +30,7 @@ def features(place: Any, drift: Any, last: Any, half: Any, of: Any = np) -> Any:
     place, drift : (N, M, 2)
         Positions [m] and drift velocities [m/s] of the parts, as in the observation `parts`.
     last : (N, 18)
-        Last action, which is played while the next one is computed.
+        Last action. The plate plays this motion while the next action is computed.
     half : (2,)
         Half side lengths of the plate [m].
     of : module
@@ -42,7 +42,8 @@ def features(place: Any, drift: Any, last: Any, half: Any, of: Any = np) -> Any:
 
 
 class Network:
-    """Linear layers with ReLU between them. An action beyond its bounds is scaled down to them."""
+    """Linear layers with ReLU between them. An action that exceeds its bounds is scaled down to the
+    bounds."""
 
     def __init__(self, layers: list[tuple[np.ndarray, np.ndarray]]) -> None:
         self._layers = layers

@@ -1,24 +1,24 @@
 """Train a small network that computes each motion directly, by gradients through friction.
 
 The network acts for some cycles in a model of the plate in which parts are points. The gradient of
-the parts' distances from their targets is propagated back through friction and motions to its
-weights. Therefore the network learns without a solver and without rewards. Run it in this folder,
-in a separate environment (pip install ../../src/plate_gym -r requirements.txt):
+the parts' distances from their targets is propagated back through friction and motions to the
+network's weights. Therefore the network learns without a solver and without rewards. Run it in this
+folder, in a separate environment (pip install ../../src/plate_gym -r requirements.txt):
 
     python train.py
 
-It writes weights.npz, and curve.csv with the network's results on plates of plate_gym during the
-training. It takes about 20 minutes on one core:
+The program writes weights.npz, and curve.csv with the network's results on plates of plate_gym
+during the training. The training takes about 20 minutes on one core:
 
     updates                     400   800  1200  2000  4000  8000
     done [%]                     42    86   100   100   100   100
     plate time, median [s]     20.7  13.9  10.1   8.4   7.7   7.2
 
 The final plate time is twice that of Method B. A decision takes 0.1 ms instead of 30 ms. In the
-disturbed worlds, which it has not seen in training, it takes at most 5 % longer. With ten parts
-(`--task Sort10-v1`) it sorted none after 1,000 updates. A network that averages features of the
-parts sorted none of 30 plates after 2,353 updates (6 minutes of one core). Longer training was not
-tried.
+disturbed worlds, which were not used in training, the task takes at most 5 % longer. With ten parts
+(`--task Sort10-v1`), the network sorted no plate after 1,000 updates. Another network, which
+averages features of the parts, sorted none of 30 plates with ten parts after 2,353 updates (6
+minutes on one core). Longer training was not tried.
 """
 
 from __future__ import annotations
@@ -41,7 +41,7 @@ from plate_solver import Limits
 from plate_solver.sinusoids import sinusoid_basis
 
 WIDTH = 256
-"""Width of both hidden layers."""
+"""Number of neurons in each of the two hidden layers."""
 
 PLATES, CYCLES = 512, 8
 """Number of plates in parallel, and number of cycles through which the gradient is propagated."""
@@ -50,14 +50,14 @@ RATE = 3e-3
 """Initial learning rate, which decreases linearly to 0."""
 
 STEPS = 64
-"""Time steps per cycle in the model."""
+"""Number of time steps per cycle in the model."""
 
 MAX_CYCLES = 120
-"""Maximum number of cycles until a plate of the model is reset."""
+"""Maximum number of cycles after which a plate of the model is reset."""
 
 EDGE_M, EDGE_COST = 0.03, 2.0
-"""Width of the zone at the edges in which a part has a cost [m], and the cost at the edge [units of
-100 mm to go]."""
+"""Width of the zone at the edges in which a part has a cost [m], and the cost at the edge itself
+[100 mm of distance to go]."""
 
 CLEAR_M = 0.02
 """Distance between the centres of parts below which they have a cost [m]."""
@@ -73,7 +73,7 @@ CURVE = Path(__file__).with_name("curve.csv")
 
 @njit(fastmath=True, cache=True)
 def slide(state: Any, pose: Any, twist: Any, most: float, dt: float, kept: Any) -> None:
-    """Simulate the parts for a cycle, with point friction and explicit steps.
+    """Simulate the parts for a cycle, with point friction and explicit time steps.
 
     With the slip s = plate velocity below the part - v, each step is
     v' = v + s min(1, most / norm(s)), then p' = p + dt v'.
@@ -114,9 +114,9 @@ def slide_back(
 ) -> None:  # fmt: skip
     """Propagate derivatives back through `slide`.
 
-    `by_state` has the derivatives with respect to the state after the cycle, and is overwritten
-    with those for the state before. Those for pose and twist are added to `by_pose` and
-    `by_twist`.
+    `by_state` contains the derivatives with respect to the state after the cycle. It is overwritten
+    with the derivatives with respect to the state before the cycle. The derivatives with respect to
+    pose and twist are added to `by_pose` and `by_twist`.
     """
     x, y, u, v = by_state
     for i in range(len(pose) - 1, -1, -1):
@@ -231,7 +231,7 @@ def tensor(values: Any) -> Any:
 
 
 class Crowd:
-    """Plates of the model on which the network acts. Finished plates are reset."""
+    """Simulated plates on which the network acts during training. Finished plates are reset."""
 
     def __init__(self, model: Model) -> None:
         self._model, parts = model, (PLATES, model.parts, 2)
@@ -241,7 +241,7 @@ class Crowd:
 
     def costs(self, network: Any) -> Any:
         """Let the network act for `CYCLES`. Return the mean cost of the positions, in which the
-        final one counts twice."""
+        final position counts twice."""
         model, total = self._model, 0.0
         for _ in range(CYCLES):
             found = network(features(self.place, self.drift, self.last, model.half, torch))
@@ -292,7 +292,7 @@ def judged(env: Any, network: Network) -> tuple[float, float, int]:
 
 
 def layers_of(network: Any) -> list[tuple[np.ndarray, np.ndarray]]:
-    """Return weights and biases as numpy arrays."""
+    """Return the weights and biases of each linear layer as numpy arrays."""
     linear = [layer for layer in network if isinstance(layer, torch.nn.Linear)]
     return [tuple(p.detach().numpy().copy() for p in (own.weight, own.bias)) for own in linear]
 

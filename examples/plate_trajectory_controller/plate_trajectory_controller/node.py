@@ -1,5 +1,5 @@
-"""ROS topics of the relay. It publishes joint_trajectory for the controller, and subscribes to
-joint_states."""
+"""ROS topics of the relay. The relay publishes joint_trajectory for the controller, and subscribes
+to joint_states."""
 
 from __future__ import annotations
 

@@ -1,9 +1,9 @@
-"""Relay without ROS. It decides which trajectory the controller gets next, and when.
+"""Relay without ROS. The relay decides which trajectory the controller gets next, and when.
 
-A joint_trajectory_controller follows the newest trajectory at once and holds its last point. So
-each table is sent when the previous one ends. All tables begin and end at rest at home: a cycle is
-played with its tail, and a cycle that begins in motion is refused. If a table is sent late, the
-plate only rests a little longer.
+A joint_trajectory_controller follows the newest trajectory at once and holds its last point.
+Therefore the relay sends each motor table when the previous one ends. All tables begin and end at
+rest at home. A cycle is always played with its tail, which brings the plate to rest. A cycle that
+begins in motion is refused. If a table is sent late, the plate only rests a little longer.
 """
 
 from __future__ import annotations
@@ -23,16 +23,18 @@ SILENCE_S = 0.25
 """Maximum age of joint states [s]."""
 
 BRAKE_S, STEP_S, HOMEWARD_S = 0.2, 0.005, 0.5
-"""Maximum duration of braking, time between its points, and duration of the return to home [s]."""
+"""Maximum duration of braking, time between two points of the braking trajectory, and duration of
+the return to home [s]."""
 
 AT_HOME_M = 1e-3
 """Maximum distance of a motor from home at which the motors can be enabled [m]."""
 
 STILL_M, STILL_S = 2e-4, 0.1
-"""If motors move by less than this distance within this time, they are at rest [m], [s]."""
+"""The motors count as being at rest if they move by less than this distance [m] within this time
+[s]."""
 
 STOP_S = BRAKE_S + HOMEWARD_S + 0.5
-"""Maximum wait until the joint states show that the motors are at rest [s]."""
+"""Maximum time from a stop until the joint states show that the motors are at rest [s]."""
 
 CANNOT_CUT = "a trajectory controller cannot cut the current: use the drives' own stop"
 HELD = "at rest, but the drives hold their current: cut it at the drives before you reach in"
@@ -50,17 +52,17 @@ class Trajectory:
 
 
 class Relay:
-    """A transport of plate_driver; see `plate_driver.transports.Transport` for its methods.
+    """A transport of plate_driver. `plate_driver.transports.Transport` describes its methods.
 
     Parameters
     ----------
     rig : Rig
     command : callable
-        Sends a Trajectory to the controller.
+        Function that sends a Trajectory to the controller.
     publish : callable
-        Publishes a table on motor_setpoints.
+        Function that publishes a table on motor_setpoints.
     clock : callable
-        Returns a monotonic time [s].
+        Function that returns a monotonic time [s].
     """
 
     motors = True
@@ -95,7 +97,7 @@ class Relay:
         self._states = [*recent, (now, position)]
 
     def poll(self) -> list[Measured]:
-        """Send the next table when the last one has ended. Return no measurements."""
+        """Send the next table when the previous one has ended. Return no measurements."""
         now = self._clock()
         self._settle_stop(now)
         playing = self._playing
@@ -124,8 +126,8 @@ class Relay:
         return Report(Condition.READY)
 
     def send(self, table: MotorTable, repeats: int) -> None:
-        """Store a table until the playing one has ended. Raises CycleError if the motors are not
-        ready, or the table begins in motion."""
+        """Store a table. It is sent when the current table has ended. Raises CycleError if the
+        motors are not ready, or the table begins in motion."""
         if self.report().condition is not Condition.READY:
             raise CycleError(f"plate_cycle: the motors are {self.report().condition.value}")
         if not table.cycle.starts_at_rest:
@@ -136,8 +138,8 @@ class Relay:
         self.poll()
 
     def stop(self, cut: bool = False) -> Order:
-        """Brake along the path and return to home. The relay cannot cut the current, so an order to
-        cut it fails."""
+        """Brake along the path and return to home. The relay cannot cut the current, so an order
+        that requires this fails."""
         now, order = self._clock(), Order(STOP_S)
         self._enabled, self._next = False, None
         playing, self._playing = self._playing, None
@@ -151,8 +153,8 @@ class Relay:
         return order
 
     def enable(self) -> Order:
-        """Accept tables from now on, if joint states arrive and the motors are at home and not
-        braking."""
+        """Accept tables from now on. Refuse if no joint states arrive, or if the motors are away
+        from home or braking."""
         now, order = self._clock(), Order()
         if not self._states or now - self._states[-1][0] > SILENCE_S:
             return order.complete(
@@ -167,11 +169,11 @@ class Relay:
         return order.complete()
 
     def home(self) -> Order:
-        """Refuse, because the drives do their own homing."""
+        """Refuse the homing, because the drives perform it themselves."""
         return Order().complete("homing is the drives' own")
 
     def troubles(self) -> list[str]:
-        """Return no troubles, because the report contains all of them."""
+        """Return no problems, because the report already contains all of them."""
         return []
 
     def values(self) -> dict[str, str]:
@@ -187,8 +189,8 @@ class Relay:
         self._command(Trajectory(table.cycle.times, table.q, table.qd, table.qdd))
 
     def _settle_stop(self, now: float) -> None:
-        """Complete a stop when the joint states show that the motors are at rest. After `STOP_S`,
-        complete it with an error."""
+        """Complete the order to stop when the joint states show that the motors are at rest. After
+        `STOP_S`, complete it with an error."""
         if self._stop is None:
             return
         order, asked = self._stop
@@ -205,8 +207,8 @@ def brake(rig: Rig, table: MotorTable, along: float) -> Trajectory:
     """Return the trajectory that brakes on a table's path from the time `along` [s], and returns to
     home.
 
-    The table's clock is slowed down to a standstill (docs/protocol.md), so the plate stays on its
-    path. With u = t / length, its rate is 1 - 3 u^2 + 2 u^3.
+    The clock of the table is slowed down to a standstill (docs/protocol.md), so the plate stays on
+    its path. With u = t / length, the rate of the clock is 1 - 3 u^2 + 2 u^3.
     """
     cycle = table.cycle
     length = min(cycle.period, BRAKE_S)
