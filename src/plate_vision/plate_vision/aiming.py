@@ -28,8 +28,8 @@ from .vision import Vision
 
 AROUND = 0.03
 """Margin around the plate in which sharpness is also measured, relative to the plate's larger side
-in the image [-]. It contains the plate's edges, which are the only edges in the image of a bare
-plate."""
+in the image [-]. The margin contains the plate's edges, which are the only edges in the image of a
+bare plate."""
 
 SMOOTH_PX = 1.0
 """Standard deviation of the Gaussian filter that reduces noise before the gradient is computed
@@ -47,8 +47,8 @@ CLIPPED = 0.01
 channel at 255 [-]. Reflections of a part cover smaller fractions."""
 
 BLURRED = 0.85
-"""Minimum sharpness of an image in focus, relative to the maximum of the last minute [-]. Noise, or
-a part that is moved, changes sharpness by less than 5 %."""
+"""Minimum sharpness of an image in focus, relative to the maximum of the last minute [-]. Noise or
+a moved part changes the sharpness by less than 5 %."""
 
 PASSED, BACK = 0.9, 0.95
 """Two limits of the sharpness, relative to its maximum in the last minute [-]. The lens was moved
@@ -56,7 +56,7 @@ through the focus if the sharpness was below `PASSED` before its maximum, and ag
 image is back in focus if the present sharpness is at least `BACK`."""
 
 SHARP_PX = 1.5
-"""Maximum standard deviation of the blur of the plate's edges in a sharp picture [px]. Drawn
+"""Maximum standard deviation of the blur of the plate's edges in a sharp picture [px]. Synthetic
 pictures have a blur of 1.0 px with a sharp lens, of 1.4 px with a defocus of 1 px, and of 2.2 px
 with a defocus of 2 px."""
 
@@ -85,7 +85,7 @@ EDGE_POINTS = 9
 
 @dataclass(frozen=True, eq=False)
 class AimField:
-    """The measured region of a picture. It is computed again if the vision's region changes.
+    """The measured region of a picture. This region is computed again if `vision.region` changes.
 
     Attributes
     ----------
@@ -94,13 +94,13 @@ class AimField:
         Window of the picture that contains the plate and its surround.
     plate, around : (h, w) uint8
         Masks of this window. `plate` is 255 on the plate, `around` is 255 on the plate and its
-        surround. Both are 0 elsewhere.
+        surround. Both masks are 0 elsewhere.
     grid : OutlineGrid
         Image points at which the plate's edges are searched.
     part_px : (float, float)
-        Range of the parts' diameters in the image [px]. It extends from the smallest part at the
-        smallest image scale to the largest part at the largest scale. The scale is evaluated at the
-        plate's centre and at points of its edges.
+        Range of the parts' diameters in the image [px]. The range extends from the smallest part at
+        the smallest image scale to the largest part at the largest scale. The scale is evaluated at
+        the plate's centre and at points of its edges.
     radius : float
         Radius of a part [m].
     """
@@ -170,9 +170,9 @@ def light_on_plate(image: np.ndarray, field: AimField) -> Light:
 def sharpness_of(image: np.ndarray, field: AimField) -> float:
     """Return the sharpness of an image (H, W) or (H, W, 3) uint8 around the plate [1/px].
 
-    It is the root mean square of the gradient (Tenengrad), divided by the standard deviation of the
-    grey levels, so that it does not depend on the brightness. The result is NaN if the contrast is
-    less than `MIN_CONTRAST`.
+    The sharpness is the root mean square of the gradient (Tenengrad), divided by the standard
+    deviation of the grey levels. The division makes the sharpness independent of the brightness.
+    The result is NaN if the contrast is less than `MIN_CONTRAST`.
     """
     grey = grey_levels(np.ascontiguousarray(image[field.rows, field.columns])).astype(np.float32)
     _, deviation = cv2.meanStdDev(grey, mask=field.around)
@@ -187,8 +187,8 @@ def sharpness_of(image: np.ndarray, field: AimField) -> float:
 
 
 def edge_blur_px(image: np.ndarray, outline: Outline, field: AimField) -> float:
-    """Return the standard deviation of the blur of the plate's edges in an image (H, W) or
-    (H, W, 3) [px]. It is the median of contrast / (sqrt(2 pi) slope) over the visible edges. The
+    """Return the standard deviation of the blur of the plate's edges in an image (H, W) or (H, W,
+    3) [px]. The result is the median of contrast / (sqrt(2 pi) slope) over the visible edges. The
     result is NaN if no edge is visible."""
     calibration, along = field.vision.calibration, field.grid.along
     grey = contrasted(image, field.grid)
@@ -214,19 +214,19 @@ class Focus:
     """The sharpness of the last minute, and whether the focus was found.
 
     The focus is found if the plate's edges are sharp, or if the sharpness rose, fell, and is back
-    near its maximum. It is lost if the sharpness falls far below its maximum.
+    near its maximum. The focus is lost if the sharpness falls far below its maximum.
 
     Attributes
     ----------
     values : tuple of (float, float)
         Stamps [s] and sharpness [1/px] of the images, oldest first.
     blur_px : float
-        Blur of the plate's edges in the newest image [px]. It is NaN if unknown.
+        Blur of the plate's edges in the newest image [px]. NaN if the blur is unknown.
     peaked : bool
         Whether the sharpness has passed its maximum since the focus was last lost.
     sharp : bool
-        Whether the edges were sharp in the last image in which their blur could be measured. It is
-        false after the focus was lost.
+        Whether the edges were sharp in the last image in which their blur could be measured. False
+        after the focus was lost.
     """
 
     values: tuple[tuple[float, float], ...] = ()
@@ -262,20 +262,19 @@ class Focus:
 
     @property
     def now(self) -> float:
-        """The newest sharpness [1/px]. It is NaN if it could not be measured."""
+        """The newest sharpness [1/px]. NaN if the sharpness could not be measured."""
         return self.values[-1][1] if self.values else math.nan
 
     @property
     def best(self) -> float:
-        """The maximum sharpness of the last minute [1/px]. It is NaN if no sharpness was
-        measured."""
+        """The maximum sharpness of the last minute [1/px]. NaN if no sharpness was measured."""
         known = [value for _, value in self.values if math.isfinite(value)]
         return max(known, default=math.nan)
 
     @property
     def change(self) -> float:
-        """Relative change of the sharpness during the last `LATELY_S` [-]. It is the mean of the
-        second half of this time divided by the mean of the first half, minus one. It is NaN if one
+        """Relative change of the sharpness during the last `LATELY_S` [-]. The change is the mean
+        of the second half of this time divided by the mean of the first half, minus one. NaN if one
         of the halves contains no value."""
         if not self.values:
             return math.nan
@@ -289,7 +288,7 @@ class Focus:
 
     @property
     def trend(self) -> str:
-        """Description of `change`: steady, rises or falls."""
+        """Description of the change of the sharpness: steady, rises or falls."""
         change = self.change
         if not math.isfinite(change) or abs(change) <= STEADY:
             return "steady"
@@ -297,7 +296,7 @@ class Focus:
 
     @property
     def finding(self) -> Finding:
-        """State of the focus, with the remedy."""
+        """Finding about the focus, with a remedy if the image is not in focus."""
         if not math.isfinite(self.now):
             text = "too little contrast to measure the sharpness; check that the lens is uncovered"
             return Finding(Level.ERROR, text)
@@ -330,8 +329,8 @@ def outline_px(outline: Outline, field: AimField) -> np.ndarray:
 def outline_finding(
     image: np.ndarray, outline: Outline, field: AimField, moving: bool = False
 ) -> Finding:
-    """Return a finding about the outline in an image (H, W) or (H, W, 3). It states whether this
-    outline agrees with the expected outline.
+    """Return a finding about the outline in an image (H, W) or (H, W, 3). The finding states
+    whether this outline agrees with the expected outline.
 
     If `moving` is true, the plate may be away from home.
     """
@@ -383,11 +382,12 @@ class Thing:
     Attributes
     ----------
     id : str
-        Id of the part. It is empty if the object is not a part.
+        Id of the part. Empty if the object is not a part.
     x_px, y_px, radius_px : float
         Centre of the object, and radius of the disc with the same area [px].
     reason, remedy : str
-        Reason why the object is rejected as a part, and the remedy. Both are empty for a part.
+        Reason why the object is rejected as a part, and the remedy. Both texts are empty for a
+        part.
     """
 
     id: str
@@ -400,7 +400,8 @@ class Thing:
 
 @dataclass(frozen=True, eq=False)
 class Situation:
-    """State of the detector when a picture is measured for the view.
+    """State of the detector when it measures a picture for the view in which a user aims the
+    camera.
 
     Attributes
     ----------
@@ -411,7 +412,7 @@ class Situation:
     things : tuple of Thing
         Parts and rejected objects in the last image that was not refused.
     findings : tuple of (str, Finding)
-        Findings that do not need this picture, such as the state of the lens, with their names.
+        Names and findings that do not depend on this picture. An example is the state of the lens.
     lens : Lens or None
         Lens in use. None: the lens of the rig file, if the file has one.
     moving : bool

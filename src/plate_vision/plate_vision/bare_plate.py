@@ -1,8 +1,8 @@
-"""State of the bare plate in the detector, for rigs with part types.
+"""The detector's model of the bare plate, for rigs with part types.
 
-On request, the bare plate is learned from images. Otherwise it is modelled from an image with
-parts. This model is then adapted to the light and the blur of each image. The inputs are images and
-the plate's region. The output is the background that recognition subtracts.
+On request, the bare plate is learned from images. Without a request, the bare plate is modelled
+from an image with parts. This model is then adapted to the light and the blur of each image. The
+inputs are images and the plate's region. The output is the background that recognition subtracts.
 """
 
 from __future__ import annotations
@@ -22,8 +22,8 @@ from .vision import Vision
 __all__ = ["BARE_IMAGES", "MODELLED", "BarePlate", "know_plate", "learn_next"]
 
 BARE_IMAGES = 5
-"""Number of images from which the bare plate is learned. They are averaged, which reduces their
-noise."""
+"""Number of images from which the bare plate is learned. The detector averages these images to
+reduce the noise."""
 
 MODELLED = "the bare plate is estimated from an image with parts; remove them, call ~/learn_plate"
 """Warning until the bare plate is learned."""
@@ -38,7 +38,7 @@ class BarePlate:
     learned : bool
         Whether the bare plate was learned from images. If False, it is modelled.
     first : Background, optional
-        The background as it was learned or modelled.
+        The background (image of the bare plate) when it was learned or modelled.
     light : Light, optional
         Change of the light from `first` to the last image.
     requested : int
@@ -55,7 +55,7 @@ class BarePlate:
 
 
 def learn_next(plate: BarePlate, image: np.ndarray | None, region: Region) -> tuple[BarePlate, str]:
-    """Request the next `BARE_IMAGES` images for learning. They must show the bare plate.
+    """Request the next `BARE_IMAGES` images for learning. These images must show the bare plate.
 
     Return the new state, and a message for the user. If the last image (H, W) or (H, W, 3) shows
     objects on the plate, the message states their number."""
@@ -70,7 +70,8 @@ def know_plate(
     plate: BarePlate, vision: Vision, image: np.ndarray
 ) -> tuple[BarePlate, Vision, Finding | None]:
     """Process one image (H, W) or (H, W, 3). If requested, learn the bare plate from it. If the
-    bare plate is unknown, model it. Otherwise adapt its model to the light and blur of the image.
+    bare plate is unknown, model it. If it is known, adapt its model to the light and blur of the
+    image.
 
     Return the new state of the bare plate, a vision with the adapted background, and a finding for
     the user or None.
@@ -105,7 +106,7 @@ def know_plate(
 
 
 def things_text(image: np.ndarray, region: Region) -> str:
-    """Return a text with the number of objects on a plate that should be bare. It is empty if no
-    objects are detected."""
+    """Return a text with the number of objects on a plate that should be bare. The text is empty if
+    no objects are detected."""
     count = len(find_patches(image, model_plate(image, region), region))
     return f"{count} object{'s are' if count > 1 else ' is'} on the plate" if count else ""

@@ -1,10 +1,10 @@
 """Detection of parts in an image of the plate, or in a photograph.
 
 `detect` and `find_discs` fit the plate's brightness (`fit_light`) and find seeds (first guesses of
-the parts' places). They erase the parts' marks and measure each part by moments or by a fit of its
-contour. Then they accept or reject it. Input: an image (H, W) or (H, W, 3) uint8 and the plate's
-region. Output: `DETECTION` records in pixels. If no options describe the parts, `detect` finds them
-by their outlines (`shapes`).
+the parts' places). These functions erase the parts' marks and measure each part by moments or by a
+fit of its contour. Then they accept or reject the part. Input: an image (H, W) or (H, W, 3) uint8
+and the plate's region. Output: `DETECTION` records in pixels. If no options describe the parts,
+`detect` finds them by their outlines (`shapes`).
 """
 
 from __future__ import annotations
@@ -63,8 +63,8 @@ BRIGHT = "white"
 
 METHODS = ("moments", "fit", "outline", "group")
 """Methods that measure a part. "moments": the part is isolated and uniformly dark. "fit": its
-contour is fitted. "outline": no options describe the parts. "group": like "outline", but the
-outline seems to be that of several parts."""
+contour is fitted. "outline": the part's outline is measured, because no options describe the parts.
+"group": like "outline", but the outline seems to be the outline of several parts."""
 
 LABELS, MEASURED = np.array([*CLASSES, BRIGHT]), np.array([METHODS[1], METHODS[0]])
 """`LABELS`: names of the labels, indexed by the label numbers that `judge` returns. `MEASURED`:
@@ -106,7 +106,7 @@ brightness."""
 
 SIGMAS = 2.2
 """Minimum contrast of a part, relative to the standard deviation of a pixel's noise. The contrast
-is the mean of four pixels, whose noise is half as large."""
+is the mean over four pixels. The noise of this mean is half the noise of one pixel."""
 
 ROUGH = 0.25
 """Maximum number of objects with a large misfit, relative to the number of detected parts. If there
@@ -138,16 +138,16 @@ class DetectorOptions:
         that are brighter than the plate or of another colour must differ from it by at least 1 -
         threshold. In noisy images, the difference must be larger.
     class_threshold : float
-        Brightness of a part, relative to the bare plate's brightness, below which the part is black
-        and above which it is grey, 0.05 to 0.95.
+        Threshold between black and grey parts, 0.05 to 0.95. The unit is the bare plate's
+        brightness.
     min_plate_grey : float
         Minimum brightness of the plate [grey levels], 1 to 255. If the plate is darker, the light
         counts as off.
     margin_px : float
-        Maximum distance of a part's centre outside the region [px], 0 to 10. It allows for errors
-        of the calibration. Only pixels inside the region are evaluated, so too little of a part is
-        visible if its centre is about 2 px farther outside. If the plate is displaced by more, make
-        a new region.
+        Maximum distance of a part's centre outside the region [px], 0 to 10. The distance allows
+        for errors of the calibration. Only pixels inside the region are evaluated. If a centre is
+        about 2 px farther outside, too little of the part is visible. If the plate is displaced by
+        more, make a new region.
     """
 
     RANGES: ClassVar[Mapping[str, tuple[float, float]]] = {
@@ -180,7 +180,7 @@ class PartView:
     least_px : float
         Smallest radius of a part in the image [px].
     calibration : Calibration, optional
-        Calibration of the camera. If it is None, shadows are not searched.
+        Calibration of the camera. Shadows are not searched if the calibration is None.
     """
 
     silhouettes: Silhouettes
@@ -251,7 +251,8 @@ class Discs(NamedTuple):
     parts : (n,) SILHOUETTE
         Silhouettes of the parts `found`.
     overlooked : (m,) OVERLOOKED
-        Objects on the plate that are not accepted as parts. Their x and y are not set.
+        Objects on the plate that are not accepted as parts. The fields x and y of these objects are
+        not set.
     shadow : Shadow, optional
         The shadow that every part casts; None if unknown.
     uncertain : bool
@@ -292,10 +293,10 @@ def find_discs(
 
     The first step uses grey levels and finds parts that are clearly darker than the plate. If there
     are other objects on the plate, the second step searches for parts among them by
-    `plate.contrast`. It finds fainter parts, brighter parts, parts of another colour, and parts
-    with highlights or holes. If many objects have a large misfit, the third step searches for a
-    shadow that every part casts. `shadow` is the shadow in the previous image, which is tried
-    first. If `search` is false, the third step is omitted, because it takes long.
+    `plate.contrast`. The second step finds fainter parts, brighter parts, parts of another colour,
+    and parts with highlights or holes. If many objects have a large misfit, the third step searches
+    for a shadow that every part casts. `shadow` is the shadow in the previous image. The third step
+    tries this shadow first. If `search` is false, the third step is omitted to save time.
     """
     plate = fit_light(grey_levels(image), region, options.min_plate_grey)
     if plate is None:
@@ -337,17 +338,18 @@ class Scene:
 
     @property
     def limit(self) -> float:
-        """Minimum contrast of a part."""
+        """Minimum contrast between a part and the plate [-]."""
         return max(1 - self.options.threshold, SIGMAS * self.channels.noise)
 
     @cached_property
     def contrast(self) -> LitPlate | None:
-        """The `contrast_image`. None if there is no plate."""
+        """Result of `contrast_image`. None if the image shows no plate."""
         return contrast_image(self.channels, self.region)
 
 
 def _uncertain(discs: Discs) -> bool:
-    """Whether many objects have a large misfit. Parts with an unknown shadow are such objects."""
+    """Whether many objects have a large misfit. Parts whose shadow is unknown also have a large
+    misfit."""
     good = GOOD_MISFIT if discs.shadow is None else GOOD_FIT
     uncertain = np.count_nonzero(discs.found["misfit"] > good)
     if len(discs.overlooked):
@@ -388,8 +390,8 @@ def _shadowed_discs(scene: Scene, shadow: Shadow) -> Discs:
 
 def _apart(discs: Discs) -> Discs:
     """Remove each disc that overlaps a disc with a smaller misfit. If the misfits are similar,
-    either disc may be the part. In this case, the standard deviation of the remaining disc's place
-    becomes at least the distance between the two discs."""
+    either disc may be the part. For similar misfits, the standard deviation of the remaining disc's
+    place becomes at least the distance between the two discs."""
     place, radius = discs.places, discs.parts["radius_px"]
     if not np.any(crowded(place, APART * float(np.max(radius, initial=0)))):
         return discs
@@ -535,8 +537,8 @@ def _outlines(image: np.ndarray, region: Region) -> np.ndarray:
 
 
 def _if_alike(outlines: np.ndarray) -> DetectorOptions | None:
-    """Return the description of round parts if all outlines are round and of about one size and all
-    are brighter or all are darker than the plate. Otherwise, return None."""
+    """Return a description of round parts if all outlines are round and have about the same size.
+    All outlines must also be brighter than the plate, or all darker. Otherwise, return None."""
     if len(outlines) < MIN_ALIKE or not np.all(outlines["round"] & ~outlines["group"]):
         return None
     if len(np.unique(outlines["contrast"] > 0)) > 1:

@@ -1,4 +1,4 @@
-"""Pictures for people, drawn with OpenCV. `draw_detections` draws outlines, names and velocities of
+"""Pictures for users, drawn with OpenCV. `draw_detections` draws outlines, names and velocities of
 the detected parts into an image. `draw_errors` draws the errors of a lens fit."""
 
 from __future__ import annotations
@@ -20,13 +20,13 @@ COLOURS = ((0, 200, 255), (255, 120, 0), (80, 220, 80), (220, 80, 220), (80, 80,
 PLATE_COLOUR, ARROW_COLOUR = (200, 200, 0), (60, 60, 230)
 
 ARROW_S = 1.0
-"""Time after which a part is at the end of its velocity arrow [s]."""
+"""Duration of the motion that the velocity arrow of a part shows [s]."""
 
 SHIFT = 4
 """Fractional bits of OpenCV's fixed-point coordinates: sixteenths of a pixel."""
 
 ERROR_SCALE = 200.0
-"""Factor by which errors of corners are enlarged."""
+"""Factor by which the drawn errors of the calibration board's corners are enlarged."""
 
 
 def draw_detections(

@@ -8,7 +8,7 @@ from plate_core import PlateError
 
 
 class ImageError(PlateError):
-    """An image, or the given place of the plate in it, cannot be used."""
+    """An image cannot be used, or the given place of the plate in the image cannot be used."""
 
 
 class CalibrationError(PlateError):

@@ -1,7 +1,8 @@
-"""Faint patches of a part's size that the detector misses. They are counted for the diagnostics.
+"""Faint patches of a part's size that the detector misses. The patches are counted for the
+diagnostics.
 
 The mean over the area of a part is compared with the mean over a ring around it. Both means average
-many pixels, so they show contrasts far below the noise of a single pixel.
+many pixels. Therefore their difference shows contrasts far below the noise of a single pixel.
 """
 
 from __future__ import annotations

@@ -1,6 +1,6 @@
-"""ROS node of the detector. It detects and tracks the parts in each image of `image_raw` with the
-module `vision`, and publishes them as `parts`. It also has services for teaching part types and for
-aiming the camera."""
+"""ROS node of the detector. The node detects and tracks the parts in each image of `image_raw` with
+the module `vision`, and publishes them as `parts`. The node also has services for teaching part
+types and for aiming the camera."""
 
 from __future__ import annotations
 
@@ -72,9 +72,9 @@ from .tracking import Prediction, Tracker, TrackerOptions, found_text
 from .vision import HOME, follow_plate, make_vision, observe
 
 PLANNED_S = 1.0
-"""Maximum time between an image and the planner's prediction of parts while a task runs [s]. It is
-several cycles of the plate. The time is limited because the last prediction remains after the
-planner has ended."""
+"""Maximum time between an image and the planner's prediction of parts while a task runs [s]. This
+time is several plate cycles. The time is limited because the last prediction remains stored after
+the planner has ended."""
 
 FAINT_PERIOD_S = 2.0
 """Minimum difference between the stamps of two images in which faint patches are searched [s]. A
@@ -162,8 +162,8 @@ class DetectorParameters(NodeOptions):
     )
 
     def detector(self) -> DetectorOptions:
-        """Return the options of the detection. The radius is not set here, because it follows from
-        the rig."""
+        """Return the options of the detection. The radius is not set here, because the rig file
+        determines it."""
         names = DetectorOptions.RANGES.keys() - {"radius_px"}
         return DetectorOptions(**{name: getattr(self, name) for name in names})
 
@@ -201,8 +201,8 @@ class Tally:
 
     @property
     def overlooked_lately(self) -> OverlookedTally:
-        """Overlooked objects of this report and of the previous one. Both are used so that the
-        first image of a report alone does not cause a warning."""
+        """Overlooked objects of this report and of the previous one. Both reports are used so that
+        the first image of a report alone does not cause a warning."""
         return self.overlooked_before.joined(self.overlooked)
 
 
@@ -309,7 +309,7 @@ class DetectorNode(SafeLifecycleNode[DetectorParameters]):
         self._aiming.begin()
 
     def rest(self) -> None:
-        """End the measurements for the view."""
+        """End the measurements for the view in which a user aims the camera."""
         self._aiming.rest()
 
     def _on_image(self, msg: Image) -> None:
@@ -443,7 +443,7 @@ class DetectorNode(SafeLifecycleNode[DetectorParameters]):
             )
 
     def _know_plate(self, image: np.ndarray) -> None:
-        """Learn the bare plate, model it, or adapt it to the present light."""
+        """Learn the bare plate, model it, or adapt its model to the present light."""
         self._plate, self._vision, found = know_plate(self._plate, self._vision, image)
         if found is None:
             return
@@ -514,8 +514,8 @@ class DetectorNode(SafeLifecycleNode[DetectorParameters]):
 
     @property
     def _moving(self) -> bool:
-        """Whether a task moves the plate. This is assumed if the planner's prediction is close in
-        time to the last image."""
+        """Whether a task moves the plate. A motion is assumed if the planner's prediction is close
+        in time to the last image."""
         expected, last = self._expected, self._tracker.stamp
         return expected is not None and (last is None or abs(last - expected.stamp) < PLANNED_S)
 
@@ -562,7 +562,7 @@ class DetectorNode(SafeLifecycleNode[DetectorParameters]):
         self._restart_detection(self._lens)
 
     def _take_lens(self, lens: Lens) -> None:
-        """Use a lens that was fitted."""
+        """Use a lens that was fitted to pictures."""
         self._restart_detection(lens)
         self._lens, self._lens_problem = lens, ""
 
@@ -577,7 +577,8 @@ class DetectorNode(SafeLifecycleNode[DetectorParameters]):
             self._place_camera()
 
     def _on_forces(self, msg: PartForces) -> None:
-        """Store the planner's prediction of the parts at the start of a cycle, if there is one."""
+        """Store the planner's prediction of the parts at the start of a cycle, if the message
+        contains a prediction."""
         try:
             request = msg_to_request(msg)
         except PlateError:
@@ -640,7 +641,7 @@ class DetectorNode(SafeLifecycleNode[DetectorParameters]):
         return len(taken), things, radius
 
     def _note_ids(self) -> None:
-        """Log the ids that were given up or renamed with the last image."""
+        """Log the ids that the tracker removed or renamed in the last image."""
         given_up, renamed = self._tracker.given_up, self._tracker.renamed
         if given_up:
             images = self._tracker.options.max_missed + 1

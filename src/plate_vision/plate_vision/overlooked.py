@@ -1,8 +1,8 @@
 """Overlooked objects: objects on the plate that the detector rejects as parts.
 
-Each object has one of `REASONS`. `OverlookedTally` counts the objects over several images and
-returns a finding with the remedies. `may_be_parts` selects the objects that the planner must treat
-as obstacles.
+Each object has one of the reasons in `REASONS`. `OverlookedTally` counts the objects over several
+images and returns a finding with the remedies. `may_be_parts` selects the objects that the planner
+must treat as obstacles.
 """
 
 from __future__ import annotations
@@ -53,13 +53,13 @@ NONE_OVERLOOKED.setflags(write=False)
 
 APART = 0.9
 """Minimum distance between an object and a part, relative to the sum of their radii [-]. A nearer
-object belongs to the part: it is its shadow or its side face. For two parts that touch, the
-relative distance is 1."""
+object is the shadow or the side face of the part. For two parts that touch, the relative distance
+is 1."""
 
 WARN_FRACTION, WARN_COUNT = 0.1, 2
 """Minimum number of overlooked objects that cause a warning, as a fraction of all objects [-] and
-as a number. A single object causes no warning, because it may be a tool or a marker that belongs
-there. If a part of a task is missing, the planner reports it."""
+as a number. A single object causes no warning, because it may be a tool or a marker that was put
+there intentionally. If a part of a task is missing, the planner reports it."""
 
 SPECK_RADIUS = 0.3
 """Minimum radius of an object that counts for the warning while parts are detected, relative to the
@@ -71,8 +71,8 @@ edge can be detected as such an object, for example in images of a camera that i
 
 COVER_RADII = 8.0
 """Minimum radius of an object that counts as covering the plate, relative to the largest part's
-radius [-]. Such objects are, for example, a hand, a cable, or a lamp's reflection. The strip beside
-a plate that is 10 mm away from home is smaller."""
+radius [-]. Such objects are, for example, a hand, a cable, or a lamp's reflection. The visible
+strip beside a plate that is 10 mm away from home is smaller than this limit."""
 
 REMEDIES = {
     "too faint": "use more light, or parts with more contrast to the plate",
@@ -215,7 +215,7 @@ class OverlookedTally:
         self.radii.append(radius)
 
     def joined(self, other: OverlookedTally) -> OverlookedTally:
-        """Return the tally of both sets of images."""
+        """Return the combined counts of both tallies."""
         return OverlookedTally(
             self.images + other.images,
             self.taken + other.taken,
@@ -276,7 +276,8 @@ class OverlookedTally:
 
 
 def remedy(reason: str, radius_mm: float, expected: Expected) -> str:
-    """Return the remedy for objects with one of `REASONS` and with this median radius [mm]."""
+    """Return the remedy for objects with the given reason (one of `REASONS`) and the given median
+    radius [mm]."""
     if reason in ("too small", "too large"):
         return f"radius is {radius_mm:.3g} mm, but {expected.size}"
     if reason == "misfit":

@@ -33,12 +33,13 @@ from .shapes.shadows import Lamp
 from .shapes.teaching import ALIKE, gap_between
 
 BLUR_PX = 0.8
-"""Typical blur of a camera, including the size of its pixels: a standard deviation [px]."""
+"""Typical standard deviation of a camera's blur [px]. The blur includes the effect of the pixels'
+size."""
 
 MIN_CORNER_PX = 0.25
 """Minimum protrusion of corners from a round outline in the image [px]. With a smaller protrusion,
 the angle cannot be measured. With this protrusion, the error of a star's angle is at most a fifth
-of the angle between two corners. Stars with 5 to 16 corners were tried."""
+of the angle between two corners. This error was determined with stars of 5 to 16 corners."""
 
 SIZE_ALONE = 3.0
 """Minimum difference between two types that differ only in size [standard deviations]. If the
@@ -47,8 +48,8 @@ difference is smaller, there is a warning."""
 SAME_LENGTH, SAME_LENGTH_PX = 0.45, 2.5
 """Two limits for the difference between two lengths of the shadows: the length measured with the
 sizes of known types, and the length measured by colours. `SAME_LENGTH` is relative to the length by
-colours [-], `SAME_LENGTH_PX` is in pixels. If the difference exceeds both limits, the areas are not
-shadows."""
+colours [-], `SAME_LENGTH_PX` is in pixels. If the difference exceeds both limits, the dark areas
+are not shadows."""
 
 SCALE = 1000.0
 """Default scale of a photograph [px/m]. One pixel is then one millimetre."""
@@ -119,11 +120,11 @@ def find_types_under(
     before: Lamp | None = None,
 ) -> tuple[np.ndarray, Lamp | None]:
     """Find parts like `find_types`, but also return the lamp that casts the shadows of all parts.
-    None if there is no such lamp.
+    The lamp is None if the image shows no such shadows.
 
-    A lamp is assumed not to move. `before` is the lamp of the previous image. It is used if the
-    direction of the light is not visible in this image, for example because parts touch. It is not
-    used if more parts are recognised without it.
+    A lamp is assumed not to move. `before` is the lamp of the previous image. The previous lamp is
+    used if the direction of the light is not visible in this image, for example because parts
+    touch. It is not used if more parts are recognised without this lamp.
     """
     rise = _rise_of(catalogue, calibration)
 
@@ -165,7 +166,7 @@ def _joined(
     and `again` (k,) SIGHTING are the records of the patches `more`.
 
     If a patch of the second recognition has a type, it replaces those first patches that it
-    overlaps. If it does not overlap any patch, it is added.
+    overlaps. If the patch does not overlap any other patch, it is added.
     """
     kept = np.ones(len(patches), bool)
     added = []
@@ -194,7 +195,7 @@ class _Seen:
 
     @property
     def known(self) -> int:
-        """Number of patches that have a type."""
+        """Number of patches whose type was recognised."""
         return int(np.count_nonzero(is_named(self.found)))
 
     @property
@@ -213,8 +214,8 @@ def _rise_of(
     catalogue: Catalogue, calibration: Calibration
 ) -> Callable[[np.ndarray], np.ndarray] | None:
     """Return a function that computes how far the height of the highest parts shifts their tops in
-    the image. It maps image points (n, 2) [px] to shifts (n, 2) [px]. Return None if all parts are
-    flat, or if the camera's position is unknown."""
+    the image. The function maps image points (n, 2) [px] to shifts (n, 2) [px]. Return None if all
+    parts are flat, or if the camera's position is unknown."""
     height, place = float(np.max(catalogue.height, initial=0)), calibration.place
     if place is None or height == 0:
         return None

@@ -23,7 +23,8 @@ from .plate.contrast import Channels, find_odd
 
 COARSE_STEP = 2
 """Step between the rows and columns of the grid that the first, fast check evaluates. The check
-detects four neighbouring pixels, which are smaller than the smallest object that counts."""
+detects groups of four neighbouring pixels. Such a group is smaller than the smallest relevant
+object."""
 
 MIN_AREA = 0.1
 """Minimum area of an object, relative to a part's area. Smaller objects are dust."""
@@ -114,7 +115,8 @@ def solid(remains: Remains, radius_px: float) -> Remains:
 def overlooked_things(
     remains: Remains, region: Region, radius_px: float, faint: float, contrast: LitPlate
 ) -> np.ndarray:
-    """Return the objects (n,) OVERLOOKED of the remains. Their x and y are not set.
+    """Return the objects (n,) OVERLOOKED of the remains. The fields x and y of the objects are not
+    set.
 
     `radius_px` is a part's radius. Objects with a contrast below `faint` are too faint. `contrast`
     is the `contrast_image`.

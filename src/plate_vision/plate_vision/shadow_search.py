@@ -31,15 +31,15 @@ MAX_OBJECTS = 10
 better."""
 
 PIXELS = 3000.0
-"""Maximum total area of the objects in the fit, divided by pi [px^2]. It limits the computation
-time if the objects are large."""
+"""Maximum total area of the objects in the fit, divided by pi [px^2]. This maximum limits the
+computation time if the objects are large."""
 
 SIZE = 1.05, 4.0
 """Range of the area of a part with its shadow, relative to the part's area."""
 
 ALIGNED = 0.8
-"""Minimum length of the mean of the unit vectors with twice the angles of the objects' directions.
-It is 1 if all directions are equal."""
+"""Minimum length of a mean vector. The vector is the mean of unit vectors at twice the angles of
+the objects' directions. Its length is 1 if all directions are equal."""
 
 MIN_LENGTH = 0.1
 """Minimum length of a shadow [part radii]."""
@@ -59,7 +59,8 @@ of the darkness [0.1] and of the half width of the edge [px]. `TRIES`: maximum n
 evaluations. `DARKEST`, `EDGE_RANGE_PX`: ranges of the darkness and of the half width [px]."""
 
 GOOD_FIT = 0.1
-"""Maximum mean misfit of the objects with a shadow. If it is exceeded, the shadow is rejected."""
+"""Maximum mean misfit of the objects with a shadow. If the misfit is larger, the shadow is
+rejected."""
 
 BETTER = 0.75
 """Maximum mean misfit of the objects with a shadow, relative to their mean misfit without a
@@ -67,8 +68,8 @@ shadow."""
 
 SURE = 0.7
 """Maximum mean misfit with a shadow, relative to the misfit with a shadow on the opposite side. If
-it is exceeded, the side is unknown. For synthetic shadows that were assigned to the wrong side, the
-ratio was 0.76 and more."""
+the ratio is larger, the side is unknown. For synthetic shadows that were assigned to the wrong
+side, the ratio was 0.76 and more."""
 
 UNLIKE = 0.15
 """Minimum difference in darkness by which a part is distinguished from its shadow."""
@@ -83,8 +84,8 @@ the fitted length. The measured length is used if its misfit is below this limit
 `GOOD_FIT`."""
 
 WORST = 0.4
-"""Upper limit of an object's misfit in the mean. The limit prevents that objects that are not parts
-dominate the mean."""
+"""Upper limit of an object's misfit when the mean misfit is computed. The limit prevents objects
+that are not parts from dominating the mean."""
 
 ROUNDS = 2
 """Number of grid searches over the darkness and the edge. After each search, the length of the
@@ -152,7 +153,8 @@ def find_shadow(
         return _measured(contrast, best, fitted(best), parts)
 
     def refined(shadow: Shadow) -> tuple[float, Shadow]:
-        """Return the best shadow that is similar to this shadow, after its misfit."""
+        """Return the misfit of the best shadow that is similar to the given shadow, and this best
+        shadow."""
 
         def at(change: np.ndarray) -> Shadow:
             return Shadow(
@@ -207,10 +209,10 @@ def _capsules(
     remains: Remains, silhouettes: Silhouettes
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray] | None:
     """Return four arrays about the objects that are elongated in one common direction. The first
-    contains their centres (n, 2) [px], the second the silhouettes (n,) of parts at these places.
-    The third contains the lengths (n,) by which they are longer than a part [px], the fourth the
-    unit vectors (n, 2) of their directions in the image. Return None if there are too few
-    objects."""
+    array contains their centres (n, 2) [px], the second the silhouettes (n,) of parts at these
+    places. The third array contains the lengths (n,) by which the objects are longer than a part
+    [px]. The fourth array contains the unit vectors (n, 2) of their directions in the image. Return
+    None if there are too few objects."""
     x0, y0, stride = remains.grid
     beside = cv2.dilate(remains.outside.astype(np.uint8), np.ones((3, 3), np.uint8))
     count, labels, stats, middle = cv2.connectedComponentsWithStats(remains.odd)
@@ -287,10 +289,10 @@ def _ends(shadow: Shadow, discs: np.ndarray, parts: np.ndarray) -> tuple[np.ndar
 
 
 def _flatness(length: np.ndarray) -> np.ndarray:
-    """Return the flatness (Ia - Ib) / (Ia + Ib) of capsules of radius 1 and lengths (n,). Ia and Ib
-    are the second moments along and across the length:
+    """Return the flatness (Ia - Ib) / (Ia + Ib) of capsules with radius 1 and lengths L (n,). Ia
+    and Ib are the second moments along and across the length:
 
-        Ia = L3 / 6 + pi L2 / 4 + 4 L / 3 + pi / 4,    Ib = 2 L / 3 + pi / 4
+        Ia = L^3 / 6 + pi L^2 / 4 + 4 L / 3 + pi / 4, Ib = 2 L / 3 + pi / 4
     """
     along = length**3 / 6 + np.pi * length**2 / 4 + 4 * length / 3 + np.pi / 4
     across = 2 * length / 3 + np.pi / 4

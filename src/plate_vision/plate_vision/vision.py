@@ -37,25 +37,26 @@ the edge needs at least 5 points."""
 
 
 CENTRE_PX = 0.01
-"""Standard deviation of a part's centre along each axis [px]. In synthetic images it is 0.002 to
-0.018 px. These images show single and touching parts of 5 to 16 px radius with a noise of 1 to 4
-grey levels. Motion blur and errors of the lens and of corners_px are not included."""
+"""Standard deviation of a part's centre along each axis [px]. In synthetic images, the standard
+deviation is 0.002 to 0.018 px. These images show single and touching parts of 5 to 16 px radius
+with a noise of 1 to 4 grey levels. Motion blur and errors of the lens and of corners_px are not
+included."""
 
 MARK_PX = 0.08
-"""Standard deviation of a mark's direction [rad], multiplied by the part's radius [px]. It was
-measured in synthetic images with parts of 8 px radius."""
+"""Standard deviation of a mark's direction [rad], multiplied by the part's radius [px]. The value
+was measured in synthetic images with parts of 8 px radius."""
 
 SHAPE_PX = 0.04
-"""Standard deviation of the centre of a part of a taught type along each axis [px]. It was measured
-in synthetic images of 0.7 to 2 px/mm, with a blur of 0.7 to 1.5 px."""
+"""Standard deviation of the centre of a part of a taught type along each axis [px]. The value was
+measured in synthetic images of 0.7 to 2 px/mm, with a blur of 0.7 to 1.5 px."""
 
 UNKNOWN_PX = 0.3
-"""Standard deviation of the centre of an object without a type [px]. It is large because only the
-object's outline is known."""
+"""Standard deviation of the centre of an object without a type [px]. The standard deviation is
+large because only the object's outline is known."""
 
 UNKNOWN_RADII = 0.3
-"""Standard deviation of the centre of an object that may be a round part [part radii]. It is large
-because the object's outline includes its shadow."""
+"""Standard deviation of the centre of an object that may be a round part [part radii]. The standard
+deviation is large because the object's outline includes its shadow."""
 
 SPECK = 0.3
 """Minimum area of an object without a type, relative to the smallest type's area [-]. Smaller
@@ -87,8 +88,8 @@ class Vision:
     catalogue : Catalogue, optional
         Types of parts; None: all parts are discs with this radius.
     background : Background, optional
-        Image of the bare plate, for parts with types. If it is None, a model of the bare plate is
-        made from each image.
+        Image of the bare plate, for parts with types. None: a model of the bare plate is made from
+        each image.
     inner : (2,)
         Half side lengths of the area that the plate covers for every motor position [m]. Outside
         this area, an object without a type may be the edge of a plate that was not at home.
@@ -122,8 +123,8 @@ def make_vision(
     ----------
     rig : Rig
     options : DetectorOptions, optional
-        Description of the parts. Its radius is replaced by the geometric mean of the smallest and
-        the largest radius of the rig's parts in the image.
+        Description of the parts. The radius of this description is replaced by the geometric mean
+        of the smallest and the largest radius of the rig's parts in the image.
     lens : Lens, optional
         Lens of camera_info; None: the lens of the rig file.
     calibration : Calibration, optional
@@ -269,8 +270,9 @@ def _observe_types(
 
 
 def _with_unsettled(vision: Vision, tracker: Tracker) -> Tracker:
-    """Add unsettled objects to the overlooked objects. Their newest detection has a class, but
-    their track has no class yet, because earlier images did not show them as parts."""
+    """Add unsettled objects to the overlooked objects. The newest detection of an unsettled object
+    has a class. The object's track has no class yet, because earlier images did not show the object
+    as a part."""
     tracks = [track for track in tracker.found if track.label in NAMELESS]
     tracks = [track for track in tracks if track.votes[-1] not in NAMELESS]
     if not tracks:

@@ -1,9 +1,9 @@
 """Chessboards and ChArUco boards: draw them, find them in pictures, and fit a camera's lens.
 
 `find_board` finds the inner corners of a board with sub-pixel accuracy. `fit_lens` fits the camera
-matrix K and the distortion to the corners in at least five pictures. It uses OpenCV's
-calibrateCamera for plumb_bob and rational_polynomial, and the Levenberg-Marquardt method for an
-equidistant lens.
+matrix K and the distortion to the corners in at least five pictures. For plumb_bob and
+rational_polynomial, `fit_lens` uses OpenCV's calibrateCamera. For an equidistant lens, it uses the
+Levenberg-Marquardt method.
 """
 
 from __future__ import annotations
@@ -31,26 +31,27 @@ MIN_WINDOW_PX, MAX_WINDOW_PX = 2, 11
 """Bounds of the half width of the window in which a corner is refined [px]."""
 
 MIN_CORNERS = 6
-"""Minimum number of corners in a picture. A homography needs four."""
+"""Minimum number of corners in a picture. A homography needs at least four corners."""
 
 MIN_MARKERS = 4
 """Minimum number of detected markers for a comparison with the markers of the board."""
 
 WORST_MISFIT = 0.4
 """Maximum root mean square distance between the detected markers and the markers of the board
-[marker sides]. It is 0.7 or more for a wrong board. For the correct board it is up to 0.2, even if
-the lens distorts strongly."""
+[marker sides]. The distance is 0.7 or more for a wrong board. For the correct board, the distance
+is at most 0.2, even if the lens distorts strongly."""
 
 NEAR = 4
-"""Number of markers that are used to predict a corner. These are the nearest markers, because the
-distortion of the lens changes little between them and the corner."""
+"""Number of markers that are used to predict a corner. The nearest markers are used, because the
+distortion of the lens changes little between these markers and the corner."""
 
 
 MIN_SQUARE_M, MAX_SQUARE_M = 1e-3, 1.0
 """Range of a square's side [m]."""
 
 MAX_PIXELS = 200_000_000
-"""Maximum number of pixels of a board for the printer. A sheet of A0 at 300 dpi has 140 million."""
+"""Maximum number of pixels of a board for the printer. A sheet of A0 at 300 dpi has 140 million
+pixels."""
 
 MIN_PICTURES = 5
 """Minimum number of pictures. Three pictures determine K in principle, but noise requires more."""
@@ -60,13 +61,13 @@ MAX_PICTURES = 40
 improve the fit."""
 
 START_ANGLES_RAD = (np.pi, 0.75 * np.pi, 0.5 * np.pi, 0.35 * np.pi)
-"""Angles of view across the longer side of the image [rad]. They are the starting values for the
-fits of an equidistant lens."""
+"""Angles of view across the longer side of the image [rad]. These angles are the starting values
+for the fits of an equidistant lens."""
 
 WEAKEST = 1e-9
 """Minimum singular value of a fit's Jacobian, relative to the largest one [-]. Smaller singular
-values are replaced by it. The standard deviations therefore remain finite if the pictures do not
-determine all coefficients, such as k1 to k6 together."""
+values are replaced by this minimum. The standard deviations therefore remain finite if the pictures
+do not determine all coefficients, such as k1 to k6 together."""
 
 FIXED = (
     0,
@@ -81,7 +82,8 @@ FOLD_GRID = 33
 """Number of points along each side of the image for the check whether the lens folds the image."""
 
 FIT_STEPS = 200
-"""Maximum number of iterations of the equidistant fit. It typically needs 10 to 20."""
+"""Maximum number of iterations of the equidistant fit. The fit typically needs 10 to 20
+iterations."""
 
 WORST_ERROR_PX = 1.0
 """Maximum root mean square error of a fit [px]. Good pictures give 0.1 to 0.3 px."""
@@ -91,8 +93,8 @@ MIN_COVER = 0.5
 span. Outside the corners, the lens model is extrapolated."""
 
 Corners = tuple[np.ndarray, np.ndarray]
-"""Detected corners in one picture. The first array contains their indices (n,) in `Board.corners`,
-the second array their image points (n, 2) [px]."""
+"""Detected corners in one picture. The first array contains the indices (n,) of the corners in
+`Board.corners`. The second array contains the image points (n, 2) of the corners [px]."""
 
 
 @dataclass(frozen=True)
@@ -111,8 +113,9 @@ class Board:
     dictionary : str
         Dictionary of the markers.
     white_first : bool
-        Whether the square at the top left is white. Some other programs print such boards, and so
-        does OpenCV before 4.6 if the number of rows is even. If False, the square is black.
+        Whether the square at the top left is white. Some other programs print such boards. OpenCV
+        before 4.6 also prints such boards if the number of rows is even. If False, the square is
+        black.
     """
 
     columns: int
@@ -193,7 +196,7 @@ def find_board(grey: np.ndarray, board: Board, fast: bool = False) -> tuple[Boar
 
     Return the board as it is printed, and the detected corners. The returned board differs from the
     given board if the markers show that its first square has the other colour. The corners are None
-    if fewer than `MIN_CORNERS` are found.
+    if fewer than `MIN_CORNERS` corners are found.
 
     All corners of a chessboard must be visible. On a ChArUco board, only the corners next to
     visible markers are found.
@@ -298,9 +301,9 @@ def choose(seen: Sequence[Corners], board: Board, most: int = MAX_PICTURES) -> l
     """Choose pictures with different positions of the board, and return their indices.
 
     The first chosen picture is the one with the largest number of corners. Each further picture
-    maximises the distance to the chosen ones, measured at the image points of the board's four
-    outer corners (farthest-point sampling). The chosen boards therefore have different places in
-    the image, distances and tilts.
+    maximises the distance to the pictures that are already chosen (farthest-point sampling). The
+    distance is measured at the image points of the board's four outer corners. The chosen boards
+    therefore have different places in the image, distances and tilts.
     """
     if len(seen) <= most:
         return list(range(len(seen)))
@@ -355,7 +358,7 @@ class LensFit:
 
     @property
     def warning(self) -> str | None:
-        """Advice on better pictures. It is None if no advice is needed."""
+        """Advice on better pictures. None if no advice is needed."""
         if min(self.cover) < MIN_COVER:
             return (
                 f"the board covered {self.cover[0]:.0%} of the image's width and "
@@ -426,9 +429,9 @@ def _fit_brown(
 ) -> Fit:
     """Fit a plumb_bob or rational_polynomial to points (n, 3) [m] at image points (n, 2) [px].
 
-    If a rational polynomial folds the image, the pictures do not determine all coefficients. Then
-    k6 is set to 0, then also k5, then also k3, until the image does not fold. If it always folds,
-    all coefficients are kept.
+    If a rational polynomial folds the image, the pictures do not determine all coefficients. In
+    this case k6 is set to 0, then also k5, then also k3, until the image does not fold. If the
+    image still folds, all coefficients are kept.
     """
     if model == "plumb_bob":
         return _fit_opencv(points, places, size_px, 5, 0)
@@ -455,8 +458,8 @@ def _fit_opencv(
     count: int,
     flags: int,
 ) -> Fit:
-    """Fit a lens with `count` distortion coefficients by OpenCV's calibrateCamera. `flags` are its
-    flags."""
+    """Fit a lens with `count` distortion coefficients by OpenCV's calibrateCamera. `flags` are the
+    flags of calibrateCamera."""
     try:
         _, matrix, bend, turns, moves = cv2.calibrateCamera(
             [point.astype(np.float32) for point in points],
@@ -486,8 +489,9 @@ def _fit_opencv(
 
 
 def _deviation(slopes: np.ndarray, errors: np.ndarray) -> np.ndarray:
-    """Return the standard deviations (m,) of the parameters of a least-squares fit, from its
-    derivative (n, m) and its residuals. They are infinite after a failed fit.
+    """Return the standard deviations (m,) of the parameters of a least-squares fit. They are
+    computed from the derivative (n, m) and the residuals of the fit. After a failed fit, the
+    standard deviations are infinite.
 
     With the derivative J = U S V', the deviations are s sqrt(diag(V S^-2 V')), where s^2 is the sum
     of squared residuals divided by the degrees of freedom.

@@ -1,6 +1,6 @@
 """The program `calibrate`: fit a camera's lens to pictures, and draw boards and markers.
 
-It does not need ROS. Example:
+The program does not need ROS. Example:
 
 ros2 run plate_vision calibrate lens PICTURES --board 9x7 --square 0.03 --marker 0.022
 """
@@ -41,16 +41,17 @@ PRINT_DPI = 300
 INCH_M = 0.0254
 
 FRAMES_SEARCHED, PICTURES_SEARCHED = 60, 240
-"""Number of frames of a film, and number of pictures of a folder, that are searched without gaps.
-For the same number of further searches, every second picture is searched, then every fourth, and so
-on. In total, about 250 of 1000 frames or 440 of 10,000 frames are searched."""
+"""Number of frames of a film, and number of pictures of a folder, that the program searches at
+first without gaps. After that, it searches every second picture. After the same number of searches,
+it searches every fourth picture, and so on. In total, about 250 of 1000 frames or 440 of 10,000
+frames are searched."""
 
 FRAMES_PER_LINE = 50
 """Number of searched frames between two progress lines, if the output is not a terminal."""
 
 BROWN = ("k1", "k2", "p1", "p2", "k3", "k4", "k5", "k6")
 FISHEYE = ("k1", "k2", "k3", "k4")
-"""Names of the distortion coefficients."""
+"""Names of the distortion coefficients of an equidistant lens."""
 
 
 @piped()

@@ -55,10 +55,10 @@ MAX_PIXELS = 50_000_000
 because a small file can declare a much larger image."""
 
 PNG_DEPTH = 24
-"""Position of the bit depth in a PNG file [bytes]."""
+"""Position of the byte that contains the bit depth in a PNG file [bytes]."""
 
 BRIGHT = 127
-"""Maximum grey level that leaves the highest bit unused."""
+"""Maximum grey level of an 8-bit image that does not use the highest bit."""
 
 TAIL = 64
 """Number of bytes at the end of a file that must contain the end mark. The end mark is not always
@@ -84,7 +84,7 @@ def decode(
     encoding : str
         A key of `ENCODINGS`.
     step : int
-        Bytes from one row to the next.
+        Number of bytes from the start of one row to the start of the next.
     big_endian : bool
         Byte order of 16-bit numbers.
     bits : int
@@ -139,7 +139,7 @@ def decode_file(
     form : str
         The message's format: `jpeg`, `png`, or image_transport's `bgr8; jpeg compressed bgr8`.
     bits : int
-        As in `decode`.
+        Number of used bits of 16-bit numbers, as in `decode`.
     size_px : (int, int), optional
         Expected width and height. A file of another size is refused before it is unpacked.
 
@@ -181,7 +181,7 @@ def decode_file(
 
 
 def is_wide(encoding: str) -> bool:
-    """Whether an encoding has 16 bits, so that `bits` applies."""
+    """Whether an encoding has 16 bits per number, so that the parameter `bits` applies."""
     return ENCODINGS.get(encoding, ("", 1))[1] == 2
 
 
@@ -213,7 +213,8 @@ def unpack(content: bytes, flags: int, header: Header | None = None) -> np.ndarr
     Raises
     ------
     ImageError
-        If the file declares no pixels or too many pixels. This is checked before unpacking.
+        If the file declares no pixels or too many pixels. The number of pixels is checked before
+        unpacking.
     """
     header = header or read_header(content)
     if header is None:
@@ -243,8 +244,8 @@ def grey_levels(image: np.ndarray) -> np.ndarray:
 
 
 def check_pixels(width: int, height: int, what: str = "image:") -> None:
-    """Refuse images without pixels or with too many pixels. `what` is the beginning of the
-    message."""
+    """Refuse images without pixels or with too many pixels. The error message begins with
+    `what`."""
     if width < 1 or height < 1 or width * height > MAX_PIXELS:
         raise ImageError(
             f"{what} size is {width} x {height} px, allowed: at least 1 x 1, "

@@ -35,8 +35,8 @@ PICTURES = (".bmp", ".jpeg", ".jpg", ".pgm", ".png", ".ppm", ".tif", ".tiff", ".
 KINDS = "BMP, JPEG, PNG, PGM, PPM, TIFF or WebP"
 
 PICTURE_BYTES, VIDEO_BYTES = 64_000_000, 4_000_000_000
-"""Maximum size of a picture file and of a video file [bytes]. The first limit allows 20 megapixels
-without compression, the second limit half an hour of full HD."""
+"""Maximum size of a picture file and of a video file [bytes]. The limit for pictures allows 20
+megapixels without compression. The limit for videos allows half an hour of full HD."""
 
 
 NO_FILM = "cannot be read, allowed: a video that OpenCV can decode"
@@ -112,7 +112,7 @@ def _matrix(fields: Fields, shape: tuple[int, int] | None) -> np.ndarray:
 
 
 def read_pictures(path: Path, warn: Callable[[str], None] | None = None) -> Pictures:
-    """Return an iterator over pictures. It yields the name of each picture and its pixels
+    """Return an iterator over pictures. The iterator yields the name of each picture and its pixels
     (H, W, 3) uint8, blue, green, red.
 
     Pictures are never rotated. An orientation in EXIF, PNG, TIFF, WebP or a video is ignored. A
@@ -128,7 +128,8 @@ def read_pictures(path: Path, warn: Callable[[str], None] | None = None) -> Pict
     Raises
     ------
     ImageError
-        If the path cannot be read, or a picture has too many pixels. The iterator can raise it too.
+        If the path cannot be read, or a picture has too many pixels. The iterator can also raise
+        this error.
     """
     if path.is_dir():
         files = sorted(file for file in path.iterdir() if file.suffix.lower() in PICTURES)
@@ -148,13 +149,13 @@ class Pictures:
     ----------
     is_film : bool
     count : int
-        Number of pictures or frames. For a video, it is the number that its file declares, which
-        may be wrong or 0.
+        Number of pictures or frames. For a video, the file declares this number, which may be wrong
+        or 0.
     place : int
         Number of pictures that were read or skipped.
     rate : float
-        Frames per second that a video's file declares, which may be wrong or 0. For pictures, it is
-        0.
+        Frames per second that a video's file declares, which may be wrong or 0. For pictures, the
+        rate is 0.
     """
 
     def __init__(self, path: Path, files: Sequence[Path], warn: Callable[[str], None]) -> None:
@@ -191,7 +192,7 @@ class Pictures:
         return f"{self._path.name}: {number}", np.asarray(pixels)
 
     def skip(self, count: int) -> None:
-        """Skip some pictures. This is faster than reading them."""
+        """Skip some pictures. Skipping pictures is faster than reading them."""
         for _ in range(count):
             if not (self.place < len(self._files) if self._film is None else self._film.grab()):
                 return

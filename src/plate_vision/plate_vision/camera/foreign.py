@@ -80,7 +80,8 @@ def read_opencv(content: bytes, path: Path) -> Fields:
 
 
 def _block(value: Any) -> Any:
-    """Return a matrix in the form of camera_info files. An nd-matrix of OpenCV has `sizes`."""
+    """Return a matrix in the form of camera_info files. In an nd-matrix of OpenCV, the key `sizes`
+    contains the shape."""
     if not isinstance(value, Mapping) or not isinstance(value.get("sizes"), list):
         return value
     rows, columns = [1, 1, *value["sizes"]][-2:]

@@ -1,5 +1,5 @@
-"""Size and orientation of a picture file. They are read from its header, before the pixels are
-unpacked.
+"""Size and orientation of a picture file. Both are read from the header of the file, before the
+pixels are unpacked.
 
 The size is checked first, because a file of 389 kB can unpack to 20000 x 20000 pixels. OpenCV
 rotates pictures according to their orientation, but ROS does not rotate them. This project uses the
@@ -19,7 +19,7 @@ ORIENTATION = 274
 rotation and no mirroring."""
 
 WIDTH, HEIGHT = 256, 257
-"""TIFF tags of the size."""
+"""TIFF tags of the width and the height."""
 
 TURNS = {
     2: "mirror it", 3: "rotate it by 180 degrees", 4: "flip it", 5: "transpose it",
@@ -29,7 +29,7 @@ TURNS = {
 """Action of a viewer for each orientation."""
 
 AS_STORED = "here, as in ROS, pixels are used as stored"
-"""End of the warning about a picture that viewers rotate."""
+"""End of the warning about a picture that image viewers rotate."""
 
 PNG = b"\x89PNG\r\n\x1a\n"
 
@@ -61,7 +61,7 @@ class Header(NamedTuple):
     orientation : int
         EXIF orientation, 1 to 8.
     place : int
-        Position of the orientation in a TIFF file [bytes]. 0 if there is no orientation.
+        Position of the orientation in a TIFF file [bytes]. 0 if the file contains no orientation.
     """
 
     kind: str
@@ -93,8 +93,8 @@ def read_header(content: bytes) -> Header | None:
 
 
 def not_turned(content: bytes, header: Header) -> bytes:
-    """Return the file. The orientation of a TIFF file is set to 1, because OpenCV rotates TIFF
-    files even with the flag IMREAD_IGNORE_ORIENTATION."""
+    """Return the content of the file with the orientation 1 if it is a TIFF file. OpenCV rotates
+    TIFF files even with the flag IMREAD_IGNORE_ORIENTATION. Other files are returned unchanged."""
     if header.kind != "TIFF" or not header.place:
         return content
     value = b"\1\0" if content[:2] == b"II" else b"\0\1"
@@ -184,8 +184,8 @@ def _tiff(content: bytes) -> Header | None:
 
 
 def _exif(data: bytes) -> int:
-    """Return the orientation in EXIF data, which have the form of a TIFF file. 1 if there is no
-    orientation."""
+    """Return the orientation in EXIF data, which have the form of a TIFF file. The result is 1 if
+    the data contain no orientation."""
     try:
         found = (value for tag, value, _ in _tags(data) if tag == ORIENTATION)
         return _known(next(found, 1))

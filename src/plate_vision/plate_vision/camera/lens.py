@@ -17,19 +17,21 @@ from plate_core.rig import camera_place, fit_homography, home_pose, lens_of_matr
 from ..errors import CalibrationError
 
 MAX_CONDITION = 1e10
-"""Maximum condition number of a homography. If it is exceeded, points cannot be mapped back. The
-homographies of real cameras have condition numbers of 1e3 to 1e7, depending on the units."""
+"""Maximum condition number of a homography. With a larger condition number, points cannot be mapped
+back. The homographies of real cameras have condition numbers of 1e3 to 1e7, depending on the
+units."""
 
 MIN_AREA_PX2 = 100.0
-"""Minimum area of the plate in an image [px2]. If it is smaller, the parts are too small to be
-detected."""
+"""Minimum area of the plate in an image [px2]. If the plate is smaller, the parts are too small to
+be detected."""
 
 SLENDER = 1e-4
-"""Minimum area of the quadrilateral of four plate points, relative to the square of its size [-]. A
-smaller quadrilateral is almost a line."""
+"""Minimum area of the quadrilateral of four plate points, relative to the square of the
+quadrilateral's size [-]. If the relative area is smaller, the quadrilateral is almost a line."""
 
 SLOPE_STEP = 1e-4
-"""Step of the finite differences with which the image scale is computed if there is a lens [m]."""
+"""Step of the finite differences for the image scale [m]. The differences are used if the
+calibration has a lens."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -49,7 +51,8 @@ class Lens:
         A key of `plate_core.rig.LENS_MODELS`. None: plumb_bob if there are up to five values,
         otherwise rational_polynomial.
     source : str
-        Origin of the lens, such as the name of a file. Messages begin with it. It may be empty.
+        Origin of the lens, such as the name of a file. Messages about the lens begin with this
+        text. The text may be empty.
 
     Raises
     ------
@@ -100,7 +103,7 @@ class Lens:
         corners_px : (4, 2)
             Corners of the plate in the image [px].
         straight : bool
-            Whether the corners are those in the undistorted image.
+            Whether `corners_px` are positions in the undistorted image.
 
         Raises
         ------
@@ -124,11 +127,11 @@ class Calibration:
     image_from_home : (3, 3)
         Homography from plate_home [m] to the image [px].
     home_from_image : (3, 3)
-        Its inverse.
+        Inverse of `image_from_home`.
     lens : Lens, optional
-        A distorting lens. If it is given, the homographies refer to the undistorted image.
+        A distorting lens. With a lens, the homographies refer to the undistorted image.
     place : (3,), optional
-        Centre of projection of the camera [m, plate_home]. It is None if unknown.
+        Centre of projection of the camera [m, plate_home]. None if unknown.
     """
 
     image_from_home: np.ndarray
@@ -148,8 +151,8 @@ class Calibration:
         return straight if self.lens is None else self.lens.bend(straight)
 
     def slopes(self, point_px: np.ndarray) -> np.ndarray:
-        """Derivative (M, 2, 2) [m/px] of `to_home` at image points (M, 2) [px]. Without a lens it
-        is computed analytically, with a lens by central differences."""
+        """Derivative (M, 2, 2) [m/px] of `to_home` at image points (M, 2) [px]. Without a lens, the
+        derivative is computed analytically. With a lens, it is computed by central differences."""
         point_px = _points(point_px)
         if self.lens is None:
             rows = point_px @ self.home_from_image[:, :2].T + self.home_from_image[:, 2]
@@ -161,8 +164,8 @@ class Calibration:
         return np.stack([seen[0] - seen[1], seen[2] - seen[3]], axis=2)
 
     def disc_centres(self, ring_px: np.ndarray) -> np.ndarray:
-        """Return the centres (M, 2) [m, plate_home] of discs. Their images are ellipses, given by
-        points (M, k, 2) [px] at equal angles.
+        """Return the centres (M, 2) [m, plate_home] of discs. The images of the discs are ellipses,
+        given by points (M, k, 2) [px] at equal angles.
 
         The centre of a disc's image is not the image of its centre, because perspective and a
         strong lens shift it by some hundredths of a pixel. Therefore the points are mapped to the
@@ -178,8 +181,8 @@ class Calibration:
         return np.asarray(middle + shift)
 
     def scale(self, point: np.ndarray) -> np.ndarray:
-        """Pixels per metre (M,) at points of plate_home (M, 2) [m]. It is the square root of the
-        ratio of areas.
+        """Pixels per metre (M,) at points of plate_home (M, 2) [m]. The scale is the square root of
+        the ratio of a small area in the image to the same area on the plate.
 
         A homography H scales a small area by det(H) / w^3, where w is the third homogeneous
         coordinate of the image point. With a lens, the ratio is computed from central differences.
@@ -211,7 +214,8 @@ def calibrate(
     lens : Lens, optional
         Lens of the camera. None: no distortion.
     place : (3,), optional
-        The camera's centre of projection [m, plate_home]. It is only used if `lens` is None.
+        The camera's centre of projection [m, plate_home]. This argument is only used if `lens` is
+        None.
 
     Raises
     ------
@@ -271,8 +275,9 @@ def calibrate_by_matrix(
     """Return the calibration for a known homography (3, 3) from plate_home [m] to the image [px].
     If there is a lens, the homography maps to the undistorted image.
 
-    `place` (3,) is the camera's centre of projection [m, plate_home]. It is only used if `lens` is
-    None. Otherwise, the centre of projection is computed from the homography and the lens.
+    `place` (3,) is the camera's centre of projection [m, plate_home]. This argument is only used if
+    `lens` is None. With a lens, the centre of projection is computed from the homography and the
+    lens.
 
     Raises
     ------

@@ -1,4 +1,4 @@
-"""Pictures of a board, collected one by one until they suffice to fit the lens.
+"""Pictures of a calibration board, collected one by one until they suffice to fit the lens.
 
 `LensPictures.shown` keeps a picture if the board is at rest at a new place. `missing` gives
 instructions for the next pictures: image corners to cover and tilts. `fit` fits the lens.
@@ -16,8 +16,8 @@ from plate_core.rig import project
 from .boards import MAX_PICTURES, Board, Corners, LensFit, fit_lens
 
 NEEDED = 10
-"""Number of pictures requested. The standard deviation of the focal length is 1 % with five
-pictures and 0.4 % with ten."""
+"""Number of pictures that the user should take. The standard deviation of the focal length is 1 %
+with five pictures and 0.4 % with ten."""
 
 DIFFERS = 0.06
 """Minimum distance between the board's place in a new picture and its places in all kept pictures
@@ -26,10 +26,11 @@ width."""
 
 STILL = 0.01
 """Maximum distance between the board's places in two successive pictures, measured as for `DIFFERS`
-[-]. Up to this distance, the board counts as at rest, because its image is not blurred."""
+[-]. Up to this distance, the board counts as at rest, because the motion does not blur the
+image."""
 
 COLUMNS, ROWS = 4, 3
-"""Cells of the grid over the image."""
+"""Numbers of columns and rows of the grid that divides the image into cells."""
 
 CORNERS = {
     "top left": 0,
@@ -49,13 +50,14 @@ TILTS = ("left", "right", "top", "bottom")
 
 GUESSED_FOCAL = 1.2
 """Focal length assumed in the estimate of the tilt, relative to the longer side of the image [-]. A
-lens with a field of view of 45 degrees has it. For fields of view of 30 to 70 degrees, the nearest
-side is determined correctly, and the relative error of the tilt is up to a third."""
+lens with a field of view of 45 degrees has this focal length. For fields of view of 30 to 70
+degrees, the nearest side is determined correctly, and the relative error of the tilt is up to a
+third."""
 
 
 @dataclass(frozen=True, eq=False)
 class LensPictures:
-    """The pictures collected so far.
+    """The pictures of the calibration board that were collected so far.
 
     Attributes
     ----------
@@ -122,7 +124,7 @@ class LensPictures:
 
     @property
     def missing(self) -> tuple[str, ...]:
-        """Instructions for the next pictures; empty if the pictures suffice."""
+        """Instructions for the next pictures. Empty if the pictures suffice."""
         cover = self.cover
         lacks = [f"hold it in the {name} corner" for name, k in CORNERS.items() if not cover[k]]
         lacks += [f"tilt it: {side} side nearer" for side in TILTS if side not in self.tilts]
@@ -136,7 +138,8 @@ class LensPictures:
 
 
 def _away(place: np.ndarray, other: np.ndarray) -> float:
-    """Return the root mean square distance of two boards' outer corners (8,)."""
+    """Return the root mean square distance between the outer corners (8,) of the board in two
+    pictures."""
     return float(np.sqrt(np.sum((place - other) ** 2) / 4))
 
 

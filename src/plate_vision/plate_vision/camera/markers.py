@@ -19,7 +19,8 @@ DICTIONARIES = tuple(
     for name in sorted(dir(getattr(cv2, "aruco", None)))
     if name.startswith("DICT_") and name == name.upper()
 )
-"""Dictionaries of markers in this OpenCV, such as 4X4_50; empty if it was built without markers."""
+"""Dictionaries of markers in the installed OpenCV, such as 4X4_50. Empty if OpenCV was built
+without markers."""
 
 SETTINGS = {
     "perspectiveRemovePixelPerCell": 8,
@@ -72,9 +73,9 @@ def find_markers(grey: np.ndarray, dictionary: str) -> dict[int, np.ndarray]:
     Returns
     -------
     dict of int to (4, 2)
-        Corners [px] of each marker by its number, with sub-pixel accuracy. Their order is top left,
-        top right, bottom right, bottom left of the printed marker. A number that is found twice is
-        omitted, because one of the two markers is misread.
+        Corners [px] of each marker by its number, with sub-pixel accuracy. The order of the corners
+        is top left, top right, bottom right, bottom left of the printed marker. A number that is
+        found twice is omitted, because one of the two markers is misread.
 
     Raises
     ------
@@ -192,8 +193,8 @@ def _values(grey: np.ndarray, place: np.ndarray) -> np.ndarray:
 
 def _crossings(value: np.ndarray, across: np.ndarray) -> np.ndarray:
     """Return the crossings (n, 4, s) [px] of profiles (n, 4, s, k). A crossing is the place where a
-    profile rises through the mean of the edge's dark and bright level. It is NaN if the profile
-    does not rise through this level."""
+    profile rises through the mean of the edge's dark and bright level. If a profile does not rise
+    through this level, its crossing is NaN."""
     with np.errstate(all="ignore"):
         dark = np.median(value.min(axis=3), axis=2, keepdims=True)[..., None]
         bright = np.median(value.max(axis=3), axis=2, keepdims=True)[..., None]
@@ -209,7 +210,8 @@ def _crossings(value: np.ndarray, across: np.ndarray) -> np.ndarray:
 
 def _lines(at: np.ndarray, crossing: np.ndarray) -> np.ndarray:
     """Fit a line a + b t to the crossings (n, 4, s) of each edge at t = `at`, without outliers.
-    Return the coefficients a, b (n, 4, 2). They are NaN if there are too few crossings."""
+    Return the coefficients a, b (n, 4, 2). The coefficients are NaN if there are too few
+    crossings."""
     middle = np.nanmedian(np.where(np.isnan(crossing).all(axis=2, keepdims=True), 0, crossing), 2)
     weight = np.isfinite(crossing) & (np.abs(crossing - middle[..., None]) < 4 * OUTLIER_PX)
     line = _fit(at, crossing, weight)

@@ -1,6 +1,6 @@
-"""The fast method for round parts of a known radius. It finds seeds (first guesses of the places)
-and measures a disc at each seed by moments or by a fit of the contour. Then it selects the discs
-that are parts.
+"""The fast method for round parts of a known radius. The method finds seeds (first guesses of the
+places) and measures a disc at each seed by moments or by a fit of the contour. Then the method
+selects the discs that are parts.
 
 Only `detection` calls these functions, in this order.
 """

@@ -6,11 +6,12 @@ pixels of an evenly dark disc, this equation is valid:
 
     sum(m d^2) / sum(m) = r^2 / 2
 
-where m is the darkness of a pixel, d its distance from the centre, and r the radius of the disc.
+m is the darkness of a pixel, d its distance from the centre, and r the radius of the disc.
 
-The misfit is the larger one of two deviations. The first is the relative deviation of the left side
-from r^2 / 2, where r follows from the dark area. The second is the deviation of the second moments
-from those of the silhouette. The other parts are measured by `fit`, which models their neighbours.
+The misfit is the larger one of two deviations. The first deviation is the relative difference
+between the two sides of the equation, with r computed from the dark area. The second deviation is
+the difference between the second moments of the disc and of the silhouette. Parts with neighbours
+are measured by `fit`, which models the neighbours.
 """
 
 from __future__ import annotations

@@ -23,7 +23,7 @@ def fit_discs(
     plate: LitPlate, seeds: np.ndarray, parts: np.ndarray, shadow: Shadow | None = None
 ) -> np.ndarray:
     """Measure discs (n,) DISC, also among neighbours. Input: seeds (n, 2) [px], the silhouettes
-    (n,) SILHOUETTE of parts there, and the shadow that every part casts."""
+    (n,) SILHOUETTE of parts at the seeds, and the shadow that every part casts."""
     discs = np.zeros(len(seeds), DISC)
     shapes = silhouette.numbers(parts)
     cast, shade, edge_px = np.empty((0, 2)), 0.0, 1.0

@@ -11,11 +11,11 @@ from . import silhouette
 from .measure import numbers
 
 GOOD_MISFIT: float = _kernels.GOOD_MISFIT
-"""Maximum misfit that light, noise and the edges of pixels cause. The excess of the misfit over
-this value, times the radius, is about the error of the place."""
+"""Maximum misfit that light, noise and the edges of pixels cause. If the misfit is larger, the
+error of the place is about this excess multiplied by the radius."""
 
 NUMBERS = ("x_px", "y_px", "radius_px", "angle_rad", "confidence", "scatter_px", "misfit")
-"""Properties of a part: see `detection.DETECTION`."""
+"""Names of the properties of a part. `detection.DETECTION` explains the properties."""
 
 
 def judge(
@@ -37,7 +37,7 @@ def judge(
     marks : (n, 2)
         Centres of marks [px], NaN for a part without a mark.
     light : (n,)
-        Brightness relative to the plate.
+        Brightness of the discs, relative to the plate's brightness.
     region : Region
         Region of the plate in the image.
     noise : float

@@ -1,8 +1,8 @@
-"""The record of a measured disc, which all methods use; and a function that finds discs with near
-neighbours.
+"""The record of a measured disc, which all methods use. The module also has a function that finds
+discs with near neighbours.
 
 Darkness is 1 - g / b, with the grey level g of a pixel and the grey level b of the bare plate
-there. It is 0 on the plate and constant over a uniform part, even if the light is uneven.
+there. The darkness is 0 on the plate and constant over a uniform part, even if the light is uneven.
 """
 
 from __future__ import annotations

@@ -1,8 +1,8 @@
-"""Seeds: first guesses of the parts' centres. They are computed fast, with errors of about a pixel,
-even where parts touch.
+"""Seeds: first guesses of the parts' centres. Seeds are computed fast, with errors of about a
+pixel, even where parts touch.
 
 Dark blobs are eroded. The centre of an eroded blob of one part's size is one seed. In a larger
-blob, each pixel at an edge votes for the point one radius inside the edge. This is a Hough
+blob, each pixel at an edge votes for the point one radius inside the edge. This voting is a Hough
 transform for one radius.
 """
 
@@ -35,8 +35,8 @@ MAX_CORE = 1.5
 """Maximum size of an eroded blob that counts as one part, relative to the blob of a whole part."""
 
 SPREAD = 0.2
-"""Half width of the window over which votes are summed [part radii]. It is the maximum error of the
-radius."""
+"""Half width of the window over which votes are summed [part radii]. This width is the maximum
+error of the radius."""
 
 
 def find_seeds(
@@ -82,8 +82,9 @@ def seeds_of(
 ) -> tuple[np.ndarray, np.ndarray]:
     """Find the places (n, 2) [px] of parts in dark pixels (h, w) uint8 of a coarse grid.
 
-    `outside` (h, w) bool is true for pixels outside the plate. In `dark`, these pixels are dark
-    too. `grid` is the first x, the first y and the step [px]. Other parameters as in `find_seeds`.
+    `outside` (h, w) bool is true for pixels outside the plate. The array `dark` marks the pixels
+    outside the plate as dark. `grid` is the first x, the first y and the step [px]. Other
+    parameters as in `find_seeds`.
     """
     x0, y0, stride = grid
     eroded = round(EROSION * radius_px / stride)

@@ -11,8 +11,8 @@ from ..camera.lens import Calibration
 
 @dataclass(frozen=True, eq=False)
 class Shadow:
-    """The shadow of a part. It is the area of the plate over which the part's base passes if it is
-    moved by `offset_m`.
+    """The shadow of a part. If the part's base is moved by `offset_m`, it passes over the area of
+    the shadow.
 
     Attributes
     ----------

@@ -2,12 +2,12 @@
 is the displacement of its top.
 
 Near one place the mapping from the image to the plate is linear, so a part of radius r appears as
-an ellipse. A part of height h at the place p also shows its side faces. Its top appears at p + l,
-larger by the factor H / (H - h), with the lean
+an ellipse. A part of height h at the place p also shows its side faces. The top of the part appears
+at p + l, enlarged by the factor H / (H - h). The lean l is
 
     l = (p - c) h / (H - h),
 
-where c is the place below the camera and H the height of the camera above the plate.
+c is the point of the plate below the camera. H is the height of the camera above the plate.
 """
 
 from __future__ import annotations
@@ -23,9 +23,9 @@ SILHOUETTE = np.dtype(
     [("across", "f8", (2, 2)), ("radius_px", "f8"), ("lean_px", "f8", (2,)), ("growth", "f8")]
 )
 """The silhouette at one place. `across` transforms image offsets [px] to the disc's frame. In this
-frame, the contour at the plate is a circle with the radius `radius_px`. It is the radius of the
-disc that has the same area in the image. The top is a circle with `growth` times this radius around
-`lean_px` [px, disc's frame]."""
+frame, the contour at the plate is a circle with the radius `radius_px`. A disc with the radius
+`radius_px` has the same area in the image as the contour. The top is a circle with `growth` times
+this radius around `lean_px` [px, disc's frame]."""
 
 RING = 8
 """Number of points of a disc's contour that are mapped to the plate."""
@@ -53,9 +53,9 @@ class EvenDiscs:
 class SeenDiscs:
     """Silhouettes of a part with a radius and a height [m] in a camera's images.
 
-    With the derivative J of plate_home with respect to the image, and J = Q S with Q orthogonal and
-    S symmetric, `across` is S / sqrt(det S). The height is ignored if the camera's place is
-    unknown.
+    J is the derivative of plate_home with respect to the image. It is decomposed as J = Q S with Q
+    orthogonal and S symmetric. Then `across` is S / sqrt(det S). The height is ignored if the
+    camera's place is unknown.
     """
 
     calibration: Calibration

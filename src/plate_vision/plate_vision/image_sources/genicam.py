@@ -18,10 +18,10 @@ from ..errors import ImageError
 from .source import LIVE_RATE, AbsentError, Camera, CameraError, Frame, Settings, Warn
 
 PREFIX = "genicam:"
-"""Prefix of the name of such a device: genicam:FILE.cti, or genicam:FILE.cti#SERIAL."""
+"""Prefix of the name of a GenICam device: genicam:FILE.cti, or genicam:FILE.cti#SERIAL."""
 
 PIXEL_FORMATS = {"GREY": "Mono8", "Y10": "Mono10", "Y12": "Mono12"}
-"""GenICam's names of some `source.FORMATS`."""
+"""GenICam's names of some of the formats in `source.FORMATS`."""
 
 ENCODINGS = {
     "Mono8": ("mono8", 0), "Mono10": ("mono16", 6), "Mono12": ("mono16", 4),
@@ -138,7 +138,7 @@ class GenicamSource(Camera):
             self._set("Gain", values.gain)
 
     def _set_trigger(self) -> None:
-        """Set the trigger: by pulses, or at a fixed rate."""
+        """Set whether the camera takes images at trigger pulses or at a fixed rate."""
         triggered = self.settings.trigger
         if hasattr(self._nodes, "TriggerMode"):
             if hasattr(self._nodes, "TriggerSelector"):
@@ -154,8 +154,8 @@ class GenicamSource(Camera):
             self._set("AcquisitionFrameRate", self.settings.rate or LIVE_RATE)
 
     def _set(self, feature: str, value: object) -> None:
-        """Set a feature. If the camera refuses the value, raise an error that states the allowed
-        values."""
+        """Set a feature of the camera. If the camera refuses the value, raise an error that states
+        the allowed values."""
         node = getattr(self._nodes, feature, None)
         where = f"{self.settings.device}: {feature} is {value}"
         if node is None:

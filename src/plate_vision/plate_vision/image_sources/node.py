@@ -160,7 +160,7 @@ class CameraNode(SafeLifecycleNode[CameraParameters]):
         self._camera_info = self.managed_publisher(CameraInfo, "camera_info", IMAGE)
 
     def begin(self) -> None:
-        """Start the reader."""
+        """Start the thread that reads the images."""
         self._watch = Watch()
         # The reader's thread and the reports share the attributes below.
         self._lock = threading.Lock()
@@ -178,7 +178,7 @@ class CameraNode(SafeLifecycleNode[CameraParameters]):
         self._thread.start()
 
     def rest(self) -> None:
-        """Stop the reader."""
+        """Stop the thread that reads the images."""
         self._halt.set()
         if self._thread is not None:
             self._thread.join(END_S)
@@ -199,7 +199,7 @@ class CameraNode(SafeLifecycleNode[CameraParameters]):
     # The reader's thread
 
     def _work(self, source: Source, stop: threading.Event, before: threading.Thread | None) -> None:
-        """Read and publish images until the end.
+        """Read and publish images until the source ends or `stop` is set.
 
         `before` is the thread of the previous reader. This method waits until `before` has ended
         and has closed the source.

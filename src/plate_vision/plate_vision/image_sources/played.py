@@ -34,7 +34,7 @@ class FilmSource:
     """A film, a picture or a folder of pictures. Each image is delivered when it is due.
 
     The intervals between the stamps are constant. If an image is not ready when it is due, all
-    later images are delayed too, so that none is lost.
+    later images are delayed too, so that no image is lost.
     """
 
     live = False
@@ -148,7 +148,7 @@ class PipeSource:
         self._settings = settings
 
     def state(self) -> Mapping[str, object]:
-        """Return the format."""
+        """Return the format of the frames."""
         exposure_us = self._settings.exposure_us
         return {
             "format": self._form,

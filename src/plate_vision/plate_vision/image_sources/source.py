@@ -35,11 +35,12 @@ class CameraError(PlateError):
 
 
 class AbsentError(CameraError):
-    """The device is absent. It may be plugged in later."""
+    """The device is absent. A user may plug in the device later."""
 
 
 class NoImagesError(CameraError):
-    """The device captures no images. An example is the second device of a camera, for metadata."""
+    """The device captures no images. An example is the second V4L2 device of a camera, which
+    delivers only metadata."""
 
 
 @dataclass(frozen=True)
@@ -52,7 +53,7 @@ class Settings:
         Number or path of a V4L2 device, genicam:FILE.cti, or path of a pipe, a video, a picture or
         a folder.
     width, height : int
-        Size of the images [px]. A film, a picture or a folder has its own size.
+        Size of the images [px]. For a film, a picture or a folder, the files determine the size.
     rate : float
         Images per second; 0: `LIVE_RATE` for a camera, the file's rate for a film, 2 for a picture
         or a folder.
@@ -69,7 +70,7 @@ class Settings:
     focus : int
         Focus in the device's units; -1 leaves it unchanged.
     auto_exposure, auto_gain, auto_white_balance, auto_focus : bool
-        Whether the device chooses the value.
+        Whether the device chooses the respective value automatically.
     trigger : bool
         Whether a GenICam camera takes one image for each pulse at its trigger input.
     """
@@ -187,15 +188,15 @@ Warn = Callable[[str], None]
 
 
 class Camera(ABC):
-    """Base class of cameras. Their settings can be changed while they take images.
+    """Base class of cameras. The settings of a camera can be changed while it takes images.
 
     Parameters
     ----------
     settings : Settings
     warn : callable
-        Called with a warning.
+        Function that is called with the text of a warning.
     clock : callable
-        Returns the time of the steady clock [s].
+        Function that returns the time of the steady clock [s].
     """
 
     live = True

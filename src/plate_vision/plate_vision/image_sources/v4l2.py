@@ -62,19 +62,19 @@ class V4l2Source(Camera):
 
     Stamps come from the kernel: OpenCV's `CAP_PROP_POS_MSEC` is `v4l2_buffer.timestamp` (in
     cap_v4l.cpp of 4.x and 5.x). If the stamps are not from the monotonic clock, the time of arrival
-    is used instead. This happens with other backends of OpenCV.
+    is used instead. This case occurs with other backends of OpenCV.
 
     Parameters
     ----------
     settings : Settings
     warn : callable
-        Called with a warning.
+        Function that is called with the text of a warning.
     device : callable
-        Opens the `V4l2Device` at a path.
+        Function that opens the `V4l2Device` at a path.
     capture : callable
-        Opens OpenCV's reader at a path.
+        Function that opens OpenCV's reader at a path.
     clock : callable
-        Returns the time of the steady clock [s].
+        Function that returns the time of the steady clock [s].
     """
 
     def __init__(

@@ -1,5 +1,5 @@
-"""Formats, sizes, rates and controls of a V4L2 device. They are read by ioctl, because OpenCV does
-not provide them.
+"""Formats, sizes, rates and controls of a V4L2 device. These data are read by ioctl, because OpenCV
+does not provide them.
 
 The codes and structure layouts are those of linux/videodev2.h on 64-bit machines.
 """
@@ -94,7 +94,7 @@ def fourcc(name: str) -> int:
 
 
 class V4l2Device:
-    """A V4L2 device. It can be open here while another program reads its images.
+    """A V4L2 device. The device can be open here while another program reads its images.
 
     Parameters
     ----------
@@ -257,11 +257,11 @@ class V4l2Device:
     def stamp_source(self) -> tuple[bool, bool] | None:
         """Return whether the stamps of the device's buffers are from the monotonic clock, and
         whether they refer to the start of the exposure. Return None if the driver does not report
-        it.
+        these properties.
 
-        Most drivers report it also to a process that does not read the images. The driver uvcvideo
-        up to Linux 6.15 does not; in this case, the result is (True, True), which is correct for
-        uvcvideo.
+        Most drivers also report these properties to a process that does not read the images. The
+        driver uvcvideo up to Linux 6.15 does not. The result is then (True, True), which is correct
+        for uvcvideo.
         """
         data = bytearray(88)
         struct.pack_into("II", data, 0, 0, CAPTURE)

@@ -19,7 +19,7 @@ LATE_S = 0.1
 estimates the ages of images only up to this value."""
 
 INTERVALS = 15
-"""Number of intervals between stamps from whose median the image interval is determined."""
+"""Number of intervals between stamps. The median of these intervals is the image interval."""
 
 REGULAR, NEAR = 0.8, 0.2
 """REGULAR: minimum fraction of the last intervals that must be near the median [-]. NEAR: maximum
@@ -27,8 +27,8 @@ deviation of such an interval from the median, relative to the median [-]. If th
 regular, lost images are not counted, because a triggered camera may be irregular."""
 
 GAP = 1.5
-"""Maximum time between two stamps [image intervals]. If the time is longer, images between them are
-counted as lost."""
+"""Maximum time between two stamps [image intervals]. If the time is longer, the images that are
+missing between the stamps are counted as lost."""
 
 MAX_LOST = 0.02
 """Maximum fraction of lost or late images without a warning in the diagnostics [-]. The planner
@@ -39,12 +39,12 @@ BLACK = 12
 below this value."""
 
 ALIKE = 15
-"""Minimum number of consecutive black or equal images that the diagnostics report. It is half a
-second at 30 images per second."""
+"""Minimum number of consecutive black or equal images that the diagnostics report. At 30 images per
+second, this number corresponds to half a second."""
 
 GRID = 7
-"""Step of the grid of pixels that are evaluated, in rows and columns. It is odd, so that both even
-and odd columns are evaluated, which differ in Bayer and YUV images."""
+"""Step of the grid of pixels that are evaluated, in rows and columns. The step is odd, so that both
+even and odd columns are evaluated. Even and odd columns differ in Bayer and YUV images."""
 
 
 class Watch:
@@ -59,7 +59,7 @@ class Watch:
         self.begin_report()
 
     def begin_report(self) -> None:
-        """Reset the counts of a report."""
+        """Reset the counts when a new report begins."""
         self.images = self.lost = self.late = 0
 
     def add(self, pixels: np.ndarray, instant: float, arrival: float) -> None:
@@ -87,8 +87,8 @@ class Watch:
         self._last = (instant, few)
 
     def findings(self, live: bool) -> list[Finding]:
-        """Return the faults. Equal images are a fault only if the source is live. In a film they
-        are allowed."""
+        """Return the faults of the stream as findings. Equal images are a fault only if the source
+        is live. In a film, equal images are allowed."""
         found = []
         if self._black >= ALIKE:
             found.append(

@@ -23,7 +23,8 @@ from .region import Region
 
 MIN_CHANNEL = 20.0
 """Minimum brightness of the plate in a channel whose contrast is used [grey levels]. If the plate
-is darker, the noise and the dark current of the sensor are too large relative to it."""
+is darker, the noise and the dark current of the sensor are too large relative to the plate's
+brightness."""
 
 INNER = 0.6
 """Radius of the inner area of a disc [radii]. The disc's brightness is measured in this area, which
@@ -67,8 +68,8 @@ def channels_of(image: np.ndarray, plate: LitPlate, region: Region) -> Channels:
 
 
 def contrast_image(channels: Channels, region: Region) -> LitPlate | None:
-    """Return the contrast as an image of dark parts on a lit plate. Return None if there is no
-    plate."""
+    """Return the contrast as an image of dark parts on a lit plate. Return None if the image shows
+    no plate."""
     out = np.full(channels.image.shape[:2], 255, np.uint8)
     _kernels.write_contrast(channels.image, channels.lights, region.box, out)
     return fit_light(out, region, 1.0)

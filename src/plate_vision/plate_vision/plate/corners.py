@@ -1,7 +1,7 @@
 """The corners of a plate without markers, found by the plate's outline in a picture.
 
-`find_plate_corners` measures the four edges (`measure_outline`) and intersects them. It repeats
-this around the new corners until they no longer change.
+`find_plate_corners` measures the four edges (`measure_outline`) and intersects them. The function
+repeats both steps around the new corners until the corners no longer change.
 """
 
 from __future__ import annotations
@@ -39,9 +39,9 @@ def find_plate_corners(
 ) -> tuple[np.ndarray, float]:
     """Find the plate's corners in an image (H, W) or (H, W, 3) uint8 of the plate at rest at home.
 
-    The outline is first searched near the rig's `corners_px`. If it is not found there, bright or
-    dark quadrilaterals in the picture are tried, starting with the largest one. The corners are
-    returned in the order of `corners_px`.
+    The outline is first searched near the rig's `corners_px`. If the outline is not found there,
+    bright or dark quadrilaterals in the picture are tried, starting with the largest one. The
+    corners are returned in the order of `corners_px`.
 
     Parameters
     ----------
@@ -93,8 +93,8 @@ def _refined(
 
 
 def _corners_of(outline: Outline, grid: OutlineGrid) -> tuple[np.ndarray, float]:
-    """Return the intersections of the measured edges (4, 2) [m], in the order of `Plate.corners`,
-    and the root mean square of their bows [m]."""
+    """Return the intersections of the measured edges (4, 2) [m], in the order of `Plate.corners`.
+    Also return the root mean square of the edges' bows [m]."""
     ends = edge_points(grid.half, np.array([-1.0, 1.0]))  # (4, 2, 2)
     middle, slope, bow = outline.edges.T
     away = middle[:, None] + slope[:, None] * np.array([-1.0, 1.0])

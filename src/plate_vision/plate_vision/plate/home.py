@@ -1,5 +1,5 @@
-"""The location of plate_home in the image, and the pose of the plate in plate_home. Both are
-determined by markers on the plate.
+"""The location of plate_home in the image, and the pose of the plate in plate_home. Markers on the
+plate determine both.
 
 plate_home is located once, by a homography from the corners of all markers (`find_home`). The
 plate's pose is determined in every image, by a rigid least-squares fit (`find_pose`).
@@ -26,12 +26,12 @@ would be inaccurate, because a marker is only 3 cm long."""
 
 WORST_FIT_M = 1e-3
 """Maximum root mean square deviation of the markers' corners from their places in the rig file [m].
-It is ten times the deviation of a good print in a sharp picture."""
+This maximum is ten times the deviation of a good print in a sharp picture."""
 
 FOLLOWED_FIT_M = 3e-4
-"""Maximum root mean square deviation of the markers' corners from their places in the rig file [m].
-This limit applies if the patterns of the markers are not read. It is smaller than `WORST_FIT_M`, so
-that other objects are not mistaken for markers."""
+"""Maximum root mean square deviation of the markers' corners from their places in the rig file, if
+the patterns of the markers are not read [m]. This maximum is smaller than `WORST_FIT_M`, so that
+other objects are not mistaken for markers."""
 
 QUIET = 0.2
 """Width of the border around a marker that is painted over together with the marker, relative to
@@ -39,8 +39,8 @@ the marker's side [-]."""
 
 MOVED_M = 5e-4
 """Displacement of a corner of the plate above which the plate's region of the image (`Region`) is
-computed again [m]. It is half a pixel of the default rig. Smaller displacements are ignored,
-because this computation takes longer than the detection of the parts."""
+computed again [m]. In the default rig, this displacement is half a pixel. Smaller displacements are
+ignored, because this computation takes longer than the detection of the parts."""
 
 AWAY_M = 2e-3
 """Maximum distance of the plate from home without a warning [m]."""
@@ -61,8 +61,8 @@ class PlateLocation:
     pose : (3,) or None
         x, y [m], theta [rad] in plate_home in the last image; None if too few markers were visible.
     region_pose : (3,) or None
-        Pose for which the plate's region of the image (`Region`) was last computed. None if it was
-        not computed yet.
+        Pose for which the plate's region of the image (`Region`) was last computed. None if the
+        region was not computed yet.
     """
 
     rig: Rig
@@ -118,7 +118,7 @@ def fiducials_of(rig: Rig) -> Fiducials:
     Raises
     ------
     CalibrationError
-        If the rig file has none.
+        If the rig file has no markers.
     """
     if rig.fiducials is None:
         raise CalibrationError(
@@ -132,7 +132,8 @@ def find_home(
 ) -> tuple[Calibration, float]:
     """Find plate_home in an image (H, W) or (H, W, 3) uint8 of the plate at rest at home.
 
-    Also return the root mean square deviation of the markers' corners from `fiducials` [m].
+    Return the calibration, and the root mean square deviation of the markers' corners from
+    `fiducials` [m].
 
     Raises
     ------
@@ -212,8 +213,8 @@ def hide_markers(
 ) -> np.ndarray:
     """Return a copy of the image in which the markers have the brightness of the plate around them.
 
-    The detection then does not mistake the markers for parts. It does not find parts that are on a
-    marker either. `pose` (3,) [m, m, rad] is the pose of the plate.
+    The detection then does not mistake the markers for parts. The detection also does not find
+    parts that are on a marker. `pose` (3,) [m, m, rad] is the pose of the plate.
     """
     copy = np.array(image)
     height, width = image.shape[:2]

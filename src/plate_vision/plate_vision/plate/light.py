@@ -15,13 +15,13 @@ from .. import _kernels
 from .region import Region
 
 DARK_PERCENTILE = 95
-"""Percentile of an image's brightness. If it is below the plate's minimum brightness, there is too
-little light. The brightest twentieth of the image is ignored, because it may show lamps and
-reflections."""
+"""Percentile of an image's brightness. If this percentile is below the plate's minimum brightness,
+there is too little light. The brightest twentieth of the image is ignored, because it may show
+lamps and reflections."""
 
 BURNT_PERCENTILE = 50
-"""Percentile of an image's brightness. If it is at least `BURNT_GREY`, there is too much light,
-because half of the image is overexposed."""
+"""Percentile of an image's brightness. If this percentile is at least `BURNT_GREY`, there is too
+much light, because half of the image is overexposed."""
 
 BURNT_GREY = 254
 """Grey level from which a pixel counts as overexposed."""
@@ -39,10 +39,11 @@ class LitPlate(NamedTuple):
         Grey levels.
     light : (9,) float32
         Brightness of the bare plate. The first six numbers are the coefficients a to f [grey
-        levels] of a + b u + c v + d u2 + e u v + f v2. Then follow the image point [px] where
-        u = v = 0, and the reciprocal of the length [px] of one unit of u and v.
+        levels] of a + b u + c v + d u^2 + e u v + f v^2. The next two numbers are the image point
+        [px] where u = v = 0. The last number is the reciprocal of the length [px] of one unit of u
+        and v.
     usable : (H, W) bool
-        Whether a pixel shows the plate, away from its edge.
+        Whether a pixel shows the plate and is not near the plate's edge.
     noise : float
         Standard deviation of the bare plate's pixels, relative to its brightness [-].
     """

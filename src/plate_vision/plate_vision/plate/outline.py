@@ -2,10 +2,10 @@
 the lens.
 
 The brightness is sampled along profiles that cross each predicted edge at right angles. The
-measured edge is a curve of second degree through steps of brightness in these profiles. It is found
-by random sampling, followed by least squares. The deviations of all edges together show the cause.
-A missing lens model bends the edges. A moved camera shifts, rotates or scales the outline. Edges
-that are not visible are ignored.
+measured edge is a curve of second degree through steps of brightness in these profiles. This curve
+is found by random sampling, followed by least squares. The deviations of all edges together show
+the cause. A missing lens model bends the edges. A moved camera shifts, rotates or scales the
+outline. Edges that are not visible are ignored.
 """
 
 from __future__ import annotations
@@ -71,16 +71,16 @@ of sawn plates deviate from a straight line by up to 0.3 mm."""
 
 TURN_RAD = np.radians(0.6)
 """Tolerated rotation of the plate's outline relative to the prediction [rad]. For a plate of 300
-px, it is measured with an accuracy of a tenth of this value. At the start of a cycle, the rotation
-of a moving plate is smaller."""
+px, the rotation is measured with an accuracy of a tenth of this value. At the start of a cycle, the
+rotation of a moving plate is smaller."""
 
 STRETCH = 0.01
 """Tolerated difference between the size of the plate's outline and the predicted size, relative to
-the predicted size [-]. It is measured with an accuracy of a tenth of this value."""
+the predicted size [-]. The size is measured with an accuracy of a tenth of this value."""
 
 SUPPORT = 0.6
-"""Minimum fraction of an edge's profiles that must agree. It is below 1 because parts may hide the
-edge in some profiles."""
+"""Minimum fraction of an edge's profiles that must agree. The fraction is below 1 because parts may
+hide the edge in some profiles."""
 
 MIN_EDGES = 3
 """Minimum number of visible edges for a finding. Two edges do not determine shift and size."""
@@ -97,8 +97,8 @@ NOISE_STEPS = 5.0
 [-]."""
 
 CANDIDATES = 3
-"""Number of steps of each sign that are kept from a profile, starting with the strongest step. They
-are, for example, the plate's edge, a shadow, and a part."""
+"""Number of steps of each sign that are kept from a profile, starting with the strongest step. Such
+steps are, for example, the plate's edge, a shadow, and a part."""
 
 DRAWS = 400
 """Number of trial curves for an edge. Each curve passes through a random triple of candidates. If
@@ -116,12 +116,12 @@ be flipped."""
 
 SIDE_PX = 5.0, 10.0
 """Minimum and maximum distance from a step in a profile [px]. The brightness beside the step is
-measured between these distances. They are larger than the width of a line of pen or tape, which is
-2 to 4 px."""
+measured between these distances. Both distances are larger than the width of a line of pen or tape,
+which is 2 to 4 px."""
 
 SHIFT_TEXT_M = 5e-4
-"""Minimum shift that is stated in a message [m]. It is the error of the measurement with noise and
-with corners that are rounded to a pixel."""
+"""Minimum shift that is stated in a message [m]. This shift is the error of the measurement with
+noise and with corners that are rounded to a pixel."""
 
 TURN_TEXT_RAD = np.radians(0.2)
 """Minimum rotation that is stated in a message [rad]."""
@@ -223,10 +223,10 @@ class Outline:
     Attributes
     ----------
     edges : (4, 3)
-        Three numbers for each edge, NaN if the edge is not visible. The first is the mean outward
-        distance of both ends from the predicted edge [m]. The second is the slope, which is half
-        the difference of these distances [m]. The third is the bow, which is the additional outward
-        distance of the middle [m].
+        Three numbers for each edge, NaN if the edge is not visible. The first number is the mean
+        outward distance of both ends from the predicted edge [m]. The second number is the slope,
+        which is half the difference of the two distances [m]. The third number is the bow, which is
+        the additional outward distance of the edge's middle [m].
     """
 
     edges: np.ndarray
@@ -316,7 +316,7 @@ def _fit_edge(
 
 
 def _is_line(profile: np.ndarray, offset: np.ndarray, curve: np.ndarray, along: np.ndarray) -> bool:
-    """Whether profiles (S, D) are equally bright on both sides of a curve (3,) [m]. In this case,
+    """Whether profiles (S, D) are equally bright on both sides of a curve (3,) [m]. If they are,
     the curve is not an edge but a line on the plate or the table."""
     at = curve[0] + curve[1] * along + curve[2] * (1 - along**2)
     away = (offset - at[:, None]) / (offset[1] - offset[0])
@@ -426,8 +426,9 @@ class Deviation:
 def deviation_of(outline: Outline, grid: OutlineGrid) -> Deviation:
     """Return the deviation of an outline with at least `MIN_EDGES` visible edges.
 
-    With the outward normal n of an edge, its points p and the stretch s, the least-squares fit is
-    n . (shift + turn (-p_y, p_x) + (s_x p_x, s_y p_y)) = measured outward distance.
+    n is the outward normal of an edge, p a point of the edge, and s the stretch. The least-squares
+    fit solves this equation for all points: n . (shift + turn (-p_y, p_x) + (s_x p_x, s_y p_y)) =
+    measured outward distance.
     """
     seen = np.flatnonzero(outline.seen)
     ends = np.array([-1.0, 1.0])
@@ -470,7 +471,8 @@ class OutlineCheck:
     ----------
     grid : OutlineGrid
     radius : float
-        Radius of a part [m]. A larger deviation of the outline is an error.
+        Radius of a part [m]. If the outline deviates by more than this radius, the finding is an
+        error.
     bends : bool
         Whether the calibration has a lens.
     measured : tuple of Outline
@@ -511,7 +513,8 @@ class OutlineCheck:
         `moving`, the plate may be away from home in the image.
 
         After `IMAGES` images the outline is evaluated. The evaluation is repeated at intervals
-        until the outline of a plate at rest agrees. It is not repeated while the plate moves.
+        until the outline of a plate at rest agrees. No evaluation is repeated while the plate
+        moves.
         """
         waits = self.done and not self.measured
         waits = waits and (moving or 0 <= stamp - self.stamp < self._wait)

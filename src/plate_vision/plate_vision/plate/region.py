@@ -1,5 +1,5 @@
-"""The region of the plate in an image. It is a quadrilateral, whose edges may be bent by a lens, or
-the whole image.
+"""The region of the plate in an image. The region is a quadrilateral or the whole image. A lens may
+bend the edges of the quadrilateral.
 
 Image coordinates in this package: x_px to the right, y_px down, (0, 0) at the centre of the first
 pixel, as in OpenCV.
@@ -27,8 +27,8 @@ BOW_DEGREE = 4
 
 SAMPLES = 1200
 """Approximate number of pixels on a regular grid to which the light is fitted. With a noise of 2
-grey levels, the error of the surface is then 0.15 grey levels. The fit takes a tenth of the time of
-the detection of a hundred parts."""
+grey levels, the error of the surface is then 0.15 grey levels. The fit takes a tenth of the time in
+which a hundred parts are detected."""
 
 
 class Samples(NamedTuple):
@@ -69,7 +69,8 @@ class Region:
         Edges bent by a lens; (0, BOW_DEGREE + 4) if no edge is bent. The first three numbers are
         the coefficients of 1, x, y for the place along the straight edge, which is -1 and 1 at the
         ends. The other numbers are the coefficients of a polynomial of this place, highest power
-        first. Its value is the inward distance of the bent edge from the straight edge [px].
+        first. The value of this polynomial is the inward distance of the bent edge from the
+        straight edge [px].
     box : (x0, y0, x1, y1)
         Pixel range [px] that contains the region, half open.
     """
@@ -81,8 +82,8 @@ class Region:
     box: tuple[int, int, int, int]
 
     def depth(self, x_px: np.ndarray, y_px: np.ndarray) -> np.ndarray:
-        """Return the distances of points (...) from the nearest edge of the plate [px]. They are
-        negative outside the plate."""
+        """Return the distances of points (...) from the nearest edge of the plate [px]. The
+        distances are negative outside the plate."""
         x, y = np.broadcast_arrays(np.asarray(x_px, float), np.asarray(y_px, float))
         depth = _kernels.region_depth(self.edges, self.bows, x.ravel(), y.ravel())
         return np.asarray(depth.reshape(x.shape))
@@ -112,7 +113,7 @@ class Region:
 
     @cached_property
     def samples(self) -> Samples:
-        """The pixels for the fit of the light. There are none if the region is too small."""
+        """The pixels for the fit of the light. The arrays are empty if the region is too small."""
         x0, y0, x1, y1 = self.box
         step = max(1, int(np.sqrt((x1 - x0) * (y1 - y0) / SAMPLES)))
         rows, columns = np.mgrid[y0 + step // 2 : y1 : step, x0 + step // 2 : x1 : step]

@@ -1,7 +1,8 @@
 """The view that helps to aim the camera, and its services. A worker thread measures pictures while
 the topic `aim` has a subscriber.
 
-The worker thread measures one picture at a time. It never blocks the detector's callbacks.
+The worker thread measures one picture at a time. The worker thread never blocks the detector's
+callbacks.
 """
 
 from __future__ import annotations
@@ -56,8 +57,8 @@ OTHER_NODES = (
     "restart the server of the page; if readout_s in section camera is above 0, restart the "
     "planner too; other nodes need no restart"
 )
-"""Advice after a change of the rig file. It concerns the nodes other than the detector that
-transform positions between image and plate."""
+"""Advice after a change of the rig file. The advice concerns other nodes than the detector that
+also transform positions between image and plate."""
 
 LEVELS = {
     Level.OK: AimCheck.OK,
@@ -148,14 +149,14 @@ class AimingView:
         self._measured_at = self._image_at = -math.inf
 
     def rest(self) -> None:
-        """End the worker."""
+        """End the worker thread."""
         pool, self._pool = self._pool, None
         if pool is not None:
             pool.shutdown(wait=True, cancel_futures=True)
 
     @property
     def needed(self) -> bool:
-        """Whether any result of a measurement is needed."""
+        """Whether the result of any measurement is needed."""
         taking = self._lens is not None and self._lens.state == LensPictures.TAKING
         return taking or self._wants_home or self._publisher.get_subscription_count() > 0
 
@@ -191,7 +192,7 @@ class AimingView:
         self._wake()
 
     def _step(self, image: np.ndarray, situation: Situation) -> None:
-        """Search the image for home or for a board, if requested."""
+        """If requested, search the image for the plate at home or for a calibration board."""
         if self._wants_home:
             self._wants_home = False
             self._find_home(image, situation)
@@ -380,7 +381,7 @@ class AimingView:
     def _on_take(
         self, request: TakeLensPictures.Request, response: TakeLensPictures.Response
     ) -> TakeLensPictures.Response:
-        """Start to take pictures, or discard all pictures."""
+        """Start to take pictures of a calibration board, or discard all pictures."""
         if not request.on:
             self._lens = None
             response.success, response.message = True, "the pictures are discarded"
