@@ -1,4 +1,4 @@
-"""Build plate_gym as an ament_python package, or by `pip install ./src/plate_gym` without ROS."""
+"""Build plate_gym as an ament_python package. Without ROS, use `pip install ./src/plate_gym`."""
 
 from pathlib import Path
 

@@ -1,5 +1,5 @@
 """Reference agents. Four agents use the planner of this project: Method B on the cycle map, Method
-A on the cycle map, Method B with images, and Method B on the averaged map. Two further agents are
+A on the cycle map, Method B with images, and Method B on the averaged map. The other two agents use
 the paper's Method A and random motions."""
 
 from __future__ import annotations

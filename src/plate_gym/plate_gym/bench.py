@@ -1,6 +1,6 @@
 """Evaluation of agents: `python -m plate_gym.bench --agent B --task Sort10-v1 --json B.json`. Check
 of a result from another person: `python -m plate_gym.bench --check B.json`. On all processors with
-AVX2 and FMA, the results are identical."""
+the instruction sets AVX2 and FMA, the results are identical."""
 
 from __future__ import annotations
 
@@ -38,7 +38,8 @@ from .tasks import TASKS, WORLDS, chosen
 __all__ = ["Limits", "check", "evaluate", "seed_range"]
 
 SHOWN = 5
-"""Maximum number of differences in an error message."""
+"""Maximum number of differences that the error message lists if an earlier result cannot be
+continued."""
 
 CHECKED = 10
 """Maximum number of seeds of each task that a check repeats."""
@@ -61,46 +62,48 @@ def evaluate(
     pool: Executor | None = None,
     done: dict[str, Any] | None = None,
 ) -> dict[str, Any]:
-    """Run an agent on tasks. Each task is run in the worlds of several seeds.
+    """Run episodes of an agent on one or more tasks. For each task and each seed, the agent runs
+    one episode in the world that the seed defines.
 
     Parameters
     ----------
     agent : str
         Name for `agent_class`.
     tasks, seeds, world
-        Names of tasks (or one name); seeds from 0, without repetition; a key of `WORLDS`.
+        Names of tasks (or one name), seeds (0 or more, each once), and a key of `WORLDS`.
     workers : int
-        Number of episodes that run at once, each in a process of its own. 0: the episodes run in
-        this process, without limits.
+        Number of episodes that run at the same time, each in a separate process. If it is 0, the
+        episodes run in this process, without limits of time and memory.
     tell : callable
         Function that is called with a line of text after each task, and after each episode in which
         a limit was exceeded.
     keep : callable
-        Function that is called with the result so far: after each task, at most every `KEEP_S`
-        during a task, and before an error is raised.
+        Function that is called with the result so far. It is called after each task, at most every
+        `KEEP_S` during a task, and before an error is raised.
     limits : Limits
         Limits of the agent. If a limit is exceeded in an episode, the episode counts as failed.
     pool : Executor, optional
-        Executor that runs the episodes in place of `workers`, such as a
-        `plate_bringup.cluster.Cluster`.
+        Executor that runs the episodes, such as a `plate_bringup.cluster.Cluster`. If it is given,
+        `workers` has no effect.
     done : dict, optional
-        Result of an earlier call. The new result contains its rows, and its episodes are not
-        repeated.
+        Result of an earlier call. The new result contains the rows of this result, and the episodes
+        of these rows are not repeated.
 
     Returns
     -------
     dict
-        Result for JSON. It contains `agent`, `world`, `commit`, the digest of the `sources`,
-        `versions`, `limits`, and the digests of the agent's `files`. For each task, it contains the
-        `rows` of `episode` and their summary. The summary contains `success`, and the medians of
-        `time_s` (of the successful episodes) and `decision_ms`. Each of these has a 95 % confidence
-        interval: of Wilson for `success`, by bootstrap for the medians.
+        Result for JSON. The result contains `agent`, `world`, `commit`, the digest of the
+        `sources`, `versions`, `limits`, and the digests of the agent's `files`. For each task, it
+        contains the `rows` of `episode` and their summary. The summary contains `success`, and the
+        medians of `time_s` (of the successful episodes) and `decision_ms`. Each of these three
+        values has a 95 % confidence interval. The interval of `success` is a Wilson interval, and
+        the intervals of the medians are computed by bootstrap.
 
     Raises
     ------
     PlateError
-        If a name is unknown, if a seed is not allowed, if the agent fails, or if `done` is a result
-        of other code or files, or of another agent, world, limit or computer.
+        A name is unknown, a seed is not allowed, the agent fails, or `done` cannot be continued.
+        `done` must be a result of the same code, files, agent, world, limits and type of computer.
     """
     result = begun(agent, world, limits, done)
     tasks = [tasks] if isinstance(tasks, str) else list(dict.fromkeys(tasks))
@@ -129,7 +132,7 @@ def evaluate(
 
 
 def begun(agent: str, world: str, limits: Limits, done: dict[str, Any] | None) -> dict[str, Any]:
-    """Return the result of `evaluate` before its first episode.
+    """Return the result of `evaluate` as it is before the first episode.
 
     Raises
     ------
@@ -170,8 +173,9 @@ def episodes(
     limits: Limits = LIMITS,
     pool: Executor | None = None,
 ) -> Iterator[dict[str, Any]]:
-    """Run episodes and yield their rows in the order of the seeds. `workers` episodes run at the
-    same time, unless a pool runs them. Failed episodes are reported."""
+    """Run episodes, and yield their rows in the order of the seeds. The executor `pool` runs the
+    episodes, if it is given. Otherwise, `workers` episodes run at the same time. Failed episodes
+    are reported."""
     if pool is None and not workers:
         yield from map(partial(episode, agent, world, task), seeds)
         return
@@ -198,7 +202,7 @@ def episodes(
 
 
 def show(text: str) -> None:
-    """Replace the last line in the terminal by `text`."""
+    """Replace the last line of the terminal by the text `text`."""
     if sys.stderr.isatty():
         print(f"\r\033[K{text}", end="", file=sys.stderr, flush=True)
 
@@ -217,7 +221,7 @@ def check(
     Parameters
     ----------
     result
-        Content of a file from `evaluate`.
+        Result of `evaluate`, as read from a JSON file.
     tell : callable
         Function that is called with lines of text: the versions that differ on this machine, and
         the progress for each task.
@@ -228,17 +232,18 @@ def check(
     world : str, optional
         World of the additional seeds. Default: the world of the result.
     trusted : str
-        Name of an agent `MODULE:CLASS` whose code may be imported and run. If the result is from
-        another agent of this form, an error is raised.
+        Name of an agent `MODULE:CLASS` whose code may be imported and run. If the result is from an
+        agent `MODULE:CLASS` with another name, an error is raised.
     limits : Limits
         The same as in `evaluate`.
 
     Returns
     -------
     list of str
-        Differences, except in computing times. For additional seeds in the world of the result, the
-        success counts as different if both confidence intervals do not overlap. A digest of places
-        also differs if the libraries of both machines round differently.
+        Differences between the result and the repetition, except in computing times. If the
+        additional seeds run in the world of the result, their success is also compared. It counts
+        as different if the two confidence intervals do not overlap. If the libraries of both
+        machines round differently, the digest `places` differs too.
 
     Raises
     ------
@@ -298,9 +303,10 @@ def check(
 
 
 def differing(claimed: dict[str, Any], true: dict[str, Any]) -> Iterator[tuple[str, Any]]:
-    """Yield the key and the value in the row `true` of each difference between two rows, except in
-    computing times. If both rows have the key `failure`, they count as equal, because the step at
-    which a limit is exceeded depends on the computer."""
+    """Compare two rows of the same episode, except their computing times. For each difference,
+    yield the key and its value in the row `true`. If both rows have the key `failure` with the same
+    value, they count as equal. The reason is that the step at which a limit is exceeded depends on
+    the computer."""
     keys = ["failure"] if "failure" in true or "failure" in claimed else [*ROW]
     for key in keys:
         same = key in claimed and key in true if key == "failure" else claimed[key] == true[key]
@@ -413,7 +419,7 @@ def main() -> int:
 
 
 def seed_range(text: str) -> range:
-    """Return the seeds of a text `FIRST:END`, or of one number."""
+    """Convert a text `FIRST:END`, or one number, to a range of seeds."""
     first, colon, end = text.partition(":")
     try:
         seeds = range(int(first), int(end) if colon else int(first) + 1)

@@ -1,5 +1,6 @@
-"""Method A of the paper (sections 3.1 and 4.1). A PD controller requests a force for each part. The
-weights of 24 rotations have minimum norm, and are computed with an SVD of the averaged map."""
+"""Method A of the paper (sections 3.1 and 4.1). A PD controller requests a force for each part. 24
+rotations of the plate together exert these forces. An SVD of the averaged map gives their weights,
+with minimum norm."""
 
 from __future__ import annotations
 
@@ -28,9 +29,9 @@ FASTEST_MPS = 0.03
 """Maximum requested drift [m/s]."""
 
 MAX_GAIN = 3.0
-"""If the reciprocal of a singular value of the matrix of mean forces exceeds this bound, its
-direction is omitted (section 3.1.5). Otherwise two parts close to each other would cause very large
-weights."""
+"""Bound of the reciprocals of the singular values of the matrix of mean forces. If a reciprocal
+exceeds this bound, the singular direction is omitted (section 3.1.5). Without this bound, two parts
+close to each other would cause very large weights."""
 
 PERIOD_S = 0.2
 """Period of a cycle [s]."""
@@ -40,7 +41,8 @@ SPEED_MPS = 0.3
 
 RETURN = 2.5
 """Speed of a return stroke divided by the speed of the stroke before it. Each rotation consists of
-a stroke and its return stroke. The mean force results from the difference of their speeds."""
+a stroke and a return stroke in the opposite direction. The mean force results from the difference
+of their speeds."""
 
 
 class Classic:
@@ -61,8 +63,8 @@ class Classic:
         self._goal: np.ndarray | None = None
 
     def act(self, observation: np.ndarray, info: dict[str, Any]) -> PlateCycle:
-        """Return rotations with the mean forces that the PD controller requests. Each rotation is
-        followed by its return stroke."""
+        """Return a cycle of rotations that exert the mean forces that the PD controller requests.
+        Each rotation is followed by its return stroke."""
         place = observation[:, :2]
         force = (self._drift(observation) - observation[:, 2:4]) / self._push
         matrix = self._library.forces(place)

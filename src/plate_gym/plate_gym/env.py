@@ -25,14 +25,15 @@ MANY = METADATA | {"autoreset_mode": AutoresetMode.NEXT_STEP}
 NO_WINDOW = "render_mode is 'human', but no window can be opened: {}"
 
 ROUNDING = 1e-6
-"""Tolerance of the bounds of actions, because agents compute in float32."""
+"""Distance by which a value of an action may exceed its bounds. The tolerance is necessary because
+agents compute in float32."""
 
 
 class PlateEnv(gym.Env):
     """Environment of one plate with a task.
 
-    A step is one cycle of the plate. As on the real plate, the observation shows the start of the
-    running cycle, and the action is executed in the next cycle.
+    A step is one cycle of the plate. The observation shows the parts at the start of the running
+    cycle, and the action is executed in the next cycle. A real plate has the same delay.
 
     Parameters
     ----------
@@ -72,8 +73,8 @@ class PlateEnv(gym.Env):
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
     ) -> tuple[np.ndarray, dict[str, Any]]:
-        """Begin an episode in the world of a seed. For equal seeds, the world is the same as in
-        `bench/closed_loop.py`. Default: a random seed."""
+        """Begin an episode in the world that the seed `seed` defines. The same seed defines the
+        same world in `bench/closed_loop.py`. Default: a random seed."""
         seed = None if seed is None else checked_seed(seed)
         super().reset(seed=seed)
         info = self.plates.reset([0], [drawn(self.np_random) if seed is None else seed])
@@ -81,7 +82,7 @@ class PlateEnv(gym.Env):
         return self.plates.observed()[0], first(info)
 
     def step(self, action: Any) -> tuple[np.ndarray, float, bool, bool, dict[str, Any]]:
-        """Simulate the running cycle to its end. The action is executed in the next cycle."""
+        """Simulate the running cycle until its end. The action determines the next cycle."""
         check_begun(self.plates.plates)
         actions = checked_actions(self.action_space, [action])
         reward, ended, over, info = self.plates.step([0], actions)
@@ -90,8 +91,8 @@ class PlateEnv(gym.Env):
         return seen, float(reward[0]), bool(ended[0]), bool(over[0]), first(info)
 
     def render(self) -> np.ndarray | None:
-        """Return a picture (height, width, 3) of the true parts, or None if the picture is shown in
-        a window."""
+        """Return a picture (height, width, 3) of the parts at their true positions. Return None
+        unless the render mode is `rgb_array`."""
         return None if self.render_mode != "rgb_array" else self._picture()
 
     def close(self) -> None:
@@ -100,8 +101,8 @@ class PlateEnv(gym.Env):
             self._film.close()
 
     def __getstate__(self) -> dict[str, Any]:
-        """Return the attributes for a copy, without the window. The copy opens a separate window
-        when it needs one."""
+        """Return the attributes for a copy of the environment. The window is omitted, and the copy
+        opens a separate window when it needs one."""
         return vars(self) | ({"_film": None} if self.render_mode == "human" else {})
 
     def _show(self) -> None:
@@ -128,7 +129,7 @@ class PlateVectorEnv(VectorEnv):
     threads : int, optional
         Maximum number of parallel threads. Default: the number of available cores.
     task, world, action, observation, render_mode
-        As in `PlateEnv`. A window is not allowed.
+        The same as in `PlateEnv`, but the render mode `human` is not allowed.
     """
 
     metadata = MANY
@@ -164,9 +165,9 @@ class PlateVectorEnv(VectorEnv):
         seed: int | Sequence[int | None] | None = None,
         options: dict[str, Any] | None = None,
     ) -> tuple[np.ndarray, dict[str, Any]]:
-        """Begin an episode on each plate. The seeds are `seed`, `seed` + 1, ..., or those of a
-        list. With the mask `options["reset_mask"]` (N,), episodes begin only on the plates that it
-        marks."""
+        """Begin an episode on each plate. The plates have the seeds `seed`, `seed` + 1, ..., or the
+        seeds of a list. If the mask `options["reset_mask"]` (N,) is given, episodes begin only on
+        the plates for which the mask is True."""
         count = self.num_envs
         mask = np.asarray((options or {}).get("reset_mask", np.ones(count, bool)))
         if mask.shape != (count,) or mask.dtype != bool or not mask.any():
@@ -194,7 +195,7 @@ class PlateVectorEnv(VectorEnv):
     def step(
         self, actions: Any
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, dict[str, Any]]:
-        """Simulate the running cycle of each plate to its end. The actions are executed in the next
+        """Simulate the running cycle of each plate until its end. The actions determine the next
         cycles."""
         check_begun(self.plates.plates)
         count = len(actions) if np.iterable(actions) and isinstance(actions, Sized) else 0
@@ -229,9 +230,10 @@ class PlateVectorEnv(VectorEnv):
     def _for_all_plates(
         self, info: dict[str, np.ndarray], rows: np.ndarray, others: dict[str, Any] | None = None
     ) -> dict[str, Any]:
-        """Return `info` for all plates. The arrays of `info` contain values for the plates `rows`
-        only; the result has arrays (N, ...), and masks `_NAME` (N,) of the plates that have a
-        value. The result also contains the values of `others`."""
+        """Expand `info`, whose arrays contain values only for the plates `rows`, to all N plates.
+        The result contains arrays (N, ...), and a mask `_NAME` (N,) for each array NAME. The mask
+        is True for the plates that have a value. The result also contains the values of
+        `others`."""
         result = dict(others or {})
         for name, values in info.items():
             there = result.setdefault(f"_{name}", np.zeros(self.num_envs, bool))
@@ -242,14 +244,14 @@ class PlateVectorEnv(VectorEnv):
 
 
 def check_begun(plates: Sequence[Plate]) -> None:
-    """Raise an error if a plate was not reset."""
+    """Raise an error unless all plates were reset."""
     if any(plate is None for plate in plates):
         raise gym.error.ResetNeeded("there is no episode yet: call reset first")
 
 
 def checked_actions(space: gym.Space, actions: Iterable[Any]) -> list[Any]:
-    """Return the actions, clipped to their bounds. Raise an error if a value exceeds a bound by
-    more than `ROUNDING`."""
+    """Clip actions to the bounds of their space, and return them. Raise an error if a value exceeds
+    a bound by more than `ROUNDING`."""
     if not isinstance(space, gym.spaces.Box):
         cycles = list(actions)
         for action in cycles:
@@ -282,7 +284,7 @@ def checked_actions(space: gym.Space, actions: Iterable[Any]) -> list[Any]:
 
 
 def fits(given: np.ndarray, shape: tuple[int, ...]) -> bool:
-    """Return whether an array contains numbers and has a shape."""
+    """Whether an array contains numbers and has the shape `shape`."""
     return given.shape == shape and np.can_cast(given.dtype, float)
 
 
@@ -294,7 +296,7 @@ def checked_mode(mode: str | None) -> str | None:
 
 
 def checked_seed(seed: Any) -> int:
-    """Return a seed as a Python integer. Raise an error if the value is not a whole number of at
+    """Convert a seed to a Python integer. Raise an error unless the seed is a whole number of at
     least 0."""
     try:
         number = operator.index(seed)
@@ -306,19 +308,19 @@ def checked_seed(seed: Any) -> int:
 
 
 def drawn(chance: np.random.Generator) -> int:
-    """Draw the random seed of a world."""
+    """Return a random seed for a world."""
     return int(chance.integers(SEEDS))
 
 
 def first(info: dict[str, np.ndarray]) -> dict[str, Any]:
-    """Return the first element of each array in `info`, which belongs to the environment's only
-    plate."""
+    """Return the first element of each array in `info`. If an environment has only one plate, this
+    element contains the value of this plate."""
     return {name: values[0] for name, values in info.items()}
 
 
 class Film:
-    """Pictures of plates by a separate camera without disturbances. If requested, a window shows
-    the pictures."""
+    """Takes pictures of plates with a separate simulated camera without noise. If requested, a
+    window shows the pictures."""
 
     def __init__(self, plates: Plates, window: bool) -> None:
         self._plates = plates
@@ -326,8 +328,8 @@ class Film:
         self._window = Window() if window else None
 
     def picture(self, row: int) -> np.ndarray:
-        """Return the picture (height, width, 3) of the true parts of a plate. If there is a window,
-        it shows the picture."""
+        """Return a picture (height, width, 3) of one plate with the parts at their true positions.
+        If there is a window, the window shows the picture."""
         self._scene.show(self._plates.plates[row].simulation.state)
         image = self._scene.capture()
         assert image is not None
@@ -344,7 +346,7 @@ class Film:
 
 
 class Window:
-    """Window for pictures. If there is no desktop, a warning is printed instead."""
+    """Window that shows pictures. If no window can be opened, a warning is printed instead."""
 
     def __init__(self) -> None:
         self._root: Any = None

@@ -24,7 +24,7 @@ from .result import ROW, check_fields, shortened
 __all__ = ["agent_class", "episode", "isolated"]
 
 AGENT = 2
-"""Number that makes the seed of an agent different from the seed of its world."""
+"""Number from which, together with the seed of a world, the seed of the agent is derived."""
 
 
 def agent_class(name: str) -> type[Agent]:
@@ -67,19 +67,20 @@ def agent_class(name: str) -> type[Agent]:
 def episode(
     agent: str, world: str, task: str, seed: int, begin: Callable[[], object] = lambda: None
 ) -> dict[str, Any]:
-    """Run one episode in the world of a seed, in this process. The function `begin` is called
-    before each decision.
+    """Run one episode in this process, in the world that the seed defines. The function `begin` is
+    called before each decision of the agent.
 
     Returns
     -------
     dict
-        Row with the keys `seed`, `success`, `time_s` (of the plate), `steps`, `return`, `there`,
-        `dropped`, `error_mm` and `turn_error_deg` (of the part with the largest error at the end),
-        `limit_share` (maximum), and `places` (digest of all positions). The computing times are
-        `start_ms` (processor time to create the agent), `decision_ms` and `decision_ms_p99`
-        (processor time of a decision, median and 99th percentile), and `wall_ms` and `wall_ms_p99`
-        (elapsed time of a decision). If the action needs this project's solver, the times of a
-        decision include the solver.
+        Row with the following keys. `seed`, `success`, `time_s` (simulated duration), `steps`,
+        `return`, `there` and `dropped` describe the episode. `error_mm` and `turn_error_deg` are
+        the largest errors of a part at the end. `limit_share` is the maximum fraction of a limit
+        that was used. `places` is a digest of all positions. `start_ms` is the processor time to
+        create the agent. `decision_ms` and `decision_ms_p99` are the median and the 99th percentile
+        of the processor time of a decision. `wall_ms` and `wall_ms_p99` are the same quantities for
+        the elapsed time. If an action needs this project's solver, the times of a decision include
+        the solver.
 
     Raises
     ------
@@ -138,8 +139,8 @@ def episode(
 
 
 def seed_of_agent(seed: int) -> int:
-    """Return the seed of an agent's random numbers. It differs from the seed of the world.
-    Otherwise an agent could compute where the parts are."""
+    """Return the seed of an agent's random numbers. This seed differs from the seed of the world,
+    because an agent that knows the world's seed could compute where the parts are."""
     return drawn(np.random.default_rng((seed, AGENT)))
 
 
@@ -149,13 +150,13 @@ def isolated(agent: str, world: str, task: str, seed: int, limits: Limits) -> di
     Returns
     -------
     dict
-        Row as in `episode`. If the agent exceeds a limit, the row contains zeros, and `failure`
-        names the limit.
+        Row with the keys of `episode`. If the agent exceeds a limit, the row contains zeros, and
+        its additional key `failure` names the limit.
 
     Raises
     ------
     PlateError
-        If the agent fails for another reason. The message contains agent, task and seed.
+        The agent fails for another reason than a limit. The message contains agent, task and seed.
     """
     request = {"agent": agent, "world": world, "task": task, "seed": seed}
     reply = isolation.play(request, limits)
@@ -171,12 +172,12 @@ def isolated(agent: str, world: str, task: str, seed: int, limits: Limits) -> di
 
 
 def named(agent: str, task: str, seed: int, step: int) -> str:
-    """Return a text for messages that tells where an error of an agent occurred."""
+    """Return a text for error messages that names the agent, the task, the seed and the step."""
     return f"agent {agent}, {task}, seed {seed}, step {step}"
 
 
 def one_line(problem: BaseException) -> str:
-    """Return an exception as one line of text."""
+    """Convert an exception to one line of text."""
     try:
         text = str(problem)
     except BaseException as other:

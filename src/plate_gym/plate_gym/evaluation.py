@@ -30,18 +30,18 @@ from .tasks import FEED_S
 __all__ = ["Memory", "TaskEvaluator"]
 
 START_S = 0.2
-"""Time at which the references leave the starts of their paths [s]. At this time, the first cycle
-that depends on the second image begins."""
+"""Time at which the reference positions begin to move along their paths [s]. The first cycle that
+depends on the second image begins at this time."""
 
 AHEAD_S = 0.1
-"""Agents receive two references per part: at the start of the next cycle, and this time later
-[s]."""
+"""Interval between the two reference positions that an agent receives for each part [s]. The first
+one is for the start of the next cycle."""
 
 ROUNDING_S = 1e-6
 """Tolerance for rounding errors of sums of periods [s]."""
 
 ROBOT_S = 2.0
-"""Cycle time of the robot that receives the parts [s]."""
+"""Time between two picks of the robot that takes the parts [s]."""
 
 MAX_PICKS = 1 + int(FEED_S / ROBOT_S - (1 - ASKS))
 """Maximum number of parts that the robot can take during a feed task. The robot requests the first
@@ -58,8 +58,8 @@ class Followed:
     Attributes
     ----------
     memory : FollowMemory
-        References on the paths. If parts are behind, the references advance more slowly, as in the
-        planner of this project.
+        Reference positions on the paths. If parts are too far from their references, the references
+        advance more slowly, as in the planner of this project.
     time : float
         Time of the last evaluation [s].
     square_m2 : (M,)
@@ -72,20 +72,20 @@ class Followed:
 
 
 class Feeding:
-    """State of a feed task: hopper, robot, and the rules of the feeder. The object is mutable:
-    `advance` changes it.
+    """State of a feed task, which includes the hopper, the robot, and the rules of the feeder. The
+    object is mutable: `advance` changes it.
 
     Attributes
     ----------
     ids : (M,) of str
         Id of the part in each row of observations and actions. The id is empty if the row has no
-        part. A new part takes the first row that was empty in the last cycle or, if there is no
-        such row, a row that has just become empty.
+        part. A new part gets the first row that was empty in the last cycle. If there is no such
+        row, it gets a row that has just become empty.
     rests : bool
-        Whether the plate rests in the next cycle, because the robot picks or enough parts are
-        ready.
+        Whether the plate rests in the next cycle. It rests while the robot picks, or if enough
+        parts are ready.
     made : Production
-        Production since the start.
+        Counts of the parts that were fed since the start of the task.
     time : float
         Present time [s].
     """
@@ -96,8 +96,9 @@ class Feeding:
         self.ids = np.full(rows_of(task), "", object)
 
     def advance(self, world: Simulation, time: float, running: PlateCycle) -> None:
-        """Advance to a time at which a cycle begins [s]. Record the positions of the parts. The
-        robot acts as in `plate_bringup.loop`, but with the true positions."""
+        """Advance the state to the time `time` [s], at which the cycle `running` begins. Record the
+        positions of the parts. The robot acts as in `plate_bringup.loop`, but it knows the true
+        positions."""
         self.time = time
         self._cell.act(world, time)
         if time > 0:
@@ -116,14 +117,15 @@ class Feeding:
         self.ids[first[: len(came)]] = came
 
     def agent_info(self) -> dict[str, Any]:
-        """Return the information for an agent: `ids`, `rests`, `order`, `waiting`."""
+        """Return the entries `ids`, `rests`, `order` and `waiting` of the dictionary `info` for an
+        agent."""
         order, waiting = self._rules.task.order, self.made.waiting
         return {"ids": self.ids, "rests": self.rests, "order": order, "waiting": waiting}
 
     @property
     def pick_column(self) -> np.ndarray:
-        """Column (M, 1) of observations: 1 for a part that must be picked, -1 for a part that must
-        be discharged, and 0 for an empty row."""
+        """Column (M, 1) of observations. The value is 1 for a part that must be picked, -1 for a
+        part that must be discharged, and 0 for an empty row."""
         labels = [pick.label for pick in self._rules.task.picks]
         kinds = [(part_class(name) in labels) - 0.5 if name else 0.0 for name in self.ids]
         return np.sign(kinds)[:, None]
@@ -137,8 +139,8 @@ def rows_of(task: FeedTask) -> int:
 
 
 Memory = PoseMemory | Followed | Feeding | None
-"""State of a task: the assignment of parts to poses, the state of the paths, or the state of a feed
-task. Other tasks have no state."""
+"""State of the evaluation of a task. For a task with poses, the state is the assignment of parts to
+poses. Tasks with paths and feed tasks have separate classes. For other tasks, the state is None."""
 
 
 class Score(NamedTuple):
@@ -147,21 +149,22 @@ class Score(NamedTuple):
     Attributes
     ----------
     error_m : (N, M)
-        Distance of each part from its target [m]. For paths: root mean square distance from the
-        reference since the start.
+        Distance of each part from its target [m]. In a task with paths, the root mean square of the
+        part's distance from its reference since the start.
     turn_error : (N, M)
-        Error of the angle of each part [rad]. 0 without a target angle.
+        Error of the angle of each part [rad]. 0 for a part without a target angle.
     there : (N, M)
-        Whether each part is where the task requires it. For feeding: number of picked parts (N, 1).
+        Whether each part is where the task requires it. In a feed task, the number of picked parts
+        (N, 1).
     to_go : (N,)
-        Remaining distance, summed over the parts [m]. A rotation counts as the distance that the
-        contour of the part moves. For paths: the longest remaining length of a path [m]. For
-        feeding: the maximum number of parts that the robot can take minus the number of picked
-        parts.
+        Remaining distance, summed over the parts [m]. A rotation counts as the distance by which
+        the farthest point of the part's contour must move. In a task with paths, the longest
+        remaining length of a path [m]. In a feed task, the maximum number of parts that the robot
+        can take minus the number of picked parts.
     met : (N,) bool
         Whether the requirements of the task are fulfilled now.
     failed : (N,) bool
-        Whether a part is farther from its path than allowed.
+        Whether a part is farther from its reference position than the task allows.
     """
 
     error_m: np.ndarray
@@ -173,21 +176,21 @@ class Score(NamedTuple):
 
 
 class TaskEvaluator:
-    """Evaluates a task as the planner's supervision does, but with the true positions.
+    """Evaluates a task by the rules of the planner, but with the true positions of the parts.
 
-    The errors of the camera (`SIGHT_M`, `SIGHT_RAD`) are added to the tolerances.
+    The tolerances of the task are increased by the errors of the camera (`SIGHT_M`, `SIGHT_RAD`).
 
     Attributes
     ----------
     hold_s : float
-        Time for which the requirements must be fulfilled until the task is done [s].
+        Duration for which the requirements of a task must be fulfilled until the task is done [s].
     follows, feeds : bool
-        Whether the task is to follow paths, and whether it is to feed a robot.
+        Whether the task is a task with paths, and whether it is a feed task.
 
     Raises
     ------
     PlateError
-        If the task is not of the kinds sort, assemble, pose, follow and feed.
+        The task is not of one of the kinds sort, assemble, pose, follow and feed.
     """
 
     def __init__(self, task: Task, rig: Rig) -> None:
@@ -212,7 +215,7 @@ class TaskEvaluator:
         self.hold_s = 0.0 if self.feeds else self._rules.hold_s
 
     def begin(self, world: Simulation, running: PlateCycle) -> Memory:
-        """Return the state of a task that begins while a cycle runs."""
+        """Return the initial state of a task that begins at the start of the cycle `running`."""
         parts = _parts(world.state)
         if isinstance(self._rules, Poser):
             return self._rules.begin(parts)
@@ -225,8 +228,9 @@ class TaskEvaluator:
         return None
 
     def update(self, memory: Memory, world: Simulation, time: float, running: PlateCycle) -> Memory:
-        """Record the positions of the parts at a time at which a cycle begins [s]. If parts are
-        behind, the references advance more slowly."""
+        """Update the state of a task at the time `time` [s], at which the cycle `running` begins.
+        If parts are too far from their reference positions on the paths, the references advance
+        more slowly."""
         if isinstance(memory, Feeding):
             memory.advance(world, time, running)
         if not isinstance(memory, Followed) or not isinstance(self._rules, Follower):
@@ -237,8 +241,9 @@ class TaskEvaluator:
         return Followed(follow, time, memory.square_m2 + error**2)
 
     def agent_info(self, memory: Memory) -> dict[str, Any]:
-        """Return information for an agent: `path_s` and `pace` for paths, `Feeding.agent_info` for
-        feeding, and nothing otherwise."""
+        """Return the entries of the dictionary `info` that depend on the kind of task. For tasks
+        with paths, these are `path_s` and `pace`. For feed tasks, these are the entries of
+        `Feeding.agent_info`. For other tasks, there are none."""
         if isinstance(memory, Feeding):
             return memory.agent_info()
         if not isinstance(memory, Followed):
@@ -247,9 +252,10 @@ class TaskEvaluator:
         return {"path_s": np.array(follow.progress), "pace": np.array(follow.scaling)}
 
     def references(self, memory: Memory, ids: tuple[str, ...]) -> np.ndarray:
-        """Return the additional columns of observations. For paths (M, 4): the reference x, y at
-        the start of the next cycle, and the reference `AHEAD_S` later [m, plate_home]. For feeding
-        (M, 1): see `Feeding.pick_column`. Otherwise (M, 0)."""
+        """Return the additional columns of observations. In a task with paths, the columns (M, 4)
+        are the reference x, y at the start of the next cycle, and the reference `AHEAD_S` later [m,
+        plate_home]. In a feed task, the column (M, 1) is `Feeding.pick_column`. For other tasks,
+        the result has the shape (M, 0)."""
         if isinstance(memory, Feeding):
             return memory.pick_column
         if not isinstance(memory, Followed) or not isinstance(self._rules, Follower):
@@ -260,8 +266,8 @@ class TaskEvaluator:
         return places[[follow.match.index(name) for name in ids]]
 
     def score(self, memories: list[Memory], states: list[WorldState]) -> Score:
-        """Evaluate the task on N plates. `memories` are the results of `begin` or `update` for each
-        plate."""
+        """Evaluate the task on N plates. `memories` contains the result of `begin` or `update` for
+        each plate."""
         rules, names = self._rules, states[0].ids
         if isinstance(rules, Follower):
             return _evaluate_paths(rules, memories, states)
@@ -319,8 +325,9 @@ def _evaluate_feeding(rules: Feeder, memories: list[Memory]) -> Score:
 
 
 def _situation(parts: Parts, time: float, period: float, tail: float = 0.0) -> Situation:
-    """Return the input of the planner's rules at a time at which a cycle of the length `period`
-    begins [s]. If the plate is stopped after this cycle, it rests `tail` later [s]."""
+    """Return the input of the planner's rules at the time `time` [s]. A cycle of the length
+    `period` [s] begins at this time. If the plate is stopped after this cycle, it needs the
+    additional time `tail` [s] to come to rest."""
     return Situation(
         parts=parts, stamp=time, start=time + period, rests=time + period + tail, period=period,
         motion_known=True, latency_known=True, predicted=parts.position,

@@ -1,10 +1,10 @@
 """Episodes of agents in separate processes, with limits of time and memory.
 
-`play` requests an episode from a supervisor. A supervisor is a process that runs
+The function `play` requests an episode from a supervisor. A supervisor is a process that runs
 `plate_gym.supervisor`. An idle supervisor is used again for the next episode. An agent cannot block
-or end the process that calls `play`, and cannot fill its memory. When an episode ends, all
-processes of the agent are ended. This is no security sandbox: an agent can do anything that its
-user is allowed to do.
+or end the process that calls `play`, and cannot fill the memory of this process. When an episode
+ends, all processes of the agent are ended. This module is not a security sandbox, because an agent
+can still do anything that its user is allowed to do.
 """
 
 from __future__ import annotations
@@ -29,22 +29,23 @@ from plate_core import PlateError
 __all__ = ["ALIVE", "LIMITS", "REPLY_BYTES", "Limits", "play", "stop"]
 
 REPLY_BYTES = 100_000
-"""Maximum size of a reply [bytes]. A reply with the row of an episode has about 500 bytes."""
+"""Maximum size of a supervisor's reply [bytes]. A reply with the row of an episode has about 500
+bytes."""
 
 ALIVE = b".\n"
 """Line that a supervisor sends when it begins, and about every second during an episode."""
 
 START_S, SILENT_S = 300.0, 60.0
-"""`START_S` is the maximum time in which a supervisor must start [s]. It is long, because loading
-the libraries takes half a minute on a busy computer. `SILENT_S` is the maximum time between two
-lines of a supervisor [s]."""
+"""`START_S` is the time in which a supervisor must start [s]. The time is long, because loading the
+libraries takes half a minute on a busy computer. `SILENT_S` is the maximum time between two lines
+that a supervisor sends [s]."""
 
 ENDING_S = 15.0
-"""Maximum time in which a supervisor must end [s]. It must end all its processes in this time."""
+"""Time in which a supervisor must end all its processes and itself [s]."""
 
 MARK = "PLATE_GYM_SUPERVISOR"
-"""Environment variable of the processes of a supervisor. Its value is a random text. If an agent
-kills the supervisor, the processes are found by this text."""
+"""Environment variable that all processes of a supervisor have. Its value is a random text. If an
+agent kills the supervisor, the remaining processes are found by this text."""
 
 
 @dataclass(frozen=True)
@@ -54,15 +55,15 @@ class Limits:
     Attributes
     ----------
     decision_s : float
-        Maximum time of a decision, including the simulation of the step [s]. It is also the maximum
-        time in which the agent must be imported and created.
+        Maximum time of a decision, including the simulation of the step [s]. The import and the
+        creation of the agent must not take longer either.
     memory_gb : float
         Maximum memory of the agent's processes, including the simulation [GB].
 
     Raises
     ------
     PlateError
-        If a limit is not allowed.
+        A value is outside the allowed range.
     """
 
     decision_s: float = 60.0
@@ -80,9 +81,9 @@ LIMITS = Limits()
 
 
 class Supervisor:
-    """Supervisor in a separate process. The process has its own session, so that signals of a
-    terminal do not reach it. If the process that created it ends, the standard input of the
-    supervisor ends, and the supervisor ends too."""
+    """Supervisor in a separate process. The process has a separate session, so that it does not
+    receive signals of a terminal. If the process that created the supervisor ends, the standard
+    input of the supervisor closes. The supervisor then ends too."""
 
     def __init__(self) -> None:
         self._mark = secrets.token_hex(16)
@@ -95,8 +96,8 @@ class Supervisor:
         )  # fmt: skip
 
     def ask(self, request: dict[str, Any]) -> dict[str, Any]:
-        """Send a request, and return the reply. The reply contains an `error` if the supervisor
-        ended."""
+        """Send a request to the supervisor, and return its reply. If the supervisor has ended, the
+        reply contains the key `error`."""
         assert self._process.stdin is not None
         try:
             self._process.stdin.write(json.dumps(request).encode() + b"\n")
@@ -124,7 +125,8 @@ class Supervisor:
         raise OSError("its reply is too long")
 
     def end(self) -> None:
-        """End the supervisor and its processes. A call of `ask` in another thread then returns."""
+        """End the supervisor and its processes. If another thread waits in `ask`, its call then
+        returns."""
         process = self._process
         assert process.stdin is not None
         process.stdin.close()
@@ -176,15 +178,15 @@ def play(request: dict[str, Any], limits: Limits) -> dict[str, Any]:
     Parameters
     ----------
     request : dict
-        Keys `agent`, `world`, `task` and `seed`, as in `episode.episode`.
+        Values for the keys `agent`, `world`, `task` and `seed`, as in `episode.episode`.
     limits : Limits
 
     Returns
     -------
     dict
-        Reply with one of three keys. `row` is the row of the episode. `failure` names the limit
-        that was exceeded; the key `steps` then contains the number of completed steps. `error`
-        describes another failure. An agent can falsify the reply.
+        Reply with one of the keys `row`, `failure` and `error`. `row` is the row of the episode.
+        `failure` names the limit that was exceeded, and the key `steps` then contains the number of
+        completed steps. `error` describes another failure. An agent can falsify the reply.
     """
     try:
         supervisor = _idle.pop()
@@ -203,7 +205,7 @@ def play(request: dict[str, Any], limits: Limits) -> dict[str, Any]:
 
 @atexit.register
 def stop() -> None:
-    """End all supervisors. Running calls of `play` then return an error."""
+    """End all supervisors. Calls of `play` that still run then return an error."""
     idle = [_idle.pop() for _ in range(len(_idle))]
     for supervisor in list(_all):
         if supervisor in idle:

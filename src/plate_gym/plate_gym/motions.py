@@ -1,5 +1,5 @@
-"""Action `motion`: coefficients of sinusoids that represent a plate motion within the rig's
-limits."""
+"""Converts an action of the kind `motion` to a motion of the plate. The action contains
+coefficients of sinusoids, and the motion is within the limits of the rig."""
 
 from __future__ import annotations
 
@@ -11,19 +11,20 @@ from plate_solver import EQUAL_WEIGHT, Limits, limit_uses
 from plate_solver.sinusoids import sinusoid_basis
 
 HARMONICS = 4
-"""Number of harmonics of each motion: 10, 20, 30 and 40 Hz. The motions start and end at rest."""
+"""Number of harmonics of each motion. The harmonics have 10, 20, 30 and 40 Hz. The motions start
+and end at rest."""
 
 PERIOD_S = 0.1
 """Period of each motion [s]."""
 
 CERTAIN = 0.999
-"""Maximum fraction of the limits that a motion uses. It is computed with upper bounds of the
-peaks."""
+"""Maximum fraction of the rig's limits that a motion may use. The fraction is computed from upper
+bounds of the motion's peaks."""
 
 
 class Motions:
-    """Conversion of actions to motions that begin and end at rest (equation (13) of the paper). The
-    motion of each of x, y and theta is a weighted sum of 6 functions of time.
+    """Converts actions to motions that begin and end at rest (equation (13) of the paper). The
+    velocities along x, y and theta are weighted sums of the same 6 functions of time.
 
     Attributes
     ----------
@@ -32,7 +33,7 @@ class Motions:
     basis : SinusoidBasis
         Functions of time.
     scale : (6, 3)
-        Coefficients of the basis if all values of an action are 1 [m/s, rad/s].
+        Coefficients of the functions of time if all values of an action are 1 [m/s, rad/s].
     """
 
     def __init__(self, rig: Rig) -> None:
@@ -46,21 +47,21 @@ class Motions:
         self.scale = CERTAIN / alone.reshape(-1, 3)
 
     def cycle(self, action: np.ndarray) -> tuple[PlateCycle, float]:
-        """Return the motion of an action (size,), and the fraction of the limits that the motion
-        uses."""
+        """Convert an action (size,) to a motion. Return the motion, and the fraction of the rig's
+        limits that it uses."""
         (cycle,), used = self.cycles(action[None])
         return cycle, float(used[0])
 
     def cycles(self, actions: np.ndarray) -> tuple[list[PlateCycle], np.ndarray]:
-        """Return the motions of N actions, and for each motion the fraction of the limits that it
-        uses (N,), at most 1.
+        """Convert N actions to motions. Return the motions, and the fraction of the rig's limits
+        that each motion uses (N,), at most 1.
 
         Parameters
         ----------
         actions : (N, size)
-            Values from -1 to 1. Each function of time has three values, for x, y and theta. If one
-            value is 1 and all others are 0, the motion reaches a limit. If the motion of all values
-            exceeds a limit, all values of the action are scaled down.
+            Values from -1 to 1. For each function of time, an action contains three values, for x,
+            y and theta. If one value is 1 and all others are 0, the motion just reaches a limit. If
+            the motion for several values exceeds a limit, all values of the action are scaled down.
         """
         own = self.scale * actions.reshape(len(actions), -1, 3)
         used = self._use(own)
@@ -72,7 +73,7 @@ class Motions:
         return self.basis.cycles(own), used
 
     def _use(self, own: np.ndarray) -> np.ndarray:
-        """Return upper bounds of the largest fraction of a limit that a motion uses (N,), for N
-        sets of coefficients (N, h, 3)."""
+        """Return the fractions of the rig's limits (N,) that N motions with the coefficients (N, h,
+        3) use. Each fraction is an upper bound over all limits."""
         pose, twist, accel = (bound @ own for bound in self._bounds)
         return limit_uses(pose, twist, accel, EQUAL_WEIGHT, self._limits, False)

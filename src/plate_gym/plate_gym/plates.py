@@ -1,5 +1,5 @@
-"""N plates with the same task: simulation of cycles, observations and rewards. `PlateEnv` and
-`PlateVectorEnv` use this module."""
+"""Simulates the cycles of N plates with the same task, and computes observations and rewards.
+`PlateEnv` and `PlateVectorEnv` use this module."""
 
 from __future__ import annotations
 
@@ -27,56 +27,62 @@ ACTIONS = ("motion", "forces", "progress", "cycle")
 OBSERVATIONS = ("parts", "image")
 
 CENTRE_NOISE_M = 3e-5
-"""Standard deviation of the positions in observations `parts` [m]. It is the error of this
-project's vision in noisy images (measured in 30 images each of sort_10 and align_6)."""
+"""Standard deviation of the noise of the positions in observations `parts` [m]. The value equals
+the error of this project's vision in noisy images (measured in 30 images each of sort_10 and
+align_6)."""
 
 ANGLE_NOISE = 3.5e-3
-"""Standard deviation of the angles in observations `parts` [rad]. It is the error of this project's
-vision in noisy images (measured in 30 images each of sort_10 and align_6)."""
+"""Standard deviation of the noise of the angles in observations `parts` [rad]. The value equals the
+error of this project's vision in noisy images (measured in 30 images each of sort_10 and
+align_6)."""
 
 REST = PlateCycle.rest(IDLE_S)
-"""Cycle at rest. All plates share this object, so that the `info` of equal seeds is equal."""
+"""Cycle in which the plate rests. All plates share this object, so that the dictionaries `info` of
+equal seeds are equal."""
 
 GAP = 0.5
 """Minimum distance between the edges of two moving parts for the action `progress`, divided by the
 radius of a part."""
 
 OUT_M = 0.05
-"""Bound of the positions in observations `parts`: distance beyond the plate's edges [m]."""
+"""Positions in observations `parts` are clipped at this distance outside the plate's edges [m]."""
 
 FASTEST_MPS = 2.0
-"""Bound of the drift in observations `parts` [m/s]."""
+"""Drifts in observations `parts` are clipped at this absolute value [m/s]."""
 
 NEVER_S = 1000.0
-"""Time since the last detection in observations `parts` if the part was never detected [s]."""
+"""Maximum time since the last detection in observations `parts` [s]. A part that was never detected
+has this value."""
 
 UNSEEN = np.array([0.0, 0.0, 0.0, 0.0, 0.0, -np.inf])
-"""Row of a part that was never detected: x, y, drift along x and y, angle, time."""
+"""Row of `Plate.seen` for a part that was never detected: x, y, drift along x and y, angle, time of
+detection."""
 
 MIN_DISTANCE_M = 0.01
-"""Rewards are divided by the initial distance, but at least by this distance [m]."""
+"""Rewards are divided by the initial distance of the parts from their goals. If that distance is
+shorter than this value [m], they are divided by this value."""
 
 SEEDS = 2**31
-"""Random seeds are less than this number, which is also the limit of the solver's seeds."""
+"""Random seeds of worlds and of the solver are less than this number."""
 
 
 def clocks() -> np.ndarray:
-    """Return the processor time of this process and the elapsed time (2,) [s]."""
+    """Return the processor time of this process and the time of a steady clock (2,) [s]."""
     return np.array([time.process_time(), time.perf_counter()])
 
 
 class Step(NamedTuple):
-    """Result of a cycle on N plates.
+    """Result of one cycle on each of N plates.
 
     Attributes
     ----------
     reward : (N,)
-        Reduction of the remaining distance in this step, divided by the initial distance. For
-        feeding: number of parts picked in this step, divided by the maximum number. If the task is
-        done, 1 is added. For each lost part, 1 is subtracted.
+        Reduction of the remaining distance in this step, divided by the initial distance. In a feed
+        task, the number of parts picked in this step, divided by the maximum number. When the task
+        is done, 1 is added. For each lost part, 1 is subtracted.
     ended, over : (N,) bool
-        `ended` states whether the task is done or has failed. `over` states whether the time is
-        over.
+        `ended` is True if the task is done or has failed. `over` is True if the time limit of the
+        task is exceeded.
     info : dict of arrays (N, ...)
         Details of the evaluation, see docs/guide/gym.md.
     """
@@ -111,7 +117,7 @@ class Plate:
 
     @property
     def running(self) -> PlateCycle:
-        """Cycle that began at the time of the last observation."""
+        """Running cycle, which began at the time of the last observation."""
         return self.timeline.cycle
 
     @property
@@ -121,17 +127,18 @@ class Plate:
 
     @property
     def ids(self) -> tuple[str, ...]:
-        """Ids of the parts by row. The id of an empty row is empty."""
+        """Ids of the parts, in the order of the rows of observations. The id of an empty row is an
+        empty text."""
         memory = self.memory
         return tuple(memory.ids) if isinstance(memory, Feeding) else self.simulation.state.ids
 
     @cached_property
     def controller(self) -> Controller:
-        """Solver of this project, for the actions that need it."""
+        """Solver of this project. The actions `forces` and `progress` need it."""
         return Controller(self._shared.rig, seed=self._seed % SEEDS)
 
     def begin(self, cycle: PlateCycle) -> None:
-        """End the running cycle, and begin the next one."""
+        """End the running cycle, and begin the cycle `cycle`."""
         if isinstance(self.memory, Feeding) and self.memory.rests:
             cycle = REST
         if self._shared.action == "motion":  # motions of the action `motion` begin and end at rest
@@ -147,15 +154,15 @@ class Plate:
             self.seen = np.where(other[:, None], UNSEEN, self.seen)
 
     def capture(self) -> None:
-        """Take the image at the start of the running cycle. If the image is missing, the last image
-        remains."""
+        """Take an image at the start of the running cycle. If the simulated camera misses this
+        image, the previous image remains in `image`."""
         image = self.simulation.capture()
         self.image = self.image if image is None else image  # a missed image changes nothing
 
     def sighted(self) -> tuple[np.ndarray, np.ndarray, np.ndarray] | None:
-        """Return three arrays, ordered by row: the positions (M, 2) [m] and angles (M,) [rad] of
-        the parts in an image, and whether the image shows each part (M,). Return None if the image
-        is missing."""
+        """Return what an image would show, as three arrays in the order of the rows: the positions
+        (M, 2) [m] and the angles (M,) [rad] of the parts, and whether the image shows each part
+        (M,). Return None if the simulated camera misses the image."""
         parts, state = self.simulation.visible_parts(), self.simulation.state
         if parts is None:
             return None
@@ -170,8 +177,9 @@ class Plate:
         )
 
     def answer(self, action: Any) -> tuple[PlateCycle, float, bool]:
-        """Return the cycle of an action, within the limits. Also return the maximum fraction of any
-        limit that it uses, and whether it was scaled down. The action must not be `motion`."""
+        """Convert an action to a cycle within the rig's limits. Return the cycle, the largest
+        fraction of a limit that it uses, and whether it was scaled down to the limits. Actions of
+        the kind `motion` are not allowed."""
         level = self._shared.action
         if level != "cycle":
             make = self._forces if level == "forces" else self._progress
@@ -185,25 +193,24 @@ class Plate:
 
     @property
     def _rows(self) -> np.ndarray:
-        """Indices of the rows to which actions apply (n,). In a feed task, these are the rows of
-        the parts that were detected. Otherwise, these are all rows."""
+        """Indices of the rows of parts that the solver receives (n,). In a feed task, these are the
+        rows of the parts that were detected. In other tasks, these are all rows."""
         return np.flatnonzero(np.isfinite(self.seen[:, 5]) | (not self._shared.evaluator.feeds))
 
     def _parts(self) -> Parts:
-        """Parts of the last observation."""
+        """Return the parts of the last observation."""
         ids, seen = tuple(self.ids[row] for row in self._rows), self.seen[self._rows]
         return Parts.make(ids, seen[:, :2], seen[:, 2:4], seen[:, 4])
 
     def _forces(self, action: np.ndarray) -> CycleRequest:
-        """Return the request for the mean forces of an action `forces` (n, 2), in units of mu m
-        g."""
+        """Convert an action `forces` (n, 2), in units of mu m g, to a request for mean forces."""
         return CycleRequest.make(
             self._parts(), action * self._shared.friction_limit[self._rows, None]
         )
 
     def _progress(self, action: np.ndarray) -> CycleRequest:
-        """Return the request for the targets and weights of an action `progress`, (n, 3) or, with
-        angles, (n, 5)."""
+        """Convert an action `progress` to a request with targets and weights. The action has the
+        shape (n, 3), or (n, 5) if parts have angles."""
         rig, angle = self._shared.rig, self.seen[self._rows, 4]
         place, weight = action[:, :2] * rig.plate.half, np.repeat(np.abs(action[:, 2:3]), 2, axis=1)
         angles = None
@@ -223,20 +230,23 @@ class Plates:
     task, world, action, observation : str
         Keys of `TASKS`, of `WORLDS`, of `ACTIONS` and of `OBSERVATIONS`.
     count, threads : int
-        Number N of plates, and maximum number of parallel threads.
+        The number N of plates, and the maximum number of parallel threads.
 
     Attributes
     ----------
     dropped : (N,)
         Number of parts that have left each plate unintentionally.
     to_go, first : (N,)
-        Remaining distance, and initial distance for the rewards [m]; see `Score.to_go`.
+        `to_go` is the remaining distance of the parts, see `Score.to_go`. `first` is the initial
+        distance by which rewards are divided [m].
     done : (N,) bool
         Whether the task is done.
     met_since : (N,)
-        Time since which the task is fulfilled [s]. NaN if it is not fulfilled.
+        Time since which the requirements of the task are fulfilled [s]. NaN if they are not
+        fulfilled now.
     limit_share : (N,)
-        Maximum fraction of any limit that the last action uses.
+        Fraction of the rig's limits that the last action uses. The largest fraction of any limit
+        counts.
     scaled : (N,) bool
         Whether the last action was scaled down to the limits.
 
@@ -295,7 +305,8 @@ class Plates:
         return info | {"bare_images": np.stack(bare)} if bare else info
 
     def step(self, rows: Sequence[int], actions: Sequence[Any]) -> Step:
-        """Run a cycle on the plates `rows`."""
+        """Simulate the running cycles of the plates `rows`, and begin the cycles that the actions
+        define."""
         plates = [self.plates[row] for row in rows]
         answers, self.limit_share[rows], self.scaled[rows] = self._answers(plates, actions)
         worlds, running = [p.simulation for p in plates], [p.running for p in plates]
@@ -332,15 +343,15 @@ class Plates:
     def _answers(
         self, plates: Sequence[Plate], actions: Sequence[Any]
     ) -> tuple[Sequence[PlateCycle], Any, Any]:
-        """Return the cycles for actions, within the limits. Also return the maximum fraction of any
-        limit that each cycle uses, and whether each was scaled down."""
+        """Convert one action per plate to cycles within the rig's limits. Return the cycles, the
+        largest fraction of a limit that each cycle uses, and whether each cycle was scaled down."""
         if self.action == "motion":
             return *self.motions.cycles(np.array(actions, float)), False
         cycles, shares, scaled = zip(*self._each(Plate.answer, plates, actions), strict=True)
         return cycles, shares, scaled
 
     def _update_observations(self, plates: Sequence[Plate]) -> None:
-        """Compute the observations at the start of the running cycles."""
+        """Compute the observations of plates at the start of their running cycles."""
         if self.observation == "image":
             self._each(Plate.capture, plates)
             return
@@ -364,16 +375,16 @@ class Plates:
             plate.seen = seen
 
     def _each(self, do: Callable[..., Any], *of: Iterable[Any]) -> list[Any]:
-        """Apply a function to each plate, with threads on all cores. The threads end with the call,
-        because a forked process would not contain them."""
+        """Apply the function `do` to each plate, in parallel threads. The threads end before this
+        method returns, because a forked process would not contain them."""
         if self._threads < 2:
             return list(map(do, *of))
         with ThreadPoolExecutor(self._threads) as pool:
             return list(pool.map(do, *of))
 
     def _mark(self, rows: Sequence[int], time: np.ndarray, met: np.ndarray) -> None:
-        """Record whether the tasks are fulfilled (n,) at times (n,) [s]. A task is done when it has
-        been fulfilled for `hold_s`."""
+        """Record whether the requirements of the tasks are fulfilled, `met` (n,), at the times
+        `time` (n,) [s]. A task is done when its requirements have been fulfilled for `hold_s`."""
         since = self.met_since[rows]
         since = np.where(met, np.where(np.isnan(since), time, since), np.nan)
         held = time - since >= self.evaluator.hold_s - ROUNDING_S

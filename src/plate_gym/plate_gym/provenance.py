@@ -1,4 +1,5 @@
-"""Provenance of a result: the code, libraries, files and computer that determine its rows."""
+"""Provenance of a result. It consists of the code, the libraries, the files and the properties of
+the computer that determine the rows of the result."""
 
 from __future__ import annotations
 
@@ -18,25 +19,26 @@ from .tasks import TASKS, digest
 __all__ = ["commit", "files", "sources", "versions"]
 
 LIBRARIES = ("vibrating-plate", "plate_gym", "gymnasium")
-"""Libraries whose versions a result contains if they are installed. It also contains the versions
-that `machine` returns."""
+"""Libraries whose versions are stored in a result if they are installed. A result also contains the
+versions that `machine` returns."""
 
 PACKAGES = (
     "bringup", "core", "driver", "feeder", "gym", "native", "planner", "sim", "solver", "vision",
 )  # fmt: skip
-"""Packages of whose sources a result contains a digest. Their names begin with `plate_`."""
+"""Packages whose sources determine a result. A result contains one digest of all these sources. The
+prefix `plate_` of the names is omitted here."""
 
 
 def terms(result: dict[str, Any]) -> dict[str, Any]:
-    """Return the parts of a result that determine its rows, by name."""
+    """Return the values in a result that determine its rows, by name."""
     names = {f"file {name}": mark for name, mark in result.get("files", {}).items()}
     found = {key: result[key] for key in ("agent", "world", "sources")}
     return result["versions"] | result.get("limits", {}) | names | found
 
 
 def versions(agent: str = "") -> dict[str, str]:
-    """Return the facts of `machine`, and the versions of Python, of the installed `LIBRARIES`, and
-    of the libraries that the agent imports."""
+    """Return the properties of the computer from `machine`. Also return the versions of Python, of
+    the installed `LIBRARIES`, and of the libraries that the agent imports."""
     found = {"python": sys.version.split()[0]}
     for name in LIBRARIES:
         try:
@@ -48,19 +50,21 @@ def versions(agent: str = "") -> dict[str, str]:
 
 
 def files(agent: str) -> dict[str, str]:
-    """Return digests of the files of an agent `MODULE:CLASS`. For agents of this package, there are
-    none."""
+    """Return digests of the source files of an agent `MODULE:CLASS`. For agents of this package,
+    the result is empty."""
     return files_of(module_of(agent)) if ":" in agent else {}
 
 
 def module_of(agent: str) -> str:
-    """Return the first part of the module name of an agent `MODULE:CLASS`. The modules in a package
-    are not searched for, because this search would run the package's code."""
+    """Return the first part of the module name of an agent `MODULE:CLASS`, before the first dot.
+    Modules inside a package are not searched, because this search would run the code of the
+    package."""
     return agent.partition(":")[0].partition(".")[0]
 
 
 def commit() -> str:
-    """Return the commit of this project, or an empty text if git does not track this file."""
+    """Return the git commit of this project. Return an empty text if git does not track this
+    file."""
     here = Path(__file__).resolve()
     git = partial(
         subprocess.run, cwd=here.parent, capture_output=True, text=True, check=True, timeout=60
@@ -76,7 +80,7 @@ def commit() -> str:
 
 
 def sources() -> str:
-    """Return a digest of the sources of `PACKAGES` and of the files of the tasks."""
+    """Return a digest of the source files of `PACKAGES` and of the files that define the tasks."""
     mark = hashlib.sha256()
     for name in PACKAGES:
         spec = find_spec(f"plate_{name}")

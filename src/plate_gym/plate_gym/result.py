@@ -1,8 +1,10 @@
-"""Results of agents: their form and its check, their summary, and their texts.
+"""Functions for results of agents. They check the form of a result, summarise its rows, and convert
+values to text.
 
-A result is a dict for JSON. For each task, it contains a row for each episode and the summary of
-these rows. A result may come from another person, so `read` and `validate` limit its size and check
-its form, and `shortened` removes control characters from its texts.
+A result is a dict that can be stored as JSON. For each task, a result contains a row for each
+episode and the summary of these rows. A result may come from another person. Therefore, `read`
+limits its size, `validate` checks its form, and `shortened` removes control characters from its
+texts.
 """
 
 from __future__ import annotations
@@ -26,35 +28,35 @@ from .tasks import TASKS, WORLDS, chosen
 __all__ = ["ROW", "TIMES", "ranges", "read", "summary", "validate"]
 
 TIMES = ("start_ms", "decision_ms", "decision_ms_p99", "wall_ms", "wall_ms_p99")
-"""Keys of computing times, which differ between runs."""
+"""Keys of the computing times in a row. These times differ between repetitions of an episode."""
 
 NUMBERS = ("time_s", "return", "error_mm", "turn_error_deg", "limit_share", *TIMES)
-"""Keys of the numbers in a row."""
+"""Keys of a row whose values are floating-point numbers."""
 
 ROW: dict[str, type] = dict.fromkeys(NUMBERS, float) | {
     "seed": int, "steps": int, "there": int, "dropped": int, "success": bool, "places": str
 }  # fmt: skip
-"""Keys and types of a row. If the agent exceeded a limit in the episode, the row contains zeros,
-and the key `failure` names the limit."""
+"""Keys of a row and the types of their values. If the agent exceeded a limit in the episode, the
+row contains zeros, and an additional key `failure` names the limit."""
 
 RESULT: dict[str, type] = {
     "agent": str, "world": str, "commit": str, "sources": str, "versions": dict, "tasks": dict
 }  # fmt: skip
-"""Keys and types of a result."""
+"""Keys of a result and the types of their values."""
 
 LATER: dict[str, type] = {"limits": dict, "files": dict}
-"""Additional keys of a result and their types. Results of earlier versions of this module do not
-contain these keys."""
+"""Additional keys of a result and the types of their values. Results of earlier versions of this
+module do not contain these keys."""
 
 MAX_NAMES = 10_000
 """Maximum number of versions in a result, and maximum number of an agent's files in a result."""
 
 HUGE = 1e9
-"""Limit of the absolute values of the numbers in a result."""
+"""Numbers in a result must have absolute values below this limit."""
 
 RESULT_BYTES = 64_000_000
-"""Maximum size of the file of a result [bytes]. It is sufficient for 100,000 episodes of 500 bytes
-each."""
+"""Maximum size of a file with a result [bytes]. The size is sufficient for 100,000 episodes of 500
+bytes each."""
 
 TEXT = 300
 """Maximum length of texts in results, and of error messages from agents [characters]."""
@@ -122,8 +124,8 @@ def validate(result: Any) -> None:
 
 
 def check_fields(where: str, found: Any, kinds: dict[str, type]) -> None:
-    """Raise an error unless `found` is a dict with exactly the keys and types of `kinds`, with
-    finite numbers and printable texts."""
+    """Raise an error unless `found` is a dict with exactly the keys of `kinds` and with values of
+    their types. Numbers must be finite, and texts must be printable."""
     if not isinstance(found, dict) or set(found) != set(kinds):
         has = shortened(", ".join(map(str, found))) if isinstance(found, dict) else brief(found)
         raise PlateError(f"{where} has {has}, allowed: {', '.join(kinds)}")
@@ -170,7 +172,7 @@ def line(task: str, found: dict[str, Any]) -> str:
 
 
 def ranges(seeds: list[int]) -> str:
-    """Return ascending seeds as a text with ranges `FIRST:END`."""
+    """Convert ascending seeds to a text that contains ranges `FIRST:END`."""
     ends = [k for k in range(1, len(seeds)) if seeds[k] > seeds[k - 1] + 1]
     # The type object allows integers of any size.
     runs = np.split(np.array(seeds, object), ends)
@@ -178,13 +180,14 @@ def ranges(seeds: list[int]) -> str:
 
 
 def brief(value: Any) -> str:
-    """Return a value of a result as a short text for a message."""
+    """Convert a value of a result to a short text for a message."""
     return shortened(reprlib.repr(value))
 
 
 def shortened(text: str) -> str:
-    """Return a text of an agent or a result as one line of at most `TEXT` printable characters.
-    Control characters are removed, because they could overwrite other lines of a terminal."""
+    """Shorten a text that comes from an agent or a result to one line of at most `TEXT` printable
+    characters. Control characters are replaced by question marks, because they could overwrite
+    other lines of a terminal."""
     line = " ".join(text[: 2 * TEXT].split())
     line = line if len(line) <= TEXT else f"{line[:TEXT]}..."
     return "".join(letter if letter.isprintable() else "?" for letter in line)

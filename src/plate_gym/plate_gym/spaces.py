@@ -14,15 +14,16 @@ from .plates import Plates
 
 
 class CycleSpace(spaces.Space):
-    """Space of all cycles of the plate (`plate_core.PlateCycle`). If a cycle exceeds the limits, it
-    is scaled to them."""
+    """Space of all cycles of the plate (`plate_core.PlateCycle`). If a cycle exceeds the rig's
+    limits, the environment scales it down to these limits."""
 
     def __init__(self, motions: Motions) -> None:
         super().__init__()
         self._motions = motions
 
     def sample(self, mask: Any = None, probability: Any = None) -> PlateCycle:
-        """Return the cycle of a random action `motion`."""
+        """Return a random cycle: the cycle that corresponds to a random action of the kind
+        `motion`."""
         return self._motions.cycle(self.np_random.uniform(-1, 1, self._motions.size))[0]
 
     def contains(self, x: Any) -> bool:
@@ -30,7 +31,8 @@ class CycleSpace(spaces.Space):
         return isinstance(x, PlateCycle)
 
     def __eq__(self, other: object) -> bool:
-        """Return whether the other space is a CycleSpace too. All CycleSpaces are equal."""
+        """Whether the other space is also a CycleSpace. All objects of the class CycleSpace are
+        equal."""
         return isinstance(other, CycleSpace)
 
     def __repr__(self) -> str:
@@ -44,16 +46,16 @@ class CycleSpace(spaces.Space):
 
 
 def action_space(plates: Plates) -> spaces.Space:
-    """Return the space of a kind of action, for M parts.
+    """Return the space of actions for M parts. The kind of action determines the shape:
 
     - `motion` (18,): see `Motions`.
     - `forces` (M, 2): mean force on each part over a cycle along x and y, divided by mu m g; -1 to
       1.
     - `progress` (M, 3): the target x, y of each part divided by the plate's half sides, and the
-      weight of the part's distance from the target. The distance by which parts are too close to an
-      edge or to each other has the weight 1. If parts have angles, there are two more columns (M,
-      5): the target angle divided by pi, and the weight of the distance that the contour of the
-      part must rotate.
+      weight of the part's distance from the target. For comparison, the distance by which parts are
+      too close to an edge or to each other has the weight 1. If parts have angles, the action has
+      two more columns (M, 5). They contain the target angle divided by pi, and the weight of the
+      arc length by which the contour of the part must rotate.
     - `cycle`: a `CycleSpace`.
     """
     count = len(plates.friction_limit)
@@ -68,7 +70,8 @@ def action_space(plates: Plates) -> spaces.Space:
 
 
 def observation_space(plates: Plates) -> spaces.Space:
-    """Return the space of observations.
+    """Return the space of observations for M parts. The kind of observation and of task determines
+    the shape:
 
     - `parts` (M, 6): one row for each part. A row contains x, y [m, plate_home], the drift along x
       and y [m/s], the angle [rad], and the time since the part was last detected [s]. A part that

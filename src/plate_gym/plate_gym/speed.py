@@ -1,4 +1,4 @@
-"""Measurement of how many cycles per second the environments simulate, with one plate and with many
+"""Measures how many cycles per second the environments simulate, with one plate and with many
 plates: `python -m plate_gym.speed`."""
 
 from __future__ import annotations
@@ -21,10 +21,10 @@ MANY = 64
 """Number of parallel plates."""
 
 CYCLES = 1920
-"""Total number of cycles in a measurement without images."""
+"""Total number of cycles that are simulated in one measurement without images."""
 
 IMAGES = 320
-"""Total number of cycles in a measurement with images."""
+"""Total number of cycles that are simulated in one measurement with images."""
 
 
 def measure(task: str, count: int, threads: int, observation: str) -> tuple[float, float]:

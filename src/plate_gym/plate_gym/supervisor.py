@@ -1,8 +1,8 @@
 """Program that supervises the episodes of agents. `plate_gym.isolation` starts it.
 
 The supervisor reads requests from its standard input and writes replies to its standard output, as
-one JSON object per line. For each request, it forks a process that runs `episode.episode`. At the
-end of the episode, or if a limit is exceeded, the supervisor ends the forked process and all
+one JSON object per line. For each request, it forks a process that runs `episode.episode`. When the
+episode has ended or a limit is exceeded, the supervisor ends the forked process. It also ends all
 processes that the agent has started. The program requires Linux, but no root privileges.
 """
 
@@ -29,15 +29,15 @@ from .isolation import ALIVE, REPLY_BYTES, Limits
 __all__ = ["main"]
 
 OUTPUT_BYTES = 100_000
-"""Maximum output of an agent that is forwarded per episode [bytes]."""
+"""Maximum number of bytes of an agent's output that are copied to the terminal per episode."""
 
 MAX_PROCESSES = 256
-"""Maximum number of processes of an episode, including the process that simulates."""
+"""Maximum number of processes that an episode may have, including the process that simulates."""
 
 MORE_TASKS = 2000
-"""Number of processes and threads that the user of an episode may have in addition to the present
-number. The limit slows down an agent that starts processes without end. It does not apply to
-root."""
+"""Number of processes and threads that the user may start during an episode, in addition to those
+that already run. The limit slows down an agent that starts processes without end. The limit does
+not apply to root."""
 
 EPISODE_FACTOR = 240
 """Maximum time of an episode divided by the maximum time of a decision."""
@@ -46,10 +46,11 @@ POLL_S = 0.2
 """Interval between two checks of the time, the memory and the number of processes [s]."""
 
 ALIVE_S = 1.0
-"""Interval between two lines `ALIVE` [s]."""
+"""Interval between two lines `ALIVE`, which tell the parent process that this process still runs
+[s]."""
 
 ENDING_S = 10.0
-"""Maximum time in which `_kill_all` must end the processes of an agent [s]."""
+"""Time in which `_kill_all` must end the processes of an agent [s]."""
 
 PR_SET_PDEATHSIG, PR_SET_CHILD_SUBREAPER = 1, 36
 """Options of prctl, from linux/prctl.h. `PR_SET_PDEATHSIG` sets the signal that a process receives
@@ -58,14 +59,14 @@ children of this process."""
 
 CONTROL = bytes(set(range(32)) - set(b"\t\n\r"))
 """Control characters except tab, newline and carriage return. They are removed from the output of
-an agent, which could overwrite other lines of the terminal with them."""
+an agent, because an agent could overwrite other lines of the terminal with them."""
 
 BEAT = b"."
-"""Byte that the forked process sends before each decision."""
+"""Byte that the forked process sends to the supervisor before each decision of the agent."""
 
 
 def main() -> None:
-    """Process requests until the standard input ends."""
+    """Execute the requests from the standard input until the standard input ends."""
     requests, replies = os.dup(0), os.dup(1)
     os.dup2(os.open(os.devnull, os.O_RDONLY), 0)
     os.dup2(2, 1)
@@ -79,7 +80,8 @@ def main() -> None:
 
 
 class Episode:
-    """Episode in a separate process. The object is mutable, and `run` can be called once.
+    """An episode that runs in a separate process. The object is mutable, and its method `run` can
+    be called only once.
 
     Parameters
     ----------
@@ -87,8 +89,8 @@ class Episode:
         Request as in `plate_gym.isolation.play`, with the additional keys `limits`, `path` (for
         `sys.path`) and `folder` (the working directory).
     requests, replies : int
-        Pipes from and to the process that sends the request. If `requests` is closed, the episode
-        ends.
+        File descriptors of the pipes from and to the process that sends the request. If the other
+        end of `requests` is closed, the episode ends.
     """
 
     def __init__(self, request: dict[str, Any], requests: int, replies: int) -> None:
@@ -97,8 +99,8 @@ class Episode:
         self._decisions, self._reply, self._printed = 0, b"", 0
 
     def run(self) -> dict[str, Any]:
-        """Run the episode. Return the reply in the form of
-        `plate_gym.isolation.play`."""
+        """Run the episode, and return the reply. The reply has the form that
+        `plate_gym.isolation.play` returns."""
         messages, to_messages = os.pipe()
         output, to_output = os.pipe()
         child = os.fork()
@@ -137,7 +139,8 @@ class Episode:
         _print(f"note: {self._where()}: {text}\n".encode())
 
     def _play(self, messages: int, output: int) -> NoReturn:
-        """Run the episode in the forked process, and send the reply."""
+        """Run the episode, and send the reply to the supervisor. Only the forked process calls this
+        method."""
         reply: dict[str, Any] = {}
         try:
             ctypes.CDLL(None).prctl(PR_SET_PDEATHSIG, signal.SIGKILL, 0, 0, 0)
@@ -175,8 +178,8 @@ class Episode:
             return {"error": str(problem)}
 
     def _watch(self, child: int, messages: int, output: int) -> str:
-        """Wait until the reply arrives, the process ends or a limit is exceeded. Return the
-        exceeded limit, or an empty text."""
+        """Wait until the reply arrives, the forked process ends or a limit is exceeded. Return a
+        text that names the exceeded limit, or an empty text."""
         poll = select.poll()
         for file in (messages, output, self._requests):
             poll.register(file, select.POLLIN)
@@ -217,14 +220,15 @@ class Episode:
                 os.write(self._replies, ALIVE)
 
     def _receive(self, data: bytes) -> bool:
-        """Record data from the episode. Return whether more data is expected."""
+        """Process data that the forked process has sent. Return whether more data are expected."""
         beats = 0 if self._reply else len(data) - len(data.lstrip(BEAT))
         self._decisions += beats
         self._reply += data[beats:]
         return bool(data) and b"\n" not in self._reply and len(self._reply) < REPLY_BYTES
 
     def _end_of(self, child: int) -> str:
-        """Return a text that tells how the process ended, or that its reply was not valid."""
+        """Return a text that describes how the forked process ended. If it has not ended, the text
+        states that its reply was invalid."""
         for _ in range(10):  # the pipe closes slightly before the process ends
             if state := _has_ended(child):
                 if state.si_code == os.CLD_EXITED:
@@ -237,7 +241,8 @@ class Episode:
         return "closed its pipe, or sent no valid reply"
 
     def _excess(self) -> str:
-        """Return the exceeded limit of memory or of the number of processes, or an empty text."""
+        """Check the memory and the number of processes of the episode. Return a text that names the
+        exceeded limit, or an empty text."""
         processes = list(_descendants())
         if len(processes) > MAX_PROCESSES:
             return f"more than {MAX_PROCESSES} processes"
@@ -250,8 +255,8 @@ class Episode:
         return f"more than {self._limits.memory_gb:g} GB of memory"
 
     def _forward(self, output: int, wait: bool) -> bool:
-        """Copy output of the agent to the standard error, up to `OUTPUT_BYTES`. If `wait` is false,
-        copy only the output that is available. Return whether more output can follow."""
+        """Copy output of the agent to the standard error, up to `OUTPUT_BYTES`. If `wait` is False,
+        copy only the output that is already available. Return whether more output can follow."""
         os.set_blocking(output, wait)
         while data := _read(output):
             _print(data[: max(0, OUTPUT_BYTES - self._printed)].translate(None, CONTROL))
@@ -262,7 +267,7 @@ class Episode:
 
 
 def _read(file: int) -> bytes:
-    """Read from a pipe. Return nothing if no data are available."""
+    """Read the available bytes from a pipe. The result is empty if no data are available."""
     try:
         return os.read(file, 65536)
     except BlockingIOError:
@@ -270,7 +275,7 @@ def _read(file: int) -> bytes:
 
 
 def _print(data: bytes) -> None:
-    """Write to the standard error if it is open."""
+    """Write bytes to the standard error. Do nothing if the standard error is closed."""
     with contextlib.suppress(OSError):
         os.write(2, data)
 
@@ -281,7 +286,8 @@ def _has_ended(child: int) -> os.waitid_result | None:
 
 
 def _descendants() -> Iterator[int]:
-    """Yield the ids of all processes that this process and its descendants have started."""
+    """Yield the ids of all running descendants of this process: its child processes, their child
+    processes, and so on."""
     children: dict[int, list[int]] = {}
     for name in os.listdir("/proc"):
         if name.isdigit():
@@ -296,7 +302,7 @@ def _descendants() -> Iterator[int]:
 
 
 def _kill_all() -> set[int]:
-    """End all descendants. Return the ids of the processes that were still running.
+    """End all descendants of this process. Return the ids of the processes that were still running.
 
     Raises
     ------
@@ -324,7 +330,8 @@ def _kill_all() -> set[int]:
 
 
 def _limit(kind: int, most: int) -> None:
-    """Set a resource limit of this process, unless a lower limit is already set."""
+    """Set the resource limit `kind` of this process to `most`, unless a lower limit is already
+    set."""
     present = resource.getrlimit(kind)[0]
     if present == resource.RLIM_INFINITY or present > most:
         resource.setrlimit(kind, (most, most))
@@ -342,13 +349,14 @@ def _tasks_of_user() -> int:
 
 
 def _resident(process: int) -> int:
-    """Return the memory of a process [bytes]. Memory that it shares with other processes is
-    included."""
+    """Return the resident memory of a process [bytes]. The result includes memory that the process
+    shares with other processes."""
     return 1024 * _number(process, "status", b"VmRSS:")
 
 
 def _proportional(process: int) -> int:
-    """Return the memory of a process [bytes]. If n processes share memory, 1/n of it is counted."""
+    """Return the proportional memory of a process [bytes]. If n processes share memory, 1/n of this
+    memory is counted."""
     return 1024 * _number(process, "smaps_rollup", b"Pss:")
 
 

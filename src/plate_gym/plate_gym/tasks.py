@@ -1,5 +1,5 @@
-"""Tasks and worlds of the benchmark. Their values never change. If a value must change, the task
-gets a new version, `-v2`."""
+"""Tasks and simulated worlds of the benchmark. The definition of a task never changes. If a value
+must change, a new task with the version `-v2` is added."""
 
 from __future__ import annotations
 
@@ -45,8 +45,8 @@ WORLDS = {
         mu_scale=0.9,
     ),
 }  # fmt: skip
-"""Worlds by name. The nominal world agrees with the rig file, three worlds have disturbances, and
-one world serves for evaluations with random seeds."""
+"""Simulated worlds by name. The nominal world agrees with the rig file. Three worlds have
+disturbances. The world `held_out` is intended for evaluations with random seeds."""
 
 TASKS = {
     "Sort4-v1": ("sort_4", "465f434df34c169d"),
@@ -62,8 +62,8 @@ TASKS = {
     "Follow5-v1": ("follow_5", "3057df7c5f244eed"),
     "Feed-v1": ("feed", "5b99341f03a50dbc"),
 }
-"""Scenario of each task, and a digest of the files that define it: the scenario file, the rig file,
-and the file of part types that the rig file names."""
+"""Scenario of each task, and a digest of the files that define the task. These are the scenario
+file, the rig file, and the file of part types that the rig file names."""
 
 
 FEED_S = 60.0
@@ -85,7 +85,8 @@ def scenario_of(task: str) -> tuple[Scenario, Rig]:
 
 
 def chosen(name: str, key: str, among: dict[str, Value]) -> Value:
-    """Return the value of a key of a dict. `name` describes the key in the error message.
+    """Return the value of the key `key` in the dict `among`. `name` describes the key in the error
+    message.
 
     Raises
     ------
@@ -101,7 +102,7 @@ def chosen(name: str, key: str, among: dict[str, Value]) -> Value:
 
 def digest(scenario: str) -> str:
     """Return a digest of the contents of a scenario file, its rig file, and the rig's file of part
-    types. Comments do not change it."""
+    types. Comments in the files do not change the digest."""
     path = config_path("scenarios") / f"{scenario}.yaml"
     contents = [yaml.safe_load(path.read_text("utf-8"))]
     path = config_path(f"rigs/{contents[0]['rig']}.yaml" if "rig" in contents[0] else "rig.yaml")

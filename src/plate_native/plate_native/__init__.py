@@ -1,10 +1,10 @@
-"""Build of the C++ kernels, and the headers that the kernels of several packages use.
+"""Builds the C++ kernels, and contains the headers that the kernels of several packages use.
 
-In each package, the kernels are beside the Python files that call them: `NAME.hpp` contains the
-kernels of `NAME.py`. The `.cpp` files contain bindings, which nanobind compiles to the module
-`PACKAGE._kernels`. Results do not depend on the processor: products are not fused with sums, sums
-are not reordered, and functions that are compiled for several vector widths (`PLATE_WIDE`) return
-bitwise equal results.
+In each package, the kernels are in the same folder as the Python files that call them. `NAME.hpp`
+contains the kernels of `NAME.py`. The `.cpp` files contain bindings, which nanobind compiles to the
+module `PACKAGE._kernels`. Results do not depend on the processor. The compiler does not fuse
+products with sums, and it does not reorder sums. Functions that are compiled for several vector
+widths (`PLATE_WIDE`) return bitwise equal results.
 """
 
 from __future__ import annotations
@@ -41,16 +41,17 @@ OPTIONS = (
 WARNINGS = ("-Wall", "-Wextra", "-Wno-missing-field-initializers", "-Wno-unknown-pragmas")
 
 DEBIAN = Path("/usr/share/nanobind")
-"""Folder of Debian's and Ubuntu's package nanobind-dev."""
+"""Folder of nanobind if it was installed by the package nanobind-dev of Debian or Ubuntu."""
 
 
 def kernels(package: str) -> Extension:
-    """Return the compiled module of a package, for its setup.py."""
+    """Return the extension module of a package. The setup.py of the package calls this function."""
     return Extension(f"{package}._kernels", [f"{package}/kernels.cpp"], language="c++")
 
 
 def _nanobind() -> Path:
-    """Return the folder of nanobind's sources. They come from pip, Debian or Ubuntu."""
+    """Return the folder of nanobind's sources. pip or a package of Debian or Ubuntu has installed
+    them."""
     found = importlib.util.find_spec("nanobind")
     places = list(found.submodule_search_locations or ()) if found else []
     for place in [*map(Path, places), DEBIAN]:
@@ -61,7 +62,8 @@ def _nanobind() -> Path:
 
 class CompileKernels(build_ext):
     """Compiles the changed `.cpp` files in the folder of a module and below it, in parallel. The
-    module is also copied into this folder, so that it can be used in the source tree."""
+    compiled module is also copied into the folder of its sources, so that it can be used in the
+    source tree."""
 
     def build_extension(self, extension: Extension) -> None:
         """Compile a module's sources, then link them."""
@@ -117,8 +119,8 @@ _compiler = lru_cache(lambda *words: cache.compiler(list(words)))
 
 
 def _named(path: str, places: dict[str, Path]) -> str:
-    """Return a path in a form that is equal in all clones: the name of a place, and the path below
-    it."""
+    """Convert a path to a form that is equal in all clones of the project. The form consists of the
+    name of a base folder, and the path below this folder."""
     for name, place in places.items():
         if path.startswith(f"{place}/"):
             return f"{name}//{path[len(f'{place}/') :]}"
@@ -126,17 +128,17 @@ def _named(path: str, places: dict[str, Path]) -> str:
 
 
 def _files_read(rules: Path, places: dict[str, Path]) -> bytes:
-    """Return the files that a compiler has read, one per line. They are in the make rule that the
-    compiler writes."""
+    """Return the files that a compiler has read, one per line. The names are extracted from the
+    make rule that the compiler writes."""
     text = os.fsdecode(rules.read_bytes()).replace("\\\n", " ").partition(":")[2]
     words = (word.replace("\\ ", " ") for word in re.findall(r"(?:\\ |\S)+", text))
     return os.fsencode("\n".join(_named(word, places) for word in words))
 
 
 def _key(first: str, read: bytes, places: dict[str, Path], since: float = math.inf) -> str:
-    """Return the key of an object: a digest of `first` and of the content of all files that were
-    read. The result is empty if a file is missing or has changed after `since`, because the
-    compiler may have read another content."""
+    """Return the cache key of an object file: a digest of `first` and of the content of all files
+    that the compiler has read. The result is empty if a file is missing or has changed after the
+    time `since`, because the compiler may have read an earlier content."""
     lines = (line.partition("//") for line in os.fsdecode(read).split("\n"))
     files = [Path(places[at], name) for at, _, name in lines]
     try:
@@ -150,8 +152,8 @@ def _key(first: str, read: bytes, places: dict[str, Path], since: float = math.i
 
 @contextmanager
 def _whole(made: Path) -> Iterator[Path]:
-    """Yield the path of a temporary file. At the end of the context, it replaces the file
-    atomically."""
+    """Yield the path of a temporary file. At the end of the context, the temporary file atomically
+    replaces the file `made`."""
     part = made.with_name(f"part-{made.name}")
     yield part
     part.replace(made)

@@ -1,11 +1,14 @@
-"""The user's cache of compiled files, for all clones: python cache.py take|keep PACKAGE BUILT ROOT
+"""The user's cache of compiled files. All clones of the project share it.
+
+    python cache.py take|keep PACKAGE BUILT ROOT
 
 The key of an entry is a digest of all inputs from which the entry was made. A damaged entry is
 ignored. If the folder cannot be written, no entries are stored.
 
 The command line restores (`take`) or stores (`keep`) the folder BUILT, a package of messages that
-was built from the folder PACKAGE. Both are below the folder ROOT of the clone. The path of the
-clone that made the entry is replaced by ROOT. The exit code is not 0 if there is no such entry.
+was built from the folder PACKAGE. Both folders are below the folder ROOT of the clone. An entry may
+come from another clone; the path of this clone is then replaced by ROOT. The exit code is not 0 if
+there is no matching entry.
 """
 
 from __future__ import annotations
@@ -22,14 +25,14 @@ from contextlib import suppress
 from pathlib import Path
 
 MAX_BYTES = 100_000_000
-"""Maximum size of all entries [bytes]. If it is exceeded, the entries that were not used for the
-longest time are removed."""
+"""Maximum total size of all entries in the cache [bytes]. If the size is exceeded, the least
+recently used entries are removed."""
 
 ROOT = b"@the root of the clone@"
-"""Placeholder of the clone's path in stored packages."""
+"""Text that replaces the clone's path in stored packages."""
 
 TOOLS = ("ros_", "catkin", "cmake", "empy", "lark", "numpy")
-"""Name prefixes of the Python packages on which a package of messages depends."""
+"""Name prefixes of the Python packages on which a built package of messages depends."""
 
 
 def of_user() -> Path:
@@ -39,7 +42,7 @@ def of_user() -> Path:
 
 
 def key_of(*made_of: str | bytes) -> str:
-    """Return the key of an entry that is made from these contents."""
+    """Return the key of a cache entry that is made from the contents `made_of`."""
     digest = hashlib.sha256()
     for part in made_of:
         content = part.encode() if isinstance(part, str) else part
@@ -48,7 +51,7 @@ def key_of(*made_of: str | bytes) -> str:
 
 
 def take(folder: Path, key: str) -> bytes | None:
-    """Return the content of an entry. None if it is missing or damaged."""
+    """Return the content of a cache entry, or None if the entry is missing or damaged."""
     with suppress(OSError):
         data = (folder / key).read_bytes() if (folder / key).is_file() else b""
         if hashlib.sha256(data[32:]).digest() == data[:32]:
@@ -76,7 +79,8 @@ def keep(folder: Path, key: str, content: bytes) -> None:
 
 
 def compiler(words: list[str]) -> bytes:
-    """Return a C++ compiler's description: version, target, and search path of headers."""
+    """Return a text that identifies a C++ compiler by its version, its target, and its search path
+    of headers."""
     command = [*words, "-v", "-E", "-x", "c++", os.devnull]
     try:
         return subprocess.run(command, capture_output=True, check=False).stderr
@@ -104,8 +108,8 @@ def _moved(content: bytes, here: bytes, there: bytes) -> bytes:
 
 
 def _is_clear(content: bytes, root: bytes) -> bool:
-    """Whether all occurrences of the path in a text are whole paths and not parts of other
-    words."""
+    """Whether all occurrences of the path in a text are complete paths. An occurrence inside a
+    longer word is not a complete path."""
     meant = re.findall(rb"(?<![\w.+-])" + re.escape(root) + rb"(?![\w.+-])", content)
     return b"\0" in content or len(meant) == content.count(root)
 
@@ -134,7 +138,7 @@ def _unpack(packed: bytes, built: Path, root: str) -> None:
 
 
 def main(action: str, package: str, built: str, root: str) -> int:
-    """Restore or store a package. Return the exit code."""
+    """Restore a built package from the cache, or store it in the cache. Return the exit code."""
     key = _key_of_messages(Path(package), root)
     if action == "keep":
         if root == os.path.realpath(root):  # otherwise files may contain either of two paths

@@ -1,5 +1,5 @@
-"""Programs that start nodes. Ctrl-C ends them at once and without a traceback, even while Python
-starts."""
+"""Programs that start nodes. Ctrl-C ends these programs at once and without a traceback, even while
+Python starts."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from setuptools.command.install_scripts import install_scripts
 
 ENV = "/usr/bin/env"
 HOLDING = "--block-signal=INT"
-"""Option of GNU `env`: SIGINT is blocked until the program unblocks it."""
+"""Option of GNU `env`: SIGINT stays blocked until the program unblocks it."""
 
 PROGRAM = """
 if __name__ == "__main__":
@@ -47,10 +47,12 @@ if __name__ == "__main__":
 
 
 def node_programs(*names: str) -> type[install_scripts]:
-    """Return the command `install_scripts` for a setup.py. The programs with these names are nodes.
+    """Return the command `install_scripts` for a setup.py. `names` contains the names of the
+    programs that are ROS nodes.
 
     Python needs 20 ms or more before the first line of a program runs. Ctrl-C during this time
-    would print a traceback, so `env` blocks the signal until then, if it can.
+    would print a traceback. Therefore, the program `env` blocks the signal during this time, if it
+    is able to.
     """
 
     class NodePrograms(install_scripts):
@@ -70,8 +72,9 @@ def node_programs(*names: str) -> type[install_scripts]:
 
 
 def first_line(line: str) -> str:
-    """Return the first line `#!PYTHON` of a script, changed so that the script starts with SIGINT
-    blocked. If `env` on this machine cannot block signals, the line is unchanged."""
+    """Change the first line `#!PYTHON` of a script so that the script starts with SIGINT blocked,
+    and return this line. If the program `env` of this machine cannot block signals, the line is
+    unchanged."""
     try:
         done = subprocess.run([ENV, HOLDING, "true"], capture_output=True, check=False)
     except OSError:
