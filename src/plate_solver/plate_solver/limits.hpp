@@ -1,4 +1,5 @@
-// Utilisation of the rig's limits by a sampled motion: kernels of limits.py.
+// C++ kernels of limits.py, which computes the utilisation of the rig's limits by a sampled motion.
+// The utilisation is the ratio of a value to its limit.
 #pragma once
 #include <algorithm>
 #include <cmath>
@@ -11,14 +12,15 @@ namespace plate {
 
 constexpr int MOTORS = 4;
 
-// Largest permitted fractions of the rig's limits in a search and for a finished cycle, and the
-// weight of samples at equal steps. The values are the same as in limits.py.
+// MARGIN is the largest permitted fraction of the rig's limits in a search. CERTAIN is the largest
+// permitted fraction for a finished cycle.
 constexpr double MARGIN = 0.98, CERTAIN = 0.999;
 constexpr double EQUAL_WEIGHT[] = {1.0};
 
-// Weights of control points at equal steps. The mean square of a piece is at most the mean of its
-// control points' squares, because the six basis functions have equal integrals. The last point of
-// a piece is also the first point of the next piece. Therefore it counts twice.
+// Weights of the control points of a spline whose pieces have equal length. The mean square of a
+// piece is at most the mean square of its six control points, because the six basis functions have
+// equal integrals. The last control point of a piece is also the first of the next piece. Therefore
+// this point counts twice.
 constexpr double HULL_WEIGHT[] = {2.0, 1, 1, 1, 1};
 
 // The rig's limits, or a fraction of them.
@@ -32,7 +34,7 @@ struct Limits {
     bool forceful;               // whether force or heat can limit a motion
 };
 
-// Weights (m,) as a view: `weights(EQUAL_WEIGHT)`.
+// Returns a view of weights (m,). Example: `weights(EQUAL_WEIGHT)`.
 template <int COUNT>
 View<const double, 1> weights(const double (&each)[COUNT]) {
     return {each, {COUNT}};
@@ -47,10 +49,10 @@ inline double greatest(const Four& value) {
     return std::max(std::max(value[0], value[1]), std::max(value[2], value[3]));
 }
 
-// Largest utilisation of the limits of stroke, speed and acceleration (1: exactly at the limit).
-// limits.py defines these three ratios. If `linear`, the displacement R p - p of a point p is
-// linearised in theta at home. The values of the four motors are computed in parallel, and then the
-// values of the four corners.
+// Returns the largest utilisation of the limits of stroke, speed and acceleration. 1 means exactly
+// at the limit. limits.py defines these three ratios. R is the rotation matrix for the plate's
+// angle theta. If `linear` is true, the displacement R p - p of a point p is linearised at theta =
+// 0. Vector instructions compute the four motors together, and the four corners together.
 PLATE_WIDE inline double motion_use(Samples pose, Samples twist, Samples accel,
                                     const Limits& limits, bool linear) {
     Four px, py, ex, ey, corner_x, corner_y, stroke{}, speed{}, peak{};
@@ -63,7 +65,8 @@ PLATE_WIDE inline double motion_use(Samples pose, Samples twist, Samples accel,
     for (int k = 0; k < pose.count; k++) {
         const double angle = pose(k, 2), spin = twist(k, 2), spin_rate = accel(k, 2);
         double s = 0, c = 1;
-        // A series is accurate enough for the usual small angles. Its error is 1e-9.
+        // For angles below 0.1 rad, Taylor series replace sine and cosine. Their error is about
+        // 1e-9.
         if (!linear && std::abs(angle) < 0.1) {
             s = angle * (1 - angle * angle * (1.0 / 6 - angle * angle / 120));
             c = 1 - angle * angle * (0.5 - angle * angle / 24);
@@ -84,8 +87,9 @@ PLATE_WIDE inline double motion_use(Samples pose, Samples twist, Samples accel,
                      std::sqrt(greatest(peak)) / limits.accel});
 }
 
-// Largest utilisation of the motors' peak and continuous force (1: exactly at the limit). limits.py
-// defines these two ratios. The values of the four motors are computed in parallel.
+// Returns the largest utilisation of the motors' peak force and continuous force. 1 means exactly
+// at the limit. limits.py defines these two ratios. Vector instructions compute the four motors
+// together.
 PLATE_WIDE inline double force_use(Samples pose, Samples twist, Samples accel,
                                    View<const double, 1> weight, const Limits& limits) {
     Four loads[3][3], most{}, square{};
@@ -108,8 +112,9 @@ PLATE_WIDE inline double force_use(Samples pose, Samples twist, Samples accel,
     return std::max(greatest(most), limits.heat * std::sqrt(hottest));
 }
 
-// Largest utilisation of any rig limit (1: exactly at the limit) by samples (n, 3) of a motion.
-// `weight` (m,) is the duration that each sample represents. The weights repeat after m samples.
+// Returns the largest utilisation of any rig limit by the samples (n, 3) of a motion. 1 means
+// exactly at the limit. The weight of a sample is the relative duration that it represents. The
+// weights `weight` (m,) repeat after m samples.
 inline double limit_use(Samples pose, Samples twist, Samples accel, View<const double, 1> weight,
                         const Limits& limits, bool linear) {
     const double used = motion_use(pose, twist, accel, limits, linear);

@@ -153,7 +153,8 @@ def within_limits(
             f"the fraction of the rig's limits that is necessary to stop from the cycle's start is "
             f"{least:.3g}, allowed: 0 to {CERTAIN:g}"
         )
-    for _ in range(4):  # four rounds suffice: the utilisation is nearly linear in `share`
+    # four rounds suffice, because the utilisation of the limits is nearly linear in `share`
+    for _ in range(4):
         share = max((0.9995 * CERTAIN - least) / (used - least), 0.0)
         times, *states = cycle.knots
         nearer = [b + share * (a - b) for a, b in zip(states, rest.knots[1:], strict=True)]
@@ -179,7 +180,8 @@ def _use(cycle: PlateCycle, full: Limits) -> float:
             np.vstack(
                 [
                     *(part.control_points(order, PIECES) for part in parts),
-                    parts[-1].state(-1)[order],  # the end state may differ from the start
+                    # the state at the end may differ from the state at the start
+                    parts[-1].state(-1)[order],
                 ]
             )
             for order in range(3)

@@ -189,11 +189,11 @@ class SolverNode(SafeLifecycleNode[Options]):
                 return
             self._sent.clear()
             self._controller.reset()
-        # A request with the stamp of the last one gets the same cycle again. There is one
-        # exception: if the new request has no parts and the last cycle moves the plate, the result
-        # is a cycle at rest. The planner sends such a request at the end of a task. Then the driver
-        # may refuse the moving cycle, and in lockstep the simulator waits until the driver accepts
-        # a cycle for this image.
+        # A request with the same stamp as the last request is answered with the same cycle again.
+        # There is one exception: if the new request has no parts and the last cycle moves the
+        # plate, the answer is a cycle at rest. The planner sends such a request at the end of a
+        # task. At this time, the driver may refuse a moving cycle. In lockstep, the simulator then
+        # waits until the driver accepts a cycle for this image.
         repeated = newest == stamp_ns and (len(request.parts) > 0 or not self._sent[-1].cycle.moves)
         if second_publisher := self.second_publisher("part_forces"):
             cycle = self._rest(second_publisher)

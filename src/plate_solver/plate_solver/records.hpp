@@ -32,7 +32,7 @@ void check(const char* name, const Any& array, std::initializer_list<size_t> exp
     throw nb::value_error(says.c_str());
 }
 
-// Copies an array to a C array of the same shape. The array may have up to three axes. Throws an
+// Copies a Python array to the C array `room`. The arrays may have up to three axes. Throws an
 // error if the shapes differ.
 template <class Room>
 void read(const char* name, nb::handle array, Room& room) {
@@ -45,7 +45,7 @@ void read(const char* name, nb::handle array, Room& room) {
     std::copy_n(from.data(), from.size(), reinterpret_cast<double*>(&room));
 }
 
-// Converts the Python tuple `Limits`.
+// Converts the Python tuple `Limits` to the C++ struct.
 inline Limits limits_of(const nb::tuple& record) {
     Limits limits{
         .stroke_m = nb::cast<double>(field(record, 2)),

@@ -1,4 +1,4 @@
-// Python bindings of requests and of the averaged force maps.
+// Python bindings of request.hpp, mean_force.hpp, near_zero_slip.hpp and sinusoid_force.hpp.
 #include "averages/mean_force.hpp"
 #include "averages/request.hpp"
 #include "averages/rules_record.hpp"
@@ -17,7 +17,7 @@ static void check_parts(const Table& position, const Table& velocity) {
     check("velocity", velocity, {position.shape(0), 2});
 }
 
-// Checks that a slip has the shape (2 N + 1, 2), and returns 2 N.
+// Checks that the coefficients of a slip have the shape (2 N + 1, 2). Returns 2 N.
 static size_t waves_of(const Table& slip) {
     check("slip", slip, {slip.shape(0) / 2 * 2 + 1, 2});
     return slip.shape(0) - 1;

@@ -142,7 +142,8 @@ class ForceSolver(MotionSolver):
         aim = easiest_force(request, self.library)
         found = self._solve(replace(request, force=aim))
         error = request.force - (aim - found.residual)
-        # A failure is no proof: other forces within the tolerance may still be feasible.
+        # A failure for the force `aim` does not prove that the request is infeasible: other forces
+        # within the tolerance may be feasible.
         if not found.success:
             found = replace(found, status=Status.FAILED)
         return evaluated(request, found, error, self.options.tolerance)

@@ -1,4 +1,5 @@
-// The averaged force map: kernels of mean_force.py.
+// C++ kernels of mean_force.py, which computes the average friction force on a part during a
+// period.
 #pragma once
 #include <algorithm>
 #include <cmath>
@@ -9,10 +10,10 @@
 
 namespace plate {
 
-// Squared slip [m2/s2] below which friction counts as 0.
+// Squared slip velocity [m2/s2] below which the friction force counts as 0.
 constexpr double TINY_SQUARE = 1e-24;
 
-// Gauss-Legendre rule of a panel, on [-1, 1].
+// Nodes and weights of the Gauss-Legendre quadrature on the interval [-1, 1].
 constexpr int NODE_COUNT = 8;
 constexpr double NODES[NODE_COUNT] = {-0.9602898564975362,  -0.7966664774136267, -0.525532409916329,
                                       -0.18343464249564978, 0.18343464249564978, 0.525532409916329,
@@ -22,13 +23,14 @@ constexpr double NODE_WEIGHTS[NODE_COUNT] = {0.10122853629037706, 0.222381034453
                                              0.36268378337836166, 0.3137066458778869,
                                              0.22238103445337443, 0.10122853629037706};
 
-// Minimum distance between a panel and the singularities of the integrand, in half lengths of the
-// panel. The singularities are the complex times at which the slip is zero. At this distance, the
-// relative error of the Gauss-Legendre rule is (1.2 + 1.56)^-16 = 9e-8.
+// A panel is an interval to which the Gauss-Legendre quadrature is applied. FAR is the minimum
+// distance between a panel and the singularities of the integrand. The unit is half the length of
+// the panel. The singularities are the complex times at which the slip is zero. At this distance,
+// the relative error of the quadrature is (1.2 + 1.56)^-16 = 9e-8.
 constexpr double FAR = 1.2;
 
-// Maximum number of bisections of a piece of the spline. With this number, the error of a time at
-// which the direction jumps is below 1e-9 of the piece's length.
+// Maximum number of bisections of a polynomial piece of the slip. With this number, a time at which
+// the slip's direction jumps is located to within 1e-9 of the piece's length.
 constexpr int DEEPEST = 32;
 
 struct Force {
@@ -47,8 +49,8 @@ constexpr int EIGHT = 8;  // each sum has eight partial sums, for vector instruc
     return (sum[0] + sum[2]) + (sum[1] + sum[3]);
 }
 
-// Adds the derivatives (3, DEGREE + 1) of a panel's contribution to the mean direction with respect
-// to the coefficients of the slip.
+// Computes the derivatives of a panel's contribution to the mean slip direction with respect to the
+// coefficients of the slip. Adds them to `gradient` (3, DEGREE + 1).
 template <int DEGREE>
 [[gnu::always_inline]] inline void panel_slopes(const double (&slip)[DEGREE + 1][2], double middle,
                                                 double half, double (*gradient)[DEGREE + 1]) {
@@ -70,10 +72,10 @@ template <int DEGREE>
     }
 }
 
-// Returns the mean direction of a slip that is a polynomial of s, for s from `first` to `first` +
-// 1. A Gauss-Legendre panel is bisected if the slip nearly vanishes in or near it. Unless
-// `gradient` is null, the derivatives with respect to the coefficients are added to it: d f_x / d
-// slip_x, d f_x / d slip_y = d f_y / d slip_x, d f_y / d slip_y.
+// Returns the mean f of the slip's unit vector for s from `first` to `first` + 1. The slip w is a
+// polynomial of s. A Gauss-Legendre panel is bisected if the slip nearly vanishes in or near it. If
+// `gradient` is not null, the derivatives with respect to the coefficients of w are added to its
+// rows: d f_x / d w_x, d f_x / d w_y = d f_y / d w_x, and d f_y / d w_y.
 template <int DEGREE>
 [[gnu::always_inline]] inline Force mean_direction(const double (&slip)[DEGREE + 1][2],
                                                    double first, double (*gradient)[DEGREE + 1]) {
@@ -119,8 +121,8 @@ template <int DEGREE>
     }
 }
 
-// Average forces (M, 2) [mu m g] of a spline motion with times (K + 1,) and coefficients (K, 6, 3),
-// as in `PlateCycle`.
+// Computes the average friction forces (M, 2) [mu m g] on M parts during a spline motion of the
+// plate. `PlateCycle` describes the times (K + 1,) and the coefficients (K, 6, 3) of the spline.
 PLATE_WIDE inline void spline_force(const double* times, View<const double, 3> coefficients,
                                     View<const double, 2> position, View<const double, 2> velocity,
                                     View<double, 2> force) {
@@ -156,8 +158,8 @@ inline double total_time(const double* dt, int count) {
     return total;
 }
 
-// Force x, force y and curl of PARTS consecutive parts, which are computed together. Their first
-// index is `first`.
+// Computes the average force x, force y and curl of PARTS consecutive parts together. The first of
+// these parts has the index `first`.
 template <int PARTS>
 [[gnu::always_inline]] inline void step_forces_from(int first, View<const double, 2> position,
                                                     View<const double, 2> velocity,
@@ -187,8 +189,8 @@ template <int PARTS>
     }
 }
 
-// Average force x, y [mu m g] and curl [mu m g / m] at parts, (M, 3), for twists (n, 3) over steps
-// dt (n,).
+// Computes the average force x, force y [mu m g] and curl [mu m g / m] at M parts, as `mean` (M,
+// 3). The plate moves with the twists (n, 3) during steps of length dt (n,) [s].
 PLATE_WIDE inline void step_forces(View<const double, 2> position, View<const double, 2> velocity,
                                    View<const double, 2> twist, const double* dt,
                                    View<double, 2> mean) {
@@ -204,8 +206,8 @@ PLATE_WIDE inline void step_forces(View<const double, 2> position, View<const do
     if (i < count) step_forces_from<1>(i, position, velocity, twist, dt, total, mean);
 }
 
-// Derivatives (3, n, 3 M) of `step_forces` with respect to the twists. The caller must set
-// `gradient` to zero.
+// Computes the derivatives (3, n, 3 M) of the results of `step_forces` with respect to the twists.
+// Before the call, all entries of `gradient` must be zero.
 inline void step_force_gradient(View<const double, 2> position, View<const double, 2> velocity,
                                 View<const double, 2> twist, const double* dt,
                                 View<double, 3> gradient) {

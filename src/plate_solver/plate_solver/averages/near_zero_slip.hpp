@@ -1,17 +1,26 @@
-// Error of a mean over equal steps, caused by times at which the slip of a part nearly vanishes.
+// Error of a mean over equal time steps, caused by times at which the slip of a part nearly
+// vanishes.
 //
-// The slip's direction w/|w| is an analytic function of time, except at branch points with wx^2 +
-// wy^2 = 0. A dip is a time at which the slip nearly vanishes. A dip corresponds to a pair of
-// branch points a + i b and a - i b near the real axis. The mean over n equal steps minus the true
-// mean is exactly a sum of integrals along the cuts that go up from the branch points. With t = a +
-// i b cosh u, the integral of a dip is
+// Symbols:
+// - t: time, scaled so that one period is 2 pi
+// - w = (wx, wy): slip velocity of the part
+// - n: number of equal time steps per period
+// - a + i b and a - i b: complex times at which wx^2 + wy^2 = 0 (branch points)
+// - dip: a time a at which the slip nearly vanishes, because b is small
+// - u: integration variable
 //
-//     -2/pi Re integral of w / sqrt(Q) q / (1 + q) du from 0 to infinity,   q = exp(i n t)
+// The slip's direction w/|w| is an analytic function of t, except at the branch points. The mean of
+// w/|w| over n equal steps differs from the true mean. This error is exactly a sum of integrals
+// along branch cuts. Each cut begins at a branch point and continues parallel to the positive
+// imaginary axis. The points of a cut are t = a + i b cosh u with u from 0 to infinity. The
+// integral of one dip is
+//
+//     -2/pi Re integral of w / sqrt(Q) q / (1 + q) du from 0 to infinity, with q = exp(i n t) and
 //     Q = (wx^2 + wy^2) / (-(b sinh u)^2)
 //
-// The integrand is even and decreases like exp(-n b cosh u). Its poles are at Im u = pi/2 for any
-// b. Therefore the same few equal steps of u are sufficient for deep and shallow dips. No finer
-// grid of times is needed.
+// The integrand is an even function of u and decreases like exp(-n b cosh u). Its poles are at Im u
+// = pi/2 for any b. Therefore the same equal steps of u are sufficient for any b. The time steps do
+// not have to be shortened near a dip.
 #pragma once
 #include <algorithm>
 #include <array>
@@ -26,40 +35,41 @@ namespace plate::near_zero_slip {
 
 constexpr double PI = std::numbers::pi;
 
-// Step of the integration variable u. With this step the relative error of the integral is
+// Step of the integration variable u. With this step, the relative error of the integral is
 // exp(-pi^2 / STEP) = 2e-8.
 constexpr double STEP = 0.55;
 
-// Weight of a node of the integral. Only nodes with u > 0 are summed, because the integrand is
-// even.
+// The integral over u is computed as a sum over nodes. WEIGHT is the weight of each node. Only
+// nodes with u > 0 are summed, because the integrand is an even function of u.
 constexpr double WEIGHT = 2 / PI * STEP;
 
-// Number of nodes of the integral. The number is sufficient for the narrowest dip.
+// Maximum number of nodes of the sum over u. This number is sufficient for b = NARROWEST.
 constexpr int PLACES = 44;
 
-// Minimum distance b of a branch point from the real axis [rad]. A narrower dip has the same effect
-// as a jump.
+// Minimum distance b of a branch point from the real axis [rad]. Smaller distances are replaced by
+// this value, because the slip's direction practically jumps there.
 constexpr double NARROWEST = 1e-10;
 
-// Maximum value of n b cosh u up to which the integral over u is summed. n is the number of steps
-// per period. Beyond it, the integrand is below 4e-8 and neglected.
+// Maximum value of n b cosh u at a node of the sum over u. n is the number of steps per period. At
+// further nodes, the integrand is below 4e-8 and is neglected.
 constexpr double FADED = 17.0;
 
-// Maximum product n b of a dip that needs a correction. n is the number of steps per period, and b
-// [rad] is the distance of the branch point from the real axis. The error of equal steps is exp(-n
-// b), so it is negligible for larger products.
+// Maximum product n b for which the mean over equal steps needs a correction. n is the number of
+// steps per period, and b [rad] is the distance of the branch point from the real axis. The error
+// of the mean is exp(-n b). For larger products, this error is negligible.
 constexpr double NEAR = 14.0;
 
-// Value of b^2/2 at n b = NEAR, with b in steps. `dip_of` estimates b^2/2 from three samples of the
-// squared slip: it is the minimum of the parabola through them, divided by its second difference.
+// Value of b^2/2 for n b = NEAR, if the unit of b is one time step. `dip_of` estimates b^2/2 from
+// the parabola through three samples of the squared slip. The estimate is the minimum of the
+// parabola divided by its second difference.
 constexpr double STEPS_NEAR = (NEAR / (2 * PI)) * (NEAR / (2 * PI)) / 2;
 
-// Minimum distance [steps] between two dips. If they are closer, one of them may not appear as a
-// minimum of the samples.
+// Minimum distance [time steps] between two dips that are corrected separately. If two dips are
+// closer, one of them may not appear as a minimum of the samples.
 constexpr double CLOSE = 4.0;
 
-// Maximum number of Newton steps to a zero of the slip. Usually three steps are enough, because the
-// search starts at a minimum of the samples.
+// Maximum number of Newton steps that locate a complex zero of the slip. Usually three steps are
+// enough, because the search starts at a minimum of the samples.
 constexpr int NEWTON_STEPS = 10;
 
 struct Nodes {
@@ -73,7 +83,7 @@ inline const Nodes NODES_OF_U = [] {
     return nodes;
 }();
 
-// A complex number. Unlike std::complex, its product does not check for infinite values.
+// A complex number. Unlike std::complex, the multiplication does not check for infinite values.
 struct Complex {
     double real = 0, imag = 0;
 };
@@ -87,15 +97,17 @@ inline Complex operator*(double a, Complex b) { return {a * b.real, a * b.imag};
 inline Complex conjugate(Complex a) { return {a.real, -a.imag}; }
 inline double square(Complex a) { return a.real * a.real + a.imag * a.imag; }
 
-// Returns a positive number if the samples of the squared slip show a dip. In a dip, the middle
-// sample is a minimum, and the parabola through the three samples has n b < NEAR.
+// Returns a positive number if three consecutive samples of the squared slip show a dip. Two
+// conditions define a dip: the middle sample is a minimum, and n b of the parabola through the
+// samples is below NEAR.
 [[gnu::always_inline]] inline double dip_of(double before, double here, double after) {
     const double bend = before - 2 * here + after, slope = after - before;
     const double depth = STEPS_NEAR * bend * bend - (here * bend - slope * slope / 8);
     return (here <= before) & (here < after) ? depth : -1.0;
 }
 
-// Writes the indices of the dips of a squared slip (n,) to `found` (n,). Returns their number.
+// Detects dips in the samples of the squared slip (n,). Writes the indices of the dips to `found`
+// (n,) and returns the number of dips.
 [[gnu::always_inline]] inline int find_dips(const double* __restrict square, int n,
                                             double* __restrict found) {
     found[0] = dip_of(square[n - 1], square[0], square[1]);
@@ -126,9 +138,10 @@ struct BranchPoint {
     bool alone;
 };
 
-// Finds the zero a + i b of wx + i wy near a time t with exp(i t) = `start`, by Newton's method.
-// Returns exp(i a), the absolute value of b, and whether there is no other zero within `close`
-// [rad]. The slip (2 N + 1, 2) has rows sin 1..N, cos 1..N, constant [m/s].
+// Computes a complex zero a + i b of wx + i wy by Newton's method. The first estimate is the time t
+// with exp(i t) = `start`. The result contains exp(i a) and |b|. `alone` is true if the method has
+// converged and no other zero is within `close` [rad]. The rows of `slip` (2 N + 1, 2) [m/s] are
+// the coefficients of sin 1..N and cos 1..N, and the constant term.
 inline BranchPoint branch_point(View<const double, 2> slip, Complex start, double close) {
     const int number = slip.size(0) / 2;
     Complex z = start;  // the slip times z^N is a polynomial of z = exp(i t)
@@ -159,16 +172,16 @@ inline BranchPoint branch_point(View<const double, 2> slip, Complex start, doubl
     }
     const double radius = std::sqrt(square(z)) + 1e-300;
     const bool done = last < 1e-8 * off * off || last < 1e-22;
-    // bend / slope is the sum of 1 / (z - z_k) over all other zeros z_k. This sum is large if
-    // another zero is close.
+    // At a zero z of the polynomial, bend / slope is the sum of 1 / (z - z_k) over all other zeros
+    // z_k. This sum is large if another zero is close.
     const bool lonely = square(bend) * close * close < square(slope);
     return {1 / radius * z, std::max(std::abs(std::log(radius)), NARROWEST), done && lonely};
 }
 
-// Harmonic j of the slip, with the time t counted from a, the real part of a branch point. `even`
+// Harmonic j of the slip. The time t is measured from a, the real part of a branch point. `even`
 // and `odd` are the coefficients (x, y) of cos j t and sin j t. `cosine` and `sine` are cos j a and
-// sin j a. `by_even` and `by_odd` are sums of the derivatives (xx, xy, yy) with respect to `even`
-// and `odd`.
+// sin j a. `by_even` and `by_odd` are the derivatives (xx, xy, yy) of the integral with respect to
+// `even` and `odd`.
 struct Turned {
     double even[2], odd[2], cosine, sine, by_even[3], by_odd[3];
 };
@@ -197,7 +210,7 @@ struct ComplexSlip {
     double fade;  // exp(-n depth)
 };
 
-// Slip at the complex time a + i depth.
+// Returns the slip at the complex time a + i depth, and exp(-n depth).
 inline ComplexSlip complex_slip(const std::vector<Turned>& turned, double depth, int n) {
     const double step = std::exp(-depth);
     double power = 1;
@@ -215,21 +228,22 @@ inline ComplexSlip complex_slip(const std::vector<Turned>& turned, double depth,
     return {x, y, power};
 }
 
-// Returns -q / (1 + q), which is the sum of (-q)^m over all m from 1. The sum contains all aliasing
-// errors of n equal steps.
+// Returns -q / (1 + q), which is the sum of (-q)^m over all m from 1. This sum contains all
+// aliasing errors of a mean over n equal steps.
 inline Complex aliases(Complex q) {
     const double scale = -1 / square(Complex{1 + q.real, q.imag});
     return {(q.real + square(q)) * scale, q.imag * scale};
 }
 
-// Returns the value of 1 / sqrt(value) with a positive real part.
+// Returns the complex value of 1 / sqrt(value) whose real part is positive.
 inline Complex inverse_root(Complex value) {
     const double size = std::sqrt(square(value));
     const double real = std::sqrt((size + value.real) / 2), share = 1 / size;
     return {real * share, -0.5 * value.imag / real * share};
 }
 
-// Adds the terms p = `share` times (y y, -x y, x x) to the derivatives of each harmonic j: Re(p)
+// Adds the contribution of one node of the sum over u to the derivatives of each harmonic j. (x, y)
+// is the slip at the node, and p is `share` times (y y, -x y, x x). The contribution is Re(p)
 // cosh(j depth) to `by_even`, and -Im(p) sinh(j depth) to `by_odd`.
 inline void add_slopes(Complex share, Complex x, Complex y, double depth,
                        std::vector<Turned>& turned) {
@@ -243,8 +257,9 @@ inline void add_slopes(Complex share, Complex x, Complex y, double depth,
     }
 }
 
-// Adds the contribution of the double pole at u = 0 to the derivatives. A sum over equal steps with
-// nodes on both sides of the pole lacks pi^2 / STEP times the coefficient of the pole.
+// Corrects the derivatives for the double pole of their integrand at u = 0. The nodes of the sum
+// over u are at half steps beside this pole. Therefore the sum differs from the integral by pi^2 /
+// STEP times the coefficient of the pole.
 inline void add_pole(Complex phase, double b, int n, std::vector<Turned>& turned) {
     const ComplexSlip at = complex_slip(turned, b, n);
     Complex dx, dy;  // derivative of the slip with respect to depth
@@ -259,8 +274,9 @@ inline void add_pole(Complex phase, double b, int n, std::vector<Turned>& turned
     add_slopes(share, at.x, at.y, b, turned);
 }
 
-// Converts the derivatives in `turned` (by harmonics around time a) to derivatives with respect to
-// the coefficients of sines and cosines, and subtracts these from the gradient (3, 2 N).
+// The derivatives in `turned` belong to harmonics whose time is measured from a. The function
+// converts them to derivatives with respect to the slip's coefficients of sines and cosines. It
+// subtracts the result from `gradient` (3, 2 N).
 inline void take_off(const std::vector<Turned>& turned, View<double, 2> gradient) {
     const int number = static_cast<int>(turned.size()) - 1;
     for (int j = 1; j <= number; j++) {
@@ -275,12 +291,14 @@ inline void take_off(const std::vector<Turned>& turned, View<double, 2> gradient
 
 struct Excess {
     double x, y;
-    bool good;  // if false, panels must be used, for example because another dip is close
+    // if false, the caller must use `by_panels`, for example because another dip is close
+    bool good;
 };
 
-// Computes the error of the mean over n steps [mu m g] that the dip near a time t with exp(i t) =
-// `start` causes. The error is the integral at the top of this file. n is N times a power of 2. If
-// `gradient` is not empty, the error of the derivatives is subtracted from `gradient`.
+// Computes the error [mu m g] of the average force over n equal steps that one dip causes. The dip
+// is near the time t with exp(i t) = `start`. The integral at the top of this file is the error. n
+// must be N times a power of 2. If `gradient` is not empty, the error of the derivatives is
+// subtracted from `gradient`.
 inline Excess excess(View<const double, 2> slip, Complex start, int n, View<double, 2> gradient) {
     const BranchPoint point = branch_point(slip, start, CLOSE * 2 * PI / n);
     const double b = point.b, farthest = 1.5 * 2 * PI / n;

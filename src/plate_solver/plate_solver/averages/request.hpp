@@ -1,4 +1,4 @@
-// Properties of a request: kernels of request.py.
+// C++ kernels of request.py, which checks a request for average forces on the parts.
 #pragma once
 #include <algorithm>
 #include <cmath>
@@ -8,7 +8,7 @@
 
 namespace plate {
 
-// Maximum accepted coordinate [m] and velocity [m/s] of a part. request.py imports both values.
+// Maximum accepted coordinate [m] and velocity [m/s] of a part. request.py imports both constants.
 constexpr double FARTHEST_M = 1e3, FASTEST_MPS = 1e3;
 
 // Compiled counterpart of `RequestFlags` in request.py.
@@ -17,7 +17,7 @@ struct RequestFlags {
     double loaded = 0;
 };
 
-// Computes the properties for position, force, velocity, tolerance (M, 2) and curl (M,).
+// Computes the flags of a request with position, force, velocity, tolerance (M, 2) and curl (M,).
 inline RequestFlags request_flags(View<const double, 2> position, View<const double, 2> force,
                                   View<const double, 2> velocity, View<const double, 1> curl,
                                   View<const double, 2> tolerance) {
@@ -34,7 +34,8 @@ inline RequestFlags request_flags(View<const double, 2> position, View<const dou
             flags.moving |= velocity(i, axis) != 0;
             flags.slack |= free != 0;
             flags.within &= requested <= free;
-            // Magnitudes are at most this value, so that `scaled_length` does not overflow.
+            // `least` is the length of the vector (|force x| - tolerance x, |force y| - tolerance
+            // y), where negative components count as 0. `scaled_length` avoids an overflow.
             least = scaled_length(least, std::max(requested - free, 0.0));
         }
         flags.loaded = std::max(flags.loaded, least);

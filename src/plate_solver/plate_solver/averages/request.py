@@ -131,7 +131,8 @@ class Request:
             If a shape is not (M, 2), or (M,) for the curl, or if a value is not finite or out of
             range.
         """
-        position = np.array(position, dtype=float, order="C")  # the kernels need this memory layout
+        # the C++ kernels need this memory layout
+        position = np.array(position, dtype=float, order="C")
         if position.ndim != 2 or position.shape[1] != 2 or not len(position):
             raise PlateError(f"position has shape {position.shape}, allowed: (M, 2), M at least 1")
         count = len(position)

@@ -8,7 +8,7 @@ namespace plate {
 
 using namespace rotations;
 
-// Returns the indices of the true entries of a mask (3 M,).
+// Returns the indices of the entries of `mask` (3 M,) that are true.
 static std::vector<int> rows_of(const Array<const bool, 1>& mask, size_t parts) {
     check("rows", mask, {3 * parts});
     std::vector<int> rows;
@@ -35,7 +35,7 @@ static nb::object slopes_of_forces(Numbers theta, nb::tuple record, Numbers time
     return to_numpy(std::move(jacobian));
 }
 
-// Owns the arrays of a Python `SequenceForces`.
+// Owns the arrays of the Python tuple `SequenceForces` while their views are in use.
 class ForcesRecord {
 public:
     explicit ForcesRecord(const nb::tuple& record)

@@ -99,7 +99,8 @@ class RotationSolver(ForceSolver, RotationCycles):
         family, found = best
         self._last = request.position, Start(family, found.parameters)
         cycle, error = self._evaluated(request, family, found.parameters)
-        if np.max(np.abs(error)) > tolerance:  # the steps of the search missed a dip of the slip
+        # the time steps of the search missed a time at which the slip nearly vanishes
+        if np.max(np.abs(error)) > tolerance:
             fine = family.finer(FINE)
             found = fit_mean_force(
                 request, fine, found.parameters, tolerance / 10, options.iterations

@@ -1,9 +1,11 @@
-// Sequences of rotations on the averaged map: kernels of rotations.py.
+// C++ kernels of rotations.py, which computes the average friction forces of a sequence of
+// rotations.
 //
-// Two kinds of derivatives are combined: the derivatives of the sampled motion with respect to the
-// parameters (sequence.hpp), and the derivatives of the mean forces with respect to the samples.
-// The contribution of each step to the forces is propagated directly to the two knots of its
-// segment.
+// By the chain rule, the derivatives of the forces with respect to the parameters are a product.
+// The first factor is the derivative of the forces with respect to the samples of the motion. The
+// second factor is the derivative of the samples with respect to the parameters (sequence.hpp). A
+// segment of the motion has two knots. The derivatives of each time step are added directly to the
+// two knots of its segment.
 #pragma once
 #include "averages/mean_force.hpp"
 #include "fit/levenberg_marquardt.hpp"
@@ -11,26 +13,28 @@
 
 namespace plate::rotations {
 
-// Damping options that also stop a slow search. A search ends if more than 0.9 of the squared error
-// remains after ten steps. With a stricter criterion, searches for feasible forces would end too
-// early.
+// Options of the Levenberg-Marquardt method that also stop a slow search. A search stops if ten
+// steps reduce the squared error by less than 10 %. With a stricter criterion, some searches for
+// feasible forces would stop too early.
 constexpr Damping PATIENT = [] {
     Damping damping = DAMPING;
     damping.stall_steps = 10, damping.stall_fraction = 0.9;
     return damping;
 }();
 
-// Requested forces of a sequence on the averaged map: `SequenceForces` of rotations.py.
+// Average forces that a sequence of rotations must exert. `SequenceForces` in rotations.py
+// describes the fields.
 struct SequenceForces {
     Sequences family;
     View<const double, 2> position, velocity;  // (M, 2)
-    // Indices of the R requested values in the list of all values: force x, force y and curl of
-    // part 1, then of part 2, and so on.
+    // Indices of the R requested values in the list of all 3 M values. This list contains force x,
+    // force y and curl of part 1, then of part 2, and so on.
     std::vector<int> rows;
     View<const double, 1> requested, scale;  // (R,)
 };
 
-// Computes the errors (R,) of the mean forces for twists (n, 3) over steps dt (n,).
+// Computes the scaled errors (R,) of the average forces: requested value minus actual value. The
+// plate moves with the twists (n, 3) during steps of length dt (n,) [s].
 inline void missed(const SequenceForces& problem, View<const double, 2> twist, const double* dt,
                    std::vector<double>& error) {
     const int count = problem.position.size(0);
@@ -53,13 +57,14 @@ struct Parts {
     }
 };
 
-// Rows of `value` in `directions`: derivatives of force x (X), force y (Y) and curl with respect to
-// the twist (u, v, spin). For example, XY is d force x / d v. The rows of the curl are used only if
-// curls are requested.
+// Rows of the matrix `value` in `directions`. Each row contains one derivative of force x (X),
+// force y (Y) or curl with respect to the twist (u, v, spin). For example, XY is d force x / d v.
+// The rows of the curl are used only if curls are requested.
 enum Row { XX, XY, YY, X_SPIN, Y_SPIN, CURL_U, CURL_V, CURL_SPIN };
 
-// Writes the derivatives (8, M) of each part's force and curl with respect to the twist, for a step
-// that takes `fraction` of the period. Adds the force and the curl to `way` (3, M).
+// Computes the contribution of one time step, which takes `fraction` of the period. `value` (8, M)
+// receives the derivatives of each part's force and curl with respect to the twist. The force and
+// the curl during the step are added to `way` (3, M).
 template <bool TURNING>
 [[gnu::always_inline]] inline void directions(const double (&twist)[3], const Parts& parts,
                                               double fraction, Matrix& value, Matrix& way) {
@@ -94,10 +99,10 @@ template <bool TURNING>
     }
 }
 
-// Adds the contribution of the steps of segment k to the derivatives with respect to its knots.
-// `total` (5, 8 M) contains five weighted sums of the steps' derivatives. `way` (3, M) contains the
-// sums of forces and curls. The results are ordered: force x of all parts, force y of all parts,
-// curls of all parts.
+// Adds the contribution of segment k to the derivatives with respect to its two knots. `total` (5,
+// 8 M) contains five weighted sums over the derivatives of the segment's steps. `way` (3, M)
+// contains the sums of the steps' forces and curls. The results are ordered: force x of all parts,
+// force y of all parts, curls of all parts.
 inline void to_knots(int k, double steps_period, const double* gap, const Matrix& total,
                      const Matrix& way, ByKnots& by) {
     constexpr int ROW[3][3] = {{XX, XY, X_SPIN}, {XY, YY, Y_SPIN}, {CURL_U, CURL_V, CURL_SPIN}};
@@ -126,8 +131,8 @@ inline void to_knots(int k, double steps_period, const double* gap, const Matrix
     }
 }
 
-// Derivatives with respect to the knots. The results are force x of all parts, force y of all parts
-// and, if TURNING, the curls.
+// Returns the derivatives of the average forces with respect to the knots. The forces are ordered:
+// force x of all parts, force y of all parts and, if TURNING, the curls of all parts.
 template <bool TURNING>
 [[gnu::always_inline]] inline ByKnots forces_back(const Sequences& family, const Line& line,
                                                   const Parts& parts) {
@@ -164,8 +169,9 @@ template <bool TURNING>
     return by;
 }
 
-// Derivatives (R, P) of R results of `step_forces` with respect to the parameters. `rows` are the
-// indices of these results. `line` contains the knots that belong to the parameters.
+// Computes the derivatives (R, P) of R results of `step_forces` with respect to the P parameters of
+// the sequence. `rows` contains the indices of these results. `line` contains the knots of the
+// sequence with the parameters `theta`.
 PLATE_WIDE inline void force_slopes(const Parameters& theta, const Sequences& family,
                                     const Line& line, View<const double, 2> position,
                                     View<const double, 2> velocity,
@@ -183,7 +189,7 @@ PLATE_WIDE inline void force_slopes(const Parameters& theta, const Sequences& fa
     parameters_back(theta, family, by, results, jacobian);
 }
 
-// Adjusts a sequence until its average forces match the request.
+// Adjusts the parameters of a sequence until its average forces match the request.
 inline Fit descend(const SequenceForces& problem, Parameters theta, double tolerance,
                    int iterations) {
     Run run;

@@ -5,8 +5,8 @@
 
 namespace plate {
 
-// Owns the arrays of a named tuple `Rules` while their views are in use. The constructor checks the
-// shapes for motions with `rows` sines and cosines in total.
+// Owns the arrays of the Python tuple `Rules` while their views are in use. The constructor checks
+// the shapes. `rows` is the total number of sines and cosines of a motion.
 class RulesRecord {
 public:
     RulesRecord(const nb::tuple& record, size_t rows)

@@ -1,4 +1,5 @@
-// The averaged force map of sinusoidal motions: kernels of sinusoid_force.py.
+// C++ kernels of sinusoid_force.py, which computes the average friction force during sinusoidal
+// plate motions.
 #pragma once
 #include <algorithm>
 #include <cmath>
@@ -14,11 +15,14 @@ namespace plate {
 
 constexpr int DEGREE = 10;  // degree of the Taylor polynomials
 
-// Quadratures: by panels (adaptive), by the usual number of equal steps with a correction at dips,
-// by a few equal steps, and by the usual number of equal steps.
+// Quadrature of the force over a period:
+// - PANELS: adaptive panels
+// - ADAPTIVE: the usual number of equal steps, with a correction where the slip nearly vanishes
+// - FEW: a small number of equal steps
+// - USUAL: the usual number of equal steps, without correction
 enum Grid { PANELS = -2, ADAPTIVE = -1, FEW = 0, USUAL = 1 };
 
-// Sample points of the slip of N harmonics: `Rules` of sinusoid_force.py.
+// Sample points of the slip of N harmonics. `Rules` in sinusoid_force.py describes the fields.
 struct Rules {
     View<const double, 2> waves;  // (2 N, K)
     int few;
@@ -26,9 +30,9 @@ struct Rules {
     int pieces;
 };
 
-// Writes the coefficients (2 N + 1, 2) of the slip velocity: the velocity of the plate relative to
-// a part at (x, y) with velocity (vx, vy). The last row is the constant term. The motion of the
-// plate has `coefficients` (2 N, 3) in plate_home.
+// Computes the coefficients (2 N + 1, 2) of the slip velocity. The slip velocity is the velocity of
+// the plate relative to a part at (x, y) with velocity (vx, vy). The last row is the constant term.
+// `coefficients` (2 N, 3) are the coefficients of the plate's twist in plate_home.
 [[gnu::always_inline]] inline void slip_at(View<const double, 2> coefficients, double x, double y,
                                            double vx, double vy, View<double, 2> slip) {
     const int rows = coefficients.size(0);
@@ -40,9 +44,9 @@ struct Rules {
     slip(rows, 0) = -vx, slip(rows, 1) = -vy;
 }
 
-// Returns the mean direction of the slip over the nodes from `start` to `stop` (exclusive). The
-// number of nodes is a multiple of eight. The function writes four rows of `work`: slip x, slip y,
-// the squared slip, and the reciprocal of its magnitude.
+// Returns the mean of the slip's unit vector over the nodes from `start` to `stop` (exclusive). The
+// number of nodes must be a multiple of eight. The function writes four rows of `work`: slip x,
+// slip y, the squared slip, and 1 / |slip|.
 [[gnu::always_inline]] inline Force equal_steps(View<const double, 2> slip,
                                                 View<const double, 2> waves, int start, int stop,
                                                 View<double, 2> work) {
@@ -75,7 +79,8 @@ struct Rules {
     return {sum_of_eight(fx) / n, sum_of_eight(fy) / n};
 }
 
-// Adds the derivatives of `equal_steps` to `gradient` (3, 2 N). `work` is overwritten.
+// Computes the derivatives of the result of `equal_steps` with respect to the slip's coefficients,
+// and adds them to `gradient` (3, 2 N). `work` is overwritten.
 [[gnu::always_inline]] inline void step_slopes(View<const double, 2> waves, int start, int stop,
                                                View<double, 2> work, View<double, 2> gradient) {
     const int n = stop - start;
@@ -108,8 +113,9 @@ struct Rules {
     }
 }
 
-// Returns the mean direction of the slip by adaptive quadrature over each piece of the period.
-// Writes the derivatives to `gradient` (3, 2 N), unless it is empty.
+// Returns the mean of the slip's unit vector over the period. Each piece of the period is
+// integrated by adaptive quadrature. If `gradient` (3, 2 N) is not empty, it receives the
+// derivatives with respect to the slip's coefficients.
 PLATE_WIDE inline Force by_panels(View<const double, 2> slip, const Rules& rule,
                                   View<double, 2> gradient) {
     const int number = rule.taylor.size(1);
@@ -148,10 +154,10 @@ PLATE_WIDE inline Force by_panels(View<const double, 2> slip, const Rules& rule,
     return total;
 }
 
-// Returns the average force [mu m g] of a slip (2 N + 1, 2) [m/s] by the quadrature `grid`. `work`
-// (5, K) is a buffer. If `gradient` (3, 2 N) is not empty, it receives the derivatives with respect
-// to the first 2 N rows of `slip` [s/m]: d f_x / d slip_x, d f_x / d slip_y (equal to d f_y / d
-// slip_x), and d f_y / d slip_y.
+// Returns the average friction force [mu m g] for a slip with coefficients (2 N + 1, 2) [m/s].
+// `grid` selects the quadrature (see `Grid`). `work` (5, K) is a buffer. If `gradient` (3, 2 N) is
+// not empty, it receives the derivatives [s/m] with respect to the first 2 N rows of `slip`. Its
+// rows are d f_x / d slip_x, d f_x / d slip_y = d f_y / d slip_x, and d f_y / d slip_y.
 PLATE_WIDE inline Force force_of(View<const double, 2> slip, const Rules& rule, int grid,
                                  View<double, 2> work, View<double, 2> gradient) {
     if (grid == PANELS) return by_panels(slip, rule, gradient);
@@ -175,7 +181,8 @@ PLATE_WIDE inline Force force_of(View<const double, 2> slip, const Rules& rule, 
     return force;
 }
 
-// Average forces (C, 2) [mu m g] of C cases. Each case has one motion (2 N, 3) and one part.
+// Computes the average friction forces (C, 2) [mu m g] for C pairs of a plate motion (2 N, 3) and a
+// part.
 inline void sinusoid_forces(View<const double, 3> coefficients, View<const double, 2> position,
                             View<const double, 2> velocity, const Rules& rule,
                             View<double, 2> force) {

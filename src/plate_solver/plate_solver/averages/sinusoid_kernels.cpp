@@ -17,7 +17,7 @@ static Matrix matrix_of(View<const double, 2> from) {
     return result;
 }
 
-// Transpose of `rows` rows of an array, from row `first` on.
+// Returns the transpose of `rows` rows of an array. The first of these rows has the index `first`.
 static Matrix across(const Table& array, size_t first, size_t rows) {
     const int count = static_cast<int>(rows), size = static_cast<int>(array.shape(1));
     Matrix result(size, count);
@@ -26,7 +26,7 @@ static Matrix across(const Table& array, size_t first, size_t rows) {
     return result;
 }
 
-// Converts the bases (n, h) of pose, twist and acceleration.
+// Converts the samples (n, h) of the h basis motions: pose, twist and acceleration.
 static SampledBasis sampled_basis_of(const Table& pose, const Table& twist, const Table& accel,
                                      size_t size) {
     const size_t n = pose.shape(0);

@@ -113,7 +113,7 @@ class SinusoidSolver(ForceSolver, SinusoidCycles):
         this number of requested force components."""
         if self.options.at_rest:
             return *self._rest_key(constraints), True
-        # The forces of N harmonics have rank 6 N - 2.
+        # Motions of N harmonics can control 6 N - 2 independent force components.
         number = self.options.harmonics or max(2, -(-(2 * constraints + 4) // 6))
         return number, self.options.period or HARMONIC_S * number, False
 
@@ -171,7 +171,9 @@ class SinusoidSolver(ForceSolver, SinusoidCycles):
         def attempt(start: np.ndarray, _: int) -> tuple[Fit, float, int, bool]:
             found = fit_curl(request, family, start, tolerance / 10, most)
             steps, good = found.iterations, np.max(np.abs(found.error)) <= tolerance
-            if good:  # coarse samples do not resolve dips: repeat with fine samples
+            # coarse samples can miss times at which the slip nearly vanishes: repeat with fine
+            # samples
+            if good:
                 found = fit_curl(request, fine, found.parameters, tolerance / 10, most)
                 steps, good = steps + found.iterations, np.max(np.abs(found.error)) <= tolerance
             return found, found.cost, steps, bool(good)

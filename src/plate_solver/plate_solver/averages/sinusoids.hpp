@@ -1,5 +1,5 @@
-// Inversion of the averaged map with Method B, from the first start to the finished spline: kernels
-// of sinusoids.py.
+// C++ kernels of sinusoids.py, which searches for a sinusoidal plate motion with requested average
+// forces (Method B). The result is a spline.
 #pragma once
 #include <algorithm>
 #include <cmath>
@@ -19,39 +19,41 @@ namespace plate::averages {
 
 using namespace sinusoids;
 
-// Damping options for a fresh start.
+// Options of a Levenberg-Marquardt search that starts at a random motion.
 constexpr Damping AFRESH{.first = 1.25e-3, .least = 1e-9, .most = 1e2, .shrink = 8.0, .grow = 6.0,
                          .stall_steps = 6, .stall_fraction = 0.7};
 
-// Damping options for a start near a solution.
+// Options of a Levenberg-Marquardt search that starts near a solution.
 constexpr Damping NEAR{.first = 1.25e-5, .least = 1e-9, .most = 1e2, .shrink = 8.0, .grow = 6.0,
                        .stall_steps = 6, .stall_fraction = 0.7};
 
 constexpr int FIRST = 0;  // number of the first start
 
-// Maximum number of consecutive failed perturbations. After that, a round ends.
+// Maximum number of consecutive perturbations without success. After this number, a round of the
+// search ends.
 constexpr int HOPS = 12;
 
-// Size of a perturbation as a fraction of the best motion of the round.
+// Size of a perturbation as a fraction of the amplitude of the round's best motion.
 constexpr double HOP = 0.15;
 
 // A perturbation is successful if its cost is below this factor times the best cost of the round.
 constexpr double BETTER = 0.99;
 
-// If the error with corrected dips exceeds this fraction of the tolerance, the descent continues
-// with corrected dips.
+// If the error by the quadrature ADAPTIVE exceeds this fraction of the tolerance, the search
+// continues with this quadrature.
 constexpr double SURE = 0.7;
 
-// Number of equal legs of a continuation from a fresh start to the request.
+// A continuation increases the requested forces from zero to their final values in this number of
+// equal legs.
 constexpr int LEGS = 3;
 
-// Maximum number of steps per leg of a continuation.
+// Maximum number of search steps per leg of a continuation.
 constexpr int LEG_STEPS = 8;
 
-// Error at which a leg of a continuation ends, relative to the request.
+// A leg of a continuation ends if the force error is below this fraction of the requested forces.
 constexpr double LEG_ERROR = 0.03;
 
-// A basis of h sinusoidal motions of N harmonics.
+// h sinusoidal motions of N harmonics. Each motion of the search is a linear combination of them.
 struct Motions {
     Matrix waves, taylor;  // the same as in `Rules`
     int few, pieces;
@@ -64,7 +66,7 @@ struct Motions {
 
     int size() const { return span.columns; }
 
-    // Nodes of the quadratures.
+    // Returns the sample points of the quadratures.
     Rules rules() const {
         return {{waves[0], {waves.rows, waves.columns}}, few,
                 {taylor[0], {taylor.rows, taylor.columns}}, pieces};
@@ -78,8 +80,9 @@ struct Request {
     int iterations, tries;                            // maximum steps per start, maximum starts
 };
 
-// Finished motion: pose, twist and acceleration (3, k + 1) at its knots, its spline (k, 6, 3), and
-// its errors (M, 2) [mu m g].
+// Result of the search. `knots` contains the pose, twist and acceleration (3, k + 1) at the knots
+// of the spline. `spline` (k, 6, 3) contains the coefficients. `error` (M, 2) contains the errors
+// of the average forces [mu m g].
 struct Found {
     std::vector<double> theta;  // parameters (3 h,), at full amplitude
     SampledMotion knots;
@@ -90,7 +93,7 @@ struct Found {
 
 class Inversion {
 public:
-    // pool (S, 3 h): random motions.
+    // `pool` (S, 3 h) contains the parameters of S random motions.
     Inversion(const Motions& motions, View<const double, 2> pool, const Request& request)
         : motions(motions), rules(motions.rules()), pool(pool), request(request),
           size(motions.size()),
@@ -102,8 +105,8 @@ public:
         requested.assign(request.force.data, request.force.data + 2 * parts);
     }
 
-    // Finds a motion with the requested average forces. `warm` (3 h,) is the last solution; null if
-    // there is none.
+    // Searches for a motion with the requested average forces. `warm` (3 h,) contains the
+    // parameters of the previous solution, or is null if there is no previous solution.
     Found invert(const double* warm) {
         is_warm = warm;
         auto [fit, done, tried] =
@@ -131,7 +134,7 @@ private:
     const View<const double, 2> pool;
     const Request request;
     const int size, parts;
-    // If `backwards`, starts use motions from the end of the pool.
+    // If `backwards` is true, the search uses the random motions in reverse order.
     bool moving, is_warm = false, backwards = false;
     std::vector<double> requested;
     Matrix slip_rows, samples_of, gradient, own, coefficients, by_span, now;  // buffers
@@ -141,7 +144,8 @@ private:
         return pool[backwards ? pool.size(0) - 1 - number : number];
     }
 
-    // Result of one start: motion, cost, number of steps, and whether it is good enough.
+    // Result of one start: motion, cost, number of steps, and whether all errors are within the
+    // tolerance.
     struct Attempted {
         Fit fit;
         double cost;
@@ -149,14 +153,15 @@ private:
         bool enough;
     };
 
-    // Best motion, total number of steps, and total number of starts.
+    // Result of a search: best motion, total number of steps, and total number of starts.
     struct Searched {
         Fit best;
         int steps, tried;
     };
 
-    // Basin hopping: perturbs the best motion of a round until `HOPS` consecutive perturbations
-    // have failed. Then a new round begins with a fresh start.
+    // Searches by basin hopping. Each step of a round perturbs the round's best motion. The round
+    // ends after `HOPS` consecutive perturbations without success. Then a new round begins at a
+    // random motion.
     Searched search(const std::vector<double>& begin) {
         Attempted now = attempted(begin, FIRST, std::numeric_limits<double>::infinity());
         Attempted near = now;
@@ -176,9 +181,10 @@ private:
         return all;
     }
 
-    // Runs a descent from a start on equal steps. If the result is good enough, it is evaluated
-    // with corrected dips, and the descent continues with corrected dips if necessary. `least` is
-    // the minimum cost of all previous starts.
+    // Runs a Levenberg-Marquardt search from one start. Unless the start is the previous solution,
+    // the search uses the quadrature USUAL. If its result is within the tolerance or better than
+    // `least`, the quadrature ADAPTIVE evaluates the result again. If necessary, the search then
+    // continues with ADAPTIVE. `least` is the minimum cost of all previous starts.
     Attempted attempted(const std::vector<double>& start, int number, double least) {
         const double tolerance = request.tolerance;
         const bool known = number == FIRST && is_warm;
@@ -206,7 +212,8 @@ private:
         return theta;
     }
 
-    // Returns a fresh start after its continuation towards the request.
+    // Returns the start of a new round: a random motion, adapted by a continuation with increasing
+    // fractions of the requested forces.
     std::vector<double> led(int number) {
         std::vector<double> theta = fresh(number), part = requested;
         const double left = LEG_ERROR * std::sqrt(squared(requested) / (2 * parts));
@@ -217,11 +224,11 @@ private:
         return theta;
     }
 
-    // Compares the next random motions of the pool and their opposites. Returns the motion with
-    // the smallest force error.
+    // Compares some random motions of the pool and their opposites, which are the motions times -1.
+    // Returns the motion with the smallest force error.
     std::vector<double> fresh(int number) {
         const int count = pool.size(0), most = motions.candidates;
-        // Every fresh start uses other motions of the pool.
+        // Every round compares other motions of the pool.
         const int first = number / (HOPS + 1) * most % count;
         double least = 1e300, sign = 1;
         int index = first;
@@ -231,8 +238,9 @@ private:
             if (moving) to_full_amplitude(theta);
             const double cost = force_error(FEW, requested, theta, error, nullptr);
             if (cost < least) least = cost, index = i, sign = 1;
-            // The motion produces the force g = f - error, and the opposite motion produces -g. So
-            // the squared error of the opposite motion is |f + g|^2 = |f - g|^2 + 4 f.g
+            // f is the requested force. The motion exerts the force g = f - error, and the opposite
+            // motion exerts -g. Therefore the squared error of the opposite motion is |f + g|^2 =
+            // |f - g|^2 + 4 f.g
             double opposite = cost;
             for (int r = 0; r < 2 * parts; r++)
                 opposite += 4 * requested[r] * (requested[r] - error[r]);
@@ -243,12 +251,14 @@ private:
         return theta;
     }
 
-    // Adjusts a motion until its forces match `force` (2 M,). `grid` is the quadrature.
+    // Adjusts a motion until its average forces match `force` (2 M,). `grid` selects the
+    // quadrature.
     Fit descend(int grid, const std::vector<double>& force, std::vector<double> theta,
                 const Damping& damping, double tolerance, int iterations) {
         const auto evaluate = [&](std::vector<double>& trial, std::vector<double>& error) {
             if (moving) to_full_amplitude(trial);
-            // The derivatives are computed too, because they add little cost.
+            // The same call computes the derivatives for `slopes`, because they add little
+            // computing time.
             force_error(grid, force, trial, error, &now);
         };
         const auto slopes = [&](Matrix& jacobian) { std::swap(jacobian, now); };
@@ -256,13 +266,14 @@ private:
                                            iterations);
     }
 
-    // Sets the coefficients (h, 3) from parameters (3 h,).
+    // Converts parameters (3 h,) to the coefficients (h, 3) of the basis motions.
     void set_coefficients(const std::vector<double>& theta) {
         std::copy(theta.begin(), theta.end(), own[0]);
         for (int h = 0; h < size; h++) own[h][2] /= motions.limits.arm_m;
     }
 
-    // Scales the parameters so that the sampled motion exactly reaches the most restrictive limit.
+    // Scales the parameters so that the sampled motion exactly reaches the most restrictive limit
+    // of the rig.
     void to_full_amplitude(std::vector<double>& theta) {
         set_coefficients(theta);
         const double used = use_of(motions.steps, weights(EQUAL_WEIGHT), true);
@@ -276,8 +287,9 @@ private:
                          weight, motions.limits, linear);
     }
 
-    // Computes the request minus the average force (2 M,), and d force / d theta (2 M, 3 h) unless
-    // `jacobian` is null. Returns the squared error.
+    // Computes the force error (2 M,), which is the requested force minus the average force. If
+    // `jacobian` is not null, it receives d force / d theta (2 M, 3 h). Returns the sum of the
+    // squared errors.
     double force_error(int grid, const std::vector<double>& force,
                        const std::vector<double>& theta, std::vector<double>& error,
                        Matrix* jacobian) {
@@ -331,8 +343,8 @@ private:
         Found found{.theta = fit.parameters, .iterations = iterations, .tries = tries};
         to_full_amplitude(found.theta);
         set_coefficients(found.theta);
-        // Four rounds suffice, because the utilisation is nearly linear in the factor. Only the
-        // effect of the rotation is quadratic.
+        // Four rounds suffice, because the utilisation of the limits is nearly proportional to the
+        // factor. Only the rotation of the plate has a quadratic effect.
         for (int round = 0; round < 4; round++) {
             const double used = MARGIN * use_of(motions.hull, weights(HULL_WEIGHT), false);
             if (used <= CERTAIN) break;

@@ -1,4 +1,5 @@
-// Order of rotations: kernels of tour.py.
+// C++ kernels of tour.py, which orders the rotations of a sequence so that the velocity changes
+// between them are small.
 #pragma once
 #include <algorithm>
 #include <cmath>
@@ -9,10 +10,11 @@
 
 namespace plate::rotations {
 
-// Maximum number of rounds of the 2-opt method; four are usually sufficient.
+// Maximum number of rounds of the 2-opt method. Usually four rounds are sufficient.
 constexpr int MAX_ROUNDS = 20;
 
-// Change of the velocity of the fastest corner (J, J) [m/s] between each pair of twists (J, 3).
+// Returns the velocity change (J, J) [m/s] between each pair of twists (J, 3), at the corner of the
+// plate where this change is largest. `half` contains the half side lengths of the plate [m].
 inline Matrix changes(View<const double, 2> twists, const double* half) {
     const int count = twists.size(0);
     Matrix change(count, count);
@@ -30,8 +32,10 @@ inline Matrix changes(View<const double, 2> twists, const double* half) {
     return change;
 }
 
-// Returns a short closed tour that begins and ends at 0. The initial tour goes to the nearest
-// neighbour each time. Then the 2-opt method reverses sections while this shortens the tour.
+// Returns a short closed tour through all indices. The tour begins and ends at index 0.
+// change[i][j] is the distance between the indices i and j. The initial tour always continues with
+// the nearest unvisited index. Then the 2-opt method reverses sections of the tour as long as this
+// makes the tour shorter.
 inline std::vector<int> short_tour(const Matrix& change) {
     const int count = change.rows;
     std::vector<int> tour(count + 1);

@@ -1,4 +1,5 @@
-// Proof that no motion of N harmonics meets a request: kernels of unreachable.py.
+// C++ kernels of unreachable.py, which proves that no plate motion of N harmonics can exert the
+// requested forces. That file defines the symbols T, g, s, n and lambda.
 #pragma once
 #include <algorithm>
 #include <array>
@@ -15,18 +16,20 @@ namespace plate::unreachable {
 
 constexpr double PI = std::numbers::pi;
 
-// Number of points on each great circle.
+// Number of sample points on each great circle. The great circles are on the unit sphere of the
+// plate's twists.
 constexpr int POINTS = 48;
 
-// Maximum number of subdivisions of a cell in a proof. A cell is a set of great circles.
+// A proof divides the set of all great circles into cells. HALVINGS is the maximum number of
+// successive subdivisions of a cell.
 constexpr int HALVINGS = 4;
 
-// Maximum number of pairs of points in a proof. A proof that needs more pairs is abandoned. The
-// maximum takes some hundredths of a second.
+// Maximum number of pairs of points that a proof evaluates. A proof that needs more pairs is
+// abandoned. The evaluation of this number of pairs takes some hundredths of a second.
 constexpr double MAX_WORK = 2e8;
 
-// Number of neighbouring points on a great circle whose triples `greatest_triple` processes
-// together. Each of these points is the middle point of its triples.
+// Number of neighbouring middle points that `greatest_triple` processes together, with vector
+// instructions.
 constexpr int SIDE_BY_SIDE = 8;
 
 constexpr double NOTHING = -std::numeric_limits<double>::infinity();
@@ -57,8 +60,8 @@ struct Circle {
     }
 };
 
-// Computes the great circle (POINTS, 3) in the middle of each cell (Q, 4). The result is (Q,
-// POINTS, 3).
+// Computes sample points on the great circle in the middle of each cell (Q, 4). `points` has the
+// shape (Q, POINTS, 3).
 inline void circles(View<const double, 2> cells, View<double, 3> points) {
     Circle circle(POINTS);
     for (int q = 0; q < cells.size(0); q++) {
@@ -70,7 +73,8 @@ inline void circles(View<const double, 2> cells, View<double, 3> points) {
     }
 }
 
-// Computes the unit slip vectors (T, 2 M) of M parts for twists (T, 3) in units of (1, 1, 1/arm_m).
+// Computes the unit vectors (T, 2 M) of the slip at M parts, for T twists. The rotation rate in
+// `twists` (T, 3) is multiplied by `arm_m`, so that all components have the same unit.
 inline void unit_slips(View<const double, 2> twists, View<const double, 2> position, double arm_m,
                     View<double, 2> slips) {
     for (int t = 0; t < twists.size(0); t++) {
@@ -85,8 +89,8 @@ inline void unit_slips(View<const double, 2> twists, View<const double, 2> posit
     }
 }
 
-// Computes an upper bound of lambda . n for each point of a circle. The bound holds for all twists
-// within `radius` [rad] of the point.
+// Computes an upper bound of lambda . n(s) for each point s of a great circle. The bound is valid
+// for all twists within the angle `radius` [rad] of the point. `separating` contains lambda.
 PLATE_WIDE inline void upper(const Circle& circle, View<const double, 2> position, double arm_m,
                              const double* separating, double radius, double* __restrict most) {
     const int count = circle.count();
@@ -103,8 +107,9 @@ PLATE_WIDE inline void upper(const Circle& circle, View<const double, 2> positio
         for (int c = 0; c < count; c++) {
             const double spin = z[c] / arm_m, wx = x[c] - spin * py, wy = y[c] + spin * px;
             const double square = wx * wx + wy * wy;
-            // The bound uses the angle between the slip and lambda, minus the maximum rotation of
-            // the slip within the radius.
+            // Within the radius, the slip at the part can rotate by a certain maximum angle. The
+            // bound is the contribution of the part if its slip is rotated towards lambda by this
+            // angle.
             const double along = lx * wx + ly * wy, across = std::abs(lx * wy - ly * wx);
             const double free = std::sqrt(square - reach * reach);
             const bool all = (square <= reach * reach) |
@@ -114,16 +119,18 @@ PLATE_WIDE inline void upper(const Circle& circle, View<const double, 2> positio
     }
 }
 
-// Returns T (see unreachable.py) for values (C,) at points around a great circle. C is a multiple
-// of SIDE_BY_SIDE.
+// Returns the maximum of g(s_1) + g(s_2) - g(m) over the points of a great circle, where m is
+// between s_1 and s_2. `values` (C,) contains g at equally spaced points. C must be a multiple of
+// SIDE_BY_SIDE.
 //
-// In T, the value of the middle point has a negative sign. The function uses the value of the
-// opposite point instead, so that upper bounds of the values give an upper bound of T. The angle
-// between the two outer points may be up to half a turn plus one step. Therefore the result is also
-// valid for points between the given points.
+// g is an odd function, so -g(m) is the value at the opposite point -m. The function adds this
+// value instead of subtracting g(m). Therefore upper bounds of the values give an upper bound of
+// the maximum. The angle between s_1 and s_2 may be up to half a turn plus one step. Therefore the
+// result is also valid for points between the given points.
 PLATE_WIDE inline double greatest_triple(const double* values, int points) {
     const int half = points / 2, reach = half + 1;
-    // Values on the circle. The first and last `reach` values are repeated beyond the ends.
+    // The values on the circle, extended by `reach` values at each end, because the circle is
+    // closed.
     std::vector<double> round(points + 2 * reach);
     for (int i = 0; i < static_cast<int>(round.size()); i++)
         round[i] = values[(i + points - reach) % points];
@@ -156,14 +163,15 @@ PLATE_WIDE inline double greatest_triple(const double* values, int points) {
     return triple;
 }
 
-// Maximum of T over the great circles. `places` contains the index of the circle and the indices of
-// its three points.
+// The largest result of `greatest_triple` for several great circles. `places` contains the index of
+// the circle and the indices of its three points.
 struct Best {
     double triple;
     std::array<int, 4> places;
 };
 
-// Indices of the three points on a circle that attain `greatest_triple`.
+// Returns the indices of the three points on a great circle that belong to the result of
+// `greatest_triple`.
 inline std::array<int, 3> places_of(const double* values, int points) {
     const int half = points / 2, reach = half + 1;
     std::vector<double> running(reach + 1);
@@ -187,7 +195,8 @@ inline std::array<int, 3> places_of(const double* values, int points) {
     return places;
 }
 
-// Maximum of T for values (Q, C), and the points that attain it.
+// Returns the largest result of `greatest_triple` for Q great circles with values (Q, C), and the
+// indices of its points.
 inline Best best_triple(View<const double, 2> value) {
     const int points = value.size(1);
     Best found{NOTHING, {}};
@@ -202,9 +211,9 @@ inline Best best_triple(View<const double, 2> value) {
     return found;
 }
 
-// Returns whether T is proven to be below a limit on all great circles. A cell (Q, 4) is a range of
-// normals: tilt from, tilt to, rotation from, rotation to. Cells are subdivided until the upper
-// bound is below the limit.
+// Returns whether T is proven to be below `limit` on all great circles. Each row of `cells` (Q, 4)
+// is a range of normals of great circles: minimum tilt, maximum tilt, minimum rotation, maximum
+// rotation [rad]. A cell is subdivided until its upper bound of T is below the limit.
 inline bool proves(View<const double, 2> cells, View<const double, 2> position, double arm_m,
                    const double* separating, double limit) {
     struct Cell {
@@ -225,9 +234,9 @@ inline bool proves(View<const double, 2> cells, View<const double, 2> position, 
             const double tilt = (low + high) / 2, turn = (left + right) / 2;
             work += static_cast<double>(n) * n;
             circle.turn_to(tilt, turn);
-            // `radius` is an upper bound of the angle between the normal of any great circle in the
-            // cell and the normal of the middle circle, plus half the spacing of the points on the
-            // circle.
+            // `radius` is a sum of two angles. The first is an upper bound of the angle between the
+            // middle circle's normal and the normal of any circle in the cell. The second is half
+            // the spacing of the points on the circle.
             const double widest = high < PI / 2 ? std::max(std::sin(low), std::sin(high)) : 1.0;
             const double radius = length_of(high - low, widest * (right - left)) / 2 + PI / n;
             upper(circle, position, arm_m, separating, radius, most.data());

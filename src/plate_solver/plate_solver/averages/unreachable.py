@@ -83,8 +83,8 @@ def is_out_of_reach(position: np.ndarray, force: np.ndarray, number: int, arm_m:
             return _proves(cells, position, arm_m, separating, separating @ requested / most)
         force = most * sum(vectors[three[0], k] for k in three[1:])
         found += [force, -force]
-        # Find the mean of `found` that is nearest to the request. The zero column allows fractions
-        # with a sum below 1.
+        # Compute the weighted mean of the vectors in `found` that is nearest to the request. The
+        # additional zero vector permits weights with a sum below 1.
         columns = np.column_stack([*found, np.zeros(len(requested))])
         fractions, _ = nnls(
             np.vstack([columns, np.full(columns.shape[1], PENALTY)]), np.append(requested, PENALTY)

@@ -1,7 +1,8 @@
-// The cycle map in blocks of LANES parts, and its adjoint: kernels of blocks.py.
+// C++ kernels of blocks.py, which computes the motion of the parts during one cycle (cycle map) and
+// its adjoint. The parts are processed in blocks of LANES parts.
 //
 // Single precision doubles the number of parts per vector instruction. The rounding error of a
-// position is below 1e-7 m. The result of a search is evaluated again in double precision.
+// position is below 1e-7 m. After a search, its result is evaluated again in double precision.
 #pragma once
 #include <algorithm>
 #include <cmath>
@@ -17,20 +18,23 @@ constexpr int STATE = 5 * LANES, TRACE = 5 * LANES;
 
 namespace blocks {
 
-// Rows of a state: position [m], velocity [m/s], mu g dt [m/s].
+// Offsets in the state of a block: position [m], velocity [m/s], and mu g dt [m/s]. The last value
+// is the maximum velocity change that friction causes in a time step.
 constexpr int X = 0, Y = LANES, VX = 2 * LANES, VY = 3 * LANES, BOUND = 4 * LANES;
 
-// Rows of the data stored per step: derivative of the velocity change with respect to the slip
-// velocity, and vector from the plate's centre to the part [m].
+// Offsets in the data that `trace` stores for each time step and block. The data are the derivative
+// of the velocity change with respect to the slip velocity, and the vector from the plate's centre
+// to the part [m].
 constexpr int XX = 0, XY = LANES, YY = 2 * LANES, ARM_X = 3 * LANES, ARM_Y = 4 * LANES;
 
-// Value that is added to the squared slip velocity [m2/s2]. It prevents 0/0 if the slip is zero.
+// Value that is added to the squared slip velocity [m2/s2], to prevent 0/0 if the slip is zero.
 constexpr float TINY = 1e-30f;
 
 }  // namespace blocks
 
-// Integrates parts (b, STATE) over samples (n, 3) of the plate's motion. The data for `adjoint` is
-// written to `steps` (n, b, TRACE).
+// Integrates the motion of the parts over n time steps. `state` (b, STATE) contains b blocks of
+// parts. `pose` and `twist` (n, 3) are the plate's pose and twist in each step. The data for
+// `adjoint` are written to `steps` (n, b, TRACE).
 PLATE_WIDE inline void trace(View<float, 2> state, SamplesOf<float> pose, SamplesOf<float> twist,
                              float dt, View<float, 3> steps) {
     using namespace blocks;
@@ -63,9 +67,9 @@ PLATE_WIDE inline void trace(View<float, 2> state, SamplesOf<float> pose, Sample
 }
 
 // Computes the derivatives (bins, b, 2, 3 LANES) of the final positions with respect to the plate's
-// twist. The positions are extrapolated with the final velocity by `coast` [s]. The pose is the
-// integral of the twist. Each derivative is the sum over the steps of a bin. All bins have the same
-// number of steps.
+// twist. The positions are extrapolated with the final velocity by `coast` [s]. The derivatives
+// include the change of the pose, because the pose is the integral of the twist. The steps are
+// divided into bins of equal size. Each derivative is the sum over the steps of a bin.
 PLATE_WIDE inline void adjoint(View<const float, 3> steps, SamplesOf<float> twist, float dt,
                                float coast, View<float, 4> by_twist) {
     using namespace blocks;
@@ -85,10 +89,11 @@ PLATE_WIDE inline void adjoint(View<const float, 3> steps, SamplesOf<float> twis
                     const Eight cx = vx + dt * x, cy = vy + dt * y;
                     const Eight gx = xx * cx + xy * cy, gy = xy * cx + yy * cy;
                     vx = cx - gx, vy = cy - gy;
-                    // If the plate is shifted in x from this step on, the effect is the same as an
-                    // opposite shift of the part. `x` minus `end_x` is the derivative with respect
-                    // to this shift. Half of this step's contribution belongs to the time after its
-                    // middle.
+                    // The twist of this step also shifts the plate in all later steps. For the
+                    // motion relative to the plate, this has the same effect as the opposite shift
+                    // of the part. Therefore `end_x` minus `x` is the derivative with respect to a
+                    // plate shift in x. Half of this step's own contribution, `more_x`, belongs to
+                    // the time after the middle of the step.
                     const Eight more_x = w * gy, more_y = w * gx;
                     on_u += gx + dt * (end_x - x - 0.5f * more_x);
                     on_v += gy + dt * (end_y - y + 0.5f * more_y);

@@ -1,4 +1,4 @@
-// Python bindings of the cycle map's kernels.
+// Python bindings of blocks.hpp, stick_slip.hpp and turning.hpp.
 #include "cycle_map/blocks.hpp"
 #include "cycle_map/stick_slip.hpp"
 #include "cycle_map/turning.hpp"
@@ -20,7 +20,8 @@ static auto row_of(const Matrix& parts, int at, size_t count) {
     return to_numpy<1>({parts[at], parts[at] + count}, {count});
 }
 
-// Samples (n, 3) of the plate's motion, and the length of each step (n,) [s].
+// Checks the shapes of the samples (n, 3) of the plate's motion. `dt` (n,) contains the length of
+// each time step [s].
 static void check_motion(const Table& pose, const Table& twist, const Numbers& dt) {
     check("twist", twist, {dt.size(), 3});
     check("pose", pose, {dt.size(), 3});
@@ -38,8 +39,8 @@ static void check_spins(const Table& position, const Numbers& spin, const Table&
     check("spread", spread, {position.shape(0), 3});
 }
 
-// Derivatives of `each` results with respect to pose (2, n, each), twist (3, n, each) and dt (n,
-// each).
+// Returns the derivatives of `each` results with respect to pose, twist and step length dt. Their
+// shapes are (2, n, each), (3, n, each) and (n, each).
 template <class Find>
 static nb::tuple gradient_of(size_t n, size_t each, Find find) {
     std::vector<double> by_pose(2 * n * each), by_twist(3 * n * each), by_dt(n * each);
@@ -122,8 +123,8 @@ static void bind_turning(nb::module_& m) {
     });
 }
 
-// Binds `trace` and `adjoint`, or their versions for parts that rotate. The latter have one more
-// axis, a larger state and more data per step.
+// Binds `trace` and `adjoint`, or `trace_turning` and `adjoint_turning`. The functions for rotating
+// parts have one more axis, a larger state and more data per time step.
 template <auto TRACE_PARTS, auto ADJOINT>
 static void bind_blocks(nb::module_& m, const char* trace_name, const char* adjoint_name,
                         size_t axes, size_t state_size, size_t trace_size) {

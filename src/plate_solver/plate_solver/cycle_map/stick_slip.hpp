@@ -1,4 +1,5 @@
-// The cycle map and its derivatives with respect to the plate's motion: kernels of stick_slip.py.
+// C++ kernels of stick_slip.py, which computes the motion of the parts during one cycle (cycle map)
+// and its derivatives with respect to the plate's motion.
 #pragma once
 #include <algorithm>
 #include <cmath>
@@ -11,10 +12,10 @@ namespace plate {
 
 namespace stick_slip {
 
-// Rows of parts: position [m], velocity [m/s], mu g [m/s2].
+// Rows of the matrix of parts: position [m], velocity [m/s], and friction acceleration mu g [m/s2].
 constexpr int X = 0, Y = 1, VX = 2, VY = 3, ACCEL = 4, ROWS = 5;
 
-// Rows of the data stored per step:
+// Rows of the data that `end_state_gradient` stores for each time step:
 // - vector from the plate's centre to the part
 // - derivative of the velocity change with respect to the slip velocity
 // - friction acceleration during slip
@@ -22,13 +23,13 @@ constexpr int X = 0, Y = 1, VX = 2, VY = 3, ACCEL = 4, ROWS = 5;
 constexpr int ARM_X = 0, ARM_Y = 1, XX = 2, XY = 3, YY = 4, FX = 5, FY = 6;
 constexpr int AFTER_X = 7, AFTER_Y = 8, PAST = 9;
 
-// Small value that is added to a denominator. It prevents 0/0 if the slip is zero.
+// Value that is added to the magnitude of the slip velocity in a denominator, to prevent 0/0.
 constexpr double TINY = 1e-300;
 
 }  // namespace stick_slip
 
-// Writes the parts to the columns of a matrix, in its first five rows. The number of columns is
-// rounded up to a multiple of four; the additional columns are zero.
+// Writes the parts to a matrix with one part per column. The first five rows are filled. The number
+// of columns is rounded up to a multiple of four. The additional columns are zero.
 inline void put_side_by_side(View<const double, 2> position, View<const double, 2> velocity,
                              View<const double, 1> friction_accel, int rows, Matrix& parts) {
     using namespace stick_slip;
@@ -42,8 +43,8 @@ inline void put_side_by_side(View<const double, 2> position, View<const double, 
     }
 }
 
-// Integrates parts over samples (n, 3) of the plate's motion with steps dt (n,) [s]. Each part is
-// one column.
+// Integrates the motion of the parts over n time steps of length dt (n,) [s]. `pose` and `twist`
+// (n, 3) are the plate's pose and twist in each step. Each column of `parts` is one part.
 PLATE_WIDE inline void end_state(Matrix& parts, Samples pose, Samples twist, const double* dt) {
     using namespace stick_slip;
     const int wide = parts.columns;
@@ -107,8 +108,9 @@ PLATE_WIDE inline void end_state_gradient(Matrix& parts, int count, Samples pose
         }
     }
     for (int axis = 0; axis < 2; axis++) {
-        // Adjoints of position (a) and velocity (b) at the end of step k. They overwrite the rows
-        // X, Y, VX and VY of `parts`.
+        // Adjoints at the end of step k: derivatives of the extrapolated final position with
+        // respect to position (a) and velocity (b). They overwrite the rows X, Y, VX and VY of
+        // `parts`.
         double *__restrict ax = px, *__restrict ay = py, *__restrict bx = vx, *__restrict by = vy;
         std::fill_n(ax, wide, 1.0 - axis), std::fill_n(ay, wide, 1.0 * axis);
         std::fill_n(bx, wide, coast * ax[0]), std::fill_n(by, wide, coast * ay[0]);

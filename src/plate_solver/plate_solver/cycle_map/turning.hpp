@@ -1,4 +1,5 @@
-// The cycle map of parts that rotate, per part and in blocks: kernels of turning.py.
+// C++ kernels of turning.py, which computes the motion of rotating parts during one cycle (cycle
+// map). Some kernels process single parts, others process blocks of LANES parts.
 #pragma once
 #include <algorithm>
 #include <cmath>
@@ -15,7 +16,8 @@ constexpr int TURNING_STATE = 10 * LANES, TURNING_TRACE = 11 * LANES;
 
 namespace turning {
 
-// Rows of a state: the rows of `blocks`, then rotation [rad], spin [rad/s] and second moments [m2].
+// Offsets in the state of a block: the offsets in namespace `blocks`, then rotation [rad], spin
+// [rad/s] and second moments of the contact [m2].
 using blocks::X, blocks::Y, blocks::VX, blocks::VY, blocks::BOUND;
 constexpr int TURN = 5 * LANES, SPIN = 6 * LANES;
 constexpr int SXX = 7 * LANES, SXY = 8 * LANES, SYY = 9 * LANES;
@@ -26,17 +28,18 @@ constexpr int SXX = 7 * LANES, SXY = 8 * LANES, SYY = 9 * LANES;
 // - vector from the plate's centre to the part [m]
 constexpr int ARM_X = 9 * LANES, ARM_Y = 10 * LANES;
 
-// Minimum squared slip velocity [m2/s2]. For a slower slip, the second moment J in the sliding
-// direction tends to its mean over all directions, because the direction of a very slow slip is
-// uncertain.
+// J is the second moment of the contact in the sliding direction. If the squared slip velocity
+// [m2/s2] is much smaller than SLOW2, J tends to its mean over all directions. The reason is that
+// the direction of a very slow slip is uncertain.
 constexpr double SLOW2 = 1e-4;
 
-// Small value that is added to a denominator. It prevents 0/0 if the slip is zero.
+// Value that is added to the slip velocity, or to its square, in a denominator. It prevents 0/0.
 constexpr double TINY = 1e-30;
 
 }  // namespace turning
 
-// Same as `trace` for parts that rotate, in blocks (b, TURNING_STATE), (n, b, TURNING_TRACE).
+// Variant of `trace` for parts that rotate. `state` has the shape (b, TURNING_STATE), and `steps`
+// has the shape (n, b, TURNING_TRACE).
 PLATE_WIDE inline void trace_turning(View<float, 2> state, SamplesOf<float> pose,
                                      SamplesOf<float> twist, float dt, View<float, 3> steps) {
     using namespace turning;
@@ -83,7 +86,8 @@ PLATE_WIDE inline void trace_turning(View<float, 2> state, SamplesOf<float> pose
     }
 }
 
-// Same as `adjoint` for positions and rotations: (bins, b, 3, 3 LANES).
+// Variant of `adjoint` for positions and rotations. `by_twist` has the shape (bins, b, 3, 3
+// LANES).
 PLATE_WIDE inline void adjoint_turning(View<const float, 3> steps, SamplesOf<float> twist, float dt,
                                        float coast, View<float, 4> by_twist) {
     using namespace turning;
@@ -121,8 +125,8 @@ PLATE_WIDE inline void adjoint_turning(View<const float, 3> steps, SamplesOf<flo
 
 namespace end_turning_rows {
 
-// Rows of the parts that follow the rows of `stick_slip`: rotation [rad], spin [rad/s], second
-// moments [m2].
+// Rows of the matrix of parts: the rows in namespace `stick_slip`, then rotation [rad], spin
+// [rad/s] and second moments of the contact [m2].
 using stick_slip::X, stick_slip::Y, stick_slip::VX, stick_slip::VY, stick_slip::ACCEL;
 constexpr int TURN = 5, SPIN = 6, SXX = 7, SXY = 8, SYY = 9, ROWS = 10;
 
@@ -135,7 +139,8 @@ constexpr int ARM_X = 9, ARM_Y = 10, BY_DT = 11, AFTER = 14, PAST = 17;
 
 }  // namespace end_turning_rows
 
-// Same as `put_side_by_side`, with additional spin (M,) and second moments xx, xy, yy (M, 3).
+// Same as `put_side_by_side`, but also writes the spin (M,) and the second moments xx, xy, yy (M,
+// 3) of the parts.
 inline void put_turning_side_by_side(View<const double, 2> position, View<const double, 2> velocity,
                                      View<const double, 1> spin, View<const double, 2> spread,
                                      View<const double, 1> friction_accel, Matrix& parts) {
@@ -148,7 +153,7 @@ inline void put_turning_side_by_side(View<const double, 2> position, View<const 
     }
 }
 
-// Integrates parts that rotate, as `end_state` does. Each part is one column.
+// Variant of `end_state` for parts that rotate. Each column of `parts` is one part.
 PLATE_WIDE inline void end_turning(Matrix& parts, Samples pose, Samples twist, const double* dt) {
     using namespace end_turning_rows;
     using turning::SLOW2, turning::TINY;
@@ -179,7 +184,8 @@ PLATE_WIDE inline void end_turning(Matrix& parts, Samples pose, Samples twist, c
     }
 }
 
-// Same as `end_state_gradient` for positions and rotations: (2, n, 3 M), (3, n, 3 M), (n, 3 M).
+// Variant of `end_state_gradient` for positions and rotations. The shapes are `by_pose` (2, n, 3
+// M), `by_twist` (3, n, 3 M) and `by_dt` (n, 3 M).
 PLATE_WIDE inline void end_turning_gradient(Matrix& parts, int count, Samples pose, Samples twist,
                                             const double* dt, double coast, Matrix& past,
                                             View<double, 3> by_pose, View<double, 3> by_twist,
@@ -211,7 +217,7 @@ PLATE_WIDE inline void end_turning_gradient(Matrix& parts, int count, Samples po
             const double inverse = 1 / (std::max(q, bound) + TINY);
             const double g = bound * inverse;
             const double down = slips ? g * inverse * inverse : 0.0;  // minus d gain / d (q^2/2)
-            // Derivative with respect to q^2/2.
+            // (bx, by) is the derivative of q^2/2 with respect to the slip velocity (dx, dy).
             const double bx = dx + 0.5 * dw * dw * jx, by = dy + 0.5 * dw * dw * jy;
             const double lever = j / gyration2, turns = dw / gyration2;
             at[0] = g - down * dx * bx, at[wide] = -down * dx * by;
@@ -234,8 +240,9 @@ PLATE_WIDE inline void end_turning_gradient(Matrix& parts, int count, Samples po
         }
     }
     for (int axis = 0; axis < 3; axis++) {
-        // Adjoints of position and angle (a), and of velocity and spin (b), at the end of step k.
-        // The adjoints are stored in the rows of `parts`.
+        // Adjoints at the end of step k: derivatives of the extrapolated final position or rotation
+        // with respect to position and angle (a), and velocity and spin (b). They overwrite rows of
+        // `parts`.
         double *__restrict ax = px, *__restrict ay = py, *__restrict aw = angle;
         double *__restrict bx = vx, *__restrict by = vy, *__restrict bw = w;
         std::fill_n(ax, wide, axis == 0 ? 1.0 : 0.0), std::fill_n(bx, wide, coast * ax[0]);

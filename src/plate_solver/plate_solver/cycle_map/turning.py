@@ -97,7 +97,8 @@ def turning_blocks_of(
     still = np.zeros(len(position))
     rows = np.column_stack([position, velocity, friction_accel * dt, still, spin, spread])
     state = np.zeros((-(-len(rows) // LANES) * LANES, 10), np.float32)
-    state[:, 7] = state[:, 9] = 1.0  # second moments xx and yy
+    # the default second moments xx and yy prevent a division by zero in unused places
+    state[:, 7] = state[:, 9] = 1.0
     state[: len(rows)] = rows
     blocks = state.reshape(-1, LANES, 10).transpose(0, 2, 1)
     return np.ascontiguousarray(blocks).reshape(-1, TURNING_STATE)

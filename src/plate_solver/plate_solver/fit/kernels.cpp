@@ -21,7 +21,8 @@ static Matrix matrix_of(const Table& from) {
     return matrix;
 }
 
-// Minimises the errors of Python functions: `fit` in levenberg_marquardt.py.
+// Minimises errors that Python functions compute. `fit` in levenberg_marquardt.py describes the
+// arguments.
 static nb::tuple fit(nb::callable evaluate, nb::callable admissible, Numbers start,
                      double tolerance, int iterations) {
     nb::object slopes;

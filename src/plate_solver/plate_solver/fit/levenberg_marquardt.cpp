@@ -11,9 +11,12 @@
 
 namespace plate {
 
-// Solves a symmetric system in place by Cholesky's method, root' root x = right. The upper half of
-// the matrix (count, wide) is the input. `root` overwrites it, so that loops run along rows. Rows
-// are padded to whole vectors. Entries left of the diagonal in the same vector are set to zero.
+// Solves a symmetric linear system in place by Cholesky's method. On entry, the upper half of
+// `root` (count, wide) contains the matrix, and `right` contains the right-hand side. The matrix is
+// replaced by its Cholesky root, where matrix = root' root. Its diagonal is stored as reciprocals.
+// `right` is replaced by the solution. The root is stored in the upper half so that loops run along
+// rows. Each row is padded to a multiple of the vector length. Entries left of the diagonal that
+// belong to the same vector are set to zero.
 template <class Number>
 [[gnu::always_inline]] inline void solve_of(MatrixOf<Number>& root, int count, Number* right) {
     constexpr int VECTOR = LANES_OF<Number>;
@@ -161,14 +164,15 @@ template FitOf<double> levenberg_marquardt(const Evaluate&, const Slopes<double>
 template FitOf<float> levenberg_marquardt(const Evaluate&, const Slopes<float>&,
                                           std::vector<double>, const Damping&, double, int);
 
-// A symmetric tridiagonal matrix: its diagonal (n,), and the squares of its off-diagonal entries.
-// The first square is zero.
+// A symmetric tridiagonal matrix. `middle` (n,) is its diagonal. `beside2` (n,) contains the
+// squares of the off-diagonal entries, from index 1 on. beside2[0] is zero.
 struct Tridiagonal {
     std::vector<double> middle, beside2;
 
-    // Returns the eigenvalue that is larger than `index` other eigenvalues, to a relative error of
-    // 1e-10. If it is below `least`, any number below `least` is returned. Each step narrows the
-    // interval from 0 to `high` by four shifts at a time. The number of negative pivots of a
+    // Returns an eigenvalue with a relative error of up to 1e-10. `index` is its position in
+    // ascending order, from 0. If the eigenvalue is below `least`, the result is any number up to
+    // `least`. The search begins with the interval from 0 to `high`. Each step divides the interval
+    // by four shifts and selects one of the five parts. The number of negative pivots of the
     // shifted matrix is the number of eigenvalues below the shift.
     double eigenvalue(int index, double least, double high) const {
         double low = 0;

@@ -1,4 +1,5 @@
-// Levenberg-Marquardt method for few errors and many parameters: kernels of levenberg_marquardt.py.
+// C++ kernels of levenberg_marquardt.py: the Levenberg-Marquardt method for few errors and many
+// parameters.
 #pragma once
 #include <cmath>
 #include <functional>
@@ -8,7 +9,8 @@
 
 namespace plate {
 
-// Options of the damping, in units of the mean squared row of the Jacobian.
+// Options of the damping. The unit of the damping is the mean squared length of the Jacobian's
+// rows.
 struct Damping {
     double first, least, most;  // if the damping exceeds `most`, the search stops
     double shrink, grow;        // factors after an accepted and after a rejected step
@@ -16,12 +18,13 @@ struct Damping {
     double stall_fraction;      // `stall_fraction` of the squared error, the search stops
 };
 
-// Options for expensive evaluations. The maximum damping is high, and the search never stops
-// because of slow progress.
+// Options for expensive evaluations. The maximum damping is high. The search never stops because of
+// slow progress.
 constexpr Damping DAMPING{.first = 1e-2, .least = 1e-6, .most = 1e3, .shrink = 3.0, .grow = 4.0,
                           .stall_steps = 1'000'000, .stall_fraction = 1.0};
 
-// Parameters (P,), errors (R,), their negative Jacobian (R, P), and number of steps.
+// Result of a search: parameters (P,), errors (R,), negative Jacobian of the errors (R, P), and
+// number of steps.
 template <class Number>
 struct FitOf {
     std::vector<double> parameters, error;
@@ -37,7 +40,7 @@ inline double squared(const std::vector<double>& error) {
     return total;
 }
 
-// Maximum absolute error; NaN if any error is NaN.
+// Returns the maximum absolute error, or NaN if any error is NaN.
 inline double worst(const std::vector<double>& error) {
     double most = 0;
     for (double value : error)
@@ -51,13 +54,16 @@ inline void transpose(const Matrix& matrix, Matrix& across) {
         for (int c = 0; c < matrix.columns; c++) across[c][i] = matrix[i][c];
 }
 
-// Damped steps of minimum norm, J' (J J' + damping mean(diag) 1)^-1 error. If there are fewer
-// parameters than errors, the equivalent system for the parameters is solved. The buffers are
-// reused for the next Jacobian.
+// Computes damped steps of minimum norm for a Jacobian J:
+//     step = J' (J J' + damping m I)^-1 error
+// m is the mean of the diagonal of J J', and I is the identity matrix. If there are fewer
+// parameters than errors, an equivalent smaller system with J' J is solved. An object reuses its
+// buffers for the next Jacobian.
 template <class Number>
 class LeastNormStep {
 public:
-    // Sets the Jacobian (R, P). Its memory must remain valid.
+    // Sets the Jacobian (R, P). The object refers to the memory of the Jacobian, so this memory
+    // must remain valid.
     void take(const MatrixOf<Number>& of);
 
     // Returns the step (P,) for errors (R,).
@@ -79,17 +85,17 @@ using Evaluate = std::function<void(std::vector<double>& parameters, std::vector
 template <class Number>
 using Slopes = std::function<void(MatrixOf<Number>& jacobian)>;
 
-// Searches from `start` (P,) for errors of at most `tolerance`, with at most `iterations`
-// evaluations after the evaluation at `start`. `evaluate(parameters, error)` changes the parameters
-// to values that the rig can run and computes their errors (R,). `slopes(jacobian)` computes the
-// negative derivatives (R, P) at the last evaluated parameters. The search calls `slopes` only
-// before it takes a step.
+// Searches for parameters (P,) whose errors do not exceed `tolerance`. The search evaluates
+// `start`, and then at most `iterations` other parameter vectors. `evaluate(parameters, error)`
+// first changes the parameters to values that the rig can run. Then it computes the errors (R,) of
+// these parameters. `slopes(jacobian)` computes the negative derivatives (R, P) at the last
+// evaluated parameters. The search calls `slopes` at the start and after each accepted step.
 template <class Number>
 FitOf<Number> levenberg_marquardt(const Evaluate& evaluate, const Slopes<Number>& slopes,
                                   std::vector<double> start, const Damping& damping,
                                   double tolerance, int iterations);
 
-// Returns the condition number of the Jacobian. The condition number is infinite if it exceeds 1e7.
+// Returns the condition number of the Jacobian, or infinity if the condition number exceeds 1e7.
 double condition_of(const Matrix& jacobian);
 
 }  // namespace plate

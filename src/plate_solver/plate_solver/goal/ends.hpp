@@ -1,4 +1,5 @@
-// Errors of the parts' positions and angles at the end of a cycle: kernels of ends.py.
+// C++ kernels of ends.py, which computes the errors of the parts' positions and angles at the end
+// of a cycle.
 #pragma once
 #include <algorithm>
 #include <cmath>
@@ -9,12 +10,12 @@
 
 namespace plate {
 
-// Constant of the error b + b^2 / STEEP_M of a part that is b beyond a wall [m]. At b = STEEP_M,
-// the error is 2 b. If the error were only b, several parts with long distances could push a part
-// that is already at its target over the edge.
+// A part at a distance b [m] beyond a wall has the error b + b^2 / STEEP_M. At b = STEEP_M, the
+// error is 2 b. Without the second term, the search could move a part that is at its target over
+// the edge, to reduce large errors of other parts.
 constexpr double STEEP_M = 0.01;
 
-// Requested end coordinates (C,) of M parts: see `Ends` in ends.py.
+// Requested end coordinates (C,) of M parts. `Ends` in ends.py describes the fields.
 struct Ends {
     View<const double, 1> low, high, weight, edge_low, edge_high;
     View<const int64_t, 2> pair;
@@ -22,8 +23,9 @@ struct Ends {
     int parts;
 };
 
-// Errors (R,) of end coordinates (C,) [m, rad], and their negative derivatives (R, C). The first C
-// rows belong to the coordinates, the others to pairs of parts that are too close.
+// Computes the errors (R,) of end coordinates (C,) [m, rad], and the negative derivatives (R, C) of
+// the errors. The first C rows belong to the coordinates. Each further row belongs to a pair of
+// parts that are too close to each other.
 inline void end_errors(const std::vector<double>& place, const Ends& ends,
                        std::vector<double>& error, Matrix& slope) {
     const int size = place.size(), count = ends.parts, pairs = ends.pair.size(0);

@@ -5,8 +5,8 @@
 
 namespace plate {
 
-// Owns the arrays of a named tuple `Ends` while their views are in use. The constructor checks the
-// shapes for `size` coordinates.
+// Owns the arrays of the Python tuple `Ends` while their views are in use. The constructor checks
+// the shapes. `size` is the number of coordinates.
 class EndsRecord {
 public:
     EndsRecord(const nb::tuple& record, size_t size)

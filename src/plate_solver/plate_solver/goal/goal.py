@@ -142,7 +142,7 @@ class Goal:
         low, high = middle - self.tolerance, middle + self.tolerance
         weighed = np.broadcast_to(self.weight, shape) > 0
         beyond = np.where(weighed, [-high, low], -np.inf)
-        # If a goal is beyond a wall, the wall is moved to the goal.
+        # If the goal of a part is beyond a wall, the wall of this part is moved to the goal.
         below, above = np.maximum(self.edge, beyond)
         gap = self.position[None] - self.position[:, None]
         clear = np.broadcast_to(self.clear, (len(middle), len(middle)))

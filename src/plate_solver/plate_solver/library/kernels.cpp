@@ -7,7 +7,7 @@ namespace plate {
 using namespace library;
 using nb::arg;
 
-// Returns whether all column indices of a basis are below K + 2 R.
+// Throws an error if an index in `basis` is not from 0 to `columns` - 1.
 static void check_basis(const View<const int64_t, 1>& basis, size_t columns) {
     for (int i = 0; i < basis.size(0); i++)
         if (basis(i) < 0 || basis(i) >= static_cast<int64_t>(columns))

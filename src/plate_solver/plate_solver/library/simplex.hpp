@@ -1,4 +1,5 @@
-// Fractions of time by the revised simplex method: kernels of simplex.py.
+// C++ kernels of simplex.py. That file describes the linear programme, which computes fractions of
+// time for rotations. The kernels use the revised simplex method.
 #pragma once
 #include <algorithm>
 #include <cmath>
@@ -11,7 +12,8 @@
 
 namespace plate::library {
 
-// Minimum gain per unit that a column needs to enter the basis, in units of cost.
+// A column enters the basis only if its gain per unit exceeds this value. The unit is that of the
+// costs.
 constexpr double OPTIMAL = 1e-9;
 
 // Minimum absolute value of a pivot. A basis is unusable if an entry of its inverse is 1 / PIVOT or
@@ -23,8 +25,9 @@ constexpr int REFRESH = 40;
 
 using Basis = View<int64_t, 1>;
 
-// Returns the columns (R, R) of a basis of a matrix (R, K). K + r is the slack variable for the
-// unmet amount of row r, and K + R + r is the slack variable for the exceeded amount.
+// Copies the columns of a basis to `chosen` (R, R). An index below K is a column of `matrix` (R,
+// K). K + r is the index of the slack variable for the unmet amount of row r. K + R + r is the
+// index of the slack variable for the exceeded amount of row r.
 inline void columns_of(View<const double, 2> matrix, View<const int64_t, 1> basis,
                        View<double, 2> chosen) {
     const int rows = matrix.size(0), count = matrix.size(1);
@@ -40,7 +43,8 @@ inline void columns_of(View<const double, 2> matrix, View<const int64_t, 1> basi
     }
 }
 
-// Inverts a matrix by the Gauss-Jordan method with column pivoting. Returns whether it is regular.
+// Inverts a matrix by the Gauss-Jordan method with column pivoting. Returns whether the matrix is
+// regular.
 PLATE_WIDE inline bool invert_matrix(Matrix& matrix, Matrix& inverse) {
     const int rows = matrix.rows;
     inverse.resize(rows, rows);
@@ -88,7 +92,8 @@ struct Entering {
     double sense, gain;
 };
 
-// A linear programme, and the state of the method: the amounts (R,) of the basis columns.
+// A linear programme, and the state of the simplex method. `amount` (R,) contains the amounts of
+// the basis columns in the current solution.
 struct Programme {
     View<const double, 2> matrix;          // (R, K)
     View<const double, 1> right_side, price;   // (R,), (K + 2 R,)
@@ -109,8 +114,9 @@ private:
 };
 
 // Computes the inverse and the amounts of the basis, and sets `sense`. Returns whether the basis is
-// usable. If an amount is negative, its column is reversed: a rotation changes its direction, and a
-// slack variable changes from the unmet to the exceeded amount.
+// usable. If the amount of a column is negative, the column is multiplied by -1. For a column of
+// the matrix, `sense` becomes -1, so the rotation is reversed. The slack variable of an unmet
+// amount is replaced by that of the exceeded amount, or the other way round.
 inline bool Programme::restart() {
     chosen.resize(rows(), rows());
     columns_of(matrix, {basis.data, basis.shape}, {chosen[0], {rows(), rows()}});
@@ -154,7 +160,8 @@ inline Entering Programme::best_column() {
     return {best, sense, gain};
 }
 
-// Expresses column q, in the direction `direction`, as a combination of the basis columns.
+// Computes the coefficients that express column q, times `direction`, as a combination of the basis
+// columns.
 inline void Programme::find_column(int q, double direction) {
     if (q < count()) {
         times_vector(inverse, matrix.data + q, count(), column.data());
@@ -166,8 +173,8 @@ inline void Programme::find_column(int q, double direction) {
     }
 }
 
-// Replaces column `leave` of the basis by the column that `find_column` expressed, with amount
-// `amount_in`.
+// Replaces column `leave` of the basis by the column of the last `find_column` call. The amount of
+// the new column is `amount_in`.
 inline void Programme::pivot_on(int leave, double amount_in) {
     double* __restrict own = inverse[leave];
     for (int i = 0; i < rows(); i++) {
@@ -182,8 +189,8 @@ inline void Programme::pivot_on(int leave, double amount_in) {
     amount[leave] = amount_in;
 }
 
-// Improves the basis and the directions in place. Returns the number of pivots, or -1 if the basis
-// is unusable.
+// Improves the basis and the directions `sense` in place, with at most `pivots` pivots. Returns the
+// number of pivots, or -1 if the basis is unusable.
 inline int Programme::simplex(int pivots) {
     amount.resize(rows()), dual.resize(rows()), value.resize(count()), column.resize(rows());
     bool fits = restart();
@@ -198,7 +205,8 @@ inline int Programme::simplex(int pivots) {
         for (int i = 0; i < rows(); i++)
             if (column[i] > PIVOT && amount[i] < amount_in * column[i])
                 amount_in = amount[i] / column[i], leave = i;
-        if (leave < 0) return done;  // unbounded, impossible with valid costs and prices
+        // the solution is unbounded; valid costs and prices exclude this
+        if (leave < 0) return done;
         pivot_on(leave, amount_in);
         basis(leave) = entering.column;
         sense(leave) = entering.sense;

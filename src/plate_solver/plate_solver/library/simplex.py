@@ -88,7 +88,7 @@ def least_time(
     matrix = np.ascontiguousarray(matrix, dtype=float)
     right_side = np.array(right_side, dtype=float)
     price = np.concatenate([cost, over, under]).astype(float)
-    # Multiples of the golden ratio give each row a different shift.
+    # The fractional part of a multiple of the golden ratio gives each row a different shift.
     scale = max(float(np.max(np.abs(right_side), initial=0.0)), 1e-12)
     shift = PERTURBATION * scale * (1 + (np.arange(1, rows + 1) * 0.6180339887498949) % 1)
     shifted = right_side + np.where(right_side < 0, -shift, shift)
@@ -97,7 +97,7 @@ def least_time(
     if start is not None and len(start) == rows:
         basis = np.array(start)
         used = _kernels.simplex(matrix, shifted, price, basis, sense, pivots)
-    if used < 0:  # there is no start, or its columns are dependent
+    if used < 0:  # there is no start basis, or its columns are linearly dependent
         basis = np.arange(count, count + rows)
         used = _kernels.simplex(matrix, shifted, price, basis, sense, pivots)
     chosen = _kernels.columns_of(matrix, basis)

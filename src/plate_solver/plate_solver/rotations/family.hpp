@@ -1,20 +1,21 @@
-// Sequences of rotations as a parametrised family of motions: kernels of family.py.
+// C++ kernels of family.py, which describes sequences of J rotations of the plate by parameters.
 #pragma once
 #include "limits.hpp"
 #include "rotations/sequence.hpp"
 
 namespace plate::rotations {
 
-// Minimum relative duration of a rotation. The unit is 1/J, the mean duration of J rotations.
+// Minimum duration of a rotation. The unit is the mean duration of the J rotations.
 constexpr double SHORTEST = 0.02;
 
 // Maximum speed of a rotation, in units of the usual speed (`RotationOptions.speed`).
 constexpr double FASTEST = 2.5;
 
-// Maximum fraction of the period that the ramps take.
+// Maximum fraction of the period for all ramps together. A ramp is the transition between two
+// rotations.
 constexpr double MAX_RAMPS = 0.9;
 
-// A family of sequences of J rotations: `Sequences` of family.py.
+// A family of sequences of J rotations. `Sequences` in family.py describes the fields.
 struct Sequences {
     View<const double, 3> basis;  // (J, F, 3)
     double hold_scale, period, accel;
@@ -29,14 +30,15 @@ struct Sequences {
 
 using Parameters = std::vector<double>;
 
-// Returns the relative durations (J + 1,) for parameters.
+// Returns the relative durations (J + 1,) of the J rotations and of the rest at the end of the
+// period.
 inline std::vector<double> holds_of(const Parameters& theta, const Sequences& family) {
     std::vector<double> holds(theta.begin(), theta.begin() + family.count() + 1);
     for (double& hold : holds) hold *= family.hold_scale;
     return holds;
 }
 
-// Returns the twists (J, 3) for parameters.
+// Returns the plate's twists (J, 3) during the J rotations.
 inline Matrix twists_of(const Parameters& theta, const Sequences& family) {
     Matrix twists(family.count(), 3);
     for (int j = 0; j < family.count(); j++)
@@ -52,23 +54,23 @@ inline Ramps ramps_of(const Parameters& theta, const Sequences& family) {
     return ramps(view_of(twists), family.limits.half, family.loads, family.accel);
 }
 
-// Returns the knot times and the twists at the knots: see `timeline`.
+// Returns the times of the knots and the plate's twists at the knots (see `timeline`).
 inline Line line_of(const Parameters& theta, const Sequences& family) {
     const Matrix twists = twists_of(theta, family);
     return timeline(holds_of(theta, family), view_of(twists), ramps_of(theta, family).length,
                     family.period);
 }
 
-// Admissible parameters, and the knots and samples of their motion.
+// Parameters that the rig can run, and the knots and samples of their motion.
 struct Run {
     Parameters theta;
     Line line;
     Moved moved;
 };
 
-// Corrects the parameters: raises durations to at least SHORTEST, and slows the twists down until
-// the motion is within the limits, in at most 8 attempts. Returns the corrected parameters with the
-// knots and samples of their motion.
+// Changes the parameters so that the rig can run the motion. Durations are raised to at least
+// SHORTEST. The twists are reduced until the motion is within the limits, in at most 8 attempts.
+// Returns the changed parameters with the knots and samples of their motion.
 inline Run runnable(Parameters theta, const Sequences& family) {
     const int count = family.count(), own = family.own();
     for (int j = 0; j <= count; j++) theta[j] = std::max(theta[j], SHORTEST);
@@ -101,7 +103,7 @@ inline Run runnable(Parameters theta, const Sequences& family) {
 }
 
 // Converts derivatives with respect to the knots to derivatives with respect to the parameters. Row
-// r of `jacobian` belongs to results[r].
+// r of `jacobian` contains the derivatives of the result with the index results[r].
 inline void parameters_back(const Parameters& theta, const Sequences& family, const ByKnots& by,
                             const std::vector<int>& results, Matrix& jacobian) {
     const ByRotations found = timeline_back(holds_of(theta, family), ramps_of(theta, family),

@@ -101,8 +101,10 @@ class RotationFamily:
     ) -> None:
         self._limits = limits
         self.period = period
-        self._known: tuple[np.ndarray, Line, Moved] | None = None  # result for the last parameters
-        self._lengths = np.array([1.0, 1.0, limits.arm_m])  # converts theta to a length [m]
+        # the last parameters, with the knots and samples of their motion
+        self._known: tuple[np.ndarray, Line, Moved] | None = None
+        # factors that convert x, y and theta to lengths [m]
+        self._lengths = np.array([1.0, 1.0, limits.arm_m])
         hold_steps = max(MIN_STEPS, round(period / len(twists) / HOLD_STEP))
         stroke = limits.stroke_m if within_stroke else UNLIMITED_M
         self.plain = Sequences(

@@ -1,4 +1,4 @@
-// Python bindings of the kernels of rotations.
+// Python bindings of family.hpp and sequence.hpp.
 #include <stdexcept>
 
 #include "rotations/sequences_record.hpp"

@@ -1,8 +1,11 @@
-// A sequence of rotations as one closed motion: kernels of sequence.py.
+// C++ kernels of sequence.py, which composes J rotations of the plate to a closed motion. At the
+// end of a closed motion, the plate is again at its initial pose.
 //
-// Knots of J rotations: knot 0 is the start at rest. Knots 2 j + 1 and 2 j + 2 are the start and
-// the end of rotation j (counted from 0). At knot 2 J + 1 the plate comes to rest. Knot 2 J + 2 is
-// the end of the period.
+// The knots are the times between the segments of the motion:
+// - knot 0: start of the period, at rest
+// - knots 2 j + 1 and 2 j + 2: start and end of rotation j, for j from 0 to J - 1
+// - knot 2 J + 1: time at which the plate comes to rest
+// - knot 2 J + 2: end of the period
 #pragma once
 #include <algorithm>
 #include <array>
@@ -26,14 +29,14 @@ inline double sum(const std::vector<double>& values) {
     return std::accumulate(values.begin(), values.end(), 0.0);
 }
 
-// Lengths (J + 1,) [s] of the ramps, and their derivatives (J + 1, 3) with respect to the change of
-// twist.
+// Durations (J + 1,) [s] of the ramps between the twists, and derivatives (J + 1, 3) of the
+// durations with respect to the change of twist.
 struct Ramps {
     std::vector<double> length;
     Matrix slope;
 };
 
-// Knot times (K,) [s] and twists at the knots (K, 3).
+// Times of the knots (K,) [s], and the plate's twists at the knots (K, 3).
 struct Line {
     std::vector<double> times;
     Matrix knots;
@@ -41,9 +44,10 @@ struct Line {
     int segments() const { return static_cast<int>(times.size()) - 1; }
 };
 
-// Computes the ramps between twists (J, 3), including the ramps from rest to the first twist and
-// from the last twist to rest. `half` (2,) are the half side lengths of the plate. The products of
-// the rows of `loads` (m, 3) and the acceleration are limited to `accel`.
+// Computes the durations of the ramps between twists (J, 3). The first ramp begins at rest, and the
+// last ramp ends at rest. `half` (2,) contains the half side lengths of the plate [m]. The
+// durations limit the acceleration of the plate's corners to `accel`. They also limit the products
+// of the rows of `loads` (m, 3) and the plate's acceleration to `accel`.
 inline Ramps ramps(View<const double, 2> twists, const double* half, View<const double, 2> loads,
                    double accel) {
     const int count = twists.size(0);
@@ -83,8 +87,8 @@ inline Ramps ramps(View<const double, 2> twists, const double* half, View<const 
     return found;
 }
 
-// Computes the knots for twists (J, 3). The relative durations `holds` (J + 1,) are scaled to fill
-// the part of the period that the ramps do not use.
+// Computes the knots for rotations with the twists (J, 3). The relative durations `holds` (J + 1,)
+// are scaled to fill the part of the period that the ramps do not use.
 inline Line timeline(const std::vector<double>& holds, View<const double, 2> twists,
                      const std::vector<double>& ramp, double period) {
     const int count = twists.size(0);
@@ -104,7 +108,8 @@ inline Line timeline(const std::vector<double>& holds, View<const double, 2> twi
     return line;
 }
 
-// Computes the pose (K, 3) at every knot before the motion is closed.
+// Computes the pose (K, 3) at every knot by integration of the twists. The correction that closes
+// the motion is not included.
 inline Matrix knot_poses(const Line& line) {
     Matrix pose(line.knots.rows, 3);
     for (int k = 1; k < pose.rows; k++) {
@@ -115,8 +120,9 @@ inline Matrix knot_poses(const Line& line) {
     return pose;
 }
 
-// Middle of a step as a fraction x of its segment and y of the period. `bump` is the value of the
-// closing function there; `rate` and `accel` are its time derivatives.
+// The middle of a time step. x is this time as a fraction of the segment, and y is this time as a
+// fraction of the period. The closing function rises smoothly from 0 to 1 during the period. `bump`
+// is its value at this time. `rate` and `accel` are its first and second time derivatives.
 struct Place {
     double x, y, bump, rate, accel;
 
@@ -130,15 +136,17 @@ struct Place {
     }
 };
 
-// Pose, twist and acceleration (n, 3) at the middles of the steps, the step lengths dt (n,), and
-// the gap between end and start before the motion is closed.
+// Samples of a motion: pose, twist and acceleration (n, 3) at the middles of the time steps, and
+// the step lengths dt (n,). `gap` is the final pose minus the initial pose before the correction
+// that closes the motion.
 struct Moved {
     Matrix pose, twist, accel;
     std::vector<double> dt;
     std::array<double, 3> gap;
 };
 
-// Number of steps of a motion with steps[0] steps per ramp and steps[1] per hold.
+// Returns the number of time steps of a motion. Each ramp has steps[0] steps. Each hold, in which
+// the twist is constant, has steps[1] steps.
 inline int steps_of(const Line& line, const std::array<int, 2>& steps) {
     return line.segments() / 2 * (steps[0] + steps[1]);
 }
@@ -170,9 +178,10 @@ inline Moved motion(const Line& line, const std::array<int, 2>& steps) {
     return moved;
 }
 
-// Derivatives of R results with respect to the knots of a sequence, in rows of R. Each knot has
-// derivatives with respect to its time, its twist, and its pose before the motion is closed (rows 3
-// k to 3 k + 2).
+// Derivatives of R results with respect to the knots of a sequence. Each matrix has R columns. Row
+// k of `time` contains the derivatives with respect to the time of knot k. Rows 3 k to 3 k + 2 of
+// `knot` belong to the twist at knot k. The same rows of `corner` belong to the pose at knot k
+// before the motion is closed.
 struct ByKnots {
     Matrix time, knot, corner;
 
@@ -184,8 +193,8 @@ struct ByKnots {
     int results() const { return time.columns; }
 };
 
-// Propagates the derivatives with respect to the knots' poses (`corner`) backwards through
-// `knot_poses`.
+// Applies the chain rule to `knot_poses`: adds the effect of the knots' poses (`corner`) to the
+// derivatives with respect to the times and twists of the knots.
 PLATE_WIDE inline void corners_back(const Line& line, ByKnots& by) {
     const int results = by.results();
     std::vector<double> totals(results);
@@ -212,8 +221,8 @@ PLATE_WIDE inline void corners_back(const Line& line, ByKnots& by) {
 }
 
 // Converts derivatives with respect to the samples of `motion` to derivatives with respect to the
-// knots. `by_pose` is (3, n, R), or (2, n, R) if the results do not depend on theta itself;
-// `by_twist` is (3, n, R), `by_dt` is (n, R).
+// knots. `by_pose` has the shape (3, n, R), or (2, n, R) if the results do not depend on the
+// plate's angle theta. `by_twist` has the shape (3, n, R), and `by_dt` has the shape (n, R).
 PLATE_WIDE inline ByKnots pull_back(const Line& line, const std::array<int, 2>& steps,
                                     View<const double, 3> by_pose, View<const double, 3> by_twist,
                                     View<const double, 2> by_dt) {
@@ -277,7 +286,7 @@ PLATE_WIDE inline ByKnots pull_back(const Line& line, const std::array<int, 2>& 
     return by;
 }
 
-// Returns the derivatives of the gap (3) with respect to the knots.
+// Returns the derivatives of the three components of `Moved::gap` with respect to the knots.
 inline ByKnots gap_back(const Line& line) {
     ByKnots by(line, 3);
     for (int c = 0; c < 3; c++) by.corner[3 * line.segments() + c][c] = 1;
@@ -285,20 +294,22 @@ inline ByKnots gap_back(const Line& line) {
     return by;
 }
 
-// Derivatives of R results with respect to holds (J + 1, R) and twists (3 J, R), in rows of R.
+// Derivatives of R results with respect to the relative durations, as `hold` (J + 1, R), and with
+// respect to the twists, as `twist` (3 J, R).
 struct ByRotations {
     Matrix hold, twist;
 };
 
-// Converts derivatives with respect to the knots of `timeline` to derivatives with respect to holds
-// (J + 1,) and twists (J, 3).
+// Converts derivatives with respect to the knots of `timeline` to derivatives with respect to the
+// relative durations `holds` (J + 1,) and the twists (J, 3).
 PLATE_WIDE inline ByRotations timeline_back(const std::vector<double>& holds, const Ramps& ramp,
                                             double period, const ByKnots& by) {
     const int results = by.results(), count = static_cast<int>(holds.size()) - 1;
     const double total = sum(holds), scale = (period - sum(ramp.length)) / total;
     ByRotations found{Matrix(count + 1, results), Matrix(3 * count, results)};
     Matrix by_ramp(count + 1, results), sums(2, results);
-    // Derivatives with respect to the length of a segment. The length shifts all later knots.
+    // `after` is the derivative with respect to the duration of segment k, which shifts all later
+    // knots.
     double *__restrict after = sums[0], *__restrict shared = sums[1];
     for (int k = 2 * count + 1; k >= 0; k--) {
         const double* __restrict time = by.time[k + 1];

@@ -21,7 +21,7 @@ inline std::vector<double> copied(const Numbers& array) {
     return {array.data(), array.data() + array.size()};
 }
 
-// Owns the arrays of a Python `Sequences`.
+// Owns the arrays of the Python tuple `Sequences` while their views are in use.
 class SequencesRecord {
 public:
     explicit SequencesRecord(const nb::tuple& record)
@@ -43,7 +43,7 @@ public:
 
     const Sequences& operator*() const { return family; }
 
-    // Converts an array to parameters.
+    // Converts a Python array to a vector of parameters. Throws an error if its size is wrong.
     Parameters parameters(const Numbers& theta) const {
         check("parameters", theta, {static_cast<size_t>(family.parameters())});
         return copied(theta);

@@ -144,7 +144,8 @@ class RotationCycles(MotionSolver):
         options, enough = self.options, good_enough**2 * goal.requested_count
         period = self.steering_period(len(goal.position))
         if self._warm is not None and self._warm.family.period != period:
-            self._warm = None  # another number of parts has another period
+            # the last solution has another period, because the number of parts has changed
+            self._warm = None
         warm = self._warm is not None
 
         def attempt(start: Start | Try, n: int) -> tuple[Try, float, int, bool]:
@@ -166,7 +167,8 @@ class RotationCycles(MotionSolver):
         family, found = best
         self._warm = Start(family, found.parameters)
         solution = self._finished(goal, best, good_enough, iterations)
-        if found.cost <= enough and not solution.success:  # the steps of the search were too coarse
+        # the time steps of the search were too coarse
+        if found.cost <= enough and not solution.success:
             fine = family.finer(FINER)
             found = fit_goal(goal, fine, found.parameters, tolerance, POLISH)
             iterations += found.iterations
@@ -198,8 +200,8 @@ class RotationCycles(MotionSolver):
         force = np.sign(push) * np.maximum(np.abs(push) - slack, 0.0) / unit
         curl = None
         if goal.turns is not None:
-            # A disc in a friction field with this curl has the angular acceleration mu g curl/2.
-            # From rest it rotates by mu g curl T^2/4 in the period T.
+            # In a friction field with this curl, a disc has the angular acceleration mu g curl/2.
+            # If the disc starts at rest, it rotates by mu g curl T^2/4 during the period T.
             turns = goal.turns
             curl = turns.middle * 4 / (goal.friction_accel * period**2)
             curl = np.where(turns.weight > 0, curl, np.nan)

@@ -219,7 +219,7 @@ def sinusoid_basis(
         accel = np.hstack([cos * j, -sin * j]) * omega
         inside = (t <= period)[:, None]
         matrices = [matrix @ span * inside for matrix in (pose, twist, accel)]
-        if free_end:  # the last TAIL_S of the motion are a time-reversed tail
+        if free_end:  # the last TAIL_S seconds of the motion are a tail, reversed in time
             before = (t < period)[:, None]
             sign, back = np.where(before, [1.0, -1.0, 1.0], 1.0), np.where(before, -1.0, 1.0)
             way = settling(np.abs(period - t))
@@ -238,10 +238,11 @@ def sinusoid_basis(
     checks = t[:: max(1, steps // (CHECKS_PER_HARMONIC * number))]
     if free_end:
         checks = np.append(checks, period + TAIL_S * (np.arange(TAIL_CHECKS) + 0.5) / TAIL_CHECKS)
-    # The spline is linear in the coefficients. Therefore one spline per coefficient is sufficient.
+    # The spline of a motion is a linear function of the coefficients. Therefore `spline` contains
+    # one spline per coefficient.
     spline = quintic_pieces(times, *ends).reshape(-1, ends[0].shape[1])
-    # One piece per knot interval is sufficient for two harmonics: the control points are only 0.1 %
-    # too high.
+    # For up to two harmonics, one piece per knot interval is sufficient: the control points
+    # overestimate the motion by only 0.1 %.
     pieces = 1 if number <= 2 else PIECES
     own = spline.reshape(knots, 6, -1)
     hull = np.vstack([control_points(times, own, order, pieces) for order in range(3)])

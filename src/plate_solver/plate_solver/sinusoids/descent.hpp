@@ -1,4 +1,5 @@
-// One descent of a sinusoidal motion on the cycle map: kernels of descent.py.
+// C++ kernels of descent.py: one Levenberg-Marquardt search for a sinusoidal plate motion that
+// moves the parts to requested positions.
 #pragma once
 #include <algorithm>
 #include <vector>
@@ -38,8 +39,8 @@ struct Motions {
     int bins() const { return twist_bins.rows; }
 };
 
-// Motion of the plate from its initial state to rest. The motion of the basis is added to this
-// motion.
+// Settling motion: the plate moves from its initial state to rest. The sinusoidal motion is added
+// to the settling motion.
 struct Settling {
     MatrixOf<float> pose, twist;  // (3, n) at the middles of steps
     SampledMotion checked;                // motion at the instants at which limits are checked
@@ -52,7 +53,7 @@ struct Problem {
     const Settling& settling;
     View<const float, 2> start;  // parts in blocks, (b, STATE) or (b, TURNING_STATE)
     Ends ends;
-    double coast;  // time by which the ends are extrapolated [s]
+    double coast;  // time by which the final positions are extrapolated [s]
     double most;   // largest permitted utilisation of any limit (1: exactly at the limit)
 
     int blocks() const { return start.size(0); }
@@ -113,7 +114,8 @@ public:
             error.push_back(-EXCESS_M * room.excess.value[k]);
     }
 
-    // Negative derivatives (R + K, 3 h) of the errors of the motion that was evaluated last.
+    // Computes the negative derivatives (R + K, 3 h) of R position errors and K limit violations.
+    // They belong to the motion of the last `evaluate` call.
     void slopes(MatrixOf<float>& jacobian) {
         find_slopes_of_ends();
         const int rows = room.by_place.rows, wide = 3 * motions.size();
@@ -164,8 +166,9 @@ private:
             for (int k = 0; k < path.columns; k++) path[axis][k] += more[axis][k];
     }
 
-    // Moves the parts and computes their final positions and rotations, extrapolated by `coast`: x
-    // of all parts, y of all parts, rotations of all parts.
+    // Simulates the motion of the parts during the cycle. Extrapolates their final positions and
+    // rotations by the time `coast`. The result contains x of all parts, y of all parts, and the
+    // rotations of all parts.
     void move_parts() {
         constexpr int PLACE[] = {blocks::X, blocks::Y, turning::TURN};
         constexpr int RATE[] = {blocks::VX, blocks::VY, turning::SPIN};

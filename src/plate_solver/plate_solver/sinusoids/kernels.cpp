@@ -25,8 +25,9 @@ static MatrixOf<Number> transposed(const Table& array) {
     return result;
 }
 
-// Converts the bases (n, h) at the instants at which limits are checked. The last `tail` instants
-// belong to the tail, and do not count for the heat of the motors.
+// Converts samples (n, h) of the basis motions at the instants at which limits are checked. The
+// last `tail` instants belong to the tail of the cycle. They do not count for the heat of the
+// motors.
 static SampledBasis sampled_basis_of(const Table& pose, const Table& twist, const Table& accel,
                                      int tail) {
     check("twist", twist, {pose.shape(0), pose.shape(1)});
@@ -55,8 +56,8 @@ static Motions motions_of(Table pose, Table twist, Table twist_bins, Table check
             {scale(0), scale(1), scale(2)}, dt, limits_of(limits)};
 }
 
-// Converts two sets of samples of the settling motion: (n, 3) at the middles of the steps, and (l,
-// 3) at the instants at which limits are checked.
+// Converts two sets of samples of the settling motion. The first set (n, 3) is at the middles of
+// the time steps. The second set (l, 3) is at the instants at which limits are checked.
 static descent::Settling settling_of(Table pose, Table twist, Table check_pose, Table check_twist,
                                      Table check_accel) {
     for (const Table* each : {&pose, &twist}) check("settling", *each, {pose.shape(0), 3});

@@ -1,4 +1,5 @@
-// Limit violations of a sinusoidal motion, and their gradients: kernels of limits.py.
+// C++ kernels of limits.py, which computes the limit violations of a sinusoidal motion and their
+// gradients.
 #pragma once
 #include <algorithm>
 #include <cmath>
@@ -17,8 +18,8 @@ namespace plate::sinusoids {
 // values.
 constexpr double EXCESS_M = 2e-3, AIM = 0.95;
 
-// Basis of one degree of freedom at n instants: matrices (h, n), and the transposed matrices (n,
-// h).
+// Samples of h basis motions of one degree of freedom at n instants. `pose`, `twist` and `accel`
+// have the shape (h, n). The fields that end in `_at` are the transposed matrices (n, h).
 struct SampledBasis {
     Matrix pose, twist, accel, pose_at, twist_at, accel_at;
     std::vector<double> weight;  // (n,): weight of each instant in the motors' heat
@@ -53,7 +54,7 @@ SamplesOf<Number> samples(const MatrixOf<Number>& path) {
     return {path[0], path.columns, 1, path.columns};
 }
 
-// path (3, n) is the product of the transposed coefficients (3, h) and the basis (h, n).
+// Computes `path` (3, n) as the product of the transposed coefficients (3, h) and the basis (h, n).
 template <class Number>
 void combine(const Number* coefficients, const MatrixOf<Number>& basis, MatrixOf<Number>& path) {
     path.resize(3, basis.columns);
@@ -67,13 +68,13 @@ inline void look(const double* coefficients, const SampledBasis& basis, SampledM
     combine(coefficients, basis.accel, at.accel);
 }
 
-// Maximum number of violations that `excess` and `force_excess` add.
+// Maximum number of violations that `excess` and `force_excess` can add.
 inline int max_excesses(int checks) { return checks * (2 * MOTORS + 4); }
 inline int max_force_excesses(int checks) { return (checks + 1) * MOTORS; }
 
 // Adds the violations of the motors' strokes and speeds, and of the corners' accelerations. q = (x,
 // y, theta) is the pose, l the lever of a motor, and b the acceleration of a corner. The violations
-// are the values above 0 of
+// are the positive values of
 //     |l . q| / stroke - AIM, |l . q'| / speed limit - AIM, |b| / acceleration limit - AIM.
 // `used` is a buffer.
 PLATE_WIDE inline void excess(const SampledMotion& at, const SampledBasis& basis,

@@ -125,8 +125,9 @@ class SinusoidSteering:
         self._threads = ThreadPoolExecutor(min(threads, AT_ONCE)) if threads > 1 else None
         self._clock = clock
         self.cut_short = 0
-        self._finishing = 0.0  # duration of the final corrections in the previous search [s]
-        # Twists of the last motion, by number of harmonics, period, grid and `free_end`.
+        self._finishing = 0.0  # computing time of the final corrections in the previous search [s]
+        # Twists of the last motion for each combination of number of harmonics, period, grid and
+        # `free_end`.
         self._warm: dict[tuple[int, float, Grid, bool], np.ndarray] = {}
         self._motions: dict[tuple[int, float, Grid, bool], Motions] = {}
 
@@ -232,8 +233,8 @@ class SinusoidSteering:
                 index += 1
             found = running.popleft()()
             if found is None:
-                # The deadline has passed. Setting `most` to 0 ends the search, and it counts only
-                # once.
+                # The deadline has passed. `most` = 0 ends the search. `cut_short` increases at most
+                # once per search.
                 self.cut_short += most > 0
                 most = 0
             else:
