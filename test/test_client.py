@@ -4,6 +4,8 @@ import os
 import signal
 import subprocess
 import sys
+import threading
+import time
 
 import numpy as np
 import pytest
@@ -15,6 +17,7 @@ from graph.session import session
 from light_graph import LightOptions
 
 from plate_bringup import GraphError
+from plate_client import PlateClient
 from plate_core import PlateError
 from plate_core.tasks import load_scenario
 
@@ -27,6 +30,7 @@ def test_random_goals_are_all_answered_and_the_plate_rests(tmp_path, monkeypatch
         graph.free()
         graph.observer.await_ready()
         check_the_command(graph)  # first: later the parts may be sorted already
+        check_a_program(graph, monkeypatch)
         result = storm(graph.observer, 20, np.random.default_rng(1))
         assert result["unanswered"] == 0, result
         assert result["wrong ones that began"] == 0, result
@@ -53,6 +57,21 @@ def check_the_command(graph):
     assert problem.startswith("plate: aborted")
     assert "canceled" in problem
     assert graph.observer.until(lambda: "canceled" in record.states[-1], 5)
+
+
+def check_a_program(graph, monkeypatch):
+    """The progress is current although the program never waits, and a second thread can cancel."""
+    monkeypatch.setenv("ROS_DOMAIN_ID", str(graph.observer.domain))
+    with PlateClient.connect() as plate:
+        task = plate.start(SORT_4, ready_timeout_s=10.0)
+        end = time.monotonic() + 10.0
+        while task.feedbacks < 3 and time.monotonic() < end:
+            time.sleep(0.02)
+        assert task.progress.parts_total == 4
+        second = threading.Thread(target=plate.cancel, args=(task,))
+        second.start()
+        assert "canceled" in plate.wait(task, 10.0).text
+        second.join()
 
 
 def check_a_planner_that_dies(graph, monkeypatch):

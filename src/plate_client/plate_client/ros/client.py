@@ -9,6 +9,7 @@ with PlateClient.connect() as plate:
 from __future__ import annotations
 
 import os
+import threading
 import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
@@ -50,6 +51,9 @@ AGAIN_S = 0.2
 ANSWER_S = 1.0
 """Time without a reply after which the goal is sent again [s]. DDS may lose the first reply of a
 planner that was just discovered."""
+
+SPIN_S = 0.1
+"""Maximum time for which the background thread of `PlateClient.connect` waits for a message [s]."""
 
 Callback = Callable[[Any], None]
 
@@ -175,21 +179,40 @@ class PlateClient:
     @classmethod
     @contextmanager
     def connect(cls, namespace: str = "") -> Iterator[PlateClient]:
-        """Make a client with a separate node. The node is in the domain ROS_DOMAIN_ID."""
+        """Make a client with a separate node. The node is in the domain ROS_DOMAIN_ID.
+
+        A background thread processes the node's messages, so `Task.progress` is always current. All
+        methods may be called in any thread.
+        """
         choose_network(os.environ)
         context = rclpy.Context()
         rclpy.init(args=[], context=context, signal_handler_options=SignalHandlerOptions.NO)
         node = Node(f"plate_client_{os.getpid()}", namespace=namespace, context=context)
         executor = SingleThreadedExecutor(context=context)
         executor.add_node(node)
+        closing = threading.Event()
+        problems: list[Exception] = []
+
+        def spin() -> None:
+            while not (closing.is_set() or problems):
+                try:
+                    executor.spin_once(SPIN_S)
+                except Exception as problem:
+                    problems.append(problem)
 
         def until(true: Callable[[], bool], timeout_s: float) -> bool:
-            return spin_until(executor.spin_once, true, timeout_s)
+            held = spin_until(time.sleep, lambda: bool(problems) or true(), timeout_s)
+            if problems:
+                raise problems[0]
+            return held
 
-        client = cls(node, until)
+        client, spinning = cls(node, until), threading.Thread(target=spin, daemon=True)
+        spinning.start()
         try:
             yield client
         finally:
+            closing.set()
+            spinning.join()
             client.close()
             executor.shutdown()
             node.destroy_node()
