@@ -1,10 +1,11 @@
-"""The background behind the parts. It is either a bare plate that was learned from images, or a
-model of a photograph's background.
+"""The background behind the parts. A background is either a bare plate that was learned from
+images, or a model of a photograph's background.
 
 `learn_plate` computes the median and the noise of several images. `model_background` fits a smooth
-surface in Lab to the most frequent colour of one image. Both return the colour of each pixel, and
-the deviation up to which a pixel counts as background. Colours are in the colour space Lab, which
-OpenCV scales to 8 bits (L 0 to 255, a and b about 128). An image in grey levels has one channel.
+surface in Lab to the most frequent colour of one image. Both functions return the colour of each
+pixel, and the deviation up to which a pixel counts as background. Colours are in the colour space
+Lab, which OpenCV scales to 8 bits (L 0 to 255, a and b about 128). An image in grey levels has one
+channel.
 """
 
 from __future__ import annotations
@@ -37,7 +38,8 @@ NEAR_PX = 16
 """Half the side of the window in which the noise of the bare plate is averaged [px]."""
 
 SHIFT_PX = 0.2
-"""Error with which the plate returns home [px]. It displaces the plate's texture in the image."""
+"""Error with which the plate returns home [px]. This error displaces the plate's texture in the
+image."""
 
 MAX_PIXELS = 30_000
 """Maximum number of pixels of a photograph that are evaluated for its background."""
@@ -61,7 +63,7 @@ BORDER_WEIGHT = 0.5
 
 LOCAL = 0.12
 """Standard deviation of the Gaussian filter that averages the background's colour, relative to the
-shorter side of the image [-]. It is larger than a part."""
+shorter side of the image [-]. This standard deviation is larger than a part."""
 
 LOCAL_PASSES = 3
 """Number of successive averages of the background's colour. Each average uses the pixels that agree
@@ -100,7 +102,8 @@ SPECK = 100.0
 dust."""
 
 SPECKS = 0.004
-"""Maximum fraction of the pixels that may be specks. If there are more, specks are filtered out."""
+"""Maximum fraction of the pixels that may be specks. If the fraction is larger, specks are filtered
+out."""
 
 MIN_SCORE = 0.4
 """Minimum score of a background. The score is the fraction of the image that agrees with the
@@ -124,7 +127,7 @@ class Background:
     chroma : float
         Weight of a and b relative to L in a deviation.
     cleaned : bool
-        Whether specks are filtered out of images before they are compared. This is necessary
+        Whether specks are filtered out of images before they are compared. This filter is necessary
         because photographs may show dust and dead pixels.
     learned : bool
         Whether the background was learned from images of the bare plate. If False, it is modelled.
@@ -138,7 +141,8 @@ class Background:
 
     @property
     def grey(self) -> np.ndarray:
-        """Grey levels (H, W) uint8. For colours, they are the green channel."""
+        """Grey levels (H, W) uint8. For a background in colours, the grey levels are the green
+        channel."""
         if self.lab.shape[2] == 1:
             return self.lab[:, :, 0]
         return np.asarray(cv2.cvtColor(self.lab, cv2.COLOR_LAB2BGR)[:, :, 1])
@@ -146,9 +150,9 @@ class Background:
     def light_of(
         self, image: np.ndarray, region: Region | None = None, before: Light | None = None
     ) -> Light:
-        """Return the light of an image (H, W) or (H, W, 3) uint8, relative to the background's own
-        light. The image may show parts. Only pixels within the region are used; None: the whole
-        image. `before` is the light of the previous image.
+        """Return the light of an image (H, W) or (H, W, 3) uint8, relative to the light of the
+        background. The image may show parts. Only pixels within the region are used; None: the
+        whole image. `before` is the light of the previous image.
 
         Raises
         ------
@@ -228,8 +232,8 @@ def model_background(image: np.ndarray) -> Background:
     """Return a model of the background of one image (H, W) or (H, W, 3) uint8 that contains parts.
 
     The background is the smooth surface in Lab that agrees with the largest fraction of the image
-    and of its border. It follows gradual changes across the image. Pixels that are brighter or
-    darker than it may be parts.
+    and of its border. The surface follows gradual changes across the image. Pixels that are
+    brighter or darker than the background may be parts.
 
     Raises
     ------
@@ -348,8 +352,9 @@ def _cleaned(lab: np.ndarray) -> np.ndarray:
 def steepness(
     image: np.ndarray, weights: tuple[float, float, float] = (1.0, 1.0, 1.0)
 ) -> np.ndarray:
-    """Return the gradient (H, W) of an image (H, W) or (H, W, C), computed by the Sobel filter. It
-    is the maximum over the channels, and each channel is multiplied by its weight."""
+    """Return the gradient (H, W) of an image (H, W) or (H, W, C), computed by the Sobel filter. The
+    gradient of each channel is multiplied by the weight of this channel. The result is the maximum
+    over the channels."""
     slopes = [
         weight * np.hypot(cv2.Sobel(one, cv2.CV_32F, 1, 0), cv2.Sobel(one, cv2.CV_32F, 0, 1))
         for one, weight in zip(cv2.split(image), weights, strict=False)
@@ -376,7 +381,8 @@ def _chroma_weight(labs: np.ndarray, bare: np.ndarray) -> float:
 
 
 def _size(change: np.ndarray, chroma: float) -> np.ndarray:
-    """Return the deviations (n,) of colour differences (n, C)."""
+    """Return the magnitudes (n,) of colour differences (n, C). `chroma` is the weight of a and b
+    relative to L."""
     weights = np.array([1, chroma, chroma][: change.shape[1]], np.float32)
     return np.asarray(np.sqrt(np.sum((change * weights) ** 2, axis=1)))
 
@@ -393,7 +399,7 @@ def _surface_terms(x: np.ndarray, y: np.ndarray, size_px: tuple[int, int]) -> np
 
 
 def _as_colours(lab: np.ndarray) -> np.ndarray:
-    """Return the nearest colours (..., C) uint8."""
+    """Round values (..., C) to the nearest colours uint8."""
     return np.clip(np.rint(lab), 0, 255).astype(np.uint8)
 
 

@@ -22,17 +22,17 @@ POINTS = 24
 """Number of points on the contour of a patch."""
 
 PERCENT = 25
-"""Percentile of the blur at the points of a contour that is the blur of a patch. A low percentile
-is used because shadows and motion blur only some sections of a contour."""
+"""Percentile of the blur at the points of a contour. This percentile is used as the blur of the
+patch. A low percentile is used because shadows and motion blur only some sections of a contour."""
 
 FIRST = 8
-"""Maximum number of patches whose blur is measured first. If they are sharp, no others are
-measured."""
+"""Maximum number of patches whose blur is measured first. If these patches are sharp, no other
+patches are measured."""
 
 SHARP = 0.6
 """Maximum blur of the first patches in an image that is certainly sharp, relative to the maximum
-blur [-]. The other patches are then not measured. In images with too much blur, the blur of the
-first patches is at least 0.8 times the maximum."""
+blur [-]. In such an image, the other patches are not measured. In images with too much blur, the
+blur of the first patches is at least 0.8 times the maximum."""
 
 BESIDE_PX = 9.0
 """Maximum length of a profile on each side of the contour [px]."""
@@ -50,8 +50,8 @@ points at this distance before and after it."""
 
 
 def is_blurred(image: np.ndarray, patches: Sequence[Patch]) -> bool:
-    """Whether an image (H, W) or (H, W, 3) uint8 is so blurred, measured by its patches, that types
-    may be confused."""
+    """Whether an image (H, W) or (H, W, 3) uint8 is so blurred that types may be confused. The blur
+    is measured at the patches of the image."""
     usable = [patch for patch in patches if patch.whole and not patch.group]
     if not usable:
         return False
@@ -64,8 +64,8 @@ def is_blurred(image: np.ndarray, patches: Sequence[Patch]) -> bool:
 
 
 def edge_blur_px(grey: np.ndarray, patches: Sequence[Patch], radius_px: np.ndarray) -> float:
-    """Return the blur of the contours of patches with radii (n,) [px] in an image (H, W) uint8. It
-    is a standard deviation [px].
+    """Return the blur of the contours of patches with radii (n,) [px] in an image (H, W) uint8. The
+    blur is a standard deviation [px].
 
     At each point of a contour, the blur is contrast / (sqrt(2 pi) slope). The result is the median
     over the patches of a low percentile (`PERCENT`) over the points of each contour."""

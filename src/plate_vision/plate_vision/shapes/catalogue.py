@@ -1,8 +1,8 @@
 """Part types that are prepared for the comparison with outlines, and their fit to an outline.
 
 `make_catalogue` computes edges, samples, spectra and areas of all types. `lay_on` fits a type to an
-outline. It determines candidate angles by the correlation of the spectra, and continues with
-Gauss-Newton steps.
+outline. The function determines candidate angles by the correlation of the spectra, and continues
+with Gauss-Newton steps.
 """
 
 from __future__ import annotations
@@ -23,8 +23,8 @@ GRID = 13
 
 CHIRAL = 0.02
 """Minimum RMS (root mean square) difference between the outlines of a part's two faces, relative to
-the part's reach. If the difference is smaller, the faces count as equal. The outline of the other
-face is the mirror image."""
+the part's reach (largest radius). If the difference is smaller, the faces count as equal. The
+outline of the other face is the mirror image."""
 
 HOLE_INSIDE = 0.55
 """Size of the inner area of a hole, relative to the size of the hole. The inner area does not
@@ -112,7 +112,7 @@ class Template:
 
     @cached_property
     def mirrored(self) -> Template | None:
-        """The template of the part's other face. It is None if both faces look the same."""
+        """The template of the part's other face. None if both faces look the same."""
         flip = np.array([-1.0, 1.0])
         outline = make_outline([flip * ring for ring in self.outline.rings])
         fit = lay_on(self, outline, 100 / outline.reach)
@@ -168,7 +168,7 @@ class Catalogue:
     colour : (T, 3)
         CIE L, a, b; NaN if unknown.
     form : (T, HARMONICS - 1)
-        See `Outline.form`.
+        Form of the outline of each type, as in `Outline.form`.
     height : (T,)
         Height above the plate [m]; 0 if the part is flat or the height is unknown.
     """
@@ -205,8 +205,8 @@ def lay_on(
     template: Template, outline: Outline, scale: float, hopeless: float = np.inf
 ) -> np.ndarray:
     """Fit a type to an outline, starting from each likely angle. Return the best fit (5,) in the
-    form of `fit_pose`. Its residual is the root mean square of two distances: from the outline to
-    the type, and from the type to the outline."""
+    form of `fit_pose`. The residual of the fit is the root mean square of two distances: from the
+    outline to the type, and from the type to the outline."""
     fit: np.ndarray = _kernels.lay_on(
         template.edges,
         template.samples,

@@ -7,8 +7,8 @@ the differences in size, colour and holes, each in standard deviations. If the m
 type fits better, the part is turned over and does not count as this type.
 
 A nearest-neighbour search on Hu moments, size and colour would be faster and would recognise known
-parts equally well. But it does not determine the angle, and it assigns types to unknown objects
-too.
+parts equally well. But such a search does not determine the angle, and it also assigns types to
+unknown objects.
 """
 
 from __future__ import annotations
@@ -41,26 +41,27 @@ FIT_PX = 0.35
 
 FIT_REACH = 0.025
 """RMS distance between outlines of one type that perspective, light and manufacture cause, relative
-to the part's reach."""
+to the part's reach (largest radius) [-]."""
 
 SIZE_PX = 0.6
-"""Standard deviation of the apparent size of an outline [px]. It is caused by blur, by shadows and
-by the threshold."""
+"""Standard deviation of the apparent size of an outline [px]. Blur, shadows and the threshold cause
+this deviation."""
 
 SIZE_REACH = 0.025
 """Further standard deviation of the apparent size of an outline, relative to the part's reach
-[-]."""
+(largest radius) [-]."""
 
 COLOUR_LAB = 12.0
 """Standard deviation of the colours of one type [Lab]."""
 
 LIGHTNESS = 0.5
-"""Weight of differences in lightness. It is below 1, because lightness depends on the light and on
-highlights."""
+"""Weight of differences in lightness. The weight is below 1, because lightness depends on the light
+and on highlights."""
 
 HOLES = 0.06
-"""Standard deviation of the fraction of a part's area that its outline shows as holes [-]. It is
-large because highlights may look like holes, and dark holes may look like the part."""
+"""Standard deviation of the fraction of a part's area that its outline shows as holes [-]. The
+standard deviation is large because highlights may look like holes, and dark holes may look like the
+part."""
 
 LIMIT = 3.0
 """Maximum difference between a patch and its type, in standard deviations of parts of one type. If
@@ -68,11 +69,11 @@ the difference to every type is larger, the patch is unknown."""
 
 OTHER_SIZE = 0.45
 """Maximum natural logarithm of the ratio between the sizes of a patch and its type. Unlike `LIMIT`,
-it does not depend on how much parts of the type differ."""
+this maximum does not depend on the differences between parts of the type."""
 
 OTHER_SIZE_PX = 1.0
-"""Minimum distance between the outlines because of their different sizes [px]. If the distance is
-smaller, `OTHER_SIZE` is not applied."""
+"""Minimum distance between the outlines of a patch and a type that is caused by their different
+sizes [px]. If the distance is smaller, `OTHER_SIZE` is not applied."""
 
 UNLIKE = 0.4
 """Maximum distance between the forms (see `Outline.form`) of a patch and a type that is tried. For
@@ -101,18 +102,19 @@ CLEAN = 1.5
 without its holes."""
 
 OUTLINE_ERROR, USUAL_FIT_PX = 0.3, 0.15
-"""Position error because the outline differs from the type's outline. It is `OUTLINE_ERROR` times
-the part of this distance that exceeds `USUAL_FIT_PX` [px]. This is the distance of flat parts in a
-sharp image with even light."""
+"""Constants of the position error that occurs if an outline differs from its type's outline. The
+error is `OUTLINE_ERROR` times the excess of the RMS distance between the two outlines over
+`USUAL_FIT_PX` [px]. `USUAL_FIT_PX` is this distance for flat parts in a sharp image with even
+light."""
 
 SWELL_ERROR, USUAL_SWELL_PX = 0.5, 0.2
-"""Position error because an outline has grown. It is `SWELL_ERROR` times the part of the growth
-that exceeds the typical growth `USUAL_SWELL_PX` [px]. A cause that acts on one side only, such as
-an unknown height, shifts the outline."""
+"""Constants of the position error that occurs if an outline has grown. The error is `SWELL_ERROR`
+times the excess of the growth over the typical growth `USUAL_SWELL_PX` [px]. A cause that acts on
+one side only, such as an unknown height, shifts the outline."""
 
 HEIGHT_ERROR_PX = 0.1
 """Standard deviation of a position on the plate along each axis after the correction for height
-[px]. This error occurs because side faces are darker or brighter than the top."""
+[px]. The error occurs because side faces are darker or brighter than the top."""
 
 FEWEST_NAMED = 3
 """Minimum number of parts with a type from which the shadow length and the growth are measured."""
@@ -162,7 +164,8 @@ class Conditions:
     Attributes
     ----------
     lamp : Lamp, optional
-        The lamp that casts all shadows. If it is given, patches include the shadows: see `segment`.
+        The lamp that casts all shadows. If a lamp is given, patches include the shadows (see
+        `segment`).
     background : Background, optional
         The bare plate. If a type has a hole that is missing in an outline, the image in this hole
         is compared with the bare plate.
@@ -214,11 +217,12 @@ def recognise_under(
     calibration: Calibration,
     conditions: Conditions,
 ) -> tuple[np.ndarray, Conditions]:
-    """Recognise parts as `recognise` does. Also return the conditions measured with these parts.
+    """Recognise parts as `recognise` does. Return the parts, and the imaging conditions measured
+    with these parts.
 
     All patches are compared a second time if the measured conditions differ from the given ones.
-    This is so if the outlines differ from their types in size, or if the length of the shadows was
-    measured with the types.
+    The conditions differ if the outlines differ from their types in size, or if the length of the
+    shadows was measured with the types.
     """
     outlines, colours = measure_patches(image, patches, calibration)
     found = _compared(image, patches, outlines, colours, catalogue, calibration, conditions)
@@ -341,7 +345,8 @@ def top_colours(
     otherwise: np.ndarray,
 ) -> np.ndarray:
     """Return the colours CIE L, a, b (n, 3) of the tops of parts with these footprints and this
-    height [m]. If a top is too small, return its colour in `otherwise` (n, 3)."""
+    height [m]. If a top is too small to measure its colour, return the colour of `otherwise` (n, 3)
+    instead."""
     found = otherwise.copy()
     below = calibration.place[:2] if calibration.place is not None else np.zeros(2)
     factor = 1.0 if calibration.place is None else magnified(calibration.place, height)
@@ -413,10 +418,10 @@ def _judge_one(
 ) -> None:
     """Find the type of one patch, and write it to its record `row` () SIGHTING.
 
-    The other arguments contain values for each type (T,). `outlines` are the patch's outlines for
-    the types' heights. `least` are the minimum scores. `fit_square` and `size_square` are the
-    variances of the outline and of the size [px2]. `tint` are the distances of the colours. `swell`
-    is the growth of all outlines [px]."""
+    Each of the following arguments contains one value per type (T,). `outlines` are the patch's
+    outlines for the types' heights. `least` are the minimum scores. `fit_square` and `size_square`
+    are the variances of the outline and of the size [px2]. `tint` are the distances of the colours.
+    `swell` is the growth of all outlines [px]."""
     best, second, chosen, kept = np.inf, np.inf, -1, np.empty(0)
     laid, points = catalogue.templates[0], outlines[0].points
     for j in np.argsort(least).tolist():
@@ -517,7 +522,8 @@ def _measured(
     extent of its outline, which includes the shadow, beyond the part of known size.
 
     `named` (m,) are the indices of the detections `found` (n,) SIGHTING that have a type. Blur
-    enlarges outlines on all sides. This growth is measured across the shadows and subtracted.
+    enlarges outlines on all sides. The growth by blur is measured across the shadows and
+    subtracted.
     """
     numbers = {one.part.name: j for j, one in enumerate(catalogue.templates)}
     centre = np.column_stack([found["x"], found["y"]])[named]
@@ -561,7 +567,7 @@ def angle_sd(
     template: Template, points: np.ndarray, fit: np.ndarray, scale: float, gate: float = np.inf
 ) -> float:
     """Return the standard deviation [rad] of the angle of a type that is fitted to points (n, 2).
-    It is at most the standard deviation of an unknown angle.
+    The result is at most the standard deviation of an unknown angle.
 
     The standard deviation is computed from the increase of the squared distances when the type is
     rotated by about a pixel. If this increase is smaller than for the type's own contour, the

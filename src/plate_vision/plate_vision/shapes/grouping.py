@@ -26,7 +26,8 @@ Solid = tuple[np.ndarray, np.ndarray, np.ndarray]
 and the colours (h, w, C) uint8."""
 
 CONVEX = 0.93
-"""Solidity above which patches are not split at necks."""
+"""Solidity (filled fraction of the convex hull) above which a patch is not split at its necks
+(narrow places)."""
 
 CLEAR = 0.45
 """Maximum width of a neck whose two sides are always two parts, relative to the width of the
@@ -37,23 +38,24 @@ ALIKE = (0.12, 0.12, 0.06)
 difference of solidity."""
 
 UNEQUAL = 0.5
-"""Minimum area of the smaller side of an unclear neck, relative to the larger side. If its area is
+"""Minimum area of the smaller side of an unclear neck, relative to the larger side. If the area is
 smaller, both sides are one part."""
 
 COMPACT = 0.85
-"""Minimum solidity of a compact piece. If both sides of an unclear neck are compact, they count as
-two parts."""
+"""Minimum solidity (filled fraction of the convex hull) of a compact piece. If both sides of an
+unclear neck are compact, they count as two parts."""
 
 MIN_GOOD = 0.35
 """Minimum fraction of a patch's area that must be compact or similar to other pieces after the
 patch was split."""
 
 RATHER_ALIKE = (0.4, 0.3, 0.1)
-"""Maximum differences, like `ALIKE`, for pieces that are separated along inner edges. They are
-larger because the contours of such pieces are irregular."""
+"""Maximum differences, like `ALIKE`, for pieces that are separated along inner edges. These maximum
+differences are larger because the contours of such pieces are irregular."""
 
 MEMBERS = 3
-"""Minimum number of pieces of a kind that justifies a straight cut."""
+"""Minimum number of similar pieces in the image. If each side of a straight cut is similar to this
+number of pieces, the cut is made."""
 
 MIN_DENT_PX = 1.2
 """Minimum depth of a concave corner [px]. A straight cut can begin only at such a corner."""
@@ -67,12 +69,12 @@ LARGER = 1.5
 A kind is a set of similar pieces."""
 
 DENTED = 0.9
-"""Minimum solidity of a large piece that is not similar to others. If its solidity is smaller, it
-counts as a group."""
+"""Minimum solidity (filled fraction of the convex hull) of a large piece that is not similar to
+others. If the solidity is smaller, the piece counts as a group."""
 
 EDGES_PERCENT = (70, 80, 90)
-"""Percentages of the inner pixels of a piece that are not edges. All of them are tried, and the
-percentage that splits the piece best is used."""
+"""Percentages of the inner pixels of a piece that are not edges. All percentages are tried, and the
+one that splits the piece best is used."""
 
 SMALLER = 0.5
 """Minimum area of a kind, relative to the typical kind. Pieces are not split along inner edges into
@@ -100,14 +102,14 @@ MIN_FRACTION = 0.5
 smallest piece of the split."""
 
 MOSTLY = 0.5
-"""Minimum fraction of pieces that must be similar to others. Only then, a piece that is not similar
-to others may be a group."""
+"""Minimum fraction of pieces that must be similar to others. With a smaller fraction, a piece that
+is not similar to others does not count as a group."""
 
 
 WORK = 12.0
 """Maximum number of pixels that all cuts within pieces are allowed to visit, relative to the number
-of the plate's pixels. Cuts of this number of pixels take half a second. Heaps of 80 parts need
-them."""
+of the plate's pixels. Cuts that visit this number of pixels take half a second. Heaps of 80 parts
+need this number."""
 
 PLATE_SIZED = 0.5
 """Maximum area of a piece that is split, relative to the area of the plate. If a piece is larger,
@@ -126,8 +128,8 @@ class Work:
     left: float
 
     def take(self, pixels: float) -> bool:
-        """Take a number of pixels if at least this number is left. Return whether they were
-        taken."""
+        """Reserve a number of pixels if at least this number is left. Return whether the pixels
+        were reserved."""
         enough = pixels <= self.left
         if enough:
             self.left -= pixels
@@ -143,7 +145,7 @@ class Piece:
     inside : (h, w) bool
         Pixels of the piece, with the holes filled.
     rank : int
-        Number of the contour.
+        Number of the outer contour.
     alone : bool
         Whether the piece is the whole area, without cuts.
     group : bool
@@ -262,9 +264,10 @@ def _without_shreds(pieces: list[Piece], solids: list[Solid]) -> list[Piece]:
 def _decided(labels: np.ndarray, necks: np.ndarray, rank: int, known: list[Traits]) -> list[Piece]:
     """Return the pieces of a patch that has unclear necks.
 
-    The two sides of such a neck are one part if both together are similar to a known piece. If
-    there is no similar piece, they are one part if one side is much smaller than the other or is
-    not compact. Such a side is, for example, a head, a knob or an irregular end.
+    The two sides of such a neck are one part if both together are similar to a known piece. Without
+    a similar piece, the two sides are one part if one side is much smaller than the other or is not
+    compact. A side that is small or not compact is, for example, a head, a knob or an irregular
+    end.
     """
     sides = {k: traits(labels == k) for k in range(1, int(labels.max()) + 1)}
     parent = np.arange(len(sides) + 1)
@@ -401,8 +404,9 @@ def _between_colours(colours: np.ndarray, inside: np.ndarray, count: int) -> np.
 
 
 def _shared_out(good: list[Piece], piece: Piece) -> list[Piece]:
-    """Return the good pieces of a piece, with the rest assigned to the nearest of them. If a
-    connected rest is large compared with the good pieces, it is returned as a group."""
+    """Return the good pieces of a piece. The rest of the piece is assigned to the nearest good
+    pieces. If a connected rest is large compared with the good pieces, it is returned as a
+    group."""
     nearest = _nearest([one.inside for one in good])
     rest = piece.inside & ~np.any([one.inside for one in good], axis=0)
     count, left = cv2.connectedComponents(rest.astype(np.uint8), connectivity=4)
@@ -467,9 +471,9 @@ def _halves(piece: Piece, kinds: list[Traits], work: Work) -> list[Piece] | None
 
 
 def _across(points: np.ndarray, start: int) -> np.ndarray:
-    """Return the points (k, 2) of a contour at which a cut from point `start` may end. They are
-    local minima of the distance from `start` that are near along a straight line, but far along the
-    contour."""
+    """Return the points (k, 2) of a contour at which a cut from point `start` may end. These points
+    are local minima of the distance from `start`. They are near along a straight line, but far
+    along the contour."""
     gap = np.hypot(*(points - points[start]).T)
     around = np.arange(len(points))
     along = np.minimum((around - start) % len(points), (start - around) % len(points))

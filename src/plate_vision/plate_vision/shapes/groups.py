@@ -78,8 +78,8 @@ SEEN = 0.3
 """Minimum fraction of a part's contour that coincides with the group's contour."""
 
 CHOICES = 8
-"""Maximum number of positions that are kept for each type. They are the best ones that are far
-enough from each other."""
+"""Maximum number of positions that are kept for each type. The best positions that are far enough
+from each other are kept."""
 
 FIRST, TRIES = 3, 30
 """`FIRST`: maximum number of candidates for each part of a group. `TRIES`: maximum number of
@@ -89,8 +89,8 @@ MAX_PARTS = 12
 """Maximum number of parts in a group."""
 
 MAX_TRIES = 200
-"""Maximum number of combinations that are tried in all groups of an image together. It is limited
-because a heap may consist of dozens of groups."""
+"""Maximum number of combinations that are tried in all groups of an image together. The number is
+limited because a heap may consist of dozens of groups."""
 
 COVERED = 0.88
 """Minimum area that is covered by both the parts and the group, relative to the area that is
@@ -105,7 +105,7 @@ TWO = 1.6
 have at least this area."""
 
 LARGER = 1.1
-"""Maximum area of a single part of a type, relative to the largest type."""
+"""Maximum area of a single part of a type, relative to the area of the largest type."""
 
 LEFT = 0.4
 """Minimum area of the rest of a group that may be a part, relative to the area of the smallest
@@ -249,8 +249,8 @@ def _clusters(
     patches: Sequence[Patch], explained: np.ndarray, shape: tuple[int, int]
 ) -> list[np.ndarray]:
     """Return the indices of the patches in each cluster. A cluster consists of patches that touch
-    each other and are not explained, and of the patches next to them. `explained` (n,) is whether a
-    patch has a type or is cut by the image's border."""
+    each other and are not explained, and of the patches next to them. The array `explained` (n,)
+    states whether a patch has a type or is cut by the image's border."""
     owner = np.full(shape, -1, np.int32)
     for i, patch in enumerate(patches):
         owner[patch.place][patch.mask] = i
@@ -437,7 +437,7 @@ def _covers(view: View, parts: Sequence[Found]) -> bool:
 
 def _edge_distances(view: View) -> np.ndarray:
     """Return the signed distance (h, w) [px] from the group's contour, positive inside. Inside the
-    group, it is the distance from the contour or from edges of colour, depending on which is
+    group, the distance is measured from the contour or from edges of colour, depending on which is
     nearer."""
     smooth = cv2.GaussianBlur(view.pixels, (0, 0), 0.8)
     step = steepness(smooth) / 8
@@ -543,9 +543,9 @@ def _placed(
 def _support(
     view: View, template: Template, pose: np.ndarray, free: np.ndarray, border: np.ndarray
 ) -> tuple[float, float]:
-    """Return two numbers. The first is the fraction of a part's contour that is on the group's
-    contour, minus the fraction that is outside the group. The second is the fraction of the part's
-    inner points that are outside the free area."""
+    """Return two numbers. The first number is the fraction of a part's contour that is on the
+    group's contour, minus the fraction that is outside the group. The second number is the fraction
+    of the part's inner points that are outside the free area."""
     found: tuple[float, float] = _kernels.support(
         free, border, view.to_px, template.samples, template.inner, pose
     )

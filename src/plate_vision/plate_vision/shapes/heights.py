@@ -5,10 +5,11 @@ following place of the plate:
 
     c + (p - c) H / (H - z).
 
-A part with the footprint F therefore covers t F (F scaled by t about c) for all t from 1 to
-k = H / (H - height). This area is the image of the top and of those side faces that are visible to
-the camera. A point p belongs to the footprint if t p is covered for all these t. For a convex part
-this is exact. In the footprint, narrow notches and holes are narrower by the shift of the top.
+A part with the footprint F therefore covers t F (F scaled by t about c) for all t from 1 to k = H /
+(H - height). This area is the image of the top and of those side faces that are visible to the
+camera. A point p belongs to the footprint if t p is covered for all these t. For a convex part,
+this method is exact. Narrow notches and holes become narrower in the footprint, by the shift of the
+top.
 
 The same method is used for a part and its shadow from one lamp. Together, they cover the footprint
 and all copies of it that are displaced along the shadow, up to the shadow's length.
@@ -35,7 +36,7 @@ MIN_SHIFT_PX = 0.02
 """Shift of the top below which no correction is made [px]."""
 
 MARGIN_PX = 3.31
-"""Width of the margin around a drawn footprint [px]. It is not a whole number of sub-pixels,
+"""Width of the margin around a drawn footprint [px]. The width is not a whole number of sub-pixels,
 because otherwise an edge could pass exactly through the centres of sub-pixels."""
 
 
@@ -80,8 +81,8 @@ def footprint(
     Returns
     -------
     Outline or None
-        None if no area remains. This happens if the part is lower than `height`, or if its shadow
-        is shorter than `shadow`.
+        None if no area remains. No area remains if the part is lower than `height`, or if its
+        shadow is shorter than `shadow`.
     """
     rings = outline.rings
     seen = [rings]
@@ -121,8 +122,8 @@ def footprint(
 
 
 def _steps(shift_px: float) -> int:
-    """Return the number of places along a shift [px] that are evaluated. It is 1 if the shift is
-    too small."""
+    """Return the number of places along a shift [px] that are evaluated. The number is 1 if the
+    shift is too small."""
     if shift_px < MIN_SHIFT_PX:
         return 1
     return int(min(np.ceil(shift_px / STEP_PX) + 1, MAX_STEPS))

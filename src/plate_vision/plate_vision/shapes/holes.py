@@ -1,8 +1,8 @@
 """Holes of parts that are missing in a measured outline, because they are dark or in a shadow.
 
 If a type with holes is fitted to a patch without holes, the image inside the type's holes must look
-like the plate with less light. It must not be brighter than the plate, and it must have the plate's
-chroma.
+like the plate with less light. The image there must not be brighter than the plate, and it must
+have the plate's chroma.
 """
 
 from __future__ import annotations

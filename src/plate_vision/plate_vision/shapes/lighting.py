@@ -1,14 +1,14 @@
 """The light of one image on a known bare plate.
 
-If the light or the exposure changes, all colours are multiplied by a factor. In Lab, this
-multiplies L + 41, a - 128 and b - 128 by one factor, because each of them is a difference of cube
-roots. If the colour of the light changes, a and b are shifted. The factor and both shifts are
-smooth surfaces. They are fitted to those pixels of the plate's region that agree with them, so that
-parts have no effect.
+If the light or the exposure changes, all colours are multiplied by a factor. In Lab, such a change
+multiplies L + 41, a - 128 and b - 128 by one factor, because each of these values is a difference
+of cube roots. If the colour of the light changes, a and b are shifted. The factor and both shifts
+are smooth surfaces. These surfaces are fitted only to those pixels of the plate's region that agree
+with the surfaces, so that parts have no effect.
 
 Parts may cover more than half of the plate. Therefore, the factor is a mode (frequent value) of the
-ratios between image and plate. There may be several modes. Pixels that showed the plate in the
-previous image have more weight in the choice, and a mode near the previous factor is preferred.
+ratios between image and plate. The ratios may have several modes. Pixels that showed the plate in
+the previous image have more weight in the choice, and a mode near the previous factor is preferred.
 """
 
 from __future__ import annotations
@@ -39,7 +39,8 @@ COVERED_WEIGHT = 0.25
 """Weight of pixels that did not show the plate in the previous image."""
 
 BIN = 0.02
-"""Width of the bins in the histogram of the ratios. It is a difference of natural logarithms."""
+"""Width of the bins in the histogram of the ratios. The width is a difference of natural
+logarithms."""
 
 SMOOTH = np.array([1, 2, 3, 2, 1]) / 9
 """Weights of the average over neighbouring bins."""
@@ -65,8 +66,8 @@ searched. No other light can then agree with more of the plate."""
 
 STEADY_LIMIT = 0.6
 """Maximum deviation of a pixel that agrees with the last light, relative to the noise limit of the
-plate. It is below 1, so that a slight change of the light is noticed before it is as large as the
-noise."""
+plate. The value is below 1, so that a slight change of the light is noticed before it is as large
+as the noise."""
 
 EVEN = np.zeros((6, 3), np.float32)
 """Coefficients of the surfaces if the light is the same as in the image of the background."""
@@ -79,15 +80,17 @@ assumption is necessary if the plate is visible in only one corner."""
 
 
 AMBIGUOUS = 0.3
-"""Minimum value of another light, relative to the value of the best light. Above it, the areas that
-agree with each light are compared too: pixels of the plate are connected, but pixels of parts are
-many separate areas."""
+"""Minimum score of another light, relative to the score of the best light. The score is the
+weighted number of pixels that agree with the light. If the score is larger, the areas that agree
+with each light are also compared. Pixels of the plate are connected, but pixels of parts are many
+separate areas."""
 
 EVERY = 2
 """Step between the rows and columns that are used to compare two lights."""
 
 UNSEEN_L = 0.5
-"""Maximum change of colours that is ignored [L]. It is half of their resolution, which is 1."""
+"""Maximum change of colours that is ignored [L]. This change is half of the colours' resolution,
+which is 1."""
 
 LIGHT_POWER = 3 / 2.2
 """Exponent that converts a factor in Lab to a factor of grey levels. Lab is proportional to the
@@ -119,14 +122,15 @@ class Light:
 
 @dataclass(frozen=True, eq=False)
 class Lit:
-    """An image and the bare plate. Their colours in a region are compared.
+    """An image and the bare plate, whose colours in a region are compared.
 
     Attributes
     ----------
     image : (H, W) or (H, W, 3) uint8
         The image.
     convert : callable
-        Converts pixels (h, w) or (h, w, 3) uint8 to colours (h, w, C) uint8 like the bare plate's.
+        Function that converts pixels (h, w) or (h, w, 3) uint8 to colours (h, w, C) uint8 like the
+        bare plate's.
     bare : (H, W, C) uint8
         Colours of the bare plate, C = 1 or 3.
     limit : (H, W) uint8
@@ -219,8 +223,8 @@ def fit_light(lit: Lit, before: Light | None = None) -> Light:
 
 
 def relit(bare: np.ndarray, light: Light, region: Region) -> np.ndarray:
-    """Return the colours (H, W, C) uint8 of the bare plate in a light. They are unchanged if the
-    light is the same."""
+    """Return the colours (H, W, C) uint8 of the bare plate in a light. The colours are unchanged if
+    the light is the same."""
     change = region.samples.design.T @ light.surface
     if (
         np.max(np.abs(255 * (change[:, 0] - 1))) + np.max(np.abs(change[:, 1:]), initial=0)
@@ -262,7 +266,7 @@ def _fitted(
     passes: tuple[tuple[int, float], ...],
 ) -> tuple[np.ndarray, np.ndarray]:
     """Return the surfaces (6, C) that transform the known colours to the seen colours (K, C). Also
-    return which pixels (K,) agree with these surfaces.
+    return an array (K,) that states which pixels agree with these surfaces.
 
     `origin` (C,) was subtracted from all colours. The iteration starts from `start` (6, C).
     `passes` has the same form as `PASSES`."""

@@ -22,11 +22,12 @@ differs from a disc in the 6th and 12th harmonic, and a square differs from it i
 and 16th."""
 
 POINTS = 64
-"""Number of points on the contour of a patch. For a part of 20 px, they are 1 px apart."""
+"""Number of points on the contour of a patch. If a part has a diameter of 20 px, the points are 1
+px apart."""
 
 MIN_HOLE = 0.02
-"""Minimum area of a hole, relative to the part. Smaller holes are ignored, because highlights may
-look like them."""
+"""Minimum area of a hole, relative to the area of the part. Smaller holes are ignored, because
+highlights may look like small holes."""
 
 FEWEST_POINTS = 12
 """Minimum number of points on a hole's contour."""
@@ -79,7 +80,7 @@ class Outline:
     @cached_property
     def form(self) -> np.ndarray:
         """Magnitudes (HARMONICS - 1,) of the spectrum without holes: harmonics 1 and higher,
-        relative to the 0th. They do not depend on rotation and size."""
+        relative to the 0th. These magnitudes do not depend on rotation and size."""
         size = np.abs(self.filled.spectrum)
         return np.asarray(size[1:] / size[0])
 
@@ -171,14 +172,14 @@ def fit_pose(
     pose : (3,)
         Starting pose: x, y [m], angle [rad].
     unit : float
-        Distance above which a point has less weight [m]. It should be one or two pixels.
+        Distance above which a point has less weight [m]. This distance should be one or two pixels.
     turns : bool
-        Whether the angle is fitted. It is False for a disc.
+        Whether the angle is fitted. False for a disc.
     steps : int
         Maximum number of Gauss-Newton steps.
     gate : float
-        Distance above which points are ignored [m]. If it is finite, the outline does not grow or
-        shrink.
+        Distance above which points are ignored [m]. If the gate is finite, the outline does not
+        grow or shrink.
 
     Returns
     -------

@@ -27,7 +27,7 @@ OUT = Path("parts.yaml")
 """Default file of part types."""
 
 MICRON = 6
-"""Number of decimal digits of lengths in these files [m]."""
+"""Number of decimal digits of lengths in files of part types, which are in metres."""
 
 
 def save_part_types(path: Path, types: Mapping[str, PartType]) -> None:
@@ -36,8 +36,8 @@ def save_part_types(path: Path, types: Mapping[str, PartType]) -> None:
     Raises
     ------
     PlateError
-        If a type is not valid, or if the file cannot be written. An existing file is then
-        unchanged.
+        If a type is not valid, or if the file cannot be written. After an error, an existing file
+        is unchanged.
     """
     data = {name: _as_data(part) for name, part in types.items()}
     read_part_types(Fields(data, path.name, TeachError))
@@ -75,10 +75,10 @@ def add_type(
     region: Region | None,
     height: float | None = None,
 ) -> Lesson:
-    """Learn a type, and write it to a file of types. Write its picture to another file.
+    """Learn a type, and write it to a file of types. Write the picture of the type to another file.
 
-    A type with the same name is replaced, but its mass and friction are kept. Its height is kept
-    too, unless another height [m] is given.
+    A type with the same name is replaced, but its mass and friction are kept. The height of the
+    replaced type is also kept, unless another height [m] is given.
 
     Raises
     ------

@@ -2,7 +2,7 @@
 separated.
 
 `Patch` contains the mask of the patch and the covered fraction of each pixel. The outline of the
-patch is the contour where one half is covered. It has sub-pixel accuracy.
+patch is the contour where one half is covered. The outline has sub-pixel accuracy.
 """
 
 from __future__ import annotations
@@ -43,8 +43,8 @@ class Patch:
     corner : (int, int)
         Image column and row x0, y0 of the window's first pixel [px].
     cover : (h, w) float32
-        Fraction of each pixel that the part covers, 0 to 1. At the contour it is more accurate than
-        the mask.
+        Fraction of each pixel that the part covers, 0 to 1. At the contour, `cover` is more
+        accurate than `mask`.
     whole : bool
         Whether the patch is complete. A patch is incomplete if the border of the image or of the
         region cuts it.
@@ -60,7 +60,7 @@ class Patch:
 
     @property
     def place(self) -> tuple[slice, slice]:
-        """Rows and columns of the image in the patch's window."""
+        """Rows and columns of the image that the patch's window covers."""
         (x0, y0), (height, width) = self.corner, self.mask.shape
         return np.s_[y0 : y0 + height, x0 : x0 + width]
 

@@ -1,6 +1,7 @@
 """Properties of the patches of a photograph: their centres, sizes, directions and contrasts.
 
-`find_outlines` needs no description of the parts. It uses a model of the photograph's background.
+`find_outlines` needs no description of the parts. The function uses a model of the photograph's
+background.
 """
 
 from __future__ import annotations
@@ -16,7 +17,8 @@ MAX_PIXELS = 1_000_000
 remain large enough."""
 
 ROUND = 0.95
-"""Minimum of 4 pi area / length^2 for the hull of a disc. For a regular octagon it is 0.948."""
+"""Minimum of 4 pi area / length^2 for the hull of a disc. For a regular octagon, the value is
+0.948."""
 
 SURE = 60.0
 """Minimum contrast of a clear object [grey levels]. A smaller contrast reduces the confidence."""
@@ -47,7 +49,7 @@ OUTLINE = np.dtype(
 x_px, y_px: centroid [px]. radius_px: radius of the disc of the same area [px]. angle_rad: direction
 of the longest side, 0 to pi, counter-clockwise in the image; 0 for discs. contrast: difference from
 the background [grey levels], negative if the patch is darker. background: grey level of the
-background. round: whether the patch is a disc. group: whether it consists of several parts.
+background. round: whether the patch is a disc. group: whether the patch consists of several parts.
 confidence: 0 to 1, the filled fraction of the hull, reduced for low contrast."""
 
 

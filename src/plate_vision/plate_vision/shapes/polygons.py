@@ -1,7 +1,7 @@
 """Simplification of a measured outline to a polygon with few corners.
 
-The Douglas-Peucker algorithm finds a first polygon. Its corners are fitted to the outline by least
-squares. Then one corner after the other is removed while the fit remains good.
+The Douglas-Peucker algorithm finds a first polygon. The corners of this polygon are fitted to the
+outline by least squares. Then one corner after the other is removed while the fit remains good.
 """
 
 from __future__ import annotations
@@ -19,22 +19,22 @@ from .outlines import distances, make_outline
 
 COARSE = 0.03
 """Maximum RMS (root mean square) distance of the polygon from the measured outline, relative to the
-part's reach."""
+part's reach (largest radius) [-]."""
 
 FINE_PX = 0.5
 """Tolerance of the first polygon: its maximum distance from the measured outline [px]."""
 
 FINE = 0.012
-"""Tolerance of the first polygon, relative to the part's reach. The larger one of this value and
-`FINE_PX` is used."""
+"""Tolerance of the first polygon, relative to the part's reach (largest radius) [-]. The larger one
+of this value and `FINE_PX` is used."""
 
 PLAIN_PX = 0.14
 """Maximum RMS deviation of a polygon from the outline [px]. Two neighbouring corners are replaced
 by one if the deviation of the new polygon is within this limit."""
 
 PLAIN = 0.006
-"""Limit of the deviation like `PLAIN_PX`, but relative to the part's reach [-]. The largest of the
-three limits `PLAIN_PX`, `PLAIN` and `WORSE` applies."""
+"""Limit of the deviation like `PLAIN_PX`, but relative to the part's reach (largest radius) [-].
+The largest of the three limits `PLAIN_PX`, `PLAIN` and `WORSE` applies."""
 
 WORSE = 1.1
 """Limit of the deviation like `PLAIN_PX`, but relative to the deviation of the first polygon
@@ -48,8 +48,8 @@ CLEAR_PX = 2.0
 outline, because blur rounds the corners."""
 
 STAY = 0.05
-"""Weight of a corner's shift in the fit, relative to the weight of the outline's distance. It keeps
-corners in place that the outline does not determine."""
+"""Weight of a corner's shift in the fit, relative to the weight of the outline's distance. This
+weight keeps a corner in place if the outline does not determine its position."""
 
 
 def simplified(name: str, what: str, ring: np.ndarray, reach: float, scale: float) -> np.ndarray:

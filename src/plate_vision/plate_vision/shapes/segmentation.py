@@ -1,5 +1,5 @@
-"""Segmentation of an image into patches that differ from its background. They may have any outline
-and colour.
+"""Segmentation of an image into patches that differ from its background. The patches may have any
+outline and colour.
 
 There are five steps. The deviation from the background is computed in Lab. Shadows are removed, or
 the lamp that casts all of them is detected. The contour of each patch is determined at half of the
@@ -150,8 +150,8 @@ def segment(
 ) -> Segments:
     """Find patches as `find_patches` does, and the lamp that casts all shadows.
 
-    If there is such a lamp, patches are parts together with their shadows. Otherwise, shadows are
-    removed if they can be distinguished from parts.
+    If there is such a lamp, patches are parts together with their shadows. Without such a lamp,
+    shadows are removed if they can be distinguished from parts.
 
     If `lamps` is False, no lamp is searched. If `lamp` is given, this lamp is used. If parts have a
     height, `rise` returns the shifts (n, 2) of their tops at image points (n, 2) [px]. If `whole`
@@ -199,8 +199,9 @@ def segment(
 def _cover(
     away: np.ndarray, brighter: np.ndarray, limit: np.ndarray, labels: np.ndarray, count: int
 ) -> np.ndarray:
-    """Return the fraction of each pixel that a part covers, (H, W) float32. It is the deviation of
-    the pixel, relative to the deviation of the part around it, and 0 outside of parts."""
+    """Return the fraction of each pixel that a part covers, (H, W) float32. The fraction is the
+    deviation of the pixel, relative to the deviation of the part around the pixel. It is 0 outside
+    of parts."""
     slope = cv2.morphologyEx(away, cv2.MORPH_GRADIENT, np.ones((3, 3), np.uint8))
     contrast, steepest = np.empty((2, count), np.float32)
     bright = np.empty(count, np.bool_)
@@ -256,7 +257,7 @@ def _patches(
 
 
 def _of_shadow(patch: Patch, seen: np.ndarray, away: np.ndarray) -> bool:
-    """Whether a patch is the rest of a shadow. In this case, a shadow was removed around it."""
+    """Whether a patch is the rest of a shadow. If so, a shadow was removed around the patch."""
     here = patch.around(2, seen.shape)
     taken = np.count_nonzero((seen[here] > 0) & (away[here] == 0))
     return bool(taken > LEFT * patch.area_px2)
@@ -272,8 +273,9 @@ def _largest(windows: list[Window]) -> list[Window]:
 
 
 def _without_inner(windows: list[Window]) -> list[Window]:
-    """Merge each ring with the objects inside it if they fill enough of it. Such a ring and objects
-    are the contour and the inside of one part, which looks like the plate between them."""
+    """Merge each ring with the objects inside it if the objects fill enough of the ring. The ring
+    is then the contour of a part, and the objects are inside this part. Between the ring and the
+    objects, the part looks like the plate."""
     kept = []
     inner: set[int] = set()
     low = np.array([window.corner for window in windows]).reshape(-1, 2)
@@ -299,8 +301,8 @@ def _without_inner(windows: list[Window]) -> list[Window]:
 
 
 def _usual_area(patches: list[Patch]) -> float:
-    """Return the typical area of a part [px2]. It is the weighted median of the parts' areas, so
-    larger parts contain half of the pixels of all parts."""
+    """Return the typical area of a part [px2]. The result is the weighted median of the parts'
+    areas. Parts with a larger area contain half of the pixels of all parts."""
     area = np.sort([patch.area_px2 for patch in patches if patch.whole and not patch.group])
     if not len(area):
         return 0.0
@@ -315,7 +317,7 @@ class Window(NamedTuple):
     corner : (int, int)
         First column and row in the image.
     solid : (h, w) bool
-        Pixels of parts. They include the parts' holes, but not the gaps between parts.
+        Pixels of parts. The parts' holes are included, but not the gaps between parts.
     holes : (h, w) bool
         Pixels of the parts' holes.
     amount : (h, w) float32

@@ -1,4 +1,5 @@
-"""Shadows: areas where the background is darker, but its chroma is unchanged. Their edges are soft.
+"""Shadows: areas where the background is darker, but its chroma is unchanged. The edges of shadows
+are soft.
 
 The edge of a part is as sharp as the image. The part's shadow is lighter than the part, and the
 edge of the shadow is softer. Therefore, each patch is separated into a light and a dark side (by
@@ -35,15 +36,16 @@ DEPTHS = 0.4
 relative to this median. The depth of a shadow is its deviation from the background."""
 
 SHARP_PERCENT = 25
-"""Percentile of the edge widths of all patches. It is used as the width of sharp edges."""
+"""Percentile of the edge widths of all patches. This percentile is used as the width of sharp
+edges."""
 
 CLEAR_EDGE = 0.5
 """Minimum deviation of a patch from the background, relative to the upper quartile of all patches.
 The edges of fainter patches are not evaluated, because they are not clear."""
 
 WIDE_PERCENT = 80
-"""Percentile of the edge widths of all parts in an image. It is used as the width of their
-edges."""
+"""Percentile of the edge widths of all parts in an image. This percentile is used as the width of
+the parts' edges."""
 
 LIGHTER: float = _kernels.LIGHTER
 """Maximum deviation of a shadow from the background, relative to the deviation of the part that
@@ -83,8 +85,8 @@ MIN_PART = 0.2
 smaller, the darker side of the patch is used as the part."""
 
 ONE_LAMP = 0.85
-"""Minimum cosine of the angle between two shadows from one lamp. It is also the minimum length of
-the mean of the unit vectors to the shadows of one lamp."""
+"""Minimum cosine of the angle between two shadows from one lamp. The same value is the minimum
+length of the mean of the unit vectors to the shadows of one lamp."""
 
 OF_ONE_LAMP = 0.6
 """Minimum fraction of the clear shadows that one lamp must cast. Without this minimum, the light
@@ -92,7 +94,7 @@ and dark sides of touching parts, which have random directions, could be mistake
 
 SPREAD = 0.35
 """Maximum spread of the shadows' lengths, relative to their median. The spread is the median of the
-absolute deviations from the median. If it is exceeded, no lamp is determined."""
+absolute deviations from the median. If the spread is larger, no lamp is determined."""
 
 MIN_SHADE = 30.0
 """Minimum deviation of the shadows of a lamp from the background [L, 0 to 255]. If the median over
@@ -110,7 +112,7 @@ the image that the part's height causes. The other pixels are noise."""
 
 FACE_SLACK_PX = 1.5
 """Distance that is added to the shift of a part's top when the pixels of side faces are determined
-[px]. It allows for blur."""
+[px]. This distance allows for blur."""
 
 
 class Sides(NamedTuple):
@@ -207,7 +209,7 @@ def find_faces(
 
     In the image, the height of a part shifts its top outwards from the base. Therefore, each pixel
     of a side face, even in a hole, has a pixel of the top within this shift in the outward
-    direction. This is not so for a part with a shadow, because the shadows from a lamp have the
+    direction. A part with a shadow does not have this property. The shadows from a lamp have the
     same direction everywhere, and parts are wider than side faces.
 
     Parameters
@@ -243,9 +245,10 @@ def find_faces(
 def _two_sides(
     sides: Sides, away: np.ndarray, labels: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Return three arrays (count,) with values of each patch. The first contains the deviation that
-    separates its light side from its dark side, or 0 if it has only one side. The other two contain
-    the deviations of the light side and of the dark side."""
+    """Return three arrays (count,) with values of each patch. The first array contains the
+    deviation that separates the light side of a patch from its dark side, or 0 if the patch has
+    only one side. The other two arrays contain the deviations of the light side and of the dark
+    side."""
     bound, light, dark = np.empty((3, len(sides.total)), np.float32)
     _kernels.part_sides(away, sides.lit, sides.slope, sides.steepest, labels, bound, light, dark)
     return bound, light, dark
@@ -257,8 +260,8 @@ def find_lamp(
     """Find the one lamp of an image that casts shadows on the same side of most parts. Return None
     if there is no such lamp.
 
-    The length of a shadow is the distance by which it extends beyond the part. It is measured for
-    parts that are darker than their shadow or have another colour.
+    The length of a shadow is the distance by which it extends beyond the part. The length is
+    measured for parts that are darker than their shadow or have another colour.
 
     Parameters
     ----------
@@ -352,8 +355,8 @@ def take_out_shadows(
     labels : (H, W) int32
         Number of the patch of each pixel, 0 outside.
     plate_known : bool
-        Whether the background was learned. Then a patch is certainly a part if it is neither faint
-        nor like a darker plate. The width of sharp edges is then measured at such patches.
+        Whether the background was learned. If so, a patch is certainly a part if it is neither
+        faint nor like a darker plate. The width of sharp edges is then measured at these patches.
     faces : (count,) bool, optional
         Whether a patch certainly has no shadow: see `find_faces`.
     """

@@ -13,7 +13,7 @@ import numpy as np
 from .. import _kernels
 
 ZOOM = 2
-"""Factor by which the resolution is increased for the split."""
+"""Factor by which the resolution of a patch is increased before it is split."""
 
 NECK = 0.78
 """Maximum width of a neck between two parts, relative to the width of the narrower part. Within one

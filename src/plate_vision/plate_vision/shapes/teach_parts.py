@@ -1,4 +1,5 @@
-"""The program `teach`: learn part types from pictures, and manage files of types. It needs no ROS.
+"""The program `teach`: learn part types from pictures, and manage files of types. The program needs
+no ROS.
 
 Example:
 
@@ -44,7 +45,8 @@ SCALE = (
 )
 
 AROUND = 1.0
-"""Width of the surround of a box that is evaluated too, relative to the sides of the box."""
+"""Width of the surround of a box, relative to the sides of the box [-]. The surround is also
+evaluated."""
 
 
 @piped()

@@ -46,39 +46,40 @@ RIM_POINTS = 256
 
 DIFFER, DIFFER_SIZE = 0.1, 0.35
 """Maximum difference between the outlines (`DIFFER`) and between the sizes (`DIFFER_SIZE`) of
-examples of one type, relative to their reach [-]. Sizes may differ more, because seeds or coins of
-the same kind differ in size."""
+examples of one type, relative to the parts' reach (largest radius) [-]. Sizes may differ more,
+because seeds or coins of the same kind differ in size."""
 
 DIFFER_PX = 1.5
-"""Difference between the outlines or sizes of examples that is always allowed [px]. For small parts
-it is larger than `DIFFER` times the reach."""
+"""Difference between the outlines or sizes of examples that is always allowed [px]. For small
+parts, this difference is larger than `DIFFER` times the reach."""
 
 MIN_ALIKE_FRACTION = 0.66
-"""Minimum fraction of the parts that must agree with each other. The other parts are not used."""
+"""Minimum fraction of the parts that must agree with each other. Parts that do not agree are not
+used."""
 
 ROUND = 0.018
 """Maximum RMS (root mean square) deviation of a disc's outline from a circle, relative to its
 radius. For a regular octagon, the deviation is 0.024."""
 
 ROUND_PX = 0.12
-"""RMS deviation of a disc's outline from a circle that is always allowed [px]. It allows for the
-noise of small parts."""
+"""RMS deviation of a disc's outline from a circle that is always allowed [px]. This deviation
+allows for the noise of small parts."""
 
 UNEVEN = 2.0
 """Minimum deviation of the mean outline from a circle, relative to the deviation of the examples
-from the mean outline. If it is smaller, the part is a disc without an angle. For random outlines
-that are fitted to each other, it is 1.5."""
+from the mean outline. If the ratio is smaller, the part is a disc without an angle. For random
+outlines that are fitted to each other, the ratio is 1.5."""
 
 ALIKE = 2.0
 """Minimum distance between two types that can be distinguished, in standard deviations of parts of
 one type."""
 
 TURNED = 0.015
-"""Maximum RMS deviation between a ring and its rotated copy if they are equal, relative to the
-reach."""
+"""Maximum RMS deviation between a ring and its rotated copy with which they count as equal,
+relative to the reach (largest radius) [-]."""
 
 TURNED_PX = 0.25
-"""Lower bound of the limit that `TURNED` describes [px]. It applies to small parts."""
+"""Lower bound of the limit that `TURNED` describes [px]. This bound applies to small parts."""
 
 MAX_SYMMETRY = 12
 """Maximum symmetry of a part that is not round."""
@@ -102,12 +103,12 @@ height must reduce the difference between the examples, after their sizes are ma
 `BETTER_PX`: minimum of this difference for height 0 [px].
 
 The warning was tried in synthetic images. With the camera at a height of 0.43 m, none of 48 sets of
-flat parts caused a warning. It was caused by 6 of 12 sets with parts of 4 mm height, by 9 of 12
-sets with 6 mm, and by 11 of 12 sets with 8 mm. With the camera at 0.91 m, half of the sets with
-parts of 8 mm height caused it. Each set had four examples."""
+flat parts caused a warning. The warning was caused by 6 of 12 sets with parts of 4 mm height, by 9
+of 12 sets with 6 mm, and by 11 of 12 sets with 8 mm. With the camera at 0.91 m, half of the sets
+with parts of 8 mm height caused the warning. Each set had four examples."""
 
 BESIDE_PX, BESIDE_RADIUS = 9.0, 0.6
-"""Range on both sides of a contour for the measurement of blur. It is the smaller one of
+"""Range on both sides of a contour for the measurement of blur. The range is the smaller one of
 `BESIDE_PX` [px] and `BESIDE_RADIUS` times the radius."""
 
 
@@ -259,18 +260,19 @@ def learn_type(
 
 
 def drawn_name(name: str) -> str:
-    """Return the file name of a type's drawn picture. It is not `nut.png` for a type `nut`, because
-    this may be the name of a photograph."""
+    """Return the file name of a type's drawn picture. For a type `nut`, the name is not `nut.png`,
+    because a photograph may have this name."""
     return f"{name}_taught.png"
 
 
 def check_alike(part: PartType, types: Mapping[str, PartType], calibration: Calibration) -> None:
-    """Raise an error if a type cannot be distinguished from one of the others.
+    """Raise an error if a type cannot be distinguished from another type.
 
     Raises
     ------
     TeachError
-        The message contains the other type and the distance.
+        If the types are too similar. The message contains the other type and the distance between
+        the types.
     """
     scale = float(calibration.scale(np.zeros((1, 2)))[0])
     for other in types.values():
@@ -318,9 +320,10 @@ def gap_between(a: PartType, b: PartType, scale: float) -> Gap:
 
 
 def apart(a: PartType, b: PartType, scale: float) -> tuple[float, float, float]:
-    """Return three differences between two types. The first is the RMS distance between the
-    outlines after one of them has grown evenly [px at `scale` px/m]. The second is this growth
-    [px]. The third is the distance between the colours in Lab, or 0 if a colour is unknown."""
+    """Return three differences between two types. The first difference is the RMS distance between
+    the outlines after one outline has grown evenly [px at `scale` px/m]. The second difference is
+    this growth [px]. The third difference is the distance between the colours in Lab, or 0 if a
+    colour is unknown."""
     one, other = make_template(a), make_template(b)
     fit = lay_on(one, other.outline, scale)
     gap = 0.0
@@ -382,8 +385,8 @@ def _measured(
 
 
 def _blur_px(image: np.ndarray, patch: Patch) -> float:
-    """Return the blur of a patch's contour, which is a standard deviation [px]. It is the median of
-    contrast / (sqrt(2 pi) slope) over the points of the contour."""
+    """Return the blur of a patch's contour, which is a standard deviation [px]. The blur is the
+    median of contrast / (sqrt(2 pi) slope) over the points of the contour."""
     grey = image if image.ndim == 2 else cv2.cvtColor(image, cv2.COLOR_BGR2GRAY)
     outline = patch.outline
     along = np.roll(outline, -3, axis=0) - np.roll(outline, 3, axis=0)
@@ -470,7 +473,7 @@ def _agreeing(name: str, shown: Sequence[_Shown], scale: float, unused: list[str
     Raises
     ------
     TeachError
-        If less than `MIN_ALIKE_FRACTION` of them agree.
+        If less than the fraction `MIN_ALIKE_FRACTION` of the parts agree.
     """
     # The part with the median size is the reference.
     middle = sorted(shown, key=lambda one: one.outline.filled.area)[len(shown) // 2].outline
@@ -507,9 +510,9 @@ def _mean_outline(
     """Return the mean of outlines, and three properties of it.
 
     The mean outline is rotated like the first outline. The first property is the pose (3,) [m, m,
-    rad] of the mean outline in the first example. The second is the RMS distance of the outlines
-    from the mean outline [m]. The third is this distance after the sizes of the outlines were made
-    equal [m]."""
+    rad] of the mean outline in the first example. The second property is the RMS distance of the
+    outlines from the mean outline [m]. The third property is this distance after the sizes of the
+    outlines were made equal [m]."""
     # Start with the outline of median size, and fit the others to it.
     first = int(np.argsort([outline.area for outline in outlines])[len(outlines) // 2])
     mean = _shifted(outlines[first], outlines[first].centre)

@@ -1,11 +1,11 @@
 """Assignment of the detections in an image to tracks by maximum likelihood.
 
-A pair consists of a track and a detection. Its gain is the logarithm of the ratio of two
-likelihoods. The first one assumes that the detection shows the track's part. The second one assumes
-that the part is missed and the detection is new or false. The gain depends on position, class and
-angle. The sum of the gains is maximised (linear_sum_assignment of scipy). The expected position of
-a part is the prediction of the planner's filter, which uses the plate's motion. Without such a
-prediction, the position is extrapolated from the drift.
+A pair consists of a track and a detection. The gain of a pair is the logarithm of the ratio of two
+likelihoods. The first likelihood assumes that the detection shows the track's part. The second
+likelihood assumes that the part is missed and the detection is new or false. The gain depends on
+position, class and angle. The sum of the gains is maximised (linear_sum_assignment of scipy). The
+expected position of a part is the prediction of the planner's filter, which uses the plate's
+motion. Without such a prediction, the position is extrapolated from the drift.
 """
 
 from __future__ import annotations
@@ -24,16 +24,16 @@ detections per part. A factor of three has little effect, because only the logar
 are used."""
 
 CROWD = 200.0
-"""Number of parts per square metre of a full plate. Its product with FALSE_RATE is the density of
-false detections."""
+"""Number of parts per square metre of a full plate. The product of this number and `FALSE_RATE` is
+the density of false detections."""
 
 NEW_RATE = 0.02
 """Fraction of the detections without a track that show a part and are not false."""
 
 PREDICTED_M, POOR_M = 0.4e-3, 3e-3
 """Standard deviation of the error of a predicted position along each axis [m], for usual and for
-poor predictions. In tasks with 30 parts it is 0.1 to 0.2 mm. While the age of images is not known,
-it is several millimetres for all parts."""
+poor predictions. In tasks with 30 parts, the standard deviation is 0.1 to 0.2 mm. While the age of
+images is not known, it is several millimetres for all parts."""
 
 PUSHED_M, PUSHED_RATE = 5e-3, 1e-4
 """`PUSHED_M`: standard deviation of the position of a part that another part has pushed [m].
@@ -41,7 +41,7 @@ PUSHED_M, PUSHED_RATE = 5e-3, 1e-4
 
 SWING_M = 2e-3
 """Additional standard deviation of a predicted position half-way between the last detection and the
-time of the prediction [m]. It is needed because parts oscillate during a cycle."""
+time of the prediction [m]. This value is needed because parts oscillate during a cycle."""
 
 MAX_FRACTION = 2.0
 """Maximum fraction of a predicted displacement that is applied [-]. If an image is later than the
@@ -75,7 +75,7 @@ def assign(
     gate: float,
     expected: Prediction | None = None,
 ) -> np.ndarray:
-    """Return the index (T,) of the detection for each track, or -1 if it has none.
+    """Return the index (T,) of the detection for each track, or -1 if the track has no detection.
 
     A pair is chosen only if it is more likely than the combination of a missed part and a new or
     false detection.
@@ -161,8 +161,8 @@ def _angle_gain(
 def _drift_gain(
     tracks: Sequence[Track], stamp: float, seen: Sequence[Sighting], gate: float
 ) -> np.ndarray:
-    """Return the log density [1/m2] of detections (T, M) if the drift of the parts continues. It is
-    minus infinity outside the gate."""
+    """Return the log density [1/m2] of detections (T, M) if the drift of the parts continues. The
+    log density is minus infinity outside the gate."""
     reach = gate * np.array([1 + track.missed for track in tracks])
     place = [track.predicted(stamp, most) for track, most in zip(tracks, reach, strict=True)]
     square = _square(np.array(place), seen)

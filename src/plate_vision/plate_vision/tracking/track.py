@@ -1,6 +1,6 @@
-"""The track of one part. It consists of the part's last detections, and of the class, position,
-drift and angle that are computed from them. A `Track` is never modified; `extended` returns a new
-`Track`."""
+"""The track of one part. A track consists of the part's last detections, and of the class,
+position, drift and angle that are computed from these detections. A `Track` is never modified;
+`extended` returns a new `Track`."""
 
 from __future__ import annotations
 
@@ -63,15 +63,15 @@ class Track:
     number : int
         Number of the part within its class, from 1; 0 until the part is confirmed.
     history : tuple of (stamp [s], x [m], y [m])
-        Detections in plate_home, oldest first, at most `velocity_frames` + 1. They are stored as
-        tuples, because tuples are ten times faster than arrays for a few numbers.
+        Detections in plate_home, oldest first, at most `velocity_frames` + 1. The detections are
+        stored as tuples, because tuples are ten times faster than arrays for a few numbers.
     missed : int
         Number of images since the last detection.
     hits : int
         Number of images with a detection.
     angles : tuple of (stamp [s], angle [rad])
-        Angles in the same images. They are unwrapped, so that they do not jump by 2 pi or by the
-        angle of the part's symmetry.
+        Angles in the same images. The angles are unwrapped, so that they do not jump by 2 pi or by
+        the angle of the part's symmetry.
     quality : tuple of 3 float
         Quality of the last detection, see `Tracker.quality`.
     votes : tuple of str
@@ -99,7 +99,7 @@ class Track:
 
     @property
     def velocity(self) -> tuple[float, float]:
-        """Drift along x and y [m/s]. It is zero before the second detection."""
+        """Drift along x and y [m/s]. Zero before the second detection."""
         (t0, x0, y0), (t1, x1, y1) = self.history[0], self.history[-1]
         if t1 == t0:
             return 0.0, 0.0
@@ -112,15 +112,15 @@ class Track:
 
     @property
     def spin(self) -> float:
-        """Angular velocity [rad/s]. It is zero before the second detection."""
+        """Angular velocity [rad/s]. Zero before the second detection."""
         if len(self.angles) < 2:
             return 0.0
         (t0, angle0), (t1, angle1) = self.angles[0], self.angles[-1]
         return (angle1 - angle0) / (t1 - t0)
 
     def predicted(self, stamp: float, reach: float) -> tuple[float, float]:
-        """Return the extrapolated position x, y [m] at `stamp` [s]. It is at most `reach` [m] from
-        the last position.
+        """Return the extrapolated position x, y [m] at `stamp` [s]. The extrapolated position is at
+        most `reach` [m] from the last position.
 
         The stamps of a camera without trigger are noisy, and two stamps may be close together. The
         velocity is then wrong. Therefore, the extrapolation is also limited to a multiple of the
@@ -140,7 +140,7 @@ class Track:
 
     def _extrapolation(self, stamp: float, first: float, last: float) -> float:
         """Return the time from `last` to `stamp`, relative to the time from `first` to `last` [-].
-        It is limited to the number of missed images plus two."""
+        The result is at most the number of missed images plus two."""
         return 0.0 if last == first else min((stamp - last) / (last - first), self.missed + 2)
 
     def extended(self, stamp: float, seen: Sighting, keep: int) -> Track:

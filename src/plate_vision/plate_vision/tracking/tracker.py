@@ -1,7 +1,7 @@
 """The tracker: all tracks, which are updated with the detections of each image.
 
-`update` assigns detections to tracks, gives ids to confirmed new parts, and gives up parts that
-were missed for too long. The input consists of positions, classes and angles. The output is a new
+`update` assigns detections to tracks, gives ids to confirmed new parts, and removes parts that were
+missed for too long. The input consists of positions, classes and angles. The output is a new
 `Tracker`.
 """
 
@@ -47,9 +47,9 @@ class TrackerOptions:
         false detection gets no id.
     velocity_frames : int
         Number of images over which the drift is measured, 1 to 100. With 1, the drift is measured
-        from the last two images without delay. The planner needs the drift without delay. Its noise
-        is the noise of two positions, 0.014 mm per cycle. With more images, the drift is smoother
-        but delayed.
+        from the last two images without delay. The planner needs the drift without delay. The noise
+        of this drift is the noise of two positions, 0.014 mm per cycle. With more images, the drift
+        is smoother but delayed.
     """
 
     RANGES: ClassVar[Mapping[str, tuple[float, float]]] = {
@@ -77,11 +77,12 @@ class Tracker:
     stamp : float or None
         Stamp of the last image [s]. None before the first image.
     tracks : tuple of Track
-        Tracks, sorted by class and number. They include tracks that were missed in the last image.
+        Tracks, sorted by class and number. Tracks of parts that were missed in the last image are
+        included.
     last_number : mapping of str to int
         Largest number that was given so far in each class. Numbers are not reused.
     given_up : tuple of str
-        Ids that were given up with the last image.
+        Ids that were removed with the last image.
     renamed : tuple of (id before, id now)
         Parts whose class changed with the last image.
     overlooked : (n,) OVERLOOKED
@@ -159,9 +160,9 @@ def update(
 ) -> Tracker:
     """Update the tracks with the detections of one image.
 
-    If the stamp is the same as before, it is the same image, and nothing changes. If the stamp is
-    earlier, the clock was set back, for example because a simulator was restarted. In this case,
-    all parts are new.
+    If the stamp is equal to the last stamp, the image is the same, and nothing changes. If the
+    stamp is earlier, the clock was set back, for example because a simulator was restarted. If the
+    clock was set back, all parts are new.
 
     Parameters
     ----------
