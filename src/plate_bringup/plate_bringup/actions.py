@@ -138,8 +138,8 @@ def check_words(hardware: bool, words: Sequence[str], file: str) -> None:
 
 
 def _names(file: str, before: str, word: str) -> bool:
-    """Return whether a word of the command line is the path of a launch file, or its name after the
-    name of this package."""
+    """Return whether a word of the command line names a launch file. This is the path of the file,
+    or the file's name after the name of this package."""
     if Path(word).name != Path(file).name:
         return False
     return before == PACKAGE or (Path(word).exists() and Path(word).samefile(file))
@@ -166,7 +166,7 @@ def start(hardware: bool, file: str, context: Any) -> list[Any]:
     ------
     GraphError
         If an argument is unknown, or if the parameter file does not exist. Without this check, ROS
-        would start the nodes without the file.
+        would ignore a missing parameter file and start the nodes without its parameters.
     """
     check_words(hardware, sys.argv, file)
     known = arguments_of(hardware)
@@ -225,7 +225,7 @@ def rigs_in(parameters: Sequence[Any], space: str, names: Sequence[str]) -> list
     ----------
     parameters : sequence
         Parameters in the form of launch_ros: paths of parameter files, and pairs of name and value.
-        Files that cannot be read are ignored here, because the nodes report them.
+        Unreadable files are ignored here, because the nodes report these files.
     space : str
         Namespace of the nodes, without slashes at its ends.
     names : sequence of str
@@ -252,8 +252,8 @@ def rigs_in(parameters: Sequence[Any], space: str, names: Sequence[str]) -> list
 
 class _Loader(yaml.BaseLoader):
     """Loader of parameter files that reads all scalars as text, because rcl accepts values that
-    PyYAML refuses, such as an impossible date. It refuses aliases, as rcl does. With aliases, a
-    small file can have an endless number of sections."""
+    PyYAML refuses, such as an impossible date. It refuses aliases, as rcl does. With nested
+    aliases, a small file could expand to an enormous number of sections."""
 
     def compose_node(self, parent: Any, index: Any) -> Any:
         if self.check_event(yaml.AliasEvent):
@@ -275,8 +275,8 @@ def _sections(data: Any, above: str = "") -> Iterator[tuple[str, dict[Any, Any]]
 
 
 def default_files(hardware: bool, space: str, names: Sequence[str]) -> list[str]:
-    """Return the files with the default parameters of the nodes. If there is a namespace, one of
-    the files sets `frame_prefix`."""
+    """Return the files with the default parameters of the nodes. If the nodes have a namespace, one
+    of the files sets `frame_prefix`."""
     files = [str(config_path("nodes.yaml"))]
     if hardware:
         files.append(str(config_path("hardware.yaml")))
@@ -289,10 +289,11 @@ def default_files(hardware: bool, space: str, names: Sequence[str]) -> list[str]
 def _put_first(defaults: Sequence[str], context: Any) -> None:
     """Place the default parameter files before all other parameters.
 
-    ROS merges all files by the names of their sections. If two sections match a node, the section
-    whose name occurs first at a later place has priority. Therefore `/**/solver` in the default
-    files must occur before a section such as `/left/solver` in a user's file. launch_ros passes the
-    parameters of outer actions, such as SetParametersFromFile, before the parameters of the node.
+    ROS merges all files by the names of their sections. If two sections match a node, ROS compares
+    the places at which their names first occur. The section with the later place has priority.
+    Therefore `/**/solver` in the default files must occur before a section such as `/left/solver`
+    in a user's file. launch_ros passes the parameters of outer actions, such as
+    SetParametersFromFile, before the parameters of the node.
     """
     outer = context.launch_configurations.get("global_params", [])
     context.launch_configurations["global_params"] = [*defaults, *outer]

@@ -45,7 +45,8 @@ __all__ = ["SpeedBounds", "rest_to_rest_s", "shift_accel", "speed_bounds"]
 
 
 class SpeedBounds(NamedTuple):
-    """Upper bounds of the mean speed of one part [m/s], one for each limit of the rig.
+    """Upper bounds of the mean speed of one part [m/s]. There is one bound for each limit of the
+    rig.
 
     Attributes
     ----------
@@ -68,7 +69,7 @@ class SpeedBounds(NamedTuple):
 
     @property
     def binds(self) -> str:
-        """Name of the limit with the smallest bound."""
+        """Name of the limit that produces the smallest bound."""
         return self._fields[self.index(self.least)]
 
 
@@ -97,8 +98,8 @@ def shift_accel(rig: Rig) -> float:
     """Return the maximum acceleration of the plate along the most favourable line [m/s2].
 
     `accel_mps2` in the rig file and the peak force of the motors limit the acceleration. If the rig
-    has flexures, the peak force is ignored, because the forces of the flexures can add to those of
-    the motors.
+    has flexures, the peak force is ignored, because the forces of the flexures can add to the
+    forces of the motors.
     """
     if rig.suspension is not None:
         return float(rig.limits.accel)
@@ -113,8 +114,8 @@ def _travel(rig: Rig) -> float:
 
 
 def _least(rows: np.ndarray) -> float:
-    """Return the minimum over all directions (x, y) of the largest magnitude of row . direction.
-    `rows` (4, 3) has the columns x, y and theta."""
+    """Return the minimum of max_k |rows[k] . d| over all unit vectors d = (cos a, sin a, 0). `rows`
+    (4, 3) has the columns x, y and theta."""
     angle = np.linspace(0, np.pi, 181)
     return float(np.min(np.max(np.abs(rows[:, :2] @ [np.cos(angle), np.sin(angle)]), axis=0)))
 

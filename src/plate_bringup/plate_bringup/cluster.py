@@ -1,7 +1,8 @@
 """Parallel runs on several computers. A Dask scheduler distributes the runs to its workers.
 
-`Cluster` has the interface of a pool of processes. A worker receives runs only if its code,
-libraries and processor give the same results as this process, to the last bit.
+`Cluster` has the interface of a pool of processes. A worker receives runs only if it produces
+bit-identical results. Its code, libraries and processor must therefore agree with those of this
+process.
 """
 
 from __future__ import annotations
@@ -39,10 +40,10 @@ POLL_S = 0.5
 """Interval between two searches for new workers [s]."""
 
 FIRST_S = 60.0
-"""Maximum time in which the first worker must be accepted [s]."""
+"""Maximum wait until the first worker is accepted [s]."""
 
 STOP_S = 5.0
-"""Maximum time of each step of `shutdown` [s]."""
+"""Time limit of each step of `shutdown` [s]."""
 
 
 class Cluster(Executor):
@@ -57,19 +58,20 @@ class Cluster(Executor):
     address : str
         Address of the scheduler, such as `tcp://192.168.0.10:8786`.
     bench : bool
-        Whether the functions are in `bench` or `tools` of the clone. If so, each worker must have a
-        clone with the same code. The path of the clone can differ, unless arguments contain
-        absolute paths.
+        Whether the functions are in the folders `bench` or `tools` of a clone of the repository. If
+        True, each worker must have a clone with the same code. The path of the clone can differ,
+        unless arguments contain absolute paths.
     modules : sequence of str
-        Further packages of the project. Each worker must have the same code of them.
+        Further packages of the project. Each worker must have the same code of these packages.
     agent : str
-        Module of another person. Each worker must have the same files and libraries of it.
+        Module of another person. Each worker must have the same files of this module, and the same
+        versions of the libraries that it imports.
     tell : callable
         Function that is called with lines of text: the address of the dashboard, and refused
         workers.
     end : callable, optional
         Function that `shutdown` calls on each worker that executes a run, to end this run. By
-        default, an exception is raised in the thread of the run.
+        default, `shutdown` raises an exception in the thread of the run.
 
     Raises
     ------
@@ -114,8 +116,9 @@ class Cluster(Executor):
         threading.Thread(target=self._watch, daemon=True).start()
 
     def submit(self, fn: Callable[..., Any], /, *args: Any, **kwargs: Any) -> Future[Any]:
-        """Submit a run, see `Executor`. A run that has begun can also be canceled. Then its result
-        is dropped, but it continues on its worker until it ends or `shutdown` ends it."""
+        """Submit a run, as `concurrent.futures.Executor` describes. A run that has begun can also
+        be canceled. The result of such a run is discarded. The run itself continues on its worker
+        until it ends or `shutdown` ends it."""
         result: Future[Any] = Future()
         # The run is sent as bytes. Otherwise the scheduler would read the arguments, and it cannot
         # import the modules of `bench`.
@@ -160,7 +163,7 @@ class Cluster(Executor):
 
     def _take(self, result: Future[Any], sent: Future[Any]) -> None:
         """Pass the result or the exception of a run to the caller. If the run was lost together
-        with the scheduler, do nothing."""
+        with the scheduler, only record that it must be sent again."""
         if sent.cancelled():
             self._lose(result)
             return
@@ -190,8 +193,8 @@ class Cluster(Executor):
             result.set_running_or_notify_cancel()
 
     def _release(self, result: Future[Any]) -> None:
-        """Cancel a run if it has not ended, and delete its result in the cluster. Otherwise the
-        cluster would repeat the run if its worker died."""
+        """Cancel a run if it has not ended, and delete its result in the cluster. If the result
+        were not deleted, the cluster would repeat the run after the death of its worker."""
         if (sent := self._sent.pop(result, None)) is not None:
             sent.cancel()
 
@@ -230,8 +233,8 @@ class Cluster(Executor):
             self._ending.wait(POLL_S)
 
     def _ask_new(self) -> int:
-        """Start the check of each new worker. If no worker is left, report this. Return the number
-        of workers."""
+        """Start the check of each new worker. If all workers are refused or there is no worker,
+        report this. Return the number of workers."""
         workers = self._identity()["workers"]
         self._admitted = [name for name, one in workers.items() if self._key in one["resources"]]
         for name in set(self._asked) - set(workers):
@@ -305,8 +308,9 @@ def _connect(address: str) -> Any:
 
 
 async def _ask_server(address: str) -> tuple[str, str]:
-    """Return the kind of a Dask server, and the version of its package `distributed`. Dask's client
-    is not used for this, because it waits without end if the server is no Dask server."""
+    """Return the kind of a Dask server, and the version of its package `distributed`. This function
+    does not use Dask's client, because the client waits forever if the server is not a Dask
+    server."""
     from distributed import Security
     from distributed.comm import connect
     from distributed.core import send_recv
@@ -329,7 +333,8 @@ def _text(problem: BaseException) -> str:
 
 
 _RUNNING: dict[str, int] = {}
-"""Thread of the present run on this worker, by the token of its `Cluster`."""
+"""Identifier of the thread that executes the present run on this worker. The key is the token of
+the run's `Cluster`."""
 
 
 class _Stopped(Exception):
@@ -337,7 +342,7 @@ class _Stopped(Exception):
 
 
 def _work(token: str, call: bytes) -> Any:
-    """Run a function on a worker so that `_stop` can end it."""
+    """Run a function on a worker, and register its thread so that `_stop` can end it."""
     _RUNNING[token] = threading.get_ident()
     try:
         function, args, kwargs = pickle.loads(call)
@@ -381,8 +386,8 @@ async def _admit(
 
 
 def _make_bench_importable() -> None:
-    """Add the folder `bench` of the clone to the folders from which Python imports modules. Without
-    a clone, do nothing."""
+    """Add the folder `bench` of the clone to the folders from which Python imports modules. If
+    there is no clone, do nothing."""
     folder = clone()
     if folder is not None and str(folder / "bench") not in sys.path:
         sys.path.append(str(folder / "bench"))

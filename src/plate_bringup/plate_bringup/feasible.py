@@ -1,7 +1,7 @@
 """Command that predicts whether a rig can perform a task: `ros2 run plate_bringup feasible`.
 
-The prediction is a rehearsal of the task (see `rehearsal`). Without ROS, `python -m
-plate_bringup.feasible` does the same.
+The prediction is a rehearsal of the task (see `rehearsal`). `python -m plate_bringup.feasible` is
+the same command for computers without ROS.
 """
 
 from __future__ import annotations
@@ -35,7 +35,7 @@ NOT_REHEARSED = {
     MoveTask: "tasks of kind move are not rehearsed; run the demo",
     FeedTask: "tasks of kind feed are not rehearsed; run `ros2 run plate_bringup qualify`",
 }
-"""Kinds of tasks that cannot be rehearsed, and what to do instead."""
+"""Kinds of tasks that cannot be rehearsed, with an explanation and the command to use instead."""
 
 COUNTS = (1, 2, 4, 10)
 """Numbers of parts that are rehearsed if no scenario is given."""
@@ -44,7 +44,7 @@ DISTANCE_M = 0.1
 """Distance from rest to rest for which the report states the minimum time [m]."""
 
 PERIOD_S = 0.2
-"""Longest cycle of the solver [s]."""
+"""Maximum length of a cycle that the solver computes [s]."""
 
 KEYS = {
     "stroke": "stroke_m", "speed": "speed_mps", "acceleration": "accel_mps2", "force": "force_n",
@@ -84,8 +84,8 @@ def main() -> None:
 
 
 def report(rig: Rig, name: str, scenario: Scenario | None) -> tuple[str, bool]:
-    """Return the lines of the report, and whether the task is likely to succeed. Without a task,
-    return whether one part can be moved."""
+    """Return the lines of the report, and whether the task is likely to succeed. If no task is
+    given, return whether parts can be moved."""
     lines = [
         f"{name}: Gamma = {rig.gamma:.1f}, limited by {rig.reach.limit}; parts slide above 1",
         one_part(rig),
@@ -135,8 +135,8 @@ def of_task(rig: Rig, scenario: Scenario) -> tuple[list[str], bool]:
 
 
 def of_counts(rig: Rig) -> tuple[list[str], bool]:
-    """Return a table of the speeds for several numbers of parts, of which half move to the left and
-    half to the right. Also return whether the parts move."""
+    """Return a table of the predicted speeds for several numbers of parts. Half of the parts move
+    to the left, the others to the right. Also return whether the parts move."""
     lines = ["random starts, to two sides  mean speed [mm/s]   most used limit"]
     moved = False
     for count in COUNTS:

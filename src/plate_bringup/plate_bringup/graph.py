@@ -28,8 +28,8 @@ OWN = {
 """Options of a run that set a parameter with the same name, by node."""
 
 UNTIMED_S = 30.0
-"""Value of `input_timeout_s` of these nodes if time is simulated [s, wall]. It is long, because a
-cycle of simulated time can take a long wall time."""
+"""Value of `input_timeout_s` for all nodes with this parameter if time is simulated [s, wall]. The
+timeout is long, because a cycle of simulated time can take a long wall time."""
 
 
 SERIAL_ANSWER_S = 0.14
@@ -132,20 +132,20 @@ class RunOptions:
     transport, port : str
         Transport and serial port of the driver.
     camera : str
-        Device of the camera node. If it is empty, the simulator or another node publishes the
-        images.
+        Device of the camera node. Empty: the simulator or another node publishes the images.
     hardware : bool
-        Whether the run is on hardware, without the simulator. A port has the same effect. With a
-        camera but without a port, only the motor controller is simulated.
+        Whether the run is on hardware, without the simulator. If `port` is given, the run is also
+        on hardware. With a camera but without a port, only the motor controller is simulated.
     link : str
         Serial port of the simulated device.
     firmware : str
-        Firmware program for drives on a CAN bus, which the simulated device runs. Empty if there is
-        no such bus.
+        Firmware program for drives on a CAN bus, which the simulated device runs. Empty: no CAN
+        bus.
     lockstep : bool
-        Whether the simulator waits for the reply to each image. If true, time is simulated.
+        Whether the simulator waits after each image until the new cycle has arrived. If True, time
+        is simulated.
     rate : float
-        Simulated seconds per second. If it is not 1, time is simulated.
+        Simulated seconds per second. If the value is not 1, time is simulated.
     simulated_time : bool
         Whether time is simulated even at rate 1, so that the simulator's parameter `rate` can be
         changed during the run.
@@ -162,8 +162,7 @@ class RunOptions:
     view : bool
         Whether to show the live page.
     recipe : str
-        Scenario of the feeder: name or path. If it is empty and `scenario` is a feed task,
-        `scenario` is used.
+        Scenario of the feeder: name or path. Empty: `scenario` is used if it is a feed task.
     robot_port : int
         TCP port of the feeder, to which robots connect. 0 means any free port.
     """
@@ -232,8 +231,8 @@ class RunOptions:
         return str(yaml.safe_dump({name: v for name, v in values.items() if v["ros__parameters"]}))
 
     def parameters(self, node: GraphNode, given: Collection[str] | None = None) -> dict[str, Value]:
-        """Return the parameters of a node that differ from nodes.yaml, because options of the run
-        set them.
+        """Return the parameters of a node that options of the run set, because their values differ
+        from nodes.yaml.
 
         Parameters
         ----------

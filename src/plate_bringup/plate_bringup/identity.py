@@ -1,4 +1,5 @@
-"""Identity of the code, the libraries and the processor, on which the results of a seed depend."""
+"""Identity of the code, the libraries and the processor. The results of a run with a given seed
+depend on these facts."""
 
 from __future__ import annotations
 
@@ -28,7 +29,7 @@ __all__ = [
 PACKAGES = (
     "bringup", "core", "driver", "feeder", "native", "planner", "sim", "solver", "vision",
 )  # fmt: skip
-"""Packages on which every run depends. Their names begin with `plate_`."""
+"""Names of the packages on which every run depends, without `plate_`."""
 
 LIBRARIES = ("numpy", "scipy", "cv2", "shapely")
 """Modules whose versions can change a result."""
@@ -40,12 +41,13 @@ TRIAL, TRIAL_CYCLES = "sort_4", 4
 """Scenario of the short runs whose results are compared, and their number of cycles."""
 
 REQUIRED = ("avx2", "fma")
-"""Features of a processor. On all processors with these features, results are identical if the
-environment variables `ALIKE` are set."""
+"""Features of a processor. If the environment variables `ALIKE` are set, all processors with these
+features give identical results."""
 
 
 def differences(expected: dict[str, str], found: dict[str, str]) -> list[str]:
-    """Return a text for each fact that differs between two processes."""
+    """Return a text for each fact that differs between two processes. The facts are those of
+    `facts`."""
     return [
         f"{name} is {found.get(name)!r}, allowed: {expected.get(name)!r}"
         for name in expected | found
@@ -89,8 +91,9 @@ def machine() -> dict[str, str]:
 
 
 def _processor(alike: bool) -> str:
-    """Return the model of the processor. If `alike` and the processor has the features `REQUIRED`,
-    return these features instead, because then only they determine the results."""
+    """Return the model of the processor. If `alike` is True and the processor has the features
+    `REQUIRED`, return these features instead. In this case the results do not depend on the
+    model."""
     lines = [line.partition(":") for line in Path("/proc/cpuinfo").read_text().splitlines()]
     about = {name.strip(): value.strip() for name, _, value in reversed(lines)}
     if alike and set(REQUIRED) <= set(about.get("flags", "").split()):
@@ -127,10 +130,10 @@ def code_of(*modules: str) -> str:
 def files_of(module: str) -> dict[str, str]:
     """Return digests of the files of another person's module, by path. The module is not imported.
 
-    For a package, with or without `__init__.py`, these are all files in its folder, except hidden
-    files and bytecode. For a module in a single file, these are this file and the files in its
-    folder that it names. It can name them by an import, or by a text such as "weights.npz". If the
-    module does not exist, the result is empty.
+    For a package, with or without `__init__.py`, the result contains all files in its folder,
+    except hidden files and bytecode. For a module in a single file, it contains this file and the
+    files in the same folder that the module names. The module can name a file by an import, or by a
+    text such as "weights.npz". If the module does not exist, the result is empty.
     """
     marks = {}
     for name, path in sorted(_files(module).items()):
@@ -152,7 +155,7 @@ def libraries_of(module: str) -> dict[str, str]:
 
 
 def _files(module: str) -> dict[str, Path]:
-    """Return the paths of the files of `files_of`, by their keys."""
+    """Return the paths of the files whose digests `files_of` returns, by the same keys."""
     spec = _spec(module)
     if folders := _folders(spec):
         # If several folders have a file of the same name, Python imports it from the first one.
@@ -204,7 +207,8 @@ def _all_files(folder: Path) -> set[Path]:
 
 def _named_in(path: Path) -> tuple[set[str], set[str]]:
     """Return the top-level names of the modules that a Python file imports, and the texts in the
-    file that can be paths of files in its folder. For other files, both are empty."""
+    file that can be paths of files in its folder. For files that are not Python files, both results
+    are empty."""
     imported: set[str] = set()
     texts: set[str] = set()
     try:
@@ -257,7 +261,7 @@ def clone() -> Path | None:
 
 
 def _first_cycles() -> str:
-    """Return a digest of the first cycles of the scenario `TRIAL` by each method."""
+    """Return a digest of the first cycles that each method computes for the scenario `TRIAL`."""
     mark = hashlib.blake2b(digest_size=8)
     for method in dict.fromkeys(METHODS.values()):
         for moment in islice(run(Setup(TRIAL, method=method)), TRIAL_CYCLES):

@@ -1,10 +1,10 @@
 """Closed loop without ROS. It runs the same code as the nodes, in one process.
 
-As with the nodes, image k is taken at the start of cycle k, and the cycle that is computed from
-this image is executed as cycle k + 1. With a free-running camera, images are taken at any time, and
-the loop computes each cycle shortly before the present cycle ends. If no new cycle arrives, the
-plate repeats the present cycle. The transport sends the cycles to the plate: immediately
-(`Direct`), or over a serial line (`SerialLine` of `bench/harness/serial.py`).
+Image k is taken at the start of cycle k. The cycle that is computed from image k is executed as
+cycle k + 1. The nodes behave in the same way. With a free-running camera, images are taken at any
+time, and the loop computes the next cycle shortly before the present cycle ends. If no new cycle
+arrives, the plate repeats the present cycle. The transport sends the cycles to the plate:
+immediately (`Direct`), or over a serial line (`SerialLine` of `bench/harness/serial.py`).
 """
 
 from __future__ import annotations
@@ -91,14 +91,16 @@ __all__ = [
 ALIKE = {
     "OPENBLAS_CORETYPE": "Haswell", "NPY_DISABLE_CPU_FEATURES": "X86_V4 AVX512_ICL AVX512_SPR",
 }  # fmt: skip
-"""Environment variables for reproducible runs. With them, the results of a seed are identical on
-all processors with AVX2 and FMA. They must be set before libraries are loaded."""
+"""Environment variables for reproducible runs. If these variables are set, a run with a given seed
+has identical results on all processors with AVX2 and FMA. The variables must be set before
+libraries are loaded."""
 
 EFFORT = ("iterations", "restarts")
-"""Options of the solvers. Larger values improve the results and increase the computing time."""
+"""Options of the solvers. Larger values of these options improve the results and increase the
+computing time."""
 
 MOMENT_S = 1e-6
-"""Minimum time by which the loop advances [s]."""
+"""Minimum time by which the loop advances in one step [s]."""
 
 CAMERA = ("exposure_s", "readout_s")
 """Data of the rig's camera that settings of the command line can replace."""
@@ -139,10 +141,10 @@ class Setup:
         Disturbances of the simulated world.
     planner : PlannerOptions
     exposure_s, readout_s : float or None
-        Values for the rig's camera [s]. None means the values of the rig.
+        Values for the rig's camera [s]. None: values in the rig file.
     camera_tilt_deg, camera_towards_deg, camera_focal_px, camera_distance_m : float or None
-        If one of these values is given, the camera is moved as by `view_from`. None means the
-        default of `view_from`.
+        Arguments of `view_from`. If one of these values is given, `view_from` moves the camera, and
+        None means its default value.
     rig_height_m : float or None
         Height of all parts in the rig model that all stages use [m]. None means the height in the
         rig file.
@@ -150,8 +152,8 @@ class Setup:
         Image latency that the planner assumes [s]. None means that the planner estimates the
         latency.
     effort : mapping of str to int
-        Options `iterations` and `restarts` of the solver that differ from the defaults of
-        `Controller`.
+        Values of the solver's options `iterations` and `restarts`. For an omitted option, the
+        default of `Controller` applies.
     own_planner : str
         Python file with a class `OwnPlanner`, which requests the forces. The project's planner then
         only supervises the task: it decides whether the task is done or stuck and whether a part is
@@ -253,7 +255,7 @@ class Moment:
     Attributes
     ----------
     time : float
-        Start of the running cycle [s].
+        Start time of the running cycle [s].
     world : WorldState
         True state of the parts at this time.
     parts : Parts
@@ -270,9 +272,9 @@ class Moment:
     step_s : float
         CPU time from the image to the motors' table [s].
     limit_share, force_share, heat_share : float
-        Fractions of the limits that the motors' table uses: the maximum over all limits, the
-        fraction of the peak force, and the fraction of the continuous force if the table is
-        repeated without end.
+        Fractions of the limits that the motors' table uses. `limit_share` is the maximum over all
+        limits, and `force_share` the fraction of the peak force. `heat_share` is the fraction of
+        the continuous force if the table is repeated forever.
     scaled : bool
         Whether the driver scaled the cycle down, because it exceeded the limits.
     error_m : (P,)
@@ -326,8 +328,8 @@ class Transport(Protocol):
         """Send the table of the next cycle."""
 
     def play(self, until: float) -> Sequence[PlateCycle | PlateMotion]:
-        """Advance the time to the start of the next cycle, but at most to `until` [s]. Return the
-        motions of the plate during this time."""
+        """Advance the time to the start of the next cycle, or to `until` [s] if this is earlier.
+        Return the motions of the plate during this time."""
 
 
 class Scene(Protocol):
@@ -394,8 +396,8 @@ class SimulatedScene:
 
 
 class Cell(Protocol):
-    """Interface of the surroundings of the plate in a feed task, for example hopper and robot. They
-    order what the planner must do."""
+    """Interface of the devices around the plate in a feed task, for example hopper and robot. These
+    devices give orders to the planner."""
 
     def act(self, simulation: Simulation, now: float) -> None:
         """Perform all actions that are due at the time `now` [s]. The loop calls this method before
@@ -441,7 +443,7 @@ def load_planner(path: str, rig: Rig) -> ControlLaw:
 
 
 class Direct:
-    """Immediate transport to the simulator. A cycle that is sent is executed after the running
+    """Immediate transport to the simulator. The transport executes a new cycle after the running
     cycle."""
 
     def __init__(self) -> None:
@@ -463,8 +465,8 @@ class Direct:
         self._timeline = self._timeline.send(table.cycle)
 
     def play(self, until: float) -> list[PlateCycle | PlateMotion]:
-        """Advance the time to the end of the running cycle, but at most to `until` [s]. Return the
-        motion of the plate during this time."""
+        """Advance the time to the end of the running cycle, or to `until` [s] if this is earlier.
+        Return the motion of the plate during this time."""
         played, began, end = self.running, self.began, self._timeline.end
         until = until if until < end - MOMENT_S else end
         begin, stop = self.now - began, min(until - began, played.period)
@@ -485,9 +487,9 @@ def run(
 ) -> Iterator[Moment]:
     """Run the loop until the task has ended. For each computed cycle, yield a `Moment`.
 
-    `drag` is a function of the time [s] that returns new targets for a running move task. `cell` is
-    the surroundings in a feed task. `scene` provides the parts. By default, these are the parts of
-    the simulator.
+    `drag` is a function of the time [s] that returns new targets for a running move task. `cell`
+    represents the devices around the plate in a feed task. `scene` provides the parts. By default,
+    these are the parts of the simulator.
     """
     line = transport or Direct()
     scenario = setup.recipe
@@ -571,7 +573,7 @@ def predicted(request: CycleRequest, state: PlannerState) -> Prediction | None:
 
 
 def with_setup_camera(setup: Setup, rig: Rig) -> Rig:
-    """Return the rig with the camera and the part height of the setup."""
+    """Return the rig with the camera and the part height that the setup requests."""
     view = {key: getattr(setup, f"camera_{key}") for key in VIEW}
     if any(value is not None for value in view.values()):
         rig = view_from(rig, **{key: value for key, value in view.items() if value is not None})
@@ -590,7 +592,7 @@ def _true_errors(
     t: float,
 ) -> tuple[np.ndarray, np.ndarray]:
     """Return the true distances of the parts from their references or targets (P,) [m], and in a
-    pose task their angle errors (P,) [rad]. Arrays without defined errors are empty."""
+    pose task their angle errors (P,) [rad]. An array is empty if its errors are not defined."""
     task, true, none = scenario.task, world.position, np.zeros(0)
     if not len(true):
         return none, none
@@ -621,8 +623,8 @@ def _true_errors(
 
 
 def _named(parts: Parts, names: tuple[str, ...], world: WorldState) -> Parts:
-    """Return the true parts that are nearest to the detected parts whose ids are in `names`. The
-    true parts have these ids."""
+    """For each detected part whose id is in `names`, return the nearest true part. The returned
+    parts have the ids of the detected parts."""
     ids = [name for name in names if name in parts.ids]
     seen = parts.position[[parts.ids.index(name) for name in ids]]
     rows = [int(np.argmin(np.sum((world.position - place) ** 2, axis=1))) for place in seen]
@@ -633,8 +635,8 @@ def is_fulfilled(task: Task, rig: Rig, moment: Moment, error: np.ndarray) -> boo
     """Return whether the task is fulfilled by the final true state of the parts. All parts must be
     on the plate.
 
-    `error` (n,) contains the distances of the parts from their references that must be within the
-    tolerance [m].
+    `error` (n,) contains those distances of the parts from their references [m] that the tolerance
+    limits.
     """
     if moment.world.dropped:
         return False

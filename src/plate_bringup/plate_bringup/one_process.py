@@ -14,7 +14,7 @@ from .graph import RunOptions, load_graph
 
 
 def main() -> None:
-    """Run the nodes that the command line names."""
+    """Run the nodes whose names the command line contains."""
     graph = {node.name: node for node in load_graph()}
     default = [node.name for node in RunOptions().nodes(graph.values())]
     parser = argparse.ArgumentParser(

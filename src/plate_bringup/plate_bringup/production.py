@@ -1,9 +1,9 @@
 """Simulated production, without ROS: a robot picks parts that a feeder presents.
 
 The simulation consists of the control loop of `loop`, the rules of the feeder, and the hopper and
-robot of the simulator. At the beginning, the plate is almost empty, so production starts with a
-heap of parts from the hopper. The result is a `Production`, which contains the number of parts per
-minute and the robot's waiting time.
+robot of the simulator. At the beginning, the plate is almost empty, so the hopper drops a heap of
+parts first. The result is a `Production`, which contains the number of parts per minute and the
+robot's waiting time.
 """
 
 from __future__ import annotations
@@ -39,7 +39,8 @@ COMES = 0.85
 """Time from a grip until the robot enters the image again, divided by the robot's cycle."""
 
 AGAIN = 0.1
-"""Time from a refusal until the robot requests a part again, divided by the robot's cycle."""
+"""Time from a reply without a part until the robot requests a part again, divided by the robot's
+cycle."""
 
 SHORT_S = 1e-9
 """Tolerance for rounding errors of times [s]."""
@@ -61,11 +62,11 @@ class Robot:
     """Robot that picks one part per cycle of the length C.
 
     The times are measured from a grip. At 0, the robot detects whether it holds the part. Until
-    0.15 C, it hides a region of the image. Then it reports to the feeder whether it has the part.
-    At 0.6 C, it requests the next part. If the reply arrives in time, the robot enters the image at
-    0.85 C and grips at C. Otherwise it waits outside the image, enters the image when the reply
-    arrives, and grips 0.15 C later. Only this delay counts as waiting time. A failed grip takes as
-    long as a successful grip.
+    0.15 C, the robot hides a region of the camera image. Then it reports to the feeder whether it
+    has the part. At 0.6 C, the robot requests the next part. If the reply arrives before 0.85 C,
+    the robot enters the image at 0.85 C and grips at C. Otherwise the robot waits outside the
+    image. It then enters the image when the reply arrives, and grips 0.15 C later. Only this delay
+    counts as waiting time. A failed grip takes as long as a successful grip.
 
     Attributes
     ----------
@@ -79,7 +80,7 @@ class Robot:
     answered : float
         Time of the reply that contains the pose of the next grip [s].
     refused : float
-        Time of the last refusal [s].
+        Time of the last reply without a part [s].
     """
 
     cycle_s: float
@@ -132,7 +133,7 @@ class Robot:
 
 @dataclass
 class Tally:
-    """Counters of a running production.
+    """Counters and times of a running production.
 
     Attributes
     ----------
@@ -143,7 +144,7 @@ class Tally:
     picks, failed : int
         Number of successful grips and number of failed grips.
     waited_s : float
-        Total time for which the robot waited since the first pick [s].
+        Total waiting time of the robot since the first pick [s].
     error_m, error_rad : list of float
         Errors of the position [m] and the angle [rad] that the feeder reported, one for each grip.
     refused : list of str
@@ -182,18 +183,18 @@ class Production:
     ----------
     parts_per_min : float
         Number of picks after the first pick, divided by the time since the first pick [1/min]. If
-        there was only one pick: 1 divided by the whole time.
+        there was only one pick, the value is 1 divided by the whole time.
     waiting : float
-        Time for which the robot waited, divided by the time since the first pick. 1 if there was no
+        Waiting time of the robot, divided by the time since the first pick. 1 if there was no
         second pick.
     first_s : float
         Time until the first pick [s].
     picks, failed : int
         Number of successful grips and number of failed grips.
     lost, discharged : int
-        Numbers of parts that left the plate. A part is lost if it left over an edge without the
-        chute, or if it is of a requested class and left over the edge with the chute. Other parts
-        that left over the edge with the chute are discharged.
+        Numbers of parts that left the plate. A part that leaves over an edge without the chute is
+        lost. A part that leaves over the edge with the chute is lost if its class is requested.
+        Otherwise it is discharged.
     error_mm, error_deg : (median, 95th percentile, maximum)
         Errors of the reported positions and angles of the parts at the grip.
     cpu : float
@@ -243,7 +244,7 @@ class Production:
 
 def percentiles(values: Sequence[float], unit: float) -> tuple[float, float, float]:
     """Return the median, the 95th percentile and the maximum of the finite values, multiplied by
-    `unit`. Without finite values, return NaN."""
+    `unit`. If no value is finite, return NaN."""
     there = unit * np.array([value for value in values if np.isfinite(value)])
     if not len(there):
         return (np.nan, np.nan, np.nan)
@@ -251,7 +252,7 @@ def percentiles(values: Sequence[float], unit: float) -> tuple[float, float, flo
 
 
 class FeederCell:
-    """Surroundings of the plate in production: the rules of the feeder, the hopper and a robot.
+    """Devices around the plate in production: a feeder with its rules, a hopper and a robot.
 
     Attributes
     ----------
@@ -329,8 +330,8 @@ def status_of(report: FeedReport) -> FeedStatus:
 
 
 def check_robot(task: FeedTask, cycle_s: float) -> None:
-    """Raise an error if the feeder's reservations end too early for a robot with this cycle. The
-    robot must have left the plate before the reservation of its part ends.
+    """Raise an error if the feeder's reservations are too short for a robot with this cycle time.
+    The robot must have left the plate before the reservation of its part ends.
 
     Raises
     ------
@@ -349,8 +350,8 @@ def check_robot(task: FeedTask, cycle_s: float) -> None:
 def filled(recipe: Scenario, fill: int) -> Scenario:
     """Return the recipe with a hopper that keeps `fill` parts on the plate.
 
-    At the start, the plate has one part of the first requested class, and the recipe's parts of all
-    classes that are not requested.
+    At the start, the plate contains one part of the first requested class. It also contains the
+    recipe's parts of all classes that are not requested.
 
     Raises
     ------

@@ -1,8 +1,8 @@
 """Command that predicts how many parts per minute a feeder will present, before the rig is built:
 `ros2 run plate_bringup qualify`.
 
-The command simulates production with several numbers of parts on the plate. Without ROS, `python -m
-plate_bringup.qualify` does the same.
+The command simulates production with several numbers of parts on the plate. `python -m
+plate_bringup.qualify` is the same command for computers without ROS.
 """
 
 from __future__ import annotations
@@ -107,7 +107,8 @@ def qualified(
     seeds: Sequence[int],
     note: Callable[[int, FeederCell], None],
 ) -> Row:
-    """Simulate production with one fill.
+    """Simulate production with one fill, which is the number of parts that the hopper keeps on the
+    plate.
 
     Parameters
     ----------
@@ -124,7 +125,7 @@ def qualified(
     Raises
     ------
     PlateError
-        If recipe, rig and fill do not match.
+        If the recipe is impossible with this rig or this fill.
     """
     setups = [Setup(filled(recipe, fill), seed) for seed in seeds]
     runs = [
@@ -259,8 +260,8 @@ def main() -> None:
 
 
 class Progress:
-    """Reports the progress of the runs of a fill on stderr. In a terminal, it overwrites one
-    line."""
+    """Progress reports on stderr about the runs of one fill. In a terminal, all reports overwrite
+    the same line."""
 
     def __init__(self, fill: int, seeds: int, time_s: float) -> None:
         self._fill, self._seeds, self._time_s = fill, seeds, time_s
@@ -269,7 +270,8 @@ class Progress:
         self._begin, self._end, self._each = ("\r\033[K", "", 1) if terminal else ("", "\n", 10)
 
     def __call__(self, seed: int, cell: FeederCell) -> None:
-        """Report the progress after a computed cycle."""
+        """Print the progress if it has changed enough. The simulation calls this method after each
+        computed cycle."""
         tally = cell.tally
         done = int(100 * (seed + min(tally.time_s / self._time_s, 1.0)) / self._seeds)
         if done < self._told + self._each:
@@ -282,7 +284,7 @@ class Progress:
         )  # fmt: skip
 
     def done(self, row: Row) -> None:
-        """Print the result of the fill."""
+        """Print the result of the runs."""
         print(
             f"{self._begin}fill {row.fill}: {row.parts_per_min:.1f} parts per minute, the robot "
             f"waits {100 * row.waiting:.1f} % of the time",

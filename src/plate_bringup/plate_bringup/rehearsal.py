@@ -39,9 +39,8 @@ UNEVEN = 0.1
 """Relative standard deviation of the parts' friction."""
 
 STILL = 0.5e-3
-"""Minimum mean speed at which the parts approach their targets [m/s]. If the task is not done at
-the end of a rehearsal, and the parts were not faster in the second half of it, the rehearsal counts
-as failed."""
+"""Mean speed at which the parts must approach their targets [m/s]. A rehearsal counts as failed if
+the task is not done at its end and the parts were slower in its second half."""
 
 REHEARSED = SortTask, FollowTask, AssembleTask
 """Kinds of tasks in which parts can be modelled as points."""
@@ -51,7 +50,7 @@ ENDLESS_S = 1e5
 required time."""
 
 NOTHING_SEEN = np.zeros((0, 0))
-"""Image of `Predicted`, which has no camera."""
+"""Empty image, which `Predicted` returns because it has no camera."""
 
 
 class Share(NamedTuple):
@@ -138,8 +137,8 @@ def rehearse_task(rig: Rig, scenario: Scenario, rehearsals: int = REHEARSALS) ->
 
 
 class Predicted:
-    """`Scene` whose parts move by the cycle map of the solver. The parts start at rest. Their
-    positions are known without error.
+    """Simplified `Scene`. The cycle map of the solver computes the motion of the parts. The parts
+    start at rest. Their positions are known without error.
 
     Parameters
     ----------
@@ -175,7 +174,8 @@ class Predicted:
         return Parts.make(state.ids, state.position, angle=state.angle)
 
     def run(self, motion: PlateCycle | PlateMotion) -> None:
-        """Move the parts by the cycle map, as points that do not collide."""
+        """Compute the new positions and velocities of the parts with the cycle map. The parts are
+        points that do not collide."""
         state = self.state
         position, velocity = after(motion, state.position, state.velocity, self._friction)
         on_plate = state.on_plate & np.all(np.abs(position) <= self._half, axis=1)

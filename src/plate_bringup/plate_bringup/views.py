@@ -17,14 +17,14 @@ MARGIN_PX = 12.0
 image [px]."""
 
 NEAREST_M = 0.05
-"""Lower end of the search for the camera's distance [m]."""
+"""Minimum camera distance in the search [m]."""
 
 FARTHEST_M = 100.0
-"""Upper end of the search for the camera's distance [m]."""
+"""Maximum camera distance in the search [m]."""
 
 HALVINGS = 60
-"""Number of bisections in the search for the camera's distance. With this number, the result is
-exact except for rounding."""
+"""Number of bisections in the search for the camera's distance. This number is large enough to find
+the distance up to rounding."""
 
 
 def view_from(
@@ -42,7 +42,7 @@ def view_from(
     Parameters
     ----------
     rig : Rig
-        Rig with all other data, for example the size of the image.
+        Rig that supplies all other data, for example the size of the image.
     tilt_deg, towards_deg : float
         `tilt_deg` is the angle between the camera's axis and the vertical [degrees]. `towards_deg`
         is the horizontal direction from the middle of the plate to the camera, counter-clockwise

@@ -1,8 +1,8 @@
 """The program `plate`: tasks, stops, states and parameters of a running graph. The program `ros2`
 need not be installed.
 
-Modules that take long to import are imported only where they are needed, so that the import does
-not delay a stop.
+Modules with a long import time are imported only in the functions that need these modules.
+Therefore no import delays a stop.
 """
 
 from __future__ import annotations
@@ -71,7 +71,8 @@ def main() -> None:
 
 
 def _interrupted(number: int, frame: FrameType | None) -> None:
-    """Exit at once. An exception inside an import might be converted to another exception."""
+    """Exit at once. An exception is not raised here, because a running import might convert it to
+    another exception."""
     os.write(sys.stderr.fileno(), b"plate: interrupted\n")
     os._exit(128 + number)
 

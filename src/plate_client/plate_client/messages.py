@@ -10,7 +10,7 @@ from collections.abc import Callable
 from types import FrameType
 
 POLL_S = 0.02
-"""Maximum wait for one message [s]."""
+"""Maximum wait for one message before the condition is checked again [s]."""
 
 _noted: list[int] = []
 """Received signals for which KeyboardInterrupt has not been raised yet."""
@@ -28,9 +28,9 @@ def spin_until(
     """Process messages until a condition is true, or until a timeout [s]. Return whether the
     condition is true.
 
-    Ctrl-C raises KeyboardInterrupt only between two messages. If it were raised while a message is
-    processed, a reply could be lost. The reply may contain the handle of a running task. Without
-    this handle, the task could not be canceled.
+    Ctrl-C raises KeyboardInterrupt only between two messages. An exception during the processing of
+    a message could lose a reply. This reply may contain the handle of a running task. Without the
+    handle, the task could not be canceled.
 
     Raises
     ------

@@ -1,4 +1,4 @@
-"""Arrays that several users share."""
+"""Read-only arrays, which several objects can share."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ import numpy as np
 
 
 def read_only(array: np.ndarray) -> np.ndarray:
-    """Make an array read-only and return it. A cached array is shared by all its users, so a change
-    by one of them would change the values of the others."""
+    """Make an array read-only and return it. Several objects can share a cached array. A change by
+    one object would change the values of the others."""
     array.setflags(write=False)
     return array

@@ -1,9 +1,9 @@
 """Detection of steps of the clock that stamps messages.
 
-A clock that is synchronised over a network may step. If it steps back while a message is in
-transit, the message seems younger than it is. The steady clock never steps, so the difference
-between the two clocks shows the steps. This module uses no ROS and reads no clock itself. Times
-and clocks are arguments.
+A clock that is synchronised over a network may step. If the clock steps back while a message is in
+transit, the message seems younger than it is. The steady (monotonic) clock never steps. Therefore a
+change of the difference between the two clocks reveals a step. This module uses no ROS and reads no
+clock itself. Times and clocks are arguments.
 """
 
 from __future__ import annotations
@@ -24,17 +24,17 @@ repeated, because its result could look like a step."""
 
 READINGS = 5
 """Maximum number of readings. If all readings are interrupted, the reading with the shortest
-duration counts."""
+duration is used."""
 
 KEPT_S = 60.0
 """Time for which a step is considered [s]. No message is in transit for longer. After a step back,
-the clock shows some times twice. A stamp with such a time may be older than it seems, so it counts
-as made before the step. Therefore the plate rests until the clock has passed these times, but at
-most for `KEPT_S`."""
+the clock shows some times twice. A stamp with such a time may be older than it seems, so it is
+treated as a stamp from before the step. Therefore the plate rests until the clock has passed these
+times, but at most for `KEPT_S`."""
 
 MAX_STEPS = 20
 """Maximum number of steps in `KEPT_S`. With more steps, the clock is not usable. In this case each
-stamp counts as `KEPT_S` older than it seems."""
+stamp is treated as `KEPT_S` older than it seems."""
 
 
 class Step(NamedTuple):
@@ -97,9 +97,9 @@ class ClockSteps:
         return len(self.steps) <= MAX_STEPS
 
     def earliest_ns(self, stamp_ns: int) -> int:
-        """Return the earliest time at which a stamp may have been made, on the clock as it runs now
-        [ns]. It is earlier than the stamp if the clock was set back, or if the clock is not
-        `usable`."""
+        """Return the earliest time at which a stamp may have been made [ns], as the clock would
+        show this time now. The result is earlier than the stamp if the clock was set back, or if
+        the clock is not `usable`."""
         if not self.usable:
             return stamp_ns - round(1e9 * KEPT_S)
         earliest_ns, by_ns = stamp_ns, 0
@@ -116,9 +116,9 @@ def read_together(steady_s: Callable[[], float], stamp_ns: Callable[[], int]) ->
     Parameters
     ----------
     steady_s : callable
-        Returns the time on the steady clock [s].
+        Function that returns the time on the steady clock [s].
     stamp_ns : callable
-        Returns the time on the other clock [ns].
+        Function that returns the time on the other clock [ns].
 
     Returns
     -------

@@ -1,4 +1,4 @@
-"""Common colour palette (red, green, blue; 0 to 255) of pictures, films and RViz markers.
+"""Common colours (red, green, blue; 0 to 255) of pictures, films and RViz markers.
 
 `part_colour` and `class_colour` return the colours of a class. `lab_to_srgb` converts measured CIE
 L, a, b colours for display.
@@ -54,7 +54,7 @@ def part_colour(label: str) -> Colour:
 
 
 def class_colour(label: str) -> Colour:
-    """Return the colour of a class, used for its trails, targets and names."""
+    """Return the colour of a class. It is used for the trails, targets and names of its parts."""
     return _CLASSES.get(label) or _OTHERS[sum(label.encode()) % len(_OTHERS)]
 
 

@@ -20,7 +20,7 @@ CYCLE_S = 0.1
 
 @dataclass(frozen=True)
 class Forces:
-    """Requested mean forces on M parts over one cycle. The paper uses this form of request.
+    """Requested mean forces on M parts over one cycle. The paper also uses requested forces.
 
     A mean force F over a cycle of length T changes the drift of a part of mass m by F T/m. A mean
     torque N changes the spin of a part with the moment of inertia J by N T/J.
@@ -30,7 +30,7 @@ class Forces:
     force : (M, 2)
         Centre of the accepted interval [N, plate_home].
     tolerance : (M, 2)
-        Half width of the accepted interval [N]. All forces inside it are equally good.
+        Half width of the accepted interval [N]. All forces inside the interval are equally good.
     torque : (M,)
         Mean torque [N m]. If it is 0, all rotations are equally good.
     period : float
@@ -50,8 +50,8 @@ class AngleTargets:
     Attributes
     ----------
     low, high : (M,)
-        Bounds of the accepted interval [rad]. All angles inside it are equally good. The bounds
-        differ from the part's angle by at most half a turn.
+        Bounds of the accepted interval [rad]. All angles inside the interval are equally good. The
+        bounds differ from the part's angle by at most half a turn.
     weight : (M,)
         Position error that costs as much as an angle error of one radian [m]. If it is 0, all
         angles are equally good.
@@ -71,8 +71,8 @@ class Targets:
     Attributes
     ----------
     low, high : (M, 2)
-        Bounds of the accepted interval along x and y [m, plate_home]. All positions inside it are
-        equally good.
+        Bounds of the accepted interval along x and y [m, plate_home]. All positions inside the
+        interval are equally good.
     weight : (M, 2)
         Weight of the remaining distance along x and y [-]. If it is 0, all positions along this
         axis are equally good. A violation of the clearance to an edge or to another part has the
@@ -100,8 +100,8 @@ class CycleRequest:
         The M parts for which forces or targets are requested.
     forces : Forces
         Requested forces, if `targets` is None. If `targets` is given, the solver ignores the
-        forces. In this case they would move the parts towards their targets, and are only displayed
-        (markers, the page, recordings).
+        forces. In this case the forces point towards the targets and are only displayed (markers,
+        the page, recordings).
     targets : Targets or None
         Requested targets. None if forces are requested.
     start : (M, 4) or None
@@ -110,8 +110,8 @@ class CycleRequest:
         of the cycle.
     plate : (3, 3) or None
         Pose, twist and acceleration of the plate at the start of the cycle, in the form of
-        `PlateCycle.state`. None if they are uncertain. In this case the cycle starts at rest at
-        home.
+        `PlateCycle.state`. None if this state is uncertain. In this case the cycle starts at rest
+        at home.
     """
 
     parts: Parts
@@ -151,7 +151,7 @@ class CycleRequest:
 
     @property
     def forces_or_targets(self) -> Forces | Targets:
-        """The targets if they are given, otherwise the forces."""
+        """The targets of the request, or its forces if it has no targets."""
         return self.forces if self.targets is None else self.targets
 
 

@@ -1,10 +1,11 @@
-"""Process exit: a time limit for destroying ROS nodes, and a quiet end when a pipe is closed.
+"""Process exit: a time limit for destroying ROS nodes, and an exit without a traceback when the
+reader closes a pipe.
 
 The Fast DDS version in the wheels can block forever in `DomainParticipant::set_listener`. This
-happens if another participant is discovered while this one is destroyed, because the default
-timeout overflows. rclpy holds Python's global interpreter lock during this call, so that Python's
-signal handlers, threads and timers do not run. Therefore `ends` uses a POSIX timer that calls
-`_exit`.
+happens if the process discovers another participant while it destroys its own participant. The
+cause is an overflow of the default timeout. rclpy holds Python's global interpreter lock during
+this call, so that Python's signal handlers, threads and timers do not run. Therefore `ends` uses a
+POSIX timer that calls `_exit`.
 """
 
 from __future__ import annotations
@@ -19,7 +20,8 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 
 DESTROYED_S = 2.0
-"""Maximum time for destroying the ROS nodes of a process [s]. Usually this takes about 10 ms."""
+"""Maximum time for destroying the ROS nodes of a process [s]. Destroying the nodes usually takes
+about 10 ms."""
 
 SIGEV_THREAD = 2
 
@@ -85,7 +87,8 @@ def ends(code: int, within_s: float = DESTROYED_S) -> Iterator[None]:
     """Limit the time for destroying nodes inside this context.
 
     If the time limit `within_s` [s] is exceeded, the process exits immediately with the exit code
-    `code`, without Python's own clean-up. Therefore enter this context as the last step.
+    `code`, without Python's own clean-up. Therefore enter this context as the last step of the
+    program.
     """
     libc = ctypes.CDLL(None, use_errno=True)
     function = ctypes.cast(libc._exit, ctypes.c_void_p).value

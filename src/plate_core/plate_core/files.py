@@ -75,7 +75,7 @@ def kind_of(path: str | Path) -> str:
 
 
 def check_file(path: str | Path, most_bytes: int, error: type[PlateError] = PlateError) -> None:
-    """Raise the same errors as `read_file`. Use this function if a library opens the file
+    """Raise the same errors as `read_file`. Use this function before a library opens the file
     itself."""
     with _explained(path, error):
         _check(path, os.stat(path), most_bytes, error)
@@ -140,8 +140,8 @@ def draft(path: str | Path, what: str, keeps: bool = True) -> Iterator[BinaryIO]
 
 
 class OwnFile:
-    """File that only this process writes. Its content is complete at any time. The object is a
-    context manager.
+    """File that only this process can write. The content of the file is complete at any time. The
+    object is a context manager.
 
     Parameters
     ----------
@@ -152,7 +152,7 @@ class OwnFile:
     Raises
     ------
     PlateError
-        If another process has opened the file in this way.
+        If another process has opened the file as `OwnFile`.
     OSError
         If the file cannot be written.
     """
@@ -196,7 +196,7 @@ class OwnFile:
         self._held = number
 
     def close(self) -> None:
-        """Let other processes write the file."""
+        """Close the file, so that other processes can open it for writing."""
         os.close(self._held)
 
     def _open(self) -> int:

@@ -18,7 +18,8 @@ def of_share(good: int, runs: int) -> tuple[float, float]:
 
 
 def of_median(values: Sequence[float]) -> tuple[float, float]:
-    """Return the bootstrap interval of a median, from 2000 resamples with a fixed seed."""
+    """Return the bootstrap interval of a median, computed from 2000 random resamples with a fixed
+    seed."""
     drawn = np.random.default_rng(0).choice(values, (2000, len(values)))
     low, high = np.percentile(np.median(drawn, axis=1), (2.5, 97.5))
     return float(low), float(high)

@@ -1,4 +1,5 @@
-"""Network access to the nodes of a process. By default, only this machine can reach them.
+"""Network access to the nodes of a process. By default, only programs on this machine can reach the
+nodes.
 
 `choose_network` sets the environment variables that select a profile of Fast DDS and the discovery
 range. `ros_domain` reads the ROS domain from the environment.
@@ -20,17 +21,18 @@ OWN, NETWORK = "fastdds.xml", "fastdds_network.xml"
 """Profiles in config/. `OWN` restricts DDS to this machine, `NETWORK` allows the network."""
 
 LAST_DOMAIN = 232
-"""Highest ROS domain. Higher numbers would give invalid ports."""
+"""Highest ROS domain. Higher domain numbers would give invalid UDP ports."""
 
 RANGE, PEERS = "ROS_AUTOMATIC_DISCOVERY_RANGE", "ROS_STATIC_PEERS"
 
 
 def choose_network(environ: MutableMapping[str, str]) -> str:
-    """Restrict DDS to this machine, unless the environment names peers or a wider range.
+    """Restrict DDS to this machine, unless environment variables name other machines (peers) or a
+    wider range.
 
-    Call this function before the process creates its first node. If the environment names a profile
-    that does not belong to this project, this profile is kept. A profile in the current folder is
-    not read.
+    Call this function before the process creates its first node. If the environment names a Fast
+    DDS profile that does not belong to this project, this profile remains in use. A profile in the
+    current folder is not read.
 
     Parameters
     ----------

@@ -14,8 +14,8 @@ import numpy as np
 from .errors import PlateError
 
 MAX_PARTS = 100
-"""Maximum number of parts in a scenario and in one request. The solver needs three seconds for a
-thousand parts."""
+"""Maximum number of parts in a scenario and in one request. For comparison, the solver needs three
+seconds for one request with a thousand parts."""
 
 UNKNOWN = "unknown"
 """Class of an object that may be a part but matches no part type."""
@@ -24,12 +24,12 @@ GROUP = "group"
 """Class of touching parts that vision cannot separate."""
 
 NAMELESS = (UNKNOWN, GROUP)
-"""Reserved class names. No part type is allowed to have one of them."""
+"""Reserved class names. No part type is allowed to have one of these names."""
 
 PLAUSIBLE_AREA = 0.3, 3.0
-"""Factors of the range of plausible areas of a part [-]. The minimum is the first factor times the
-area of the smallest part. The maximum is the second factor times the area of the largest part.
-Smaller objects are dust or reflections, larger objects are tools or hands."""
+"""Factors that determine the range of plausible areas of a part [-]. The minimum is the first
+factor times the area of the smallest part. The maximum is the second factor times the area of the
+largest part. Smaller objects are dust or reflections, larger objects are tools or hands."""
 
 
 class OverlookedThing(NamedTuple):
@@ -59,8 +59,8 @@ class Parts:
     spin : (M,)
         Mean angular velocity over the last cycles [rad/s].
     friction_limit : (M,)
-        Maximum friction force on the part, mu m g [N]. 0 if it was not estimated, so that the rig
-        file applies.
+        Maximum friction force on the part, mu m g [N]. 0 if it was not estimated. In this case the
+        value of the rig file applies.
     """
 
     ids: tuple[str, ...]

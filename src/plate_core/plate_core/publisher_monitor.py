@@ -12,17 +12,16 @@ WITHIN_S = 3.0
 """Time within which `SEVERAL` out-of-order messages indicate a second publisher [s]."""
 
 LOST = 5
-"""Maximum step between two sequence numbers of the accepted publisher [-]."""
+"""Maximum difference between two successive sequence numbers of the accepted publisher [-]."""
 SILENCE_S = 1.0
 """Time without messages of the accepted publisher after which another publisher may replace it
 [s]."""
 
 
 class PublisherMonitor:
-    """Checks whether the messages of one topic come from two publishers.
-
-    The sequence numbers of one publisher increase. Therefore a number that is not greater than the
-    last number comes from another publisher or after a restart.
+    """Check whether the messages of one topic come from two publishers. The sequence numbers of one
+    publisher increase. If a number is not greater than the last number, there is another publisher, or
+    the publisher has restarted.
     """
 
     def __init__(self) -> None:

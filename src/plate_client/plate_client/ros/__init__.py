@@ -1,1 +1,2 @@
-"""Calls of the running nodes. This file imports no module, so that it does not delay a stop."""
+"""Functions that call the running nodes. This file imports no module, so that it does not delay a
+stop."""

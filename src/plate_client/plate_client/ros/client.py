@@ -40,7 +40,8 @@ FOUND_S = 5.0
 """Maximum time for the discovery of the planner [s]."""
 
 SILENT_S = 2.0
-"""Maximum time without feedback on a running task [s]. After that, the planner counts as ended."""
+"""Maximum time without feedback on a running task [s]. After this time, the client assumes that the
+planner has ended."""
 
 CANCEL_S = 5.0
 """Maximum time in which a canceled task must end [s]."""
@@ -63,7 +64,7 @@ returns whether the condition is true."""
 
 
 class TaskError(PlateError):
-    """A task was not completed. `status` contains the reason."""
+    """Error: a task was refused, or ended without success. `status` contains the reason."""
 
     def __init__(self, status: TaskStatus) -> None:
         super().__init__(status.text)
@@ -77,8 +78,8 @@ class Task:
     ----------
     name : str
     send : callable
-        Function that sends the goal, with callbacks for feedback and reply. All repetitions use the
-        same id, so that the planner executes the goal only once.
+        Function that sends the goal, with callbacks for feedback and reply. The function uses the
+        same goal id each time. Therefore the planner executes a repeated goal only once.
 
     Attributes
     ----------
@@ -129,7 +130,7 @@ class Task:
             self.send()
 
     def cancel(self) -> None:
-        """Request that the task ends. `PlateClient.wait` returns when the task has ended."""
+        """Ask the planner to end the task. `PlateClient.wait` returns when the task has ended."""
         self._cancel = True
         if self._handle is not None and not self.ended:
             self._handle.cancel_goal_async()
@@ -167,7 +168,8 @@ class PlateClient:
     node : Node
         Node that is in the namespace of the planner.
     until : callable
-        Function that processes the messages of the node, see `Until`. Default: `rclpy.spin_once`.
+        Function of the type `Until` that processes the messages of the node. Default:
+        `rclpy.spin_once`.
     """
 
     def __init__(self, node: Node, until: Until | None = None) -> None:
@@ -179,7 +181,8 @@ class PlateClient:
     @classmethod
     @contextmanager
     def connect(cls, namespace: str = "") -> Iterator[PlateClient]:
-        """Make a client with a separate node. The node is in the domain ROS_DOMAIN_ID.
+        """Create a client that has its own node. The node uses the ROS domain in the environment
+        variable ROS_DOMAIN_ID.
 
         A background thread processes the node's messages, so `Task.progress` is always current. All
         methods may be called in any thread.
@@ -219,7 +222,7 @@ class PlateClient:
             rclpy.shutdown(context=context)
 
     def close(self) -> None:
-        """Destroy the action clients. The node is not destroyed."""
+        """Destroy the action clients. The client does not destroy the node."""
         for client in self._clients.values():
             client.destroy()
         self.node.destroy_publisher(self._targets)
@@ -258,8 +261,7 @@ class PlateClient:
 
     def move_targets(self, targets: Sequence[PartTarget]) -> None:
         """Replace targets of parts in a running task of kind `move`. Other parts keep their
-        targets. If the planner refuses a target, the target appears in the planner's log and
-        diagnostics.
+        targets. If the planner refuses a target, it reports this only in its log and diagnostics.
 
         Raises
         ------
@@ -344,7 +346,7 @@ class PlateClient:
         TaskError
             If the task is refused, or if it ends without reaching its goal.
         PlateError
-            The same as in `wait`.
+            In the same cases as `wait`.
         """
         status = self.wait(self.start(scenario), timeout_s)
         if status.state != TaskStatus.DONE:
@@ -354,7 +356,7 @@ class PlateClient:
     def cancel(self, task: Task) -> TaskStatus:
         """Cancel a task, and return its last status.
 
-        Ctrl-C ends the wait, but only after the request has reached the planner.
+        Ctrl-C ends the wait, but only after the planner has received the request.
         """
         task.cancel()
         while True:

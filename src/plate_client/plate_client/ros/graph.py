@@ -35,18 +35,18 @@ REPORT_S = 2.0
 """Time for which diagnostics are collected [s]. Nodes publish them once per second."""
 
 LATE_S = 2.0
-"""Additional time if some nodes have not published yet [s]."""
+"""Additional time if some nodes have not published diagnostics yet [s]."""
 
 AT_FIRST_S = 0.5
 """Minimum time for which a task must wait before the reason is printed [s]."""
 
 
 class SilentError(PlateError):
-    """The driver no longer reports that it measures."""
+    """Error: the driver no longer reports that it measures."""
 
 
 class Graph(Services):
-    """The running nodes and their services. A separate node accesses them.
+    """Access to the running nodes and their services through a temporary node.
 
     Parameters
     ----------
@@ -138,8 +138,8 @@ class Graph(Services):
     # Friction
 
     def _friction(self, write: bool) -> str:
-        """Measure friction and show the progress. If the user agrees, write the result into the rig
-        file. Return the outcome as text.
+        """Measure friction and show the progress. If the user confirms it, write the result into
+        the rig file. Return the outcome as text.
 
         Raises
         ------
@@ -182,7 +182,8 @@ class Graph(Services):
     def _await_friction(
         self, received: list[Friction], drivers: list[DriverStatus], started: Time
     ) -> None:
-        """Show the progress of the measurement that has this start time, until it ends.
+        """Show the progress of a measurement until it ends. The start time identifies the
+        measurement.
 
         Raises
         ------
@@ -238,8 +239,8 @@ class Graph(Services):
         return "\n".join([*lines, *(f"  {name}: {text}" for name, text in sorted(nodes.items()))])
 
     def _silent(self, reports: dict[str, Report]) -> list[str]:
-        """Return the nodes that have a publisher of diagnostics but have not published yet. These
-        nodes are starting or hang."""
+        """Return the nodes that have a publisher of diagnostics but have not published yet. Such
+        nodes are starting or do not respond."""
         topic = self.node.resolve_topic_name("diagnostics")
         there = {each.node_name for each in self.node.get_publishers_info_by_topic(topic)}
         return sorted(there & set(self._seen()) - reports.keys())
@@ -271,7 +272,8 @@ class Graph(Services):
         return [name]
 
     def _node(self, args: argparse.Namespace, *words: str) -> str:
-        """Return the node of the arguments. All arguments that `words` names are required."""
+        """Return the name of the node in `args`. Raise PlateError if the node does not run or if an
+        argument in `words` is missing."""
         if any(getattr(args, word) is None for word in words):
             usage, listed = " ".join(words).upper(), ", ".join(self._nodes(None))
             raise PlateError(f"{args.command} requires {usage}; running nodes: {listed}")

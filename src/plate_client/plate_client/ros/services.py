@@ -1,4 +1,5 @@
-"""Calls of the services of running nodes. This file imports only the modules that a stop needs."""
+"""Functions that call the services of running nodes. This file imports only the modules that a stop
+needs."""
 
 from __future__ import annotations
 
@@ -32,7 +33,7 @@ READY_S = 15.0
 """Maximum time until enabled motors are ready [s]."""
 
 URGENT = ("emergency_stop", "cut_power", "disable")
-"""Commands for which the program waits longer, even if no node is discovered."""
+"""Commands that wait for the service even if no node has been discovered yet."""
 
 ONCE = ("home", "calibrate", "call")
 """Commands that must not be repeated. The command `enable` must not be repeated either."""
@@ -86,7 +87,7 @@ def end_ros(services: Services | None) -> None:
 
 
 class Services:
-    """The services of the running nodes. A separate node calls them.
+    """Access to the services of the running nodes through a separate node.
 
     Parameters
     ----------
@@ -127,8 +128,8 @@ class Services:
         return str(answer.message)
 
     def _enable(self) -> str:
-        """Enable the motors, and wait until they are ready. This may take longer than the reply of
-        the service.
+        """Enable the motors, and wait until they are ready. The motors may become ready only after
+        the service has replied.
 
         Raises
         ------

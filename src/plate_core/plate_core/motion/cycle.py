@@ -1,8 +1,9 @@
 """The plate's motion during one cycle, as a quintic spline.
 
 A `PlateCycle` stores knots with pose, twist and acceleration in plate_home and interpolates them
-with quintic polynomials. It can have a tail, a motion that brings the plate to rest if no other
-cycle follows. `control_points` bounds the spline and its derivatives by Bezier control points.
+with quintic polynomials. A cycle can have a tail, a motion that brings the plate to rest if no
+other cycle follows. `control_points` bounds the spline and its derivatives by Bezier control
+points.
 """
 
 from __future__ import annotations
@@ -17,14 +18,16 @@ from ..errors import CycleError
 
 REST_TOLERANCE = np.array([1e-6, 1e-6, 1e-5])
 """Tolerance of the pose at rest at home [m, m, rad]. The tolerance of the twist [m/s, m/s, rad/s]
-is 100 times as large, and that of the acceleration [m/s2, m/s2, rad/s2] 10 000 times."""
+is 100 times this value. The tolerance of the acceleration [m/s2, m/s2, rad/s2] is 10 000 times this
+value."""
 
 FACTORS = [np.array([[perm(k, n)] for k in range(n, 6)], dtype=float) for n in range(3)]
 """Factors of a quintic's coefficients in its n-th derivative."""
 
 PIECES = 4
-"""Number of pieces into which a knot interval is cut to bound its peaks. With 6 knots per period of
-a sine wave, the bound is 0.2 % too high, with 3 knots 1 %."""
+"""Number of pieces into which each knot interval is cut to compute bounds of the peak values. For a
+sine wave with 6 knots per period, the bound is 0.2 % too high. With 3 knots per period, it is 1 %
+too high."""
 
 
 @dataclass(frozen=True)
@@ -32,9 +35,9 @@ class PlateCycle:
     """One motion of the plate in plate_home: knots, and quintic splines between them.
 
     The spline interpolates pose, twist and acceleration at every knot, so its acceleration is
-    continuous. The motion ends in its initial state, at rest at home, or in another state. If it
-    ends in another state, the cycle has a tail: a motion to rest, which is played if no following
-    cycle begins in this state.
+    continuous. The motion ends in its initial state, at rest at home, or in another state. If the
+    motion ends in another state, the cycle has a tail. This is a motion to rest, which is played if
+    no following cycle begins in the final state.
 
     Attributes
     ----------
@@ -43,7 +46,7 @@ class PlateCycle:
     knot_pose, knot_twist, knot_accel : (k + 1, 3)
         x, y, theta [m, m, rad], and their first and second time derivatives.
     tail : PlateCycle or None
-        Motion from the state of the last knot to rest at home. None if there is no tail.
+        Motion from the state of the last knot to rest at home. None: no tail.
     """
 
     times: np.ndarray
@@ -65,7 +68,7 @@ class PlateCycle:
 
     @property
     def parts(self) -> tuple[PlateCycle, ...]:
-        """The cycle and, if it has one, its tail."""
+        """All motions of the cycle: the cycle itself and its tail, if it has one."""
         return (self,) if self.tail is None else (self, self.tail)
 
     @property
@@ -105,7 +108,7 @@ class PlateCycle:
 
     @property
     def moves(self) -> bool:
-        """Whether the plate moves. False if it stays at rest at home."""
+        """Whether the plate moves. False for a cycle at rest at home."""
         return any(np.any(k) for k in (self.knot_pose, self.knot_twist, self.knot_accel))
 
     def pose(self, t: np.ndarray | float) -> np.ndarray:
@@ -144,16 +147,16 @@ class PlateCycle:
         Parameters
         ----------
         times : (k + 1,)
-            Increasing knot times [s], starting at 0. One time can occur twice. At this time the
-            cycle ends and its tail begins.
+            Increasing knot times [s], starting at 0. At most one time occurs twice. At this time
+            the cycle ends and its tail begins.
         pose, twist, accel : (k + 1, 3)
             State of the plate at the knots.
 
         Raises
         ------
         CycleError
-            If the times do not increase from 0, a value is not finite or too large to compute with,
-            or the motion ends neither in its initial state nor at rest.
+            If the times do not increase from 0, a value is not finite or too large for the
+            computation, or the motion ends neither in its initial state nor at rest.
         """
         times = np.array(times, dtype=float)
         states = [np.array(a, dtype=float) for a in (pose, twist, accel)]
@@ -185,8 +188,8 @@ class PlateCycle:
     def _ending(
         cls, times: np.ndarray, states: list[np.ndarray], at_rest: bool = False
     ) -> PlateCycle:
-        """Return a motion whose last state is exactly its first state or rest. If `at_rest` is
-        True, the motion must end at rest."""
+        """Return a motion whose last state equals exactly its first state or the state at rest. If
+        `at_rest` is True, the motion must end at rest."""
         gap = [float(np.max(np.abs(state[-1] - state[0]))) for state in states]
         size = [1e-6 + 1e-6 * float(np.max(np.abs(state))) for state in states]
         closes = gap[0] <= size[0] and gap[1] <= 1e2 * size[1] and gap[2] <= 1e4 * size[2]
@@ -288,9 +291,9 @@ def _bezier(pieces: int) -> np.ndarray:
     """Matrix (5 pieces, 6) from the coefficients of a quintic in powers of u in [0, 1] to its
     Bezier control points, piece by piece.
 
-    In piece j, u = (j + v)/pieces. The control points of v**m are binom(i, m)/binom(5, m), i =
-    0..5. The last point (i = 5) of a piece is omitted, because it is the first point of the next
-    piece.
+    In piece j, u = (j + v)/pieces with v in [0, 1]. The control points of the power v**m are
+    binom(i, m)/binom(5, m), i = 0..5. The last point (i = 5) of a piece is omitted, because it is
+    the first point of the next piece.
     """
     rows = [
         [
@@ -357,8 +360,8 @@ def quintic_pieces(
 def evaluate_pieces(times: np.ndarray, pieces: np.ndarray, t: np.ndarray, order: int) -> np.ndarray:
     """Value or derivative (n, 3) of a piecewise polynomial at times t (n,).
 
-    scipy's PPoly gives bitwise equal results, but with it every node would load large parts of
-    scipy.
+    scipy's PPoly gives bitwise equal results. It is not used here, because every node would then
+    load large parts of scipy.
 
     Parameters
     ----------
@@ -367,7 +370,7 @@ def evaluate_pieces(times: np.ndarray, pieces: np.ndarray, t: np.ndarray, order:
     pieces : (k, 6, 3) array
         See `quintic_pieces`.
     t : (n,) array
-        Times [s]. Outside the knots, the nearest piece is continued.
+        Times [s]. For times outside the knots, the nearest piece is extrapolated.
     order : int
         Order of the derivative. 0 is the value itself.
     """
@@ -385,8 +388,8 @@ def _periodic_derivatives(period: float, pose: np.ndarray) -> tuple[np.ndarray, 
     At equally spaced knots, the quintic B-spline has the values (1, 26, 66, 26, 1)/120, the slopes
     (1, 10, 0, -10, -1)/24 and the curvatures (1, 2, -6, 2, 1)/6 (de Boor, A Practical Guide to
     Splines, chapter IX). The sampled spline and its derivatives are therefore cyclic convolutions
-    of the same coefficients. The Fourier transform converts convolutions into products, so the
-    derivatives follow from the samples by a division.
+    of these values with the same spline coefficients. The Fourier transform converts convolutions
+    into products, so the derivatives follow from the samples by a division.
     """
     step = period / len(pose)
     w = 2 * np.pi * np.fft.rfftfreq(len(pose))[:, None]

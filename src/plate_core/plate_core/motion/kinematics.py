@@ -3,7 +3,7 @@
 Motor i pushes the plate at the point a_i along d_i. A flexure lets the motor's shaft move freely
 perpendicular to d_i. Therefore the travel of the motor is exactly q_i = d_i . (o + (R(theta) - 1)
 a_i), without linearisation. o is the position of the plate. Four motors move three coordinates. One
-motor is redundant, so the four travels must be consistent.
+motor is redundant, so the travels of the four motors must fit one pose of the plate.
 """
 
 from __future__ import annotations
@@ -14,8 +14,8 @@ from ..errors import CycleError
 from ..rig import Rig
 
 CONSISTENCY_TOLERANCE = 5e-6
-"""Maximum inconsistency of the four motor travels [m]. A larger inconsistency would bend the
-plate's suspension."""
+"""Maximum deviation of the four motor travels from the travels of a rigid plate [m]. A larger
+deviation would bend the plate's suspension."""
 
 
 def motor_state(
@@ -56,7 +56,8 @@ def plate_state(
     q, qd, qdd : (n, 4)
         Travel [m], speed [m/s] and acceleration [m/s2] of each motor.
     tolerance : float
-        Maximum inconsistency of the motors' travels [m]. Use inf for sensor measurements.
+        Maximum deviation of the motors' travels from those of a rigid plate [m]. Use inf for sensor
+        measurements.
 
     Returns
     -------

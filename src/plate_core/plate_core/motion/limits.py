@@ -2,8 +2,8 @@
 
 The peaks are computed for the exact splines, not only for samples. Between two times with the
 difference h, a curve deviates from its chord by at most h^2 max(c'') / 8. c'' is the magnitude of
-its second derivative. Pieces that may contain a higher peak are cut until the bound exceeds the
-peak by at most 1e-6.
+its second derivative. Pieces of the curve that may contain a higher peak are cut until the bound
+exceeds the peak by a relative error of at most 1e-6.
 """
 
 from __future__ import annotations
@@ -18,20 +18,20 @@ from .cycle import PlateCycle, quintic_pieces
 from .kinematics import motor_state
 
 CERTAINTY = 1e-6
-"""Maximum relative overestimation of a peak [-]."""
+"""Maximum relative error by which a computed peak exceeds the exact peak [-]."""
 
 CUTS = 8
 """Number of parts into which a piece that may contain a peak is cut. Each cut reduces the
-difference between bound and peak to 1/64."""
+difference between the upper bound and the peak to 1/64."""
 
 MAX_PIECES = 4000
 """Maximum number of parts that are examined, in addition to the motion's pieces. If more parts are
-needed, the present bound is returned, which is too high. Only motions far beyond all limits need
-more parts. Other motions need about 20."""
+needed, the search ends and returns its present upper bound, which is higher than the peak. Only
+motions far beyond all limits need more parts. Other motions need about 20."""
 
 GAUSS_U, GAUSS_WEIGHT = np.polynomial.legendre.leggauss(6)
-"""Nodes and weights of Gauss-Legendre quadrature with 6 nodes. It is exact for polynomials up to
-degree 11, and therefore for the square of a quintic."""
+"""Nodes and weights of Gauss-Legendre quadrature with 6 nodes. This quadrature is exact for
+polynomials up to degree 11, and therefore for the square of a quintic."""
 
 Curve = Callable[[np.ndarray, np.ndarray], np.ndarray]
 """Function that returns values (n, j). Its arguments are the indices (n,) of pieces, and times (n,)
@@ -126,8 +126,8 @@ def polynomial_peaks(
     """Return the maximum magnitudes (m,) of piecewise polynomials.
 
     The coefficients (k, d, m) are in ascending powers of the time since the start of each piece.
-    `steps` (k,) are the lengths of the pieces [s]. Peaks below `enough` are not refined, so a
-    result below `enough` may be too low.
+    `steps` (k,) are the lengths of the pieces [s]. Peaks below `enough` are computed only coarsely,
+    so a result below `enough` may be too low.
     """
     count, powers, columns = coefficients.shape
     each = coefficients.transpose(0, 2, 1).reshape(-1, powers, 1)
@@ -138,7 +138,7 @@ def polynomial_peaks(
 
 
 def mean_square(coefficients: np.ndarray, steps: np.ndarray) -> np.ndarray:
-    """Return the mean square (m,) over all pieces (k, 6, m). It is exact up to rounding."""
+    """Return the mean square (m,) over all pieces (k, 6, m). The result is exact up to rounding."""
     total = np.zeros(coefficients.shape[2])
     for u, weight in zip(GAUSS_U, GAUSS_WEIGHT, strict=True):
         value = _at(coefficients, steps * (1 + u) / 2)
@@ -184,9 +184,10 @@ def _peaks(
 ) -> np.ndarray:
     """Return the peak of each group of curves. `group` (k,) is the group of each piece.
 
-    `bend` (k,) is an upper limit of the second derivative of each piece. Between two times with the
-    difference h, a piece deviates from its chord by at most h^2 bend/8. Pieces that may contain a
-    higher peak are cut into `CUTS` parts. If a bound is not finite, all peaks are infinite.
+    `bend` (k,) is an upper bound of the magnitude of each piece's second derivative. Between two
+    times with the difference h, a piece deviates from its chord by at most h^2 bend/8. Pieces that
+    may contain a higher peak are cut into `CUTS` parts. If a bound is not finite, all peaks are
+    infinite.
     """
     low = np.zeros(int(np.max(group)) + 1)
     piece, start, length = np.arange(len(steps)), np.zeros(len(steps)), np.asarray(steps, float)
@@ -220,7 +221,8 @@ def _at(coefficients: np.ndarray, t: np.ndarray) -> np.ndarray:
 
 
 def derivative(coefficients: np.ndarray, order: int = 1) -> np.ndarray:
-    """Return the derivative (k, d - order, m) of pieces (k, d, m) in powers of time."""
+    """Return the coefficients (k, d - order, m) of the derivative of polynomial pieces (k, d, m).
+    All coefficients are in ascending powers of time."""
     for _ in range(order):
         coefficients = coefficients[:, 1:] * np.arange(1, coefficients.shape[1])[:, None]
     return coefficients

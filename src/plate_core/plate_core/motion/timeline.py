@@ -1,9 +1,9 @@
-"""Rule that determines which cycle the plate plays, which cycle follows, and when the next cycle
-starts.
+"""Rule for the order of the cycles: which cycle the plate plays, which cycle follows, and when the
+next cycle starts.
 
 The simulator, the closed loop without ROS and the Gymnasium environments play cycles by this rule.
-Planner and solver predict the played cycle by this rule. The guards of driver and firmware must be
-independent of it, so they do not use this module.
+Planner and solver predict the played cycle by this rule. The guards of driver and firmware check
+the motion independently, so they do not use this module.
 """
 
 from __future__ import annotations
@@ -14,8 +14,8 @@ from dataclasses import dataclass
 from .cycle import PlateCycle
 
 HANDOVER_S = 4e-3
-"""Time from the publication of a cycle until the device can play it [s]: two messages between nodes
-and the computation of the driver."""
+"""Time from the publication of a cycle until the device can play it [s]. It contains two messages
+between nodes and the computation of the driver."""
 
 HOLD_CYCLES = 1
 """Default number of plays (executions) of a cycle without a tail, if no other cycle follows. A
@@ -100,9 +100,9 @@ class Timeline:
     def send(self, cycle: PlateCycle) -> Timeline:
         """Return the timeline after the plate has received a cycle.
 
-        The new cycle replaces the waiting cycle. There is one exception: a waiting cycle that
-        begins in the final state of the running cycle is kept if the new cycle does not begin in
-        this state. A new cycle at rest always replaces the waiting cycle, because it may be a stop.
+        The new cycle replaces the waiting cycle. There is one exception. The waiting cycle is kept
+        if it begins in the final state of the running cycle and the new cycle does not. However, a
+        new cycle at rest always replaces the waiting cycle, because the new cycle may be a stop.
         """
         kept = self.waiting is not None and self.waiting.follows(self.cycle)
         if kept and cycle.moves and not cycle.follows(self.cycle):

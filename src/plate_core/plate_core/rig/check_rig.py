@@ -1,6 +1,6 @@
 """Report a rig's capabilities, limits and inconsistencies: `ros2 run plate_core check_rig`.
 
-Without ROS, `python -m plate_core.rig.check_rig FILE` does the same.
+`python -m plate_core.rig.check_rig FILE` is the same command for computers without ROS.
 """
 
 from __future__ import annotations
@@ -23,8 +23,8 @@ from .rig import Rig
 from .rig_file import read_rig, rig_names, rig_path
 
 EXAMPLE_M = 0.005
-"""Height of the example part for the reported parallax [m]. A nut or a low cap has such a
-height."""
+"""Height of the example part for the reported parallax [m]. Nuts and low caps, for example, have
+about this height."""
 
 FREQUENCIES_HZ = (5.0, 10.0, 20.0, 40.0)
 """Frequencies in the table of the report [Hz]. They cover the range of the solvers' cycles,

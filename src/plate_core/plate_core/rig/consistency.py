@@ -27,21 +27,21 @@ MIN_GAMMA = 5.0
 """Shaking ratio below which tasks take long or fail [-]. docs/hardware.md has measured values."""
 
 CYCLE_HZ = (5.0, 40.0)
-"""Lowest and highest frequency in the solvers' cycles [Hz]: one period in 0.2 s, and four periods
-in 0.1 s."""
+"""Lowest and highest frequency in the solvers' cycles [Hz]. The lowest has one period in a cycle of
+0.2 s, and the highest four periods in a cycle of 0.1 s."""
 
 MIN_FOLLOWING_M = 1e-5
-"""Minimum limit of the following error [m]. No drive is more accurate, so a smaller limit would
-make every motor fail."""
+"""Minimum value of the limit `following_error_m` [m]. No drive is more accurate, so every motor
+would exceed a smaller limit."""
 
 COARSEST_M = 1e-5
-"""Maximum distance per count of a drive's position without a warning [m]."""
+"""Distance per position count of a drive above which a warning is given [m]."""
 
 MAX_COUNTS = 2**24
 """Maximum number of counts per stroke. Single precision cannot represent more counts exactly."""
 
 ODRIVE_NODES = 62
-"""Maximum node number of an ODrive. 63 means that no number is assigned."""
+"""Maximum node number of an ODrive. The number 63 marks an ODrive without an assigned number."""
 ODRIVE_SPEED = 32.767
 """Maximum speed of the feedforward of an ODrive [turns/s]."""
 
@@ -55,15 +55,15 @@ the relative error of the side lengths, or the cosine of the angle between the s
 larger."""
 
 FOCAL_LENGTHS = np.geomspace(0.4, 20, 80)
-"""Focal lengths that are tried if the lens is not calibrated, as multiples of the image width."""
+"""Focal lengths that are tried if the lens is not calibrated [image widths]."""
 
 STEEP_DEG = 45.0
-"""Maximum tilt of the camera without a warning [degrees]. With a larger tilt, distant parts are
-detected poorly."""
+"""Tilt of the camera above which a warning is given [degrees]. With a larger tilt, distant parts
+are detected poorly."""
 
 HEIGHT_ERROR = 0.1
-"""Maximum relative difference, without a warning, between `camera: height_m` and the height that is
-computed from the lens and the corners."""
+"""Relative difference between two camera heights above which a warning is given: `camera:
+height_m`, and the height computed from the lens and the corners."""
 
 PART_SHARE = (0.5, 0.15)
 """Maximum radius of a part, and the radius above which a warning is given. Both are fractions of
@@ -247,7 +247,8 @@ def _limits(rig: Rig) -> Iterator[Doubt]:
 
 
 def _speeds(rig: Rig) -> Iterator[Doubt]:
-    """Check stroke and speed limits with sinusoids in the frequency range of the cycles."""
+    """Check the stroke and speed limits. They must permit sinusoidal motions in the frequency range
+    of the solvers' cycles."""
     limits, floor = rig.limits, rig.friction.accel
     low, high = 2 * np.pi * np.array(CYCLE_HZ)
     for key, value, unit, most in (
@@ -371,8 +372,8 @@ def _order(corners: np.ndarray) -> Doubt | None:
 
 
 def _shape(rig: Rig, corners: np.ndarray) -> Doubt | None:
-    """Check that the corners are a view of this plate by a camera with square pixels. Return None
-    if so."""
+    """Check that a camera with square pixels can see this plate's corners at the given image
+    points. Return None if so."""
     misfit, tilt = _misfit(rig, corners, rig.plate.corners)
     if misfit > GOOD_FIT:
         length, width = rig.plate.length_m, rig.plate.width_m
@@ -401,10 +402,10 @@ def _misfit(rig: Rig, corners: np.ndarray, plate: np.ndarray) -> tuple[float, fl
     """Return the misfit between the image corners (4, 2) [px] and an image of the plate's rectangle
     [-], and the tilt of the camera [rad].
 
-    Let K be the camera matrix and H the homography. The first two columns of K^-1 H are the plate's
-    axes times a common scale. Therefore they must have equal lengths and be orthogonal. If K is
-    unknown, the best focal length of `FOCAL_LENGTHS` is used, and the principal point is assumed in
-    the middle of the image.
+    Let K be the camera matrix, and H the homography from the plate to the image. The first two
+    columns of K^-1 H are the plate's axes times a common scale. Therefore they must have equal
+    lengths and be orthogonal. If K is unknown, the best focal length of `FOCAL_LENGTHS` is used,
+    and the principal point is assumed in the middle of the image.
     """
     camera = rig.camera
     view = fit_homography(plate, corners)

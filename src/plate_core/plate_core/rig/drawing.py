@@ -1,5 +1,5 @@
-"""Drawing of a rig, for visual checks of its file. Matplotlib draws the plate with motors, markers
-and parts, and the plate's corners in the camera image."""
+"""Drawing of a rig, for visual checks of the rig file. Matplotlib draws the plate with motors,
+markers and parts, and the plate's corners in the camera image."""
 
 from __future__ import annotations
 

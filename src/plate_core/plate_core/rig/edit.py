@@ -1,7 +1,7 @@
-"""Changes of values in a rig file. All other text stays unchanged, including comments.
+"""Changes of values in a rig file. All other text in the file stays unchanged, including comments.
 
 The YAML parser gives the position of each value, and only the characters of the value are replaced.
-The changed file is read and checked before it replaces the old one.
+The changed file is read and checked before it replaces the old file.
 """
 
 from __future__ import annotations
@@ -19,7 +19,8 @@ from .rig import Rig
 from .rig_file import load_rig
 
 Values = Mapping[tuple[str, ...], Mapping[str, str]]
-"""New values as text. The outer key is the path to a mapping, the inner key is a key in it."""
+"""New values as text. The outer key is the path to a mapping in the file. The inner key is a key of
+this mapping."""
 
 
 def edit_rig(path: Path, values: Values, expected: Callable[[Rig], bool]) -> None:
@@ -37,8 +38,8 @@ def edit_rig(path: Path, values: Values, expected: Callable[[Rig], bool]) -> Non
     Raises
     ------
     PlateError
-        If the file is not YAML or has not the mappings in `values`, if it cannot be written, or if
-        the changed file fails `expected` or is not a rig file.
+        If the file is not YAML, does not have the mappings in `values`, or cannot be written. Also
+        if the changed file is not a rig file, or `expected` returns False for it.
     """
     path = path.resolve()  # if the file is a symbolic link, change its target
     content = read_file(path, YAML_BYTES)

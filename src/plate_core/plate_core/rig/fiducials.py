@@ -1,5 +1,5 @@
-"""Markers on the plate by which vision measures the pose of the plate. This module reads and checks
-the section `fiducials` of a rig file and computes the corners of the markers."""
+"""Markers on the plate, from which vision computes the pose of the plate. This module reads and
+checks the section `fiducials` of a rig file and computes the corners of the markers."""
 
 from __future__ import annotations
 
@@ -13,8 +13,8 @@ from ..yaml_fields import Fields
 from .keys import FAR_M, FIDUCIALS
 
 LEAST, MOST = 4, 16
-"""Minimum and maximum number of markers. Fewer than four markers cannot be checked for
-consistency."""
+"""Minimum and maximum number of markers. With fewer than four markers, vision could not check the
+consistency of their positions."""
 
 NAME = re.compile(r"marker_(0|[1-9]\d{0,3})")
 """Keys of the markers in a rig file. They contain the numbers of the markers in the dictionary."""

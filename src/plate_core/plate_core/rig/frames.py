@@ -1,7 +1,8 @@
 """Conversion between the frames: plate_home (world-fixed), the moving plate, and the image.
 
-The plate's corners in the image define a homography from plate_home to the image. The distortion of
-a calibrated lens is added. The camera's pose follows from homography and lens.
+The plate's corners in the image define a homography from plate_home to the image. For a calibrated
+lens, the conversion also includes the lens distortion. The homography and the lens determine the
+camera's pose.
 """
 
 from __future__ import annotations
@@ -12,8 +13,8 @@ from ..errors import RigError
 from .rig import Rig
 
 CORNER_PX = 1.0
-"""Assumed error of a corner's coordinates in the image [px], which is typical of corners that are
-clicked by hand."""
+"""Assumed error of a corner's coordinates in the image [px]. It is typical of corners that a user
+clicks by hand."""
 
 PLACE_ERROR = 0.1
 """Maximum error of the camera's position due to corner errors of `CORNER_PX`, as a fraction of its
@@ -74,7 +75,7 @@ def homography(rig: Rig) -> np.ndarray:
     """Return the homography (3, 3) from plate_home [m] to the image [px], from the image points of
     the plate's four corners.
 
-    If the lens has distortion, the homography maps to the undistorted image, see `to_image`.
+    If the lens has distortion, the homography maps to the undistorted image.
     """
     corners_px = np.array(rig.camera.corners_px)
     if rig.camera.lens is not None and rig.camera.lens.bends:
@@ -141,8 +142,9 @@ def camera_pose(rig: Rig) -> tuple[np.ndarray, np.ndarray]:
 def home_pose(image_from_home: np.ndarray, matrix: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Return the pose of plate_home in the camera frame (x right, y down, z forward).
 
-    The homography is K [r1 r2 t] up to scale. The result is the rigid pose nearest to it. If the
-    corners are accurate to one pixel, the pose reproduces them to about one pixel.
+    The homography is K [r1 r2 t] up to scale, with the first two columns r1, r2 of the rotation and
+    the translation t. The result is the rigid pose nearest to the homography. If the corners are
+    accurate to one pixel, the pose reproduces them to about one pixel.
 
     Parameters
     ----------

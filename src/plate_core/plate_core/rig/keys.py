@@ -1,4 +1,4 @@
-"""Definitions of the keys of a rig file, except the plain numbers of `rig.py`.
+"""Definitions of the keys of a rig file, except keys that are simple numbers.
 
 Each key has a type, a range and a meaning. The readers check values by these definitions, and
 docs/reference.md is generated from them.
@@ -13,12 +13,12 @@ FAR_M = 10.0
 """Maximum magnitude of a coordinate [m]."""
 
 ODRIVE_COUNTS = 2**20
-"""Number of counts that this project uses for one turn of an ODrive. The unit of ODrives is
-turns."""
+"""Number of counts that this project uses for one turn of an ODrive. An ODrive itself measures its
+position in turns."""
 
 STIFFEST = 1e9
-"""Maximum entry of a stiffness or damping matrix [N/m, N s/m, ...]. With a larger entry, the
-connection is practically rigid."""
+"""Maximum entry of a stiffness or damping matrix [N/m, N s/m, ...]. A flexure with a larger value
+is practically rigid."""
 
 MOTOR = Section(
     "motors, motor_1 to motor_4",

@@ -1,9 +1,9 @@
 """Lens model of a camera. The parameters are K, D and distortion_model of sensor_msgs/CameraInfo.
 
 `Lens.bend` maps points of the undistorted image to the distorted image by OpenCV's formulas, and
-`Lens.straighten` inverts this by Newton's method. An invalid lens raises the same error whether it
-is from a rig file, a camera file or camera_info. Callers prepend the source of the lens to the
-message.
+`Lens.straighten` inverts this by Newton's method. The data of a lens can be from a rig file, a
+camera file or camera_info. The error for invalid data is the same in all cases. Callers put the
+source of the data before the message.
 """
 
 from __future__ import annotations
@@ -30,8 +30,8 @@ MIN_FOCAL_PX = 1.0
 """Minimum focal length [px]."""
 
 STEEPEST_RAD = np.deg2rad(89.0)
-"""Maximum angle between a ray and the optical axis [rad]. At 90 degrees the undistorted image is
-infinite."""
+"""Maximum angle between a ray and the optical axis [rad]. At 90 degrees, the image point in the
+undistorted image would be at infinity."""
 
 SETTLED = 1e-8
 """If a Newton step is shorter than this value [focal lengths], the iteration ends. The remaining
@@ -42,26 +42,29 @@ CONVERGED = 1e-7
 (x, y, 1)."""
 
 MAX_STEPS = 30
-"""Maximum number of Newton steps. If the lens does not fold the image, 2 or 3 are sufficient."""
+"""Maximum number of Newton steps. If the lens does not fold the image, 2 or 3 steps are
+sufficient."""
 
 TABLE = 1025
 """Number of radii in the table of start values for Newton's method."""
 
 SHORT_OF = 1e-6
-"""Relative distance between the end of the table and a fold. The table ends before the fold,
-because at a pole of a rational polynomial the image is infinite."""
+"""Relative distance between the end of the table and the radius at which the image folds. The table
+ends before this radius, because a rational polynomial can have a pole there."""
 
 ROUNDED = 1.01
-"""Maximum radius of a result, divided by the radius at which the radial distortion folds the image.
-The ratio exceeds 1 because tangential terms move the fold."""
+"""Maximum radius of a ray that Newton's method may return, divided by the radius at which the
+radial distortion folds the image. The value exceeds 1, because tangential terms of the distortion
+move the fold."""
 
 MARGIN = 0.05
 """Width of the border around the plate in which a lens must not fold the image, as a fraction of
-the plate's length and width. The border is needed because the plate moves the parts at its edge."""
+the plate's length and width. The border is needed because the plate's motion also moves parts
+beyond the plate's edges at rest."""
 
 GRID = 33
-"""Number of points along each side of a grid over the plate. At these points, folding is
-checked."""
+"""Number of points along each side of a grid over the plate. At these points, the lens is checked
+for folding of the image."""
 
 VALUES = 14
 """Number of distortion values: k1, k2, p1, p2, k3, k4, k5, k6, s1, s2, s3, s4, tau_x, tau_y."""
@@ -104,8 +107,8 @@ class Lens:
     Raises
     ------
     RigError
-        If the model is unknown, its number of values is not one of `MODELS`, or a value is not
-        allowed. If all distortion values are zero, any number of values is allowed, including none.
+        If the model is unknown, `MODELS` does not allow this number of values, or a value is out of
+        range. If all distortion values are zero, any number of values is allowed, including none.
     """
 
     focal_px: tuple[float, float]
@@ -174,9 +177,9 @@ class Lens:
     def straighten(self, point_px: np.ndarray) -> np.ndarray:
         """Map points (..., 2) [px] of the distorted image to the undistorted image (..., 2) [px].
 
-        This is the inverse of `bend`, computed by Newton's method. The result is NaN outside the
-        lens's field of view, where no inverse exists. If several rays have the same image point,
-        the result is the ray between the optical axis and the fold.
+        This is the inverse of `bend`, computed by Newton's method. The result is NaN for points
+        outside the lens's field of view, because no ray has such an image point. If several rays
+        have the same image point, the result is the ray between the optical axis and the fold.
         """
         tilt = self._tilt
         seen = _tilted(self._rays(point_px), None if tilt is None else np.linalg.inv(tilt))[0]
@@ -266,8 +269,9 @@ class Lens:
     @cached_property
     def _reach(self) -> float:
         """Radius [focal lengths] of the rays at which the radial distortion folds the image.
-        Infinite if it never folds the image. The field of view of an equidistant lens can exceed 90
-        degrees, but the undistorted image cannot. Therefore `STEEPEST_RAD` limits the radius."""
+        Infinite if the distortion never folds the image. The field of view of an equidistant lens
+        can exceed 90 degrees, but the undistorted image cannot. Therefore `STEEPEST_RAD` limits the
+        radius."""
         if self.model == "equidistant":
             powers = (2 * np.arange(5) + 1) * np.array([1, *self._all[:4]])
             return float(np.tan(min(np.sqrt(_first_root(powers)), STEEPEST_RAD)))

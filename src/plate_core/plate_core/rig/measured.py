@@ -12,7 +12,7 @@ from .rig_file import load_rig, rig_names
 
 def unmeasured(rig: Rig) -> list[str]:
     """Return one sentence for each value that must still be measured. The sentence contains the
-    command.
+    command for the measurement.
 
     A value counts as not measured if a shipped rig file has the same value. `doubts` finds
     inconsistent values.

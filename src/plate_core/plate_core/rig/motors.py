@@ -22,11 +22,11 @@ motions. For rotations, the ratio is 1.6 to 2. For sinusoids, it is 2 to 2.5
 
 TURN_STEPS = 400
 """Number of steps in which `force_per_accel` varies the angular acceleration from 0 to its maximum.
-At the maximum, the plate's corners have 1 m/s2."""
+At the maximum, the rotation alone accelerates the plate's corners by 1 m/s2."""
 
 
 class Reach(NamedTuple):
-    """Maximum acceleration [m/s2], and a text that names the limit."""
+    """Maximum acceleration [m/s2], and a text that names the limit that determines it."""
 
     accel: float
     limit: str
@@ -55,7 +55,8 @@ def loads(
 
 
 def force_per_accel(load: np.ndarray, half: np.ndarray) -> np.ndarray:
-    """Return the maximum force (4,) [N] of each motor if no point of the plate exceeds 1 m/s2.
+    """Return the maximum force (4,) [N] of each motor for all motions of the plate in which no
+    point is accelerated by more than 1 m/s2.
 
     Translation and rotation are combined in the worst direction for each motor. The forces of the
     flexures are omitted, because they depend on the travel and not on the acceleration.
@@ -72,10 +73,10 @@ def force_per_accel(load: np.ndarray, half: np.ndarray) -> np.ndarray:
 
 
 def _support(row: np.ndarray, half: np.ndarray, turn: np.ndarray) -> np.ndarray:
-    """Maximum of row . (ax, ay, turn) for each angular acceleration, with corners within 1 m/s2.
-
-    The translation (ax, ay) is in the intersection of four unit discs about (+-p, +-q), with
-    p = turn half_y and q = turn half_x. An arc about (-p, -q) bounds its first quadrant.
+    """Maximum of row . (ax, ay, turn) for each angular acceleration `turn`. The acceleration of
+    each corner must not exceed 1 m/s2. The translation (ax, ay) is in the intersection of four unit
+    discs about (+-p, +-q), with
+        p = turn half_y and q = turn half_x. An arc about (-p, -q) bounds its first quadrant.
     """
     q, p = np.minimum(turn * half[0], 1), np.minimum(turn * half[1], 1)
     first, last = np.arcsin(q), np.arccos(p)

@@ -1,7 +1,7 @@
 """Part types: outline, mass, friction, colour and symmetry, read from a YAML file.
 
-The origin of a part's frame is the centroid of its area. For a part of uniform thickness, this is
-the centre of mass. At angle 0, the part has the orientation of its outline in the file.
+The origin of a part's frame is the centroid of its area. This point is the centre of mass if the
+part has uniform thickness. At angle 0, the part has the orientation of its outline in the file.
 """
 
 from __future__ import annotations
@@ -36,8 +36,8 @@ if TYPE_CHECKING:
     from shapely import Geometry
 
 MAX_CORNERS = 32
-"""Maximum number of corners of an outline or a hole. Contours with more corners must be
-simplified."""
+"""Maximum number of corners of an outline or a hole. A user must simplify a contour with more
+corners."""
 
 MAX_HOLES = 8
 """Maximum number of holes of a part."""
@@ -55,19 +55,19 @@ MIN_M2 = 1e-8
 """Minimum area of a part or hole [m2]."""
 
 NAME = re.compile(r"[a-z][a-z0-9]*(_[a-z0-9]*[a-z][a-z0-9]*)*")
-"""Pattern of a type's name, such as `nut` or `nut_m4`. The name must not end with _ and digits,
-because the ids of parts have this form."""
+"""Pattern of a type's name, such as `nut` or `nut_m4`. A name must not end with _ and digits,
+because a part's id is the name of its type followed by _ and a number."""
 
 LONGEST = 32
 """Maximum length of a name [characters]."""
 
 TAKEN = ("black", "grey", *NAMELESS)
-"""Reserved names: the classes of round parts on rigs without types, and of objects that match no
-type."""
+"""Reserved names. They are the classes of round parts on rigs without types, and the classes of
+objects that match no type."""
 
 CENTRED = 0.03
 """Tolerance of a hole's centre and of the corners of a symmetric outline, as a fraction of the
-part's reach. It allows for errors of manufacture and measurement."""
+part's reach. This tolerance covers errors of manufacture and measurement."""
 
 Polygon = tuple[tuple[float, float], ...]
 """Corners (x, y) [m], counter-clockwise."""
@@ -122,7 +122,7 @@ class PartType:
     holes : tuple of Polygon
         Corners of each hole [m], counter-clockwise.
     mass_kg, mu : float or None
-        Mass [kg] and friction coefficient [-]. None selects the value of the rig.
+        Mass [kg] and friction coefficient [-]. None: the default value of the rig.
     colour_lab : tuple of 3 float, or None
         Colour in CIE L, a, b. None if unknown.
     symmetry : int
@@ -198,7 +198,8 @@ def load_part_types(path: str | Path) -> Mapping[str, PartType]:
 
 
 def read_part_types(fields: Fields) -> Mapping[str, PartType]:
-    """Read a mapping of names to part types. The errors are the same as in `load_part_types`."""
+    """Read a mapping of names to part types. The function raises the same errors as
+    `load_part_types`."""
     types, names = {}, fields.keys()
     for name in names:
         if not NAME.fullmatch(name) or len(name) > LONGEST or name in TAKEN:
@@ -261,8 +262,8 @@ def _part_type(name: str, fields: Fields) -> PartType:
 
 
 def _ordered(fields: Fields, key: str, corner: np.ndarray) -> np.ndarray:
-    """Return the corners (n, 2) of a polygon in counter-clockwise order. Raise an error if they are
-    not a valid polygon."""
+    """Return the corners (n, 2) of a polygon in counter-clockwise order. Raise an error if the
+    corners are not a valid polygon."""
     if not 3 <= len(corner) <= MAX_CORNERS or not is_simple(corner):
         raise fields.fail(
             key, f"3 to {MAX_CORNERS} corners, in order, of a polygon whose edges do not cross"

@@ -6,7 +6,7 @@ from __future__ import annotations
 import numpy as np
 
 APART_M2 = 1e-12
-"""Minimum of twice the area of a valid polygon [m2]."""
+"""Twice the minimum area of a valid polygon [m2]."""
 
 
 def moments(

@@ -1,4 +1,5 @@
-"""All measured data of one rig, and the values that follow from several of its sections."""
+"""All measured data of one rig, and values that are computed from several sections of these
+data."""
 
 from __future__ import annotations
 
@@ -17,17 +18,17 @@ from .sections import Camera, Friction, Limits, Motor, PartFacts, Plate
 from .suspension import Suspension, mass_matrix
 
 MIN_RADII, WALL_RADII = 0.5, 1.25
-"""Distances of a part's centre from the plate's edges, without the motors' stroke [part radii].
-`MIN_RADII` is the minimum. `WALL_RADII` is the distance of the wall, behind which parts stay if
-possible. See `EdgeMargin`."""
+"""Required distances of a part's centre from the plate's edges [part radii]. The motors' stroke is
+added to both values. A part nearer than `MIN_RADII` is lost. Parts should stay at least
+`WALL_RADII` from the edges. See `EdgeMargin`."""
 
 
 class EdgeMargin(NamedTuple):
     """Required distance of a part's centre from the plate's edges [m].
 
-    A part at a shorter distance than `least_m` is lost, because the plate can move away under it by
-    the motors' stroke, or because the part overhangs the edge. The wall is at the distance `wall_m`
-    from the edges. A part behind the wall is safe.
+    A part at a shorter distance than `least_m` is lost, because it overhangs the edge, or because
+    the plate can move away under it by the motors' stroke. At the distance `wall_m` from the edges
+    there is a virtual wall. A part farther from the edges than this wall is safe.
     """
 
     least_m: float
@@ -38,8 +39,9 @@ class EdgeMargin(NamedTuple):
 class Rig:
     """All data of one rig.
 
-    Without a suspension, the plate is rigid and follows its commands exactly. Without fiducials,
-    the camera finds the plate only by its edges. Without types, all parts are identical discs.
+    If the rig has no suspension, the plate is rigid and follows its commands exactly. If it has no
+    fiducials, vision detects the plate only by its edges. If it has no types, all parts are
+    identical discs.
     """
 
     plate: Plate
@@ -53,8 +55,8 @@ class Rig:
     types: Mapping[str, PartType] = field(default_factory=dict, hash=False)
 
     def part_type(self, name: str) -> PartType:
-        """Return a part type, with the rig's default mass and friction if the type has none. A part
-        of an unknown type is a disc with the data of `parts`."""
+        """Return a part type, with the rig's default mass and friction if the type has no own
+        values. A part of an unknown type is a disc with the data of `parts`."""
         if name not in self._part_types:
             known = self.types.get(name) or PartType(
                 name, radius_m=self.parts.radius_m, symmetry=0, height_m=self.parts.height_m

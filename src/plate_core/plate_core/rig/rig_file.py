@@ -1,4 +1,4 @@
-"""Reading of rig files: which file, its keys, and the `Rig` that it describes.
+"""Reading of rig files: selection of the file, definition of its keys, and conversion to a `Rig`.
 
 `load_rig` reads a file and checks whether its values are consistent. `SECTIONS` defines its keys.
 """
@@ -237,4 +237,4 @@ SECTIONS = (
     keys.SUSPENSION,
     PART_TYPE,
 )
-"""All sections of a rig file, in the order of the reference."""
+"""All sections of a rig file, in the order of docs/reference.md."""

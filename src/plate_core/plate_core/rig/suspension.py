@@ -117,8 +117,8 @@ def modal_matrices(
     Parameters
     ----------
     frequency_hz, damping_ratio : (3,)
-        Natural frequency [Hz] and damping ratio of x, y and theta. Each value holds while the other
-        two coordinates are held at 0.
+        Natural frequency [Hz] and damping ratio of x, y and theta. Each value applies to a motion
+        in one coordinate while the other two coordinates are held at 0.
     """
     diagonal = np.diag(np.array(mass))
     omega = 2 * pi * np.asarray(frequency_hz)

@@ -17,7 +17,7 @@ from collections.abc import Iterator
 
 CHUNK = 4096
 LAST_S = 0.5
-"""Maximum time at the end to wait for the output of the last lines [s]."""
+"""Maximum wait at the end of the program for the output of the last lines [s]."""
 
 COLOUR = "RCUTILS_COLORIZED_OUTPUT"
 STDERR = 2
@@ -25,7 +25,8 @@ STDERR = 2
 
 @contextlib.contextmanager
 def never_held() -> Iterator[None]:
-    """Write stderr through a pipe and a thread. Output is dropped while the pipe is full."""
+    """Write stderr through a pipe and a thread. While the pipe is full, further output is
+    dropped."""
     _open_closed()
     if os.isatty(STDERR):  # ROS colours its output only if stderr is a terminal
         os.environ.setdefault(COLOUR, "1")
@@ -51,8 +52,8 @@ def never_held() -> Iterator[None]:
 
 
 def _open_closed() -> None:
-    """Open stdin, stdout and stderr if they are closed. If they stayed closed, another file, such
-    as a serial port, could get one of their numbers and receive the log."""
+    """Open stdin, stdout and stderr if they are closed. If one of these streams stayed closed,
+    another file, such as a serial port, could get its file descriptor and receive the log."""
     while (number := os.open(os.devnull, os.O_RDWR)) <= STDERR:
         os.set_inheritable(number, True)
     os.close(number)

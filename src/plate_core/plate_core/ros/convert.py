@@ -322,8 +322,8 @@ def _targets(ids: tuple[str, ...], msg: PartForces) -> Targets:
 def _intervals(
     ids: tuple[str, ...], forces: Sequence[PartForce], keys: tuple[str, ...]
 ) -> np.ndarray:
-    """Return the fields `keys` (M, n) of the parts, which are the bounds of intervals. Raise an
-    error if a lower bound exceeds its upper bound."""
+    """Return the fields `keys` (M, n) of the parts. These fields are lower and upper bounds of
+    intervals, in turn. Raise an error if a lower bound exceeds its upper bound."""
     ends = np.array([[getattr(each, key) for key in keys] for each in forces], dtype=float)
     ends = ends.reshape(-1, len(keys))
     wrong = ~(ends[:, 0::2] <= ends[:, 1::2])  # this condition is also true for NaN

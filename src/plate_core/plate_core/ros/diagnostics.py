@@ -19,11 +19,11 @@ from ..status import Finding, Level
 from .qos import DATA
 
 DIAGNOSTICS_PERIOD_S = 1.0
-"""Period of the diagnostics [s]. A node that publishes none for a longer time has ended or is
-blocked."""
+"""Period of the diagnostics [s]. A node that publishes no diagnostics for a longer time has ended
+or is blocked."""
 
 POLL_PERIOD_S = 0.1
-"""Period of the checks whether the level has become worse [s]."""
+"""Period at which a node checks whether its level has become worse [s]."""
 
 
 class Report(NamedTuple):
@@ -57,15 +57,16 @@ class Diagnostics:
     ----------
     node : Node
     find : callable
-        Function of the time [s, steady clock]. Returns the level and its reason.
+        Function of the time [s, steady clock]. It returns the level and the reason for the level.
     values : callable
-        Returns the values to publish, by name.
+        Function that returns the values to publish, by name.
     hardware_id : callable
-        Returns the identifier of the hardware, such as the name of a rig.
+        Function that returns the identifier of the hardware, such as the name of a rig.
     reported : callable, optional
-        Called after each periodic report. It can reset the counters of a period.
+        Function that is called after each periodic report. For example, it resets the counters of a
+        period.
     stamp : callable, optional
-        Returns the stamp of a report. Default: the time of the node's clock.
+        Function that returns the stamp of a report. Default: the time of the node's clock.
     """
 
     def __init__(

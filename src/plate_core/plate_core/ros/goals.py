@@ -66,7 +66,8 @@ def action_name(goal: Any) -> str:
 
 
 def new_goal_id() -> UUID:
-    """Return a new goal id. If a goal is sent twice with the same id, it is started only once."""
+    """Return a new goal id. If a goal is sent twice with the same id, the planner starts it only
+    once."""
     return UUID(uuid=list(uuid4().bytes))
 
 
@@ -280,7 +281,8 @@ def pick_to_msg(pick: Pick) -> FeedPick:
 
 
 def msg_to_pick(msg: FeedPick) -> Pick:
-    """Convert a message to a pick, without checks. A window of zeros means the whole plate."""
+    """Convert a message to a pick, without checks. If all values of the window are zero, the window
+    is the whole plate."""
     low, high = (msg.x_min, msg.y_min), (msg.x_max, msg.y_max)
     if not any((*low, *high)):
         low, high = (-math.inf, -math.inf), (math.inf, math.inf)
@@ -320,8 +322,8 @@ KINDS: Mapping[str, tuple[type, Callable[[Any, Any], None], Callable[[Any], dict
     "move_parts": (MoveTask, _write_move, _read_move),
     "feed_parts": (FeedTask, _write_feed, _read_feed),
 }
-"""Class of the task, conversion of a task to a goal, and conversion of a goal to the data of a
-task, for each action."""
+"""Data of each action: class of its task, function that converts a task to a goal, and function
+that converts a goal to the data of a task."""
 
 
 def _point(at: tuple[float, float]) -> Point:
