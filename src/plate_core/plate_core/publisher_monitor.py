@@ -19,9 +19,10 @@ SILENCE_S = 1.0
 
 
 class PublisherMonitor:
-    """Check whether the messages of one topic come from two publishers. The sequence numbers of one
-    publisher increase. If a number is not greater than the last number, there is another publisher, or
-    the publisher has restarted.
+    """Detector of a second publisher on one topic.
+
+    The sequence numbers of one publisher increase. If a number is not greater than the last number,
+    there is another publisher, or the publisher has restarted.
     """
 
     def __init__(self) -> None:
@@ -35,8 +36,8 @@ class PublisherMonitor:
         `number` is None if the middleware provides no sequence numbers.
 
         Return whether the message comes from the accepted publisher. At first, this is the
-        publisher of the first message. Another publisher replaces it if it sends no messages for
-        `SILENCE_S`.
+        publisher of the first message. If the accepted publisher sends no messages for `SILENCE_S`,
+        another publisher replaces it.
         """
         if number is None:
             return True

@@ -1,8 +1,8 @@
 """Detection of process stalls.
 
 A process that was frozen, swapped out or blocked finds old requests in its queues when it resumes.
-Their senders may have given up, so these requests must be refused. A stall is detected when the
-time between two successive calls of `Standstill.is_late` is too long.
+The senders of these requests may have given up, so the process must refuse the requests. A stall is
+detected when the time between two successive calls of `Standstill.is_late` is too long.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ AFTER_S = 0.5
 
 
 class Standstill:
-    """Stall detector. It works only if `is_late` is called regularly.
+    """Stall detector. The detector works only if `is_late` is called regularly.
 
     Parameters
     ----------

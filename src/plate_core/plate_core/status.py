@@ -27,13 +27,13 @@ __all__ = [
 ]
 
 INPUT_TIMEOUT_S = 1.5
-"""Default input timeout [s]. It is three times the longest usual cycle, and short enough to end a
-task within 2 s after a fault."""
+"""Default input timeout [s]. The timeout is three times the longest usual cycle. It is short enough
+to end a task within 2 s after a fault."""
 
 LATENCY_S = 0.2
 """Maximum computation time of vision, planner and solver on a slow computer [s]."""
 MAX_AGE_S = 0.6
-"""Maximum age of an image for short cycles [s], see `age_limit`."""
+"""Maximum age of the image from which a short cycle is computed [s]. `age_limit` applies it."""
 
 
 class Level(IntEnum):
@@ -59,14 +59,14 @@ class Finding:
 
 
 def age_limit(period: float) -> float:
-    """Return the maximum age [s] of the image for which a moving cycle of this period [s] is
-    computed."""
+    """Return the maximum age [s] of an image. If the image is older, no moving cycle with this
+    period [s] is computed from it."""
     return min(2 * period + LATENCY_S, max(MAX_AGE_S, period + LATENCY_S))
 
 
 def worst(findings: Iterable[Finding | None], otherwise: str) -> Finding:
-    """Combine findings into one: the most severe level, and all messages, the most severe message
-    first.
+    """Combine several findings into one. The result has the most severe level, and all messages in
+    order of severity.
 
     Parameters
     ----------

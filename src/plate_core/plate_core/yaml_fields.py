@@ -46,7 +46,7 @@ __all__ = [
 Data = TypeVar("Data")
 
 REQUIRED: Any = object()
-"""Value of `Key.default` for a key without a default. The file must contain such a key."""
+"""Value of `Key.default` that marks a required key, which the file must contain."""
 
 FAST_LENGTH = 20_000
 """Maximum length of a text that libyaml parses [characters]. libyaml is recursive, so deep nesting
@@ -60,7 +60,7 @@ UNITS = {
 
 
 SHOWN = reprlib.Repr()
-"""Formats a value for a message, shortened to about one line."""
+"""Formatter that converts a value to text for a message, shortened to about one line."""
 SHOWN.maxlevel, SHOWN.maxlist, SHOWN.maxstring, SHOWN.maxother = 3, 8, 80, 80
 
 
@@ -198,7 +198,8 @@ class Choice:
 
 @dataclass(frozen=True)
 class Numbers:
-    """An array of finite numbers in [low, high]. None in its shape allows any length."""
+    """An array of finite numbers in [low, high]. None in the shape allows any length of this
+    axis."""
 
     shape: tuple[int | None, ...]
     low: float
@@ -318,7 +319,7 @@ class Fields:
     data : mapping
         Result of the YAML parser.
     where : str
-        File and key path. Every message starts with it.
+        File and key path. Every message starts with this text.
     error : type
         Class of the errors that are raised.
     """
@@ -460,14 +461,14 @@ def required(key: Key) -> Key:
 
 
 def _key(name: str, kind: Kind, default: Any = None) -> Key:
-    """Return a key that the generated reference does not list. If `default` is None, the key is
-    required."""
+    """Return a key without a description, which docs/reference.md does not list. If `default` is
+    None, the key is required."""
     return Key(name, kind, "", REQUIRED if default is None else default)
 
 
 def read_yaml(path: str | Path, error: type[PlateError]) -> Fields:
-    """Return the top-level mapping of a YAML file. Every failure raises an `error` with a one-line
-    message."""
+    """Return the top-level mapping of a YAML file. If the file cannot be read or is invalid, an
+    exception of the class `error` with a one-line message is raised."""
     return parse_yaml(read_file(path, YAML_BYTES, error), path, error)
 
 
@@ -495,11 +496,11 @@ def parse_yaml(content: bytes, path: str | Path, error: type[PlateError]) -> Fie
 
 
 def _load(text: str) -> tuple[Any, str]:
-    """Return the content of a YAML text, and the message of `_mistake`.
+    """Return the content of a YAML text, and the result of `_mistake` for it.
 
     libyaml reads the content, because it is ten times as fast as PyYAML's own parser. If libyaml
-    fails, or if the text is long, PyYAML's own parser reads the content. It gives the error
-    messages and accepts any depth of nesting.
+    fails, or if the text is long, PyYAML's own parser reads the content. PyYAML's parser produces
+    the error messages, and accepts any depth of nesting.
     """
     if len(text) <= FAST_LENGTH:
         with contextlib.suppress(yaml.YAMLError, ValueError):
@@ -514,8 +515,9 @@ def _load_with(loader: Any) -> tuple[Any, str]:
 
 
 class _Values:
-    """A YAML loader with two changes. It reads 1e-3 as a number, although YAML 1.1 defines it as
-    text. It reports an impossible value, such as the date 2026-13-45, with its line number."""
+    """A YAML loader with two changes. First, it reads 1e-3 as a number, although YAML 1.1 defines
+    this notation as text. Second, it reports an impossible value, such as the date 2026-13-45, with
+    the line number."""
 
     def construct_object(self, node: yaml.Node, deep: bool = False) -> Any:
         try:
@@ -544,14 +546,14 @@ for _loader in (_Loader, _FastLoader):
 
 
 WITH_COMMA = re.compile(r"[-+]?\d+,\d+")
-"""A number with a decimal comma. YAML reads it as text. Inside braces, as in `{mu: 0,3}`, YAML
-reads the number 0 and a key 3 without a value."""
+"""Pattern of a number with a decimal comma. YAML reads such a number as text. Inside braces, as in
+`{mu: 0,3}`, YAML reads the number 0 and a key 3 without a value."""
 
 
 def _mistake(node: yaml.Node | None, seen: set[yaml.Node]) -> str:
     """Return a message about the first decimal comma, or about the first key that occurs twice in
-    one mapping, at any depth. The message is empty if there is neither. PyYAML accepts both
-    mistakes without an error.
+    one mapping, at any depth. The message is empty if the text contains neither mistake. PyYAML
+    accepts both mistakes without an error.
 
     A node with several references (YAML aliases) is examined only once, even if it contains itself.
     """

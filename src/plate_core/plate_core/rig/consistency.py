@@ -247,8 +247,8 @@ def _limits(rig: Rig) -> Iterator[Doubt]:
 
 
 def _speeds(rig: Rig) -> Iterator[Doubt]:
-    """Check the stroke and speed limits. They must permit sinusoidal motions in the frequency range
-    of the solvers' cycles."""
+    """Check whether the stroke and speed limits fit sinusoidal motions in the frequency range of
+    the solvers' cycles."""
     limits, floor = rig.limits, rig.friction.accel
     low, high = 2 * np.pi * np.array(CYCLE_HZ)
     for key, value, unit, most in (

@@ -73,10 +73,11 @@ def force_per_accel(load: np.ndarray, half: np.ndarray) -> np.ndarray:
 
 
 def _support(row: np.ndarray, half: np.ndarray, turn: np.ndarray) -> np.ndarray:
-    """Maximum of row . (ax, ay, turn) for each angular acceleration `turn`. The acceleration of
-    each corner must not exceed 1 m/s2. The translation (ax, ay) is in the intersection of four unit
-    discs about (+-p, +-q), with
-        p = turn half_y and q = turn half_x. An arc about (-p, -q) bounds its first quadrant.
+    """Maximum of row . (ax, ay, turn) for each angular acceleration `turn`.
+
+    The acceleration of each corner must not exceed 1 m/s2. The translation (ax, ay) is therefore in
+    the intersection of four unit discs about (+-p, +-q), with p = turn half_y and q = turn half_x.
+    In the first quadrant, an arc about (-p, -q) bounds this intersection.
     """
     q, p = np.minimum(turn * half[0], 1), np.minimum(turn * half[1], 1)
     first, last = np.arcsin(q), np.arccos(p)

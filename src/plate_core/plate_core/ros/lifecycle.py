@@ -119,12 +119,12 @@ class SafeLifecycleNode(RclpyLifecycleNode, Generic[Options]):
     # Methods by which a subclass creates objects
 
     def keep(self, destroy: Callable[[Any], Any], *things: Any) -> None:
-        """Register objects: clean-up calls `destroy` with each of them."""
+        """Register objects. When the node is cleaned up, it calls `destroy` with each object."""
         self._kept += [(destroy, thing) for thing in things]
 
     def managed_publisher(self, kind: type, topic: str, qos: QoSProfile) -> Any:
-        """Return a publisher that publishes only while the node is active. It adds the parameter
-        `frame_prefix` to the names of this project's frames."""
+        """Return a publisher that publishes only while the node is active. It puts the value of the
+        parameter `frame_prefix` before the names of this project's frames."""
         publisher = self.create_lifecycle_publisher(kind, topic, qos)
         prefix, publish = self.options.frame_prefix, publisher.publish
 
@@ -147,8 +147,8 @@ class SafeLifecycleNode(RclpyLifecycleNode, Generic[Options]):
     ) -> None:
         """Call `on_message` with each message that arrives while the node is active.
 
-        If `one_publisher` is True, messages of a second publisher are ignored: see
-        `PublisherMonitor.accepts`.
+        If `one_publisher` is True, messages of a second publisher are ignored.
+        `PublisherMonitor.accepts` detects these messages.
         """
         monitor = self._publisher_monitors[topic] = PublisherMonitor()
 
@@ -190,8 +190,8 @@ class SafeLifecycleNode(RclpyLifecycleNode, Generic[Options]):
         return timer
 
     def second_publisher(self, topic: str) -> str:
-        """Return an error message if several nodes publish a topic that only one is allowed to
-        publish, otherwise an empty text."""
+        """Return an error message if several nodes publish a topic that only one node is allowed to
+        publish. Otherwise return an empty text."""
         full = self.resolve_topic_name(topic)
         if self.count_publishers(full) < 2:
             return ""
@@ -220,11 +220,11 @@ class SafeLifecycleNode(RclpyLifecycleNode, Generic[Options]):
         reported: Callable[[], None] = lambda: None,
         stamp: Callable[[], Time] | None = None,
     ) -> Diagnostics:
-        """Publish diagnostics. While the node is not active, they contain its state and, after an
-        error, the reason.
+        """Publish diagnostics. While the node is not active, the diagnostics contain the state of
+        the node and, after an error, the reason.
 
-        Call this method in the constructor. The parameters are those of `Diagnostics`, except
-        `hardware_id`: it is a name, by default the name of the rig.
+        Call this method in the constructor. The parameters are the same as in `Diagnostics`, except
+        `hardware_id`. It is a text, not a function. Default: the name of the rig.
         """
 
         def idle() -> Finding:
@@ -248,8 +248,8 @@ class SafeLifecycleNode(RclpyLifecycleNode, Generic[Options]):
     # Parameters
 
     def set_parameters_atomically(self, parameter_list: list[Parameter]) -> SetParametersResult:
-        """Set parameters, see `set_parameters` in params. The parameter services call this method,
-        for example for `ros2 param`."""
+        """Set parameters as `set_parameters` in params describes. The parameter services call this
+        method, for example for `ros2 param`."""
         return set_parameters(self, parameter_list, super().set_parameters_atomically)
 
     def _fixed_now(self, name: str, spec: Spec) -> str:
@@ -290,7 +290,7 @@ class SafeLifecycleNode(RclpyLifecycleNode, Generic[Options]):
 
     @logged
     def on_configure(self, state: LifecycleState) -> TransitionCallbackReturn:
-        """Call `configure`. If it fails, release everything that it has created."""
+        """Call `configure`. If this fails, release everything that this method has created."""
         self.failure, self.options = None, self._given
         self.configuring = True
         try:

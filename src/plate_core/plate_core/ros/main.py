@@ -1,7 +1,7 @@
 """Main functions of all node programs. They start, spin and cleanly stop one or several nodes.
 
-`run_node` runs one node, `run_nodes` several in one process. Both handle signals, wrong parameters
-and a parent process that has ended. They destroy the nodes within a time limit.
+`run_node` runs one node, `run_nodes` several in one process. Both functions handle signals, wrong
+parameters and the end of the parent process. They destroy the nodes within a time limit.
 """
 
 from __future__ import annotations
@@ -29,16 +29,16 @@ from .lifecycle import SafeLifecycleNode, start_nodes
 from .usage import answered, check_parameter_files
 
 LAST_ROUNDS = 5
-"""Number of executor rounds after the nodes are deactivated. In these rounds, they send their last
-messages."""
+"""Number of executor rounds after the nodes are deactivated. In these rounds, the nodes send their
+last messages."""
 
 POLL_S = 0.1
 """Maximum delay of the reaction to a signal [s]. Python handles a signal only when the executor
 returns."""
 
 ENDING = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
-"""Signals that end a node. SIGHUP is sent when the terminal closes. It ends a node unless the
-process ignores SIGHUP."""
+"""Signals that end a node. The system sends SIGHUP when the terminal closes. SIGHUP does not end a
+node if the process ignores this signal."""
 
 
 def run_node(
@@ -53,11 +53,11 @@ def run_node(
     The signal handlers of rclpy are not used, because they would shut the context down first.
 
     The node also ends when its parent process has ended, for example `ros2 launch` after SIGTERM.
-    It does not if its parameter `end_with_parent` is false.
+    If its parameter `end_with_parent` is false, the node continues without its parent process.
 
-    The exit code is 0 after SIGINT, SIGTERM, SIGHUP or a shutdown. It is 2, with a one-line
-    message, if the node refuses its parameters or files. It is 1, with a traceback, if the program
-    has a defect.
+    The exit code is 0 after SIGINT, SIGTERM, SIGHUP or a shutdown. The exit code is 2, with a
+    one-line message, if the node refuses its parameters or files. The exit code is 1, with a
+    traceback, if the program has a defect.
     """
     try:
         with piped():
@@ -93,8 +93,8 @@ def run_nodes(makes: Mapping[str, Callable[[], Node]], args: Sequence[str] | Non
 def _run(
     makes: Mapping[str, Callable[[], Node]], nodes: list[Any], args: Sequence[str] | None
 ) -> int:
-    """Run the nodes until they must stop. Return the exit code. The caller destroys the nodes,
-    which are appended to `nodes`."""
+    """Run the nodes until they must stop. Return the exit code. The new nodes are appended to
+    `nodes`, and the caller destroys the nodes."""
     stopped, spinning, interrupted = False, False, False
     code = 0
 

@@ -85,8 +85,8 @@ def scene_to_msg(
 
 
 def forces_to_msg(rig: Rig, request: CycleRequest, stamp: Time) -> MarkerArray:
-    """Return the forces of a request as arrows. If the request has targets, the arrows are the
-    forces that move the parts to their targets."""
+    """Return the forces of a request as arrows. If the request has targets, the arrows show the
+    forces that would move the parts to their targets."""
     starts = request.parts.position
     ends = starts + FORCE_M / rig.force_unit * request.forces.force
     pairs = enumerate(zip(starts, ends, strict=True))
@@ -98,9 +98,9 @@ def forces_to_msg(rig: Rig, request: CycleRequest, stamp: Time) -> MarkerArray:
 def centres_to_msg(rig: Rig, cycle: PlateCycle, stamp: Time) -> MarkerArray:
     """Return the plate's instantaneous centres of rotation during a cycle, as points.
 
-    The points belong to equally spaced times. Many points in a small region mean a long rotation
-    about this region. The colour shows the direction of rotation. When the plate hardly rotates,
-    the centre is far away and not drawn.
+    The points belong to equally spaced times. Many points in a small region show that the plate
+    rotates about this region for a long time. The colour shows the direction of rotation. When the
+    plate hardly rotates, the centre is far away and is not drawn.
     """
     time = np.linspace(0, cycle.period, CENTRES, endpoint=False)
     pose, twist = cycle.pose(time), cycle.twist(time)

@@ -30,8 +30,8 @@ from ..errors import PlateError, did_you_mean
 Options = TypeVar("Options")
 
 OF_RCLPY = ("qos_overrides.", "use_sim_time", "start_type_description_service")
-"""Prefixes of the names of parameters that rclpy declares. It declares some of them after the
-constructor."""
+"""Prefixes of the names of parameters that rclpy declares. rclpy declares some of these parameters
+only after the node's constructor has ended."""
 
 
 @dataclass(frozen=True)
@@ -39,9 +39,9 @@ class Spec:
     """Allowed values of one parameter, and when it is allowed to change.
 
     A live parameter can be changed at any time. A fixed parameter never changes while the process
-    runs. All other parameters can be changed while the node is not active, or never if the node has
-    no lifecycle. The help text lists only the names of parameters with a `group`, after the name of
-    the group.
+    runs. All other parameters can be changed while the node is not active. If the node has no
+    lifecycle, they can never be changed. For parameters with a `group`, the help text lists only
+    their names, after the name of the group.
     """
 
     description: str
@@ -91,7 +91,7 @@ def declare(node: Node, kind: type[Options]) -> Options:
     """Declare the fields of `kind` as parameters of `node`, and return the values of the
     parameters.
 
-    Parameters that must not change are declared read-only, so ROS refuses changes.
+    Parameters that must not change are declared as read-only, so ROS refuses any change.
 
     Raises
     ------
@@ -116,9 +116,9 @@ def _refuse_unknown(node: Node, known: Sequence[str], moved: Mapping[str, str]) 
     """Refuse parameters that were given at start but are not declared.
 
     Such a parameter is misspelled or belongs to an earlier version. For parameters of earlier
-    versions, `moved` maps the name to the description of the replacement. A parameter that occurs
-    only in a wildcard section of a parameter file may be for other nodes. In this case only a
-    warning is logged.
+    versions, `moved` maps the name to the description of the replacement. If such a parameter
+    occurs only in a wildcard section of a parameter file, it may be for other nodes. In this case
+    it is not refused, and only a warning is logged.
     """
     names = [
         name
@@ -153,7 +153,8 @@ def for_others(words: Sequence[str], node: str) -> set[str]:
     words : sequence of str
         Command line of the node.
     node : str
-        Name of the node. A section `/**/NAME` names the node.
+        Name of the node. A section `/**/NAME` is not a wildcard section for the node NAME, because
+        it contains the node's name.
     """
     by_wildcard: set[str] = set()
     by_name: set[str] = set()
@@ -174,8 +175,8 @@ def for_others(words: Sequence[str], node: str) -> set[str]:
 
 
 def _given(read: Any, section: str) -> Iterator[tuple[str, str]]:
-    """Yield the section and the name of each parameter in a file. Sections and parameters may be
-    nested."""
+    """Yield the section and the name of each parameter in a file. Sections and parameter names may
+    be nested in the file."""
     for key, value in read.items() if isinstance(read, dict) else ():
         if key == "ros__parameters":
             yield from ((section, name) for name in _flat(value, ""))
@@ -196,7 +197,7 @@ def set_parameters(
     parameters: Sequence[Parameter],
     change: Callable[[list[Parameter]], SetParametersResult],
 ) -> SetParametersResult:
-    """Set parameters by the function `change`. Call `set_parameters` in the method
+    """Set parameters with the function `change`. A node calls `set_parameters` in its method
     `set_parameters_atomically`.
 
     If `change` refuses the parameters, it is called again without the parameters that already
@@ -227,7 +228,7 @@ def follow(
     """Call `changed` with the new options each time a parameter is set.
 
     A change is refused if a value is not allowed, if `problem` returns a reason, or if `changed`
-    raises a `PlateError`. Return the callback that is registered at the node.
+    raises a `PlateError`. Return the callback that this function has registered at the node.
     """
     current = [options]
     specs = {item.name: item for item in fields(options)}  # type: ignore[arg-type]

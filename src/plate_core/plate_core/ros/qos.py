@@ -18,8 +18,8 @@ CAMERA = QoSProfile(
     reliability=ReliabilityPolicy.BEST_EFFORT,
     durability=DurabilityPolicy.VOLATILE,
 )
-"""Profile for subscriptions to images. They can connect to reliable and to best-effort camera
-drivers."""
+"""Profile for subscriptions to images. These subscriptions can connect to reliable and to
+best-effort camera drivers."""
 
 DATA = QoSProfile(
     history=HistoryPolicy.KEEP_LAST,
@@ -54,8 +54,8 @@ CALLS = QoSProfile(
     durability=DurabilityPolicy.VOLATILE,
 )
 """Profile for services and their clients. With ROS's default depth of 10, 90 of 100 simultaneous
-stop requests get no reply. Clients need the larger depth too, because the replies to all clients
-pass through the queue of each client."""
+stop requests get no reply. Clients need the larger depth too, because each client's queue also
+receives the replies to all other clients."""
 
 TRANSFORMS = QoSProfile(
     history=HistoryPolicy.KEEP_LAST,
@@ -63,8 +63,9 @@ TRANSFORMS = QoSProfile(
     reliability=ReliabilityPolicy.RELIABLE,
     durability=DurabilityPolicy.VOLATILE,
 )
-"""Profile for /tf, the same as in tf2_ros. /tf_static uses `LATCHED`."""
+"""Profile for the topic /tf, equal to the profile in tf2_ros. The topic /tf_static uses
+`LATCHED`."""
 
 RESULT_S = 60
-"""Time for which an action server keeps a result for late requests [s]. A result needs 4 kB. The
-default of ROS is 900 s."""
+"""Time for which an action server keeps a result for late requests [s]. Each stored result needs 4
+kB. The default time of ROS is 900 s."""

@@ -1,7 +1,7 @@
 """Workarounds for limitations of rclpy. Only this module uses private names of rclpy.
 
-Each workaround names the issue at github.com/ros2/rclpy. Remove a workaround when stock Jazzy
-contains the fix.
+The comment of each workaround names the issue at github.com/ros2/rclpy. Remove a workaround when
+stock Jazzy contains the fix.
 """
 
 from __future__ import annotations
@@ -42,8 +42,8 @@ rcutils_logger.inspect = SimpleNamespace(  # type: ignore[assignment]
 
 class _Handles:
     """Replacement of `ExitStack` in rclpy's executors, which enter the handle of each entity in
-    each round. The replacement reduces the CPU time of a round by a quarter. The open issue 1223 is
-    about this CPU time."""
+    each round. The replacement reduces the CPU time of a round by a quarter. The open issue 1223
+    describes this high CPU time."""
 
     def __init__(self) -> None:
         self._entered: list[Any] = []
@@ -64,8 +64,8 @@ executors.ExitStack = _Handles  # type: ignore[assignment, misc]
 
 
 def can_execute(entity: Any) -> bool:
-    """Do the same as `Executor.can_execute` without its lock. An executor with a single thread does
-    not need the lock."""
+    """Return the same result as `Executor.can_execute`, without using its lock. An executor with a
+    single thread does not need the lock."""
     group = entity.callback_group
     return not entity._executor_event and getattr(group, "_active_entity", None) is None
 
@@ -98,14 +98,15 @@ def logged(transition: Transition) -> Transition:
 
 
 class RclpyLifecycleNode(LifecycleNode):
-    """A `LifecycleNode` that survives wrong requests and leaves the graph when it is destroyed.
+    """A `LifecycleNode` that continues after a wrong request, and that leaves the ROS graph when it
+    is destroyed.
 
     Attributes
     ----------
     failure : Exception, optional
         Exception of the last transition that failed.
     starting : bool
-        Whether the caller of a transition raises its `failure`.
+        Whether the caller of a transition raises the exception in `failure`.
     """
 
     def __init__(self, name: str) -> None:
@@ -114,7 +115,8 @@ class RclpyLifecycleNode(LifecycleNode):
         self.starting = False
 
     def _LifecycleNodeMixin__on_change_state(self, request: Any, response: Any) -> Any:
-        """Reply `success: false` to a request for a transition that the present state lacks.
+        """Reply `success: false` to a request for a transition that does not exist in the present
+        state.
 
         In rclpy, the error of the state machine ends the process (issue 1209, fixed in Rolling by
         pull request 1319). This class overrides a private method, because rclpy has no public
@@ -132,8 +134,9 @@ class RclpyLifecycleNode(LifecycleNode):
     def destroy_node(self) -> None:
         """Destroy the node with its state machine.
 
-        rclpy leaves the destruction of the state machine to the garbage collector, so that the node
-        stays in the graph until then. XX Issue 1710 reports the same defect for another object.
+        rclpy leaves the destruction of the state machine to the garbage collector. The node would
+        stay in the ROS graph until the garbage collector runs. XX Issue 1710 reports the same
+        defect for another object.
         """
         self._state_machine.destroy_when_not_in_use()
         super().destroy_node()
@@ -249,8 +252,8 @@ class UnlockedSubscription:
     def take(self) -> tuple[bytes, int, bytes] | None:
         """Return the serialized next message, its full length [bytes], and an id of the publisher.
 
-        Return None if no message is available, or after `destroy`: an executor may still call a
-        timer of the owner that has just been destroyed.
+        Return None if no message is available, or if the subscription has been destroyed. An
+        executor may still call a timer of the owner at this time.
         """
         if self._handle is None:
             return None

@@ -25,8 +25,8 @@ WIDTH = 100
 
 
 def answered(node: Any, options: type | None, args: Sequence[str] | None) -> bool:
-    """Print the help text if the command line contains `-h` or `--help`. Return whether it was
-    printed.
+    """Print the help text if the command line contains `-h` or `--help`. Return whether the text
+    was printed.
 
     Raises
     ------
@@ -75,7 +75,7 @@ def usage(start: str, node: Any, options: type | None) -> str:
     node : class
         Node class. Its docstring describes the node, its topics and its services.
     options : class, optional
-        Dataclass of the parameters, see `declare`.
+        Dataclass of the parameters, as for `declare`.
     """
     lines = [f"usage: {start} [--ros-args -p NAME:=VALUE ...]", ""]
     lines += (inspect.getdoc(node) or "").splitlines()

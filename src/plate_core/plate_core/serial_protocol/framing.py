@@ -15,7 +15,7 @@ byte."""
 
 CRC_BYTES = 4
 END = 0
-"""The byte that ends a frame and occurs nowhere else."""
+"""The byte that ends a frame. It occurs nowhere else in a frame."""
 
 
 def frame(packet: bytes) -> bytes:
@@ -66,14 +66,15 @@ def unframe(encoded: bytes) -> bytes:
 
 @dataclass(frozen=True)
 class Reader:
-    """Splits a stream of bytes, received in pieces of any size, into packets.
+    """Decoder that splits a stream of bytes into packets. It can receive the stream in pieces of
+    any size.
 
     Attributes
     ----------
     held : bytes
         Bytes of an incomplete frame.
     lost : bool
-        Whether the incomplete frame is too long. Such a frame is skipped up to its end.
+        Whether the incomplete frame is too long. The reader ignores such a frame up to its end.
     refused : int
         Number of damaged frames so far.
     """

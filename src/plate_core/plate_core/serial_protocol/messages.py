@@ -22,14 +22,15 @@ BITS_PER_BYTE = 10
 """Bits per byte on a UART, including start and stop bit."""
 
 TICK_S = 1e-8
-"""Unit of a knot's time [s]. A table can last 42 s, and times are rounded by at most 5 ns."""
+"""Unit of the time of a knot [s]. With this unit, a table can last 42 s, and the rounding error of
+a time is at most 5 ns."""
 
 KNOTS_PER_MESSAGE = 4
-"""Maximum number of knots that fit into a packet."""
+"""Maximum number of knots in one packet."""
 
 MAX_PULSE_MS = 8
-"""Maximum pulse length of the camera's trigger line [ms]. It is shorter than the shortest table, so
-that the line is low again before the next pulse."""
+"""Maximum pulse length of the camera's trigger line [ms]. This is shorter than the shortest table,
+so that the line is low again before the next pulse."""
 
 HEADER = struct.Struct("<BH")
 
@@ -62,7 +63,7 @@ class Status(IntEnum):
 
 
 class Fault(IntFlag):
-    """Reasons why the device does not play. All reasons except NO_HOME persist until a person
+    """Reasons why the device plays no cycle. All reasons except NO_HOME persist until a person
     enables the motors."""
 
     NONE = 0
@@ -128,15 +129,16 @@ class Hello:
 
 @dataclass(frozen=True)
 class Heartbeat:
-    """Host: sign of life with the host's clock time [ns]. The device replies with a Pulse."""
+    """Host: periodic message that shows that the host works, with the host's clock time [ns]. The
+    device replies with a Pulse."""
 
     host_ns: int = field(metadata=_wire("Q"))
 
 
 @dataclass(frozen=True)
 class Enable:
-    """Host: a person has checked the rig and ends the stop with the number `stop`. The device finds
-    home if necessary, and holds the plate at home.
+    """Host: enable the motors, because a person has checked the rig. This ends the stop with the
+    number `stop`. The device finds home if necessary, and holds the plate at home.
 
     `stop` is the number of the stop in the telemetry. An Enable with another number is refused.
     """
@@ -146,15 +148,15 @@ class Enable:
 
 @dataclass(frozen=True)
 class Stop:
-    """Host: brake along the path and go home. If `now` is 1, switch the current off immediately
-    instead."""
+    """Host: brake along the path and move the plate home. If `now` is 1, switch the current off
+    immediately instead."""
 
     now: int = field(metadata=_wire("B", kind=(0, 1)))
 
 
 @dataclass(frozen=True)
 class Home:
-    """Host: discard the home position. The next Enable finds it again."""
+    """Host: discard the home position. The next Enable searches for the home position again."""
 
 
 @dataclass(frozen=True)
@@ -189,10 +191,10 @@ class Knots:
 
 @dataclass(frozen=True)
 class Commit:
-    """Host: start the table at the next end of a table or splice, play it `repeats` times, then
-    rest.
+    """Host: start the announced table when the running table ends or reaches its splice. Play it
+    `repeats` times, then rest.
 
-    A table with a tail, or one that starts in motion, is played once.
+    A table that has a tail or starts in motion is played only once.
     """
 
     table: int = field(metadata=_wire("H"))
@@ -259,7 +261,8 @@ class Telemetry:
 
 @dataclass(frozen=True)
 class DriveTrouble:
-    """Device: the first fault of a drive since the last enable, with the drive's own codes."""
+    """Device: the first fault of a drive since the last enable, with the error codes of the
+    drive."""
 
     motor: int = field(metadata=_wire("B", kind=tuple(range(MOTORS + 1))))  # 0: the bus
     kind: Trouble = field(metadata=_wire("B", kind=Trouble))
@@ -285,7 +288,7 @@ def abort_words(code: int) -> str:
 
 def emergency_words(code: int) -> str:
     """Return the meaning of an emergency code (also object 603Fh) in brackets. The result is empty
-    if unknown."""
+    if the code is unknown."""
     fitting = [text for start, text in EMERGENCIES.items() if f"{code:04X}".startswith(start)]
     return f" ({fitting[0]})" if fitting else ""
 
@@ -303,16 +306,15 @@ EMERGENCIES = {
     "3": "voltage", "4": "temperature", "5": "hardware", "6": "software", "7": "sensor",
     "FF": "manufacturer specific, see its manual",
 }  # fmt: skip
-"""Meanings of emergencies, by the first digits of the code. The first entry that matches is
-used."""
+"""Meanings of CANopen emergency codes, by their first digits. The first matching entry is used."""
 
 ALLOWED = {
     0: "2, CANSimple of firmware 0.6", 0x1000: "...0192h, CiA 402",
     0x1018: "the serial of the rig file", 0x6061: "8, cyclic synchronous position",
     0x6502: "with bit 7, cyclic synchronous position",
 }  # fmt: skip
-"""Required values of the objects that are read during set-up. The key 0 is the protocol version of
-an ODrive."""
+"""Required values of the CANopen objects that the device reads when it sets up a drive. The values
+are texts for messages. The key 0 is the protocol version of an ODrive."""
 
 
 WORDS = {

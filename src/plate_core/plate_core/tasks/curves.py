@@ -9,7 +9,7 @@ from __future__ import annotations
 import numpy as np
 
 SAGITTA_M = 1e-6
-"""Maximum distance between a chord and its arc [m], far below the resolution of a camera."""
+"""Maximum distance between a chord and its arc [m]. A camera cannot resolve such a distance."""
 
 FEWEST_CHORDS, MAX_CHORDS = 12, 4000
 """Minimum and maximum number of chords of a circle, or of a spline between two of its points."""

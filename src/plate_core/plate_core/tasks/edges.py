@@ -21,7 +21,7 @@ ROUNDING_M = 1e-9
 """Tolerance for the rounding of lengths in decimal notation [m]."""
 
 Place = tuple[str, str, Point]
-"""A position in a scenario file: its key, the class of the part, and its point."""
+"""A position in a scenario file: the key, the class of the part, and the point (x, y)."""
 
 
 def goal_places(scenario: Scenario) -> list[Place]:
@@ -51,7 +51,7 @@ def goal_places(scenario: Scenario) -> list[Place]:
 
 def edge_problem(label: str, point: Point, rig: Rig) -> str:
     """Return the reason why parts of a class cannot be moved to a point [m, plate_home]. Return ""
-    if they can."""
+    if this is possible."""
     least = rig.edge_margin(label).least_m
     limit, (x, y) = rig.plate.half - least, point
     # This condition is false for NaN.
@@ -66,8 +66,8 @@ def edge_problem(label: str, point: Point, rig: Rig) -> str:
 
 
 def nowhere_text(label: str, rig: Rig) -> str:
-    """Return the message for a region into which parts of a class cannot be moved, to follow "NAME
-    has"."""
+    """Return the message for a region into which parts of a class cannot be moved. The caller puts
+    "NAME has" before the message."""
     least = rig.edge_margin(label).least_m
     limit = rig.plate.half - least
     return (
@@ -78,8 +78,9 @@ def nowhere_text(label: str, rig: Rig) -> str:
 
 
 def edge_doubts(scenario: Scenario, rig: Rig) -> tuple[str, ...]:
-    """Return warnings about positions of a task that are between the minimum distance and the wall
-    (`EdgeMargin`). For each key and class, only the position nearest to an edge is reported."""
+    """Return warnings about positions of a task whose distance from an edge is allowed but less
+    than advised (`wall_m` of `EdgeMargin`). For each key and class, only the position nearest to an
+    edge is reported."""
     doubts: dict[tuple[str, str], tuple[float, str]] = {}
     for key, label, point in goal_places(scenario):
         wall, away = rig.edge_margin(label).wall_m, float(np.min(rig.plate.half - np.abs(point)))
@@ -97,7 +98,8 @@ def edge_doubts(scenario: Scenario, rig: Rig) -> tuple[str, ...]:
 def behind_wall(
     low: np.ndarray, high: np.ndarray, label: str, rig: Rig
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Restrict intervals (..., 2) [m, plate_home] to the safe area behind the wall for parts of a
-    class. An interval outside this area is reduced to its bound nearest to the area."""
+    """Restrict intervals (..., 2) [m, plate_home] to the safe area of a class. This area begins at
+    the distance `wall_m` from the edges. If an interval is outside the area, the result is its
+    bound nearest to the area."""
     limit = np.maximum(rig.plate.half - rig.edge_margin(label).wall_m, 0.0)
     return np.maximum(low, np.minimum(-limit, high)), np.minimum(high, np.maximum(limit, low))

@@ -25,17 +25,17 @@ ROUNDING_RAD = 1e-6
 
 MAX_OPEN_S = 60.0
 """Maximum duration of one opening of a hopper [s]. The feeder never requests a longer opening, and
-the simulated hopper refuses it."""
+the simulated hopper refuses such a request."""
 
 WHOLE = 1e-6
 """Tolerance of the sum of fractions, which must be 1."""
 
 FULL = ((-math.inf, -math.inf), (math.inf, math.inf))
-"""Default pick window. `pick_window` limits it to the plate."""
+"""Default pick window. It is infinite, and `pick_window` limits it to the plate."""
 
 
 def read_feed(fields: Fields, parts: Sequence[PartGroup]) -> FeedTask:
-    """Read the keys of a feed task. The errors are the same as in `load_scenario`."""
+    """Read the keys of a feed task. The function raises the same errors as `load_scenario`."""
     labels = tuple(group.label for group in parts)
     picks = tuple(_pick(child, labels) for child in fields.children("picks"))
     if not picks or len({pick.label for pick in picks}) < len(picks):
@@ -141,9 +141,9 @@ def _space_problem(pick: Pick, clearance_m: float, rig: Rig) -> str:
     """Return the reason why the window is too small for `pick.ready` parts. Return "" if it may be
     large enough.
 
-    The estimate gives each part a disc: the largest disc about its centre inside its outline,
-    enlarged by half the clearance. These discs do not overlap. They are inside the window, enlarged
-    by their radius.
+    The estimate replaces each part by a disc. This is the largest disc about the part's centre
+    inside its outline, enlarged by half the clearance. These discs must not overlap, and their
+    centres must be inside the window.
     """
     from shapely import Point, Polygon
 
@@ -194,7 +194,7 @@ def pick_problem(pick: Pick, rig: Rig) -> str:
 
 def pick_window(pick: Pick, rig: Rig) -> tuple[np.ndarray, np.ndarray]:
     """Return the lower and the upper corner (2,), (2,) [m, plate_home] of a pick window on this
-    rig's plate. The default is the whole safe area behind the wall."""
+    rig's plate. By default, this is the whole safe area, at least `wall_m` from the edges."""
     limit = rig.plate.half - rig.edge_margin(pick.label).wall_m
     low, high = np.array(pick.low, dtype=float), np.array(pick.high, dtype=float)
     return np.where(np.isinf(low), -limit, low), np.where(np.isinf(high), limit, high)
@@ -210,8 +210,8 @@ def to_turn(parts: Parts, angle: float, symmetry: int) -> np.ndarray:
 def ready_parts(
     parts: Parts, pick: Pick, clearance_m: float, rig: Rig, gap: np.ndarray | None = None
 ) -> np.ndarray:
-    """Whether a robot is allowed to grip parts (M,): they have the right class and angle, are
-    inside the window, and are far enough from all other parts.
+    """Whether a robot is allowed to grip each part (M,). The part must have the right class and
+    angle, be inside the window, and be far enough from all other parts.
 
     Parameters
     ----------
@@ -222,14 +222,14 @@ def ready_parts(
         Minimum distance between the edges of a part and of any other part [m].
     rig : Rig
     gap : (M,) or None
-        Result of `free_gap` for these parts. If None, it is computed.
+        Result of `free_gap` for these parts. If None, the function computes it.
     """
     gap = free_gap(parts, rig) if gap is None else gap
     return np.asarray(as_picked(parts, pick, rig) & (gap >= clearance_m))
 
 
 def as_picked(parts: Parts, pick: Pick, rig: Rig) -> np.ndarray:
-    """Whether parts (M,) have the class of the pick, and are in its window and at its angle."""
+    """Whether each part (M,) has the class of the pick, is in its window, and has its angle."""
     mine = np.array([part_class(name) == pick.label for name in parts.ids], dtype=bool)
     low, high = pick_window(pick, rig)
     mine &= np.all((parts.position >= low) & (parts.position <= high), axis=1)

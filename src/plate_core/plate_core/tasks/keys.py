@@ -30,7 +30,7 @@ CLASSES = ("black", "grey")
 """Classes of parts on rigs without part types. Detector and simulator distinguish these classes."""
 
 CURVES = ("waypoints_m", "circle", "spline_m")
-"""Keys that define the curve of a path. A path has exactly one of them."""
+"""Keys that define the curve of a path. A path has exactly one of these keys."""
 
 OR_ANOTHER = "or another curve"
 
@@ -52,8 +52,8 @@ HOLD = Key(
 
 
 def class_key(*labels: str) -> Key:
-    """Return the definition of the key `class` of a path, a pose or a pick. Its value must be one
-    of the classes of the scenario."""
+    """Return the definition of the key `class` of a path, a pose or a pick. The value of this key
+    must be one of the classes of the scenario."""
     kind = Choice(labels) if labels else Text("a class of `parts`")
     return Key("class", kind, "Class of the part.")
 
@@ -318,4 +318,4 @@ SECTIONS = (
     FILE, GROUP, TASK, SORT, BIN, FOLLOW, PATH, CIRCLE, ASSEMBLE, POSE, POSES, MOVE, MOVES,
     FEED, PICK, HOPPER,
 )  # fmt: skip
-"""All sections of a scenario file, in the order of the reference."""
+"""All sections of a scenario file, in the order of docs/reference.md."""

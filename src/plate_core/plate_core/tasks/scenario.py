@@ -45,8 +45,8 @@ from .tasks import (
 )
 
 SCATTER_GAPS = (5.0, 4.0, 3.0, 2.5)
-"""Candidates of the minimum distance between random start positions, in units of the mean radius of
-two parts. The first candidate with which all parts can be placed is used."""
+"""Minimum distances between random start positions that are tried one after the other [mean radius
+of the two parts]. The first distance with which all parts can be placed is used."""
 
 SCATTER_FRACTION = (0.85, 0.80)
 """Limits of random start positions, as fractions of the plate's half sides (x, y)."""
@@ -55,14 +55,15 @@ SCATTER_CLEAR = 1.5
 """Minimum distance of random start positions from the edges [part radii]."""
 
 SCATTER_TRIES, SCATTER_STARTS = 80, 20
-"""Maximum number of attempts to place one part, and to place all parts, for each minimum
-distance."""
+"""Maximum number of attempts for each minimum distance: to place one part, and to place all
+parts."""
 
 APART_M = 1e-6
 """Two points at a shorter distance count as equal [m]."""
 
 SHARED_M2 = 1e-6
-"""Maximum overlap of two regions [m2]. It tolerates the rounding of decimal numbers."""
+"""Maximum overlap of two regions [m2]. An overlap below this value can result from the rounding of
+decimal numbers."""
 
 
 def scenario_names() -> tuple[str, ...]:
@@ -107,8 +108,8 @@ def load_scenario(name_or_path: str | Path) -> Scenario:
 
 
 def read_scenario(fields: Fields, name: str, folder: Path = Path()) -> Scenario:
-    """Return the scenario of a file in `folder`, or of an action's goal. The errors are the same as
-    in `load_scenario`."""
+    """Return the scenario of a file in `folder`, or of an action's goal. The function raises the
+    same errors as `load_scenario`."""
     parts = tuple(_group(child) for child in fields.children("parts"))
     if not parts:
         raise fields.fail("parts", "at least one group of parts")
@@ -422,7 +423,8 @@ def check_scenario(scenario: Scenario, rig: Rig) -> None:
 
 
 def target_problem(target: PartTarget, scenario: Scenario, rig: Rig) -> str:
-    """Return the reason why a target of a part is impossible. Return "" if it is possible."""
+    """Return the reason why a target of a part is impossible. Return "" if the target is
+    possible."""
     label = part_class(target.id)
     if label not in scenario.labels:
         known = ", ".join(sorted(set(scenario.labels)))
@@ -491,8 +493,8 @@ def _check_bins(scenario: Scenario, task: SortTask, rig: Rig) -> None:
 def _check_regions(scenario: Scenario, task: SortTask, half: np.ndarray) -> None:
     """Raise an error if a side or corner overlaps the region of another class.
 
-    Two bins are not compared with each other, because the planner refuses bins if places of their
-    parts overlap.
+    This function does not compare two bins with each other. The planner refuses two bins if the
+    positions of their parts overlap.
     """
     from shapely import Polygon
 
@@ -536,9 +538,9 @@ def start_positions(
     """Return the start positions of all parts. Parts without a given position get a random
     position.
 
-    The minimum distance between a random position and all other parts is the first of
-    `SCATTER_GAPS` with which all parts can be placed. `SCATTER_FRACTION` and `SCATTER_CLEAR` limit
-    the positions near the edges.
+    The minimum distance between a random position and all other parts is the first value in
+    `SCATTER_GAPS` with which all parts can be placed. `SCATTER_FRACTION` and `SCATTER_CLEAR`
+    determine the minimum distances from the edges.
 
     Parameters
     ----------
@@ -598,8 +600,8 @@ def _scatter(
     """Return up to N - T random points (k, 2) [m], in addition to the T points `taken` (T, 2).
 
     `radius` (N,) are the radii of all parts [m]. The distance between two points is at least `gap`
-    times the mean of their radii. Each point is within its `limit` (N, 2) [m]. If no position is
-    found for a part, only the points before it are returned.
+    times the mean radius of the two parts. Each point is within its `limit` (N, 2) [m]. If no
+    position is found for a part, only the points before it are returned.
     """
     start = len(taken)
     points = np.vstack([taken, np.zeros((len(radius) - start, 2))])

@@ -32,7 +32,7 @@ class PartGroup:
 
 @dataclass(frozen=True)
 class Side:
-    """A side or corner of the plate.
+    """A region at a side or corner of the plate.
 
     `x` and `y` are the signs of the coordinates in this region: 1, -1, or 0 for any sign. A part is
     in the region of a side if it is beyond the goal line, and in the region of a corner if it is
@@ -112,7 +112,7 @@ class FollowTask:
 
 @dataclass(frozen=True)
 class AssembleTask:
-    """Move parts to positions. Each position can get any part of its class.
+    """Move parts to positions. Any part of the right class can be moved to a position.
 
     Attributes
     ----------
@@ -190,7 +190,7 @@ class PartTarget:
     place : (x, y)
         Target position [m, plate_home].
     angle : float or None
-        Target angle, counter-clockwise from x [rad], as in `Pose`. None accepts any angle.
+        Target angle, counter-clockwise from x [rad], as in `Pose`. None: any angle is accepted.
     """
 
     id: str
@@ -205,17 +205,17 @@ class MoveTask:
     Attributes
     ----------
     targets : tuple of PartTarget
-        One target for each part that must move. The other parts stay in place, but give way if
-        necessary.
+        One target for each part that must move. The other parts stay in place, but the planner
+        moves them out of the way if necessary.
     tolerance_m : float
         Maximum distance between a part's centre and its target [m].
     tolerance_rad : float
-        Maximum error of a part's angle, if its target has one [rad].
+        Maximum error of a part's angle [rad], for targets with an angle.
     hold_s : float
         The task succeeds when all parts have been within the tolerances for this time [s].
     until_canceled : bool
-        Whether the task runs until it is canceled. Such a task never succeeds and never counts as
-        stuck.
+        Whether the task runs until it is canceled. Such a task never succeeds, and the planner
+        never reports it as stuck.
     """
 
     targets: tuple[PartTarget, ...]
@@ -238,7 +238,7 @@ class Pick:
     low, high : (x, y)
         Lower and upper corner of the pick window for the parts' centres [m, plate_home].
     angle : float or None
-        Required angle, counter-clockwise from x [rad]. None accepts any angle.
+        Required angle, counter-clockwise from x [rad]. None: any angle is accepted.
     tolerance_rad : float
         Maximum error of the angle [rad].
     """
@@ -284,7 +284,7 @@ class FeedMode(IntEnum):
     """Mode of a feed task."""
 
     FEED = 0
-    """Make parts ready. The plate rests when enough parts are ready."""
+    """Make parts ready. Prepare parts. The plate rests when enough parts are ready."""
     REST = 1
     """Keep the plate at rest, because a robot is above it."""
     PURGE = 2
@@ -301,8 +301,8 @@ class FeedOrder:
     picks : tuple of Pick
         Picks that replace the picks of the task. If empty, the picks of the task are used.
     hidden : bool
-        Whether a robot can hide parts from the camera while the plate rests. Hidden parts are
-        assumed at their last detected positions.
+        Whether a robot can hide parts from the camera while the plate rests. The planner assumes
+        hidden parts at their last detected positions.
     """
 
     mode: FeedMode = FeedMode.FEED
@@ -322,7 +322,7 @@ class FeedTask:
         Minimum distance between the edges of a ready part and of any other part [m], required by
         the gripper.
     chute : Side or None
-        Side over which unwanted parts leave the plate. If None, they stay on the plate.
+        Side over which unwanted parts leave the plate. If None, unwanted parts stay on the plate.
     hopper : Hopper or None
         Hopper that adds parts. None if parts are added by other means.
     timeout_s : float
@@ -330,7 +330,7 @@ class FeedTask:
     valid_s : float
         Time for which a part is reserved for the robot [s].
     order : FeedOrder
-        Present order. It can be changed while the task runs.
+        Present order. The order can be changed while the task runs.
     """
 
     picks: tuple[Pick, ...]
@@ -375,7 +375,7 @@ class Scenario:
 
     @property
     def where(self) -> str:
-        """Text at the start of every message about the scenario."""
+        """Text with which every message about the scenario begins."""
         return self.file or f"scenario {self.name}"
 
     @property
