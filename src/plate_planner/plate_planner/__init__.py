@@ -1,4 +1,5 @@
-"""Computes the requested force on each part from a task and the positions of the parts.
+"""Computes which force the plate should exert on each part. The inputs are a task and the positions
+of the parts.
 
 The subpackage `estimation` estimates the state of the parts, `tasks` computes the motions that a
 task requests, and `supervision` decides whether a task can continue.

@@ -1,7 +1,8 @@
-"""Time of the planner's next request if the camera is free-running. This module does not use ROS.
+"""Determines when the planner publishes its next request to the solver if the camera is
+free-running. This module does not use ROS.
 
-One request is due per cycle, `answer_s` before the cycle ends. The schedule receives the cycle
-starts that the driver reports, and returns the time to wait.
+One request is due per cycle, `answer_s` before the cycle ends. The inputs are the cycle starts that
+the driver reports. The output is the time until the next request.
 """
 
 from __future__ import annotations
@@ -16,12 +17,12 @@ __all__ = ["AnswerSchedule"]
 
 
 class AnswerSchedule:
-    """Computes the time of the next request from the reported cycle starts.
+    """Computes the time of the planner's next request to the solver from the reported cycle starts.
 
     Parameters
     ----------
     answer_s : float
-        Time from a request to the end of the running cycle [s].
+        Time by which a request must precede the end of the running cycle [s].
     period : float
         Length of a cycle [s] that is assumed until a cycle start is reported.
     """
@@ -32,9 +33,10 @@ class AnswerSchedule:
         self._due = False
 
     def is_new(self, cycle: PlateCycle, begin: float) -> bool:
-        """Record that the plate began a cycle at `begin` [s, the time of the stamps].
+        """Record that the plate began a cycle at the time `begin` [s, in the time of the image
+        stamps].
 
-        Return False if the report is repeated, because a repeated report must not delay the
+        Return True if this report of a cycle start is new. A repeated report must not delay the
         request. A report counts as repeated if its cycle has the same knots as the cycle of the
         last report and 0 <= begin - last begin < SNAP T. T is the length of the cycle.
         """
@@ -45,17 +47,18 @@ class AnswerSchedule:
         return True
 
     def wait_s(self, arrival: float) -> float:
-        """Mark a request as pending. Return the time until it is due [s]. The time is zero or
-        negative if the request is late.
+        """Mark a request as pending. Return the time until the request must be published [s]. The
+        time is zero or negative if the request is already late.
 
-        `arrival` is the arrival time of the last report [s, the time of the stamps], and T is the
-        length of the cycle. The time to wait is max(T - answer_s, 0) - max(arrival - begin, 0).
+        `arrival` is the arrival time of the last report [s, in the time of the image stamps]. With
+        the length T of the cycle and its start `begin`, the result is max(T - answer_s, 0) -
+        max(arrival - begin, 0).
         """
         self._due = True
         wait = max(self._cycle.period - self._answer_s, 0.0)
         return wait - max(arrival - self._begin, 0.0)
 
     def take_due(self) -> bool:
-        """Return whether a request is pending, and clear the mark."""
+        """Return whether a request is pending. Afterwards no request is pending."""
         due, self._due = self._due, False
         return due

@@ -1,7 +1,8 @@
-"""Content of the planner's diagnostics: level, message and values. This module does not use ROS.
+"""Computes the level, the message and the values of the planner's diagnostics. This module does not
+use ROS.
 
 The level is the most severe level of the task, its inputs and the estimator. The message contains
-their texts, the most severe text first.
+the texts of all three, the most severe text first.
 """
 
 from __future__ import annotations
@@ -22,13 +23,13 @@ class PlannerDiagnostics:
     tasks : TaskRunner
     monitor : InputMonitor
     triggered : bool
-        Whether images are taken at cycle starts.
+        Whether the camera takes images at cycle starts.
 
     Attributes
     ----------
     refusal : str
         Reason why the last invalid message was refused. Empty if no message was refused since the
-        last diagnostics.
+        diagnostics were last published.
     """
 
     def __init__(self, tasks: TaskRunner, monitor: InputMonitor, triggered: bool) -> None:
@@ -36,7 +37,8 @@ class PlannerDiagnostics:
         self.refusal = ""
 
     def finding(self, now: float) -> Finding:
-        """Return the level and the message at `now` [s, steady clock]."""
+        """Return the level and the message of the diagnostics at the time `now` [s, steady
+        clock]."""
         findings = self._monitor.findings(now)
         image_problem = self._tasks.estimator.image_problem
         if image_problem and self._triggered:
@@ -61,7 +63,7 @@ class PlannerDiagnostics:
         return Finding(level, "; ".join(filter(None, (run.task.text, worst(new, "").message))))
 
     def values(self, now: float) -> dict[str, str]:
-        """Return the values at `now` [s, steady clock], by name."""
+        """Return the values of the diagnostics at the time `now` [s, steady clock], by name."""
         run, inputs = self._tasks.run, self._monitor.inputs
         progress = {} if run is None or run.progress is None else run.progress.values()
         driver = inputs.driver_status
@@ -76,5 +78,5 @@ class PlannerDiagnostics:
         }
 
     def reported(self) -> None:
-        """Clear `refusal` after the diagnostics were published."""
+        """Clear `refusal`. Call this method after the diagnostics were published."""
         self.refusal = ""

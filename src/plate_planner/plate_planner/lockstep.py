@@ -1,9 +1,10 @@
 """Order in which the planner processes messages if a simulator runs in lockstep. This module does
 not use ROS.
 
-The planner may receive an image before other messages that belong before it: the cycle that led to
-this image, the report of this cycle's start, or a goal. The order of arrival is random. To make
-runs repeatable, `Lockstep` holds an image until these messages have arrived.
+The planner may receive an image before messages that it must process first. These are the cycle
+that led to this image, the report of this cycle's start, and a goal. The order of arrival is
+random. To make runs repeatable, the class `Lockstep` delays an image until these messages have
+arrived.
 """
 
 from __future__ import annotations
@@ -17,16 +18,18 @@ Image = TypeVar("Image")
 Start = TypeVar("Start")
 
 STARTS_KEPT = 64
-"""Maximum number of reported cycle starts that are kept until the next image is planned. Older
+"""Maximum number of reported cycle starts that are stored until the next image is processed. Older
 reports are dropped."""
 
 
 class Lockstep(Generic[Image, Start]):
-    """Holds the newest image, and the reported cycle starts, until the image can be planned.
+    """Stores the newest image, and the reported cycle starts, until the planner can process this
+    image.
 
-    In lockstep, an image waits for the report of the start of the cycle at which it was taken. If a
-    request was published before the image, the image also waits for the plate_cycle that results
-    from this request, and for the first goal. Without lockstep, each image is planned at once.
+    In lockstep, an image waits for the report of the cycle start at which the image was taken. If a
+    request was published before the image, the image also waits for the message plate_cycle that
+    results from this request, and for the first goal. Without lockstep, each image is processed at
+    once.
 
     Parameters
     ----------
@@ -38,11 +41,11 @@ class Lockstep(Generic[Image, Start]):
     request_ns : int or None
         Stamp of the last request [ns].
     unanswered : bool
-        Whether the plate_cycle for the last request has not arrived yet.
+        Whether the message plate_cycle for the last request has not arrived yet.
     starts_required : bool
-        Whether an image waits for the report of its cycle's start. The value becomes False if no
-        start is reported within the timeout, and True again when the start of an image's cycle is
-        reported.
+        Whether an image must wait for the report of the cycle start at which it was taken. The
+        value becomes False if no start is reported within the timeout. It becomes True again when
+        the start for an image is reported.
     """
 
     def __init__(self, enabled: bool) -> None:
@@ -59,23 +62,24 @@ class Lockstep(Generic[Image, Start]):
 
     @property
     def image_waits(self) -> bool:
-        """Whether an image is waiting."""
+        """Whether an image waits to be processed."""
         return self._image is not None
 
     def add_image(self, image: Image, stamp_ns: int, now: float) -> None:
-        """Replace the waiting image by one that arrived at `now` [s, steady clock]."""
+        """Store an image that arrived at the time `now` [s, steady clock]. It replaces an earlier
+        image that still waits."""
         if self._image is None or self._image[1] != stamp_ns:
             self._image_time = now
         self._image = image, stamp_ns
 
     def add_start(self, start: Start, stamp_ns: int) -> None:
-        """Keep the report of a cycle's start until the next image is planned."""
+        """Store the report of a cycle start until the next image is processed."""
         self._starts.append(start)
         self._start_ns = stamp_ns
 
     def next_image(self) -> tuple[Image, list[Start]] | None:
-        """Return and remove the waiting image, and the cycle starts that must be recorded before
-        it. Return None if no image waits, or if the image must wait longer."""
+        """Remove and return the waiting image, and the cycle starts that the planner must record
+        before the image. Return None if no image waits, or if the image must wait longer."""
         if self._image is None:
             return None
         image, stamp_ns = self._image
@@ -92,17 +96,18 @@ class Lockstep(Generic[Image, Start]):
         return image, starts
 
     def _lacks_start(self, stamp_ns: int) -> bool:
-        """Whether the start of the cycle at which an image was taken has not been reported yet."""
+        """Whether an image must still wait for the report of the cycle start at which it was
+        taken."""
         reported = self._start_ns == stamp_ns
         self.starts_required = self.starts_required or reported
         return self.starts_required and not reported
 
     def request_sent(self, stamp_ns: int) -> None:
-        """Record a request with this stamp [ns]."""
+        """Record that a request with the stamp `stamp_ns` [ns] was published."""
         self.request_ns, self.unanswered = stamp_ns, True
 
     def cycle_received(self, stamp_ns: int) -> bool:
-        """Record a cycle. Return whether it results from the last request."""
+        """Record that a cycle has arrived. Return whether it results from the last request."""
         answers = stamp_ns == self.request_ns
         if answers:
             self.unanswered = False
@@ -113,21 +118,23 @@ class Lockstep(Generic[Image, Start]):
         self._goal_received, self._request_before_goal_ns = True, self.request_ns
 
     def precedes_goal(self, stamp_ns: int) -> bool:
-        """Whether the last request before the last goal had this stamp [ns]. For an image with this
-        stamp, the driver accepts only a cycle at rest."""
+        """Whether the stamp `stamp_ns` [ns] is the stamp of the last request that was published
+        before the last goal. For an image with this stamp, the driver accepts only a cycle at
+        rest."""
         return stamp_ns == self._request_before_goal_ns
 
     def stop_waiting(self, now: float, timeout_s: float, answer_overdue: bool) -> None:
-        """Stop waiting for missing messages.
+        """Stop waiting for messages that have not arrived in time.
 
         Parameters
         ----------
         now : float
             Time of the steady clock [s].
         timeout_s : float
-            If the image has waited longer than this [s], stop waiting for the report of a start.
+            If the image has waited longer than this time [s], it no longer waits for the report of
+            a cycle start.
         answer_overdue : bool
-            Whether to stop waiting for the plate_cycle of the last request.
+            Whether to stop waiting for the message plate_cycle that results from the last request.
         """
         if answer_overdue:
             self.unanswered = False

@@ -1,8 +1,8 @@
 """Record of the plate cycles that were executed, with their start times, and of the cycle period.
 
-The driver reports the start of each cycle. If there are no reports, images are assumed to be
-triggered at cycle starts. In this case their stamps are the start times, and the sent cycles
-determine which cycle began.
+The driver reports the start of each cycle. If no reports arrive, images are assumed to be triggered
+at cycle starts. In this case, the stamps of the images are the start times, and the cycles that
+were sent to the plate determine which cycle began.
 """
 
 from __future__ import annotations
@@ -19,12 +19,12 @@ from plate_core.motion import in_time, next_cycle
 from plate_core.status import MAX_AGE_S
 
 SNAP = 0.25
-"""Maximum difference between a time (a stamp, a reported start, or the image of a request) and the
-start or end of a cycle that counts as equal, as a fraction of the cycle."""
+"""Tolerance of the comparison of a time with the start or the end of a cycle, as a fraction of the
+cycle's length. The time can be a stamp, a reported start, or the image time of a request."""
 
 MEMORY_S = 1.5
-"""Time for which executed cycles are kept [s]. This time is longer than the maximum image latency
-and the longest usual cycle."""
+"""Time for which the log keeps executed cycles [s]. This time is longer than the maximum image
+latency and the longest usual cycle."""
 
 MIN_S = 0.005
 """Minimum length of a cycle or tail that the log accepts [s]."""
@@ -33,27 +33,29 @@ MAX_S = 10.0
 """Maximum length of a cycle or tail that the log accepts [s]."""
 
 PERIOD_RANGE_S = (0.005, 1.0)
-"""Range of cycle periods that the log accepts [s]. It applies to intervals between stamps and to
-reported periods. The default periods of the solver are 0.1 to 0.4 s."""
+"""Range of cycle periods that the log accepts [s]. The range applies to the intervals between image
+stamps and to the periods that the driver reports. The default periods of the solver are 0.1 to 0.4
+s."""
 
 SAME_TIME_S = 3.0
-"""Maximum difference between the stamps of an image and of a cycle start [s]. It is larger than the
-longest permitted interruption of images."""
+"""Maximum difference between the stamp of the last image and the stamp of a reported cycle start
+[s]. It is larger than the longest permitted interruption of images."""
 
 INTERVALS_KEPT = 3
-"""Number of stamp intervals that are kept. One lost image does not affect the median of three
-intervals."""
+"""Number of intervals between image stamps from which the period is computed. The period is their
+median, so that one lost image does not affect it."""
 
 DELAYS_KEPT = 7
-"""Number of delays of results that are kept. Predictions use the median of these delays, so a
-single late result has no effect. Gains use their maximum."""
+"""Number of the solver's last results whose delays are stored. Predictions use the median of these
+delays, so a single late result has no effect on them. Controller gains use the maximum of these
+delays."""
 
 LATEST = 3
-"""Maximum delay of a result that predictions assume [cycles]."""
+"""Maximum delay of the solver's result that predictions assume [cycles]."""
 
 SAME_POSE = 1e-9
-"""Tolerance of the comparison of two poses [m, rad]. It allows for the rounding of the motors'
-travel."""
+"""Tolerance of the comparison of two poses of the plate [m, rad]. The tolerance is necessary
+because the travel of the motors is rounded."""
 
 
 @dataclass(frozen=True)
@@ -63,10 +65,10 @@ class Sent:
     Attributes
     ----------
     arrival : float
-        Time of sending [s, the time of the stamps].
+        Time at which the cycle was sent [s, in the time of the image stamps].
     cycle : PlateCycle
     requested : float
-        Start of the cycle at which the image of its request was taken [s].
+        Start time of the cycle during which the image for this cycle's request was taken [s].
     """
 
     arrival: float
@@ -76,35 +78,37 @@ class Sent:
 
 @dataclass(frozen=True)
 class CycleLog:
-    """The cycles that the plate executed or is expected to execute, oldest first.
+    """Record of the cycles that the plate has executed or is expected to execute, oldest first.
 
-    A reported start replaces the start that was expected at about this time.
+    When the driver reports the start of a cycle, the report replaces the cycle that was expected to
+    start at about this time. The solver's result is the cycle that the solver has computed for a
+    request.
 
     Attributes
     ----------
     runs : tuple of (begin [s], PlateCycle)
-        Executed cycles (runs). Each run ends when the next one begins. The plate is at rest before
-        the first run.
+        Executed cycles with their start times. Such an executed cycle is called a run. Each run
+        ends when the next run begins. The plate is at rest before the first run.
     sent : tuple of Sent
-        Sent cycles whose start has not been reported, oldest first. If there are no reports, only
-        the newest one is kept.
+        Cycles that were sent to the plate and whose start has not been reported, oldest first. If
+        the driver reports no starts, only the newest sent cycle is stored.
     free_running : bool
-        Whether images are not taken at cycle starts (free-running camera, or trigger at a phase).
-        In this case only reports determine the starts. Otherwise stamps of images determine them
-        too.
+        Whether images are not taken at cycle starts (free-running camera, or trigger at a phase of
+        the cycle). In this case, only the driver's reports determine the cycle starts. Otherwise,
+        stamps of images determine them too.
     last_report : float
-        Start of the last reported cycle [s]. Minus infinity if there is none.
+        Start time of the last reported cycle [s]. Minus infinity if no cycle was reported.
     delays : tuple of int
-        Delays of the last results [cycles]. A result has the delay 0 if it begins at the end of the
-        cycle at whose start its image was taken.
+        Delays of the solver's last results [cycles]. A result has the delay 0 if it begins at the
+        end of the cycle at whose start the image for its request was taken.
     answered_start : float
-        Start of the cycle at which the image for the last sent cycle was taken [s]. Minus infinity
-        if no cycle was sent.
+        Value of `Sent.requested` for the last sent cycle [s]. Minus infinity if no cycle was sent.
     awaited : Sent or None
-        The last sent cycle that moves the plate. None after it has begun.
+        Last sent cycle that moves the plate. None after this cycle has begun.
     begun, unanswered_cycles : int
-        `begun` is the number of reported cycles. `unanswered_cycles` is the number of cycles
-        that moved the plate without a new result, that is, repeated cycles and tails.
+        `begun` is the number of reported cycles. `unanswered_cycles` is the number of reported
+        cycles that moved the plate without a new result of the solver. These are repeated cycles
+        and tails.
     """
 
     runs: tuple[tuple[float, PlateCycle], ...] = ()
@@ -119,17 +123,17 @@ class CycleLog:
 
     @property
     def known(self) -> bool:
-        """Whether any cycle was executed."""
+        """Whether the plate has executed any cycle."""
         return bool(self.runs)
 
     @property
     def begin(self) -> float:
-        """Start of the last run [s]."""
+        """Start time of the last run [s]."""
         return self.runs[-1][0]
 
     @property
     def end(self) -> float:
-        """End of the last run [s]."""
+        """End time of the last run [s]."""
         begin, cycle = self.runs[-1]
         return begin + cycle.period
 
@@ -141,11 +145,12 @@ class CycleLog:
 
     @property
     def certain(self) -> bool:
-        """Whether the state of the plate at the start of the next result is known.
+        """Whether the state of the plate is known for the time at which the solver's next result
+        begins.
 
-        This requires a report of the last run or of the run before it, because the log is uncertain
-        without recent reports. Recent results must also be without delay (`delay`), because the
-        start of a delayed result depends on an earlier result that has not begun.
+        The state is known only if the last run or the run before it was reported, because the log
+        is uncertain without recent reports. In addition, `delay` must be 0, because the start of a
+        delayed result depends on an earlier result that has not begun.
         """
         return self.known and self.last_report >= self.runs[-2:][0][0] and not self.delay
 
@@ -156,7 +161,7 @@ class CycleLog:
 
     @property
     def resting_since(self) -> float:
-        """Start of the plate's rest [s]. Infinite while the plate moves."""
+        """Time since which the plate has been at rest [s]. Infinite while the plate moves."""
         since = math.inf
         for begin, cycle in reversed(self.runs):
             if cycle.moves:
@@ -166,20 +171,20 @@ class CycleLog:
 
     @property
     def delay(self) -> int:
-        """Delay of the results [cycles]. The delay is above 0 if the computer or the connection is
-        too slow."""
+        """Median delay of the solver's last results [cycles], at most `LATEST`. The delay is above
+        0 if the computer or the connection is too slow."""
         return min(median_low(self.delays), LATEST) if self.delays else 0
 
     @property
     def longest_delay(self) -> int:
-        """Maximum of the last delays [cycles], at most `LATEST`. A controller that is stable with
-        this delay remains stable if the delays vary."""
+        """Maximum delay of the solver's last results [cycles], at most `LATEST`. A controller that
+        is stable with this delay remains stable if the delays vary."""
         return min(max(self.delays, default=0), LATEST)
 
     @property
     def until_answer(self) -> CycleLog:
-        """The predicted log at the time when the result for the running cycle begins. Results that
-        were sent earlier begin before this result."""
+        """Predicted log at the time when the solver's result for the running cycle begins. Results
+        that were sent earlier begin before this result."""
         log, before = self, [one.cycle for one in self.sent][::-1]
         for k in reversed(range(self.delay)):  # the newest result comes last
             cycle = log.next(before[k : k + 1])
@@ -187,17 +192,18 @@ class CycleLog:
         return log
 
     def next(self, sent: Sequence[PlateCycle]) -> PlateCycle:
-        """Return the cycle that follows the last run by the rule `plate_core.motion.next_cycle`.
-        `sent` contains the sent cycles, the newest cycle last."""
+        """Return the cycle that follows the last run according to `plate_core.motion.next_cycle`.
+        `sent` contains the cycles that were sent to the plate, the newest cycle last."""
         return next_cycle(self.runs[-1][1], sent, idle_s=self.period)
 
     def record_cycle(
         self, cycle: PlateCycle, arrival: float, requested: float | None = None
     ) -> CycleLog:
-        """Record a cycle sent at `arrival` [s, the time of the stamps].
+        """Record a cycle that was sent to the plate at the time `arrival` [s, in the time of the
+        image stamps].
 
-        `requested` is the start of the cycle at which the image of its request was taken [s].
-        Default: the start of the running cycle.
+        `requested` is the start time of the cycle during which the image for this cycle's request
+        was taken [s]. Default: the start of the running cycle.
         """
         if not _playable(cycle):
             return self
@@ -209,8 +215,8 @@ class CycleLog:
         return replace(self, sent=(*before, one), answered_start=requested, awaited=awaited)
 
     def started(self, cycle: PlateCycle, begin: float, triggered: bool = False) -> CycleLog:
-        """Record the report that the plate began a cycle at `begin` [s]. A repeated report changes
-        nothing. If `triggered`, images are taken at cycle starts although starts are reported."""
+        """Record the report that the plate began a cycle at the time `begin` [s]. A repeated report
+        changes nothing. `triggered` states whether images are taken at cycle starts."""
         if not _playable(cycle):
             return self
         if self._clock_was_reset(begin):
@@ -234,30 +240,34 @@ class CycleLog:
         )
 
     def _clock_was_reset(self, begin: float) -> bool:
-        """Whether the stamp of a report [s] is so old that the clock must have been set back."""
+        """Whether the start time `begin` of a report [s] is so old that the clock must have been
+        set back."""
         return bool(self.runs) and begin < self.begin - MEMORY_S
 
     def _is_reported(self, cycle: PlateCycle, begin: float) -> bool:
-        """Whether the start of this cycle at `begin` [s] was reported before."""
+        """Whether an earlier report stated that this cycle began at the time `begin` [s]."""
         return begin <= self.last_report and any(
             begin == start and _same(cycle, run) for start, run in self.runs
         )
 
     def _runs_before(self, begin: float) -> tuple[tuple[float, PlateCycle], ...]:
-        """Return the runs that began before a report's `begin` [s]. A run that was expected to
-        begin at about this time was only a prediction, which the report replaces."""
+        """Return the runs that began clearly before a reported start time `begin` [s]. If a run was
+        expected to begin at about this time, it was only a prediction. The report replaces this
+        run, so it is omitted."""
         return tuple(run for run in self.runs if run[0] < begin - SNAP * run[1].period)
 
     def _answer_in(self, cycle: PlateCycle) -> int | None:
-        """Return the index in `sent` of the cycle that has begun. None if it is not in `sent`."""
+        """Return the index in `sent` of a cycle that has begun, or None if `sent` does not contain
+        this cycle."""
         return next((k for k, one in enumerate(self.sent) if _same(one.cycle, cycle)), None)
 
     def _delays_with(
         self, answer: int | None, kept: tuple[tuple[float, PlateCycle], ...]
     ) -> tuple[int, ...]:
-        """Return the delays after a result has begun. `answer` is the index of the result in
-        `sent`. `kept` contains the start [s] and the cycle of each remembered run before the
-        result. A cycle at rest adds no delay, because cycles at rest cannot be distinguished."""
+        """Return the value of `delays` after a result of the solver has begun. `answer` is the
+        index of this result in `sent`. `kept` contains the start time [s] and the cycle of each
+        stored run before the result. If the result is a cycle at rest, no delay is added, because
+        cycles at rest cannot be distinguished."""
         if answer is None or not self.sent[answer].cycle.moves:
             return self.delays
         requested = self.sent[answer].requested
@@ -268,18 +278,20 @@ class CycleLog:
         return (*self.delays, late)[-DELAYS_KEPT:]
 
     def _goes_on(self, cycle: PlateCycle, before: tuple[tuple[float, PlateCycle], ...]) -> bool:
-        """Whether a cycle moves the plate only because no result arrived in time. In this case the
-        cycle repeats the last run or is its tail, and the last result was not a cycle at rest."""
+        """Whether a cycle moves the plate only because no result of the solver arrived in time. In
+        this case, the cycle repeats the last run or is the tail of the last run. In addition, the
+        newest sent cycle is not a cycle at rest."""
         if not (before and cycle.moves) or (self.sent and not self.sent[-1].cycle.moves):
             return False
         return any(_same(cycle, part) for part in before[-1][1].parts)
 
     def advance(self, t: float) -> CycleLog:
-        """Return the log at an image's stamp t [s]. If there are no reports, a cycle starts at the
-        stamp.
+        """Return the log advanced to the stamp t [s] of an image. If the driver reports no cycle
+        starts, a cycle is assumed to start at this stamp.
 
-        After the end of a cycle, the newest sent cycle follows if it arrived in time. If results
-        have a delay, an older sent cycle follows. Otherwise the rule `next_cycle` applies.
+        When a cycle has ended, the newest sent cycle follows if it arrived in time. If the solver's
+        results have a delay, an older sent cycle follows. Otherwise, `next_cycle` determines the
+        following cycle.
         """
         if self.free_running:
             log = self
@@ -302,11 +314,11 @@ class CycleLog:
         return replace(log, runs=kept)
 
     def triggered(self, t: float, phase: float) -> float:
-        """Return the trigger time [s] of an image with stamp t [s]. The camera is triggered at a
-        phase of each cycle.
+        """Return the time [s] at which the camera was triggered for an image with the stamp t [s].
+        The camera is triggered at the phase `phase` of each cycle.
 
         The stamp may be up to `SNAP` cycles before the trigger, and up to 1 - `SNAP` cycles after
-        it. If the plate is at rest, the stamp is returned.
+        the trigger. If the plate is at rest, the result is the stamp itself.
         """
         # The start of the next cycle may not be reported yet.
         ahead = (self.end, self.runs[-1][1])
@@ -336,16 +348,15 @@ class CycleLog:
         return replace(self, runs=runs, sent=self.sent if keeps else (), awaited=awaited)
 
     def _awaited_after(self, cycle: PlateCycle) -> Sent | None:
-        """Return the value of `awaited` after `cycle` has begun. None if `cycle` is the awaited
-        cycle."""
+        """Return the value of `awaited` after `cycle` has begun. The value is None if `cycle` is
+        the awaited cycle."""
         one = self.awaited
         return None if one is not None and _same(one.cycle, cycle) else one
 
     def may_move(self, t: float) -> bool:
-        """Whether the awaited cycle may still begin after time t [s].
+        """Whether the cycle `awaited` may still begin after the time t [s].
 
-        If the driver has accepted the awaited cycle, this cycle starts at the end of the running
-        cycle.
+        If the driver has accepted this cycle, it starts at the end of the running cycle.
         """
         one = self.awaited
         if one is None or one.requested > t + MEMORY_S:  # the clock was set back
@@ -353,11 +364,11 @@ class CycleLog:
         return t < one.requested + MAX_AGE_S + one.cycle.period
 
     def between(self, begin: float, end: float) -> Iterator[tuple[PlateCycle, float, float, float]]:
-        """Yield the pieces of runs between `begin` and `end` [s]. Each piece consists of the cycle,
-        the start time of the cycle [s], and the start and the end of the piece relative to this
-        start time [s].
+        """Yield the parts of all runs that are between the times `begin` and `end` [s]. Each item
+        contains the cycle, the start time of the cycle [s], and the start and the end of the part
+        relative to this start time [s].
 
-        Times without a run have no pieces.
+        If no run exists at a time, no item covers this time.
         """
         for k, (start, cycle) in enumerate(self.runs):
             stop = self.runs[k + 1][0] if k + 1 < len(self.runs) else start + cycle.period
@@ -367,13 +378,14 @@ class CycleLog:
 
 
 def check_start(cycle: PlateCycle, begin: float, image: float | None) -> None:
-    """Check a reported cycle start at `begin` [s] against the stamp `image` [s] of the last image.
+    """Check a reported cycle. Its start time `begin` [s] is compared with the stamp `image` [s] of
+    the last image.
 
     Raises
     ------
     PlateError
-        If the period is outside `PERIOD_RANGE_S`, or if the stamps differ by more than
-        `SAME_TIME_S`.
+        The period of the cycle is outside `PERIOD_RANGE_S`, or `begin` and `image` differ by more
+        than `SAME_TIME_S`.
     """
     low, high = PERIOD_RANGE_S
     if not low <= cycle.period <= high:
@@ -400,7 +412,7 @@ def _playable(cycle: PlateCycle) -> bool:
 
 
 def _is_tail(cycle: PlateCycle) -> bool:
-    """Whether a cycle only brings the plate to rest."""
+    """Whether a cycle is a tail, which only brings the plate to rest."""
     return cycle.tail is None and not cycle.closes
 
 
@@ -411,7 +423,7 @@ class CycleClock:
     Attributes
     ----------
     stamp : float or None
-        The last stamp [s]. None before the first image.
+        Stamp of the last image [s]. None before the first image.
     intervals : tuple of float
         The last plausible intervals between consecutive stamps [s].
     period : float
@@ -424,12 +436,12 @@ class CycleClock:
 
     @classmethod
     def starting(cls, default_period: float) -> CycleClock:
-        """Return a clock without stamps."""
+        """Return a clock that has received no stamps yet."""
         return cls(None, (), default_period)
 
     def tick(self, t: float) -> CycleClock:
-        """Update with the next stamp [s]. A stamp that is earlier than the last stamp, or much
-        later, does not change the period."""
+        """Return the clock updated with the stamp t [s] of the next image. A stamp that is earlier
+        than the last stamp, or much later than it, does not change the period."""
         step = None if self.stamp is None else t - self.stamp
         if step is None or not PERIOD_RANGE_S[0] <= step <= PERIOD_RANGE_S[1]:
             return replace(self, stamp=t)
@@ -442,6 +454,6 @@ class CycleClock:
         return self.intervals[-1] if self.intervals else self.period
 
     def went_back(self, t: float) -> bool:
-        """Whether a stamp [s] is earlier than the last stamp, which means that the source of the
+        """Whether the stamp t [s] is earlier than the last stamp. In this case, the source of the
         images was restarted."""
         return self.stamp is not None and t < self.stamp

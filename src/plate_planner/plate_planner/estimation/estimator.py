@@ -1,10 +1,11 @@
 """Estimates the state of the parts from images and from the plate's motion.
 
-The inputs are the parts detected in each image with its stamp, the cycles sent to the plate, their
-reported starts, and the requests. The outputs are the parts at `Estimator.stamp`, and their
-predicted state when the next result takes effect. Kalman filters on the stick-slip motion
-track the parts (`filter.py`). Several hypotheses of the image latency are computed in parallel
-(`latency.py`). `DriftBias` estimates the remaining prediction error.
+The inputs are the detected parts and the stamp of each image, the cycles sent to the plate, the
+reported cycle starts, and the requests to the solver. The outputs are the state of the parts at the
+time `Estimator.stamp`, and their predicted state at the start of the solver's next result (the
+cycle that it computes). Kalman filters with a model of the stick-slip motion track the parts
+(`filter.py`). Several hypotheses of the image latency are computed in parallel (`latency.py`).
+`DriftBias` estimates the remaining prediction error.
 """
 
 from __future__ import annotations
@@ -22,53 +23,53 @@ from .frame_clock import FrameClock
 from .latency import LatencyHypotheses
 
 MISSED_IMAGES = Coast(parts=5, unknown=10)
-"""Maximum number of consecutive images in which a part, or an object of the class `unknown`, is not
-detected. Up to this number, its state is propagated. After `parts` images without a detection,
-vision forgets the id of a part too. `unknown` is larger, because these objects are often not
-detected although they are on the plate. With images at cycle starts, ten images correspond to
-`MEMORY_S`."""
+"""Maximum numbers of consecutive images without a detection: `parts` for a part, `unknown` for an
+object of the class `unknown`. Up to this number, the state of the object is propagated. After
+`parts` images without a detection, the detector forgets the id of a part too. `unknown` is larger,
+because unknown objects are often not detected although they are on the plate. If images are taken
+at cycle starts, ten images last about `MEMORY_S`."""
 
 MAX_REQUEST_AGE = 1.5
-"""Maximum age of a request [periods]. An older request does not describe the running cycle. A mean
-drift or spin is also measured over at most this time."""
+"""Maximum age of a request to the solver [periods of a cycle]. An older request does not describe
+the running cycle. Mean drifts and mean spins are also measured over at most this time."""
 
 SETTLE_S = 0.05
-"""Time for which the plate must have been at rest until all parts are at rest [s]."""
+"""All parts are assumed to be at rest when the plate has been at rest for this time [s]."""
 
 SAME_LATENCY_S = 2e-3
-"""Latencies that differ by less than this value count as equal in a prediction [s]. Parts drift by
-about 0.05 mm in this time."""
+"""Two image latencies that differ by less than this value count as equal [s]. Parts drift by about
+0.05 mm in this time."""
 
 TRIGGER_TOLERANCE_S = 1e-3
-"""Maximum difference between the stamp of an image and a reported cycle start [s]. If it is
-smaller, the stamp counts as the time of the camera trigger. The image was then taken at its
-stamp."""
+"""If the stamp of an image differs from a reported cycle start by less than this value [s], the
+stamp counts as the time of the camera trigger. In this case, the image was taken at its stamp."""
 
 LATE = 0.01
-"""Maximum deviation of `Estimator.stamp` from the time for which positions were predicted, as a
-fraction of the prediction horizon (`DriftBias.span`). If the deviation is larger, the parts are not
-compared with the prediction."""
+"""Maximum difference between `Estimator.stamp` and the time for which positions were predicted, as
+a fraction of the prediction horizon (`DriftBias.span`). If the difference is larger, the parts are
+not compared with the prediction."""
 
 FEWER = 0.02
-"""Tolerance of the image rate, as a fraction of the cycle rate."""
+"""Maximum fraction by which the image rate may be below the cycle rate."""
 
 ODD = 0.25
-"""If an image interval deviates from a whole number of cycles by more than this value, it counts as
-odd [cycles]."""
+"""If the interval between two images deviates from a whole number of cycles by more than this
+value, the interval counts as odd [cycles]."""
 
 ODD_IMAGES = 20
-"""Number of consecutive odd intervals that prove that the camera is not triggered at cycle
+"""Number of consecutive odd intervals after which the camera counts as not triggered at cycle
 starts."""
 
 FEW_UNANSWERED = 0.05
-"""Fraction of cycles without a result that does not noticeably slow down a task."""
+"""Maximum fraction of cycles without a new result of the solver that does not noticeably slow down
+a task."""
 
 NO_PARTS = Parts.make((), np.zeros((0, 2)))
 
 
 def rows_of(ids: tuple[str, ...], among: tuple[str, ...]) -> np.ndarray:
-    """Return the index (K,) of each id in `among`. The index is -1 for an id that is not in
-    `among`."""
+    """Return the index (K,) that each id of `ids` has in `among`. The index is -1 for an id that
+    `among` does not contain."""
     row = {name: i for i, name in enumerate(among)}
     return np.array([row.get(name, -1) for name in ids], dtype=int)
 
@@ -94,11 +95,11 @@ class LastRequest:
     force: np.ndarray = field(default_factory=lambda: np.zeros((0, 2)))
 
     def drift_of(self, parts: Parts, t: float, period: float) -> np.ndarray:
-        """Return the drift (M, 2) [m/s] of parts detected at time t [s], if they follow the
-        request.
+        """Return the drift (M, 2) [m/s] that parts detected at the time t [s] have if they follow
+        the request.
 
-        If a part has no request, or its request is older than `MAX_REQUEST_AGE` periods, its
-        measured drift is returned.
+        For a part that the request does not contain, the result is the measured drift. If the
+        request is older than `MAX_REQUEST_AGE` periods, this applies to all parts.
         """
         drift = parts.velocity.copy()
         if 0 <= t - self.stamp <= MAX_REQUEST_AGE * period:
@@ -109,29 +110,31 @@ class LastRequest:
 
 @dataclass(frozen=True)
 class DriftBias:
-    """Disturbance observer of the drift error, which is the difference between the actual and the
-    predicted motion.
+    """Disturbance observer that estimates the drift error of each part. The drift error is the
+    actual mean velocity of the part minus the predicted mean velocity.
 
     Weak motors, lower friction or errors of the solver's model cause similar errors in consecutive
-    cycles. Let x be the position of a part, p its prediction made a time T before, and k the gain.
-    The drift error b is updated by
+    cycles. Let x be the position of a part, p the prediction of x that was made a time T before,
+    and k the gain. The drift error b is updated by
 
         b += k ((x - p)/T - b).
 
-    On a path, the components of the drift error along and across the path are nearly constant.
-    Therefore the drift error is stored in axes that the task chooses.
+    If a part follows a path, the components of its drift error along and across the path are nearly
+    constant. Therefore, the drift error is stored in axes that the task chooses, such as these
+    directions.
 
     Attributes
     ----------
     ids : tuple of str
     drift : (M, 2)
-        Drift error along each part's axes [m/s].
+        Components of the drift error along the axes of each part [m/s].
     place : (M, 2)
         Predicted position of each part [m, plate_home].
     stamp : float
-        Time of the predicted positions [s]. NaN if there is no prediction.
+        Time for which the positions `place` were predicted [s]. NaN if there is no prediction.
     span : float
-        Prediction horizon [s]: `stamp` minus the time of the prediction.
+        Prediction horizon [s]. The horizon is `stamp` minus the time of the newest information in
+        the prediction.
     latency : float or None
         Image latency that the prediction assumes [s]. None if unknown.
     """
@@ -153,26 +156,28 @@ class DriftBias:
         gain: float,
         most: np.ndarray,
     ) -> DriftBias:
-        """Update the drift error by the difference between the parts and their prediction.
+        """Return the observer after a comparison of the parts with their prediction.
 
         Parameters
         ----------
         parts : Parts
             M parts at the time `Estimator.stamp`.
         seen : (M,) bool
-            Whether the image shows the part. Other parts are not updated.
+            Whether the image shows each part. The drift errors of parts that it does not show are
+            not updated.
         t : float
-            `Estimator.stamp` [s]. The drift error is not updated if the prediction is for another
-            time.
+            Value of `Estimator.stamp` [s]. If the prediction is for another time, the drift error
+            is not updated.
         latency : float or None
-            Image latency assumed now [s]. The drift error is not updated if the latency is unknown
-            or has changed.
+            Image latency that is assumed now [s]. If the latency is unknown or has changed, the
+            drift error is not updated.
         axes : (M, 2, 2)
-            Unit vectors of each part's axes, in rows, at the middle of the cycle that has ended.
+            Unit vectors of the axes of each part, in rows. They are valid for the middle of the
+            cycle that has ended.
         gain : float
-            Weight of the new difference, 0 to 1 [-].
+            Gain k in the equation above, 0 to 1 [-].
         most : (M,)
-            Maximum drift error per axis [m/s]. Larger differences are clipped.
+            Maximum drift error along each axis [m/s]. Larger values are clipped.
         """
         row = rows_of(parts.ids, self.ids)
         known = row >= 0
@@ -187,12 +192,13 @@ class DriftBias:
     def with_prediction(
         self, place: np.ndarray, t: float, at: float, latency: float | None
     ) -> DriftBias:
-        """Return the observer with a new prediction: the positions (M, 2) [m] for the time `at`
-        [s], predicted at time t [s]."""
+        """Return the observer with a new prediction. The positions `place` (M, 2) [m] are predicted
+        for the time `at` [s] with information up to the time t [s]."""
         return replace(self, place=place, stamp=at, span=at - t, latency=latency)
 
     def along(self, axes: np.ndarray) -> np.ndarray:
-        """Return the drift error (M, 2) [m/s, plate_home] of parts with the given axes."""
+        """Return the drift errors (M, 2) [m/s] of the parts in the frame plate_home. `axes`
+        contains the axes of each part."""
         return np.einsum("pi,pij->pj", self.drift, axes)
 
     def _had(self, latency: float | None) -> bool:
@@ -208,20 +214,22 @@ class DriftBias:
 class Turning:
     """Orientation and angular velocity of the parts, if images are not taken at cycle starts.
 
-    Both are measured in the image closest to each cycle start, because the plate hardly moves then.
+    Orientation and angular velocity are measured in the image closest to each cycle start, because
+    the plate hardly moves at this time.
 
     Attributes
     ----------
     ids : tuple of str
     angle, spin : (M,)
-        `angle` is the orientation in this image [rad]. `spin` is the mean angular velocity since
-        the measurement of the previous cycle [rad/s].
+        `angle` is the orientation in the last measured image [rad]. `spin` is the mean angular
+        velocity since the measurement of the previous cycle [rad/s].
     time : float
-        Time at which this image was taken [s].
+        Time at which the last measured image was taken [s].
     start : float
-        Cycle start closest to this time [s].
+        Cycle start closest to `time` [s].
     last : Turning or None
-        Measurement of the previous cycle, without its `last`. None before the first measurement.
+        Measurement of the previous cycle, whose attribute `last` is None. None before the first
+        measurement.
     """
 
     ids: tuple[str, ...] = ()
@@ -232,7 +240,7 @@ class Turning:
     last: Turning | None = None
 
     def update(self, log: CycleLog, parts: Parts, time: float) -> Turning:
-        """Process an image that was taken at `time` [s]."""
+        """Return the measurement after an image that was taken at the time `time` [s]."""
         starts = np.array([*(begin for begin, _ in log.runs), log.end])
         start = float(starts[np.argmin(np.abs(starts - time))])
         same = abs(start - self.start) < SNAP * log.period
@@ -248,9 +256,10 @@ class Turning:
         return Turning(parts.ids, parts.angle, spin, time, start, last)
 
     def of(self, ids: tuple[str, ...], t: float) -> tuple[np.ndarray, np.ndarray]:
-        """Return the angles (K,) [rad] of parts at time t [s], and their spins (K,) [rad/s].
+        """Return the angles (K,) [rad] of parts at the time t [s], and the angular velocities (K,)
+        [rad/s] of these parts.
 
-        Angle and spin are 0 for parts that are not known.
+        Both values are 0 for parts that were not measured.
         """
         row = rows_of(ids, self.ids)
         spin = np.append(self.spin, 0.0)[row]
@@ -259,7 +268,8 @@ class Turning:
 
 @dataclass(frozen=True)
 class Estimator:
-    """State of the estimation: the last detections, the filters, and the plate's motion.
+    """State of the estimation. The state includes the last detections, the filters, and the motion
+    of the plate.
 
     Attributes
     ----------
@@ -273,15 +283,16 @@ class Estimator:
     seen : Parts
         Parts detected in the last image.
     request : LastRequest
-        Last request. While the plate's motion is unknown, the parts are assumed to have the
-        requested drift.
+        Last request to the solver. While the plate's motion is unknown, the parts are assumed to
+        have the requested drift.
     odd : int
         Number of consecutive images whose interval to the previous image is not a whole number of
         cycles.
     turning : Turning
-        Orientations of the parts, if images are not taken at cycle starts. Otherwise it is empty.
+        Orientations of the parts, if images are not taken at cycle starts. Otherwise, it contains
+        no parts.
     before, before_stamp : Parts, float
-        Parts at the last call of `observe`, and their stamp [s].
+        Parts at the last call of `observe`, and the value of `stamp` at that time [s].
     bias : DriftBias
         Estimated error of the predicted drift.
     """
@@ -317,7 +328,7 @@ class Estimator:
 
     @property
     def friction_accel(self) -> float:
-        """mu g of the rig [m/s2]."""
+        """Friction coefficient of the rig multiplied by gravity, mu g [m/s2]."""
         return self.rig.friction.accel
 
     def record_cycle(
@@ -327,8 +338,8 @@ class Estimator:
         return replace(self, log=self.log.record_cycle(cycle, arrival, requested))
 
     def started(self, cycle: PlateCycle, begin: float, triggered: bool = False) -> Estimator:
-        """Record that the plate began a cycle at `begin` [s, the time of the stamps], as in
-        `CycleLog.started`."""
+        """Record that the plate began a cycle at the time `begin` [s, in the time of the image
+        stamps], as in `CycleLog.started`."""
         hypotheses = self.hypotheses
         if self.rig.camera.trigger is not None and not self.log.free_running:
             # The trigger determines the exposure times.
@@ -337,9 +348,9 @@ class Estimator:
         return replace(self, log=log, hypotheses=hypotheses)
 
     def update(self, parts: Parts, t: float, coast: Coast = MISSED_IMAGES) -> Estimator:
-        """Process one image: its parts and its stamp t [s].
+        """Return the estimator after one image with the detected parts `parts` and the stamp t [s].
 
-        Parts that are not detected are propagated for up to `coast` images.
+        The state of an undetected part is propagated for at most the number of images in `coast`.
         """
         log, hypotheses = self.log.advance(t), self.hypotheses
         if self.clock.went_back(t):
@@ -379,7 +390,7 @@ class Estimator:
 
     @property
     def image_problem(self) -> str:
-        """Description of a problem with the image rate. Empty if there is none."""
+        """Text that describes a problem with the image rate. Empty if there is no problem."""
         if not self.log.known:
             return ""
         rate, cycles = self.image_rate, 1 / self.period
@@ -395,20 +406,22 @@ class Estimator:
 
     @property
     def answer_problem(self) -> str:
-        """Description of a delay of the results. Empty if there is none."""
+        """Text that describes the delay of the solver's results. Empty if the results have no
+        delay."""
         late = self.log.delay
         cycles = "a cycle" if late == 1 else f"{late} cycles"
         return f"results start {cycles} late: the computer or the line is too slow" if late else ""
 
     def begin_task(self) -> Estimator:
-        """Reset the counts of cycles and the observed drift error."""
+        """Return the estimator for a new task: the counts of cycles and the drift error are
+        reset."""
         log = replace(self.log, begun=0, unanswered_cycles=0)
         return replace(self, bias=DriftBias(), log=log)
 
     @property
     def unanswered_problem(self) -> str:
-        """Text on the number of cycles without a result since the task began. Empty if their
-        fraction is at most `FEW_UNANSWERED`."""
+        """Text about the cycles without a new result of the solver since the task began. Empty if
+        the fraction of such cycles is at most `FEW_UNANSWERED`."""
         log = self.log
         if log.unanswered_cycles <= FEW_UNANSWERED * log.begun:
             return ""
@@ -419,16 +432,17 @@ class Estimator:
         )
 
     def with_request(self, ids: tuple[str, ...], drift: np.ndarray, force: np.ndarray) -> Estimator:
-        """Record the request for the parts: drift (M, 2) [m/s] and force (M, 2) [N]."""
+        """Record a request to the solver: the drift (M, 2) [m/s] of each part, and the
+        corresponding mean force (M, 2) [N]."""
         return replace(self, request=LastRequest(ids, drift, self.stamp, force))
 
     @property
     def stamp(self) -> float:
         """Time at which the state `parts` is valid [s].
 
-        If images are not taken at cycle starts (free-running camera, or trigger at a phase), it is
-        the start of the running cycle. Otherwise it is the stamp of the last image.
-        Minus infinity before the first image.
+        If images are not taken at cycle starts (free-running camera, or trigger at a phase of the
+        cycle), this time is the start of the running cycle. Otherwise, this time is the stamp of
+        the last image. It is minus infinity before the first image.
         """
         if self.log.free_running:
             return self.log.begin
@@ -447,8 +461,8 @@ class Estimator:
 
     @property
     def _known_rest(self) -> float:
-        """Start of the plate's rest [s]. The time is derived from reported cycles, sent cycles or
-        requests."""
+        """Time since which the plate has been at rest [s]. This time is derived from the log of
+        cycles or, if the log is empty, from the last request."""
         if self.log.known:
             return self.log.resting_since
         # A request is executed in the cycle after its image.
@@ -457,9 +471,10 @@ class Estimator:
 
     @property
     def resting_since(self) -> float:
-        """Start of the plate's rest [s], if the plate remains at rest until the next request.
+        """Time since which the plate has been at rest [s], provided that the plate remains at rest
+        until the next request.
 
-        The time is infinite if the plate moves or may move. The plate may move if the start of the
+        This time is infinite if the plate moves or may move. The plate may move if the start of the
         last image's cycle has not been reported, or if the cycle of the last request may still
         begin.
         """
@@ -479,12 +494,12 @@ class Estimator:
     @property
     def period(self) -> float:
         """Length of the last cycle that is not a tail [s]. If no cycle is known, the length is
-        estimated from the stamps."""
+        estimated from the image stamps."""
         return self.log.period if self.log.known else self.clock.period
 
     @property
     def next_start(self) -> float:
-        """Time at which the result for the last image takes effect [s]."""
+        """Time at which the solver's result for the last image begins [s]."""
         return self.log.until_answer.end if self.log.known else self.stamp + self.clock.period
 
     @property
@@ -501,19 +516,20 @@ class Estimator:
 
     @property
     def mean(self) -> np.ndarray:
-        """State of the parts (M, 5), in the order of `StateEstimate.mean`. Each state is valid at
-        the time of the part's last detection."""
+        """State of the parts (M, 5), with the components of `StateEstimate.mean`. Each state is
+        valid at the time of the part's last detection."""
         return self.hypotheses.estimate.mean[self.hypotheses.best]
 
     @property
     def friction(self) -> np.ndarray:
-        """Friction of each part (M,) relative to the friction in the rig."""
+        """Friction coefficient of each part (M,) divided by the friction coefficient in the rig
+        file."""
         return np.exp(self.mean[:, 4])
 
     @property
     def parts(self) -> Parts:
-        """The parts at the time `stamp`. Until the plate's motion is known, they are the last
-        detections."""
+        """State of the parts at the time `stamp`. Until the plate's motion is known, the state is
+        that of the last detections."""
         if not self.log.known:
             return self.seen
         estimate, best = self.hypotheses.estimate, self.hypotheses.best
@@ -524,9 +540,10 @@ class Estimator:
         return Parts.make(estimate.ids, place, self._drift(place), angle, spin, grip)
 
     def _angles(self, ids: tuple[str, ...]) -> tuple[np.ndarray, np.ndarray]:
-        """Return the angles (K,) [rad] and the spins (K,) [rad/s] of parts at the time `stamp`.
+        """Return the angles (K,) [rad] and the angular velocities (K,) [rad/s] of parts at the time
+        `stamp`.
 
-        Angle and spin are 0 for parts without a measurement.
+        Both values are 0 for parts without a measurement.
         """
         if self.log.free_running:
             return self.turning.of(ids, self.stamp)
@@ -534,11 +551,11 @@ class Estimator:
         return np.append(self.seen.angle, 0.0)[row], np.append(self.seen.spin, 0.0)[row]
 
     def _drift(self, place: np.ndarray) -> np.ndarray:
-        """Return the drift (M, 2) [m/s] of the parts. `place` (M, 2) [m] are their positions at
-        `stamp`.
+        """Return the drift (M, 2) [m/s] of the parts. `place` (M, 2) [m] contains the positions of
+        the parts at the time `stamp`.
 
-        If images are not taken at cycle starts, it is the mean velocity since the last call of
-        `observe`. Otherwise it is the drift that vision measured.
+        If images are not taken at cycle starts, the drift is the mean velocity since the last call
+        of `observe`. Otherwise, it is the drift that the detector measured.
         """
         if not self.log.free_running:
             return self.hypotheses.estimate.drift
@@ -548,7 +565,7 @@ class Estimator:
         return np.where((row >= 0)[:, None] & usual, displacement / max(span, MIN_S), 0.0)
 
     def predict(self, parts: Parts) -> np.ndarray:
-        """Return the predicted positions (M, 2) [m] of parts at `next_start`.
+        """Return the predicted positions (M, 2) [m] of parts at the time `next_start`.
 
         Until the plate's motion is known, the parts are assumed to follow the last request.
         """
@@ -556,9 +573,10 @@ class Estimator:
         return self.by_request(parts) if start is None else start[:, :2]
 
     def start_of(self, parts: Parts) -> np.ndarray | None:
-        """Return the predicted positions and velocities (M, 4) [m, m/s] of parts at `next_start`.
+        """Return the predicted positions and velocities (M, 4) [m, m/s] of parts at the time
+        `next_start`.
 
-        None until the plate's motion is known.
+        The result is None until the plate's motion is known.
         """
         if not self.log.known:
             return None
@@ -569,12 +587,13 @@ class Estimator:
 
     @property
     def next_plate(self) -> np.ndarray | None:
-        """Pose, twist and acceleration (3, 3) of the plate at `next_start`. None if uncertain."""
+        """Pose, twist and acceleration (3, 3) of the plate at the time `next_start`. None if they
+        are uncertain."""
         return self.log.until_answer.plate if self.log.certain else None
 
     def by_request(self, parts: Parts) -> np.ndarray:
-        """Return the positions (M, 2) [m] of the parts at `next_start`, if they follow the
-        request."""
+        """Return the positions (M, 2) [m] that the parts have at the time `next_start` if they
+        follow the last request."""
         drift = self.request.drift_of(parts, self.stamp, self.period)
         return parts.position + (self.next_start - self.stamp) * drift
 
@@ -586,9 +605,9 @@ class Estimator:
         gain: float,
         most: np.ndarray,
     ) -> Estimator:
-        """Update the estimated drift error with the parts at `stamp`. Then store `predicted` (M, 2)
-        [m], the positions predicted for `next_start`. The other parameters are the same as in
-        `DriftBias.update`."""
+        """Update the estimated drift error with the parts at the time `stamp`. Then store
+        `predicted` (M, 2) [m], which are the positions predicted for the time `next_start`. The
+        other parameters are the same as in `DriftBias.update`."""
         seen, latency = rows_of(parts.ids, self.seen.ids) >= 0, self._known_latency
         # A prediction with a short horizon contains less information.
         ahead = min(self.bias.span / self.period, 1.0)
@@ -598,8 +617,8 @@ class Estimator:
 
     @property
     def _known_until(self) -> float:
-        """Time of the newest information in predictions [s]: the last detection or, if it is later,
-        the start of the running cycle."""
+        """Time of the newest information in predictions [s]. This time is the last detection of a
+        part, or the start of the running cycle if that is later."""
         if not self.log.free_running:
             return self.stamp
         return float(
@@ -613,13 +632,14 @@ class Estimator:
 
     @property
     def _known_latency(self) -> float | None:
-        """Latency that predictions assume [s]. None while it is being estimated."""
+        """Image latency that predictions assume [s]. None while the latency is being estimated."""
         known = self.latency_known or not self.log.known
         return self.hypotheses.latency if known else None
 
 
 def warm_up(rig: Rig) -> None:
-    """Track a part for one step. This loads all code before the first image arrives."""
+    """Track a fictitious part for one step. All code is thus loaded before the first image
+    arrives."""
     part = Parts.make(("part_1",), np.zeros((1, 2)))
     estimator = (
         Estimator.of(rig, 0.1, None).update(part, 0.0).record_cycle(PlateCycle.rest(0.1), 0.0)

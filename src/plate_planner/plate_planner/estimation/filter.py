@@ -1,13 +1,14 @@
-"""Kalman filter of the parts' positions, velocities and friction on the stick-slip motion.
+"""Kalman filters that estimate position, velocity and friction of each part. Their motion model is
+the stick-slip motion of a part on the plate.
 
-A camera measures only positions. It takes an image at any time in a cycle, and delivers the image
-with a latency. Between images, the motion model moves each part by the executed cycles. The
-friction of a part is estimated from the differences between the images and the model. The state of
-a part is x, y [m], vx, vy [m/s] in plate_home, and the logarithm of its friction relative to the
-friction in the rig. Each part has its own filter, but an error in the stamp of an image affects all
-parts.
+A camera measures only positions. The camera may take an image at any time in a cycle, and it
+delivers the image with a latency. Between images, the motion model computes how the executed cycles
+move each part. The friction of a part is estimated from the differences between the images and the
+model. The state of a part has five components: x, y [m], vx, vy [m/s] in plate_home, and log(f). f
+is the friction coefficient of the part divided by the friction coefficient in the rig file. Each
+part has a separate filter, but an error in the stamp of an image affects all parts.
 
-All computations are done in parallel for A hypotheses of the image latency.
+All computations are done for A hypotheses of the image latency at the same time.
 """
 
 from __future__ import annotations
@@ -23,41 +24,44 @@ from .. import _kernels
 from .cycle_log import CycleLog
 
 STEP_S = 0.25e-3
-"""Step of the motion model [s]. Over a cycle, the error of the model is below the camera's
-noise."""
+"""Time step of the motion model [s]. With this step, the error of the model after one cycle is
+below the noise of the camera."""
 
 DIFFERENCE = np.array([1e-4, 1e-4, 5e-3, 5e-3, 0.03])
 """Step sizes of the finite differences of the motion model [m, m, m/s, m/s, -]. The step sizes are
-as large as the uncertainty of the state, because the model has kinks where parts stick."""
+about as large as the uncertainty of the state, because the derivatives of the model jump where
+parts begin to stick."""
 
 CAMERA_M = 0.02e-3
-"""Standard deviation of a measured position [m]. Its causes are camera noise and motion blur."""
+"""Standard deviation of a measured position [m]. Camera noise and motion blur cause this
+deviation."""
 
 PROCESS_NOISE = np.array([0.02e-3, 0.02e-3, 2e-3, 2e-3, 0.01])
-"""Standard deviations of the model error per cycle. The units are the same as in DIFFERENCE. The
-causes are uneven friction, finite steps, and deviations of the plate's motion."""
+"""Standard deviations of the model error per cycle, with the units of DIFFERENCE. The causes of the
+error are uneven friction, finite time steps, and deviations of the plate's motion."""
 
 FIRST_SEEN = np.array([0.02e-3, 0.02e-3, 0.02, 0.02, 0.15])
-"""Standard deviations of the state of a part at its first detection. The units are the same as in
+"""Standard deviations of the state of a part at its first detection, with the units of
 DIFFERENCE."""
 
 PUSHED_SIGMA = 6.0
-"""If a part is farther from its prediction than this number of standard deviations, an external
-push is assumed. In this case the filter is reset to the measured position, with the initial
-covariance."""
+"""If a part is farther from its predicted position than this number of standard deviations, it is
+assumed that something else has pushed the part. In this case, the filter of the part is reset to
+the measured position, with the initial covariance."""
 
 FRICTION_RANGE = np.log(3.0)
-"""Half range of the estimated friction [log]. The estimate is limited to 1/3 to 3 times the
-friction of the part's type."""
+"""Maximum difference between log(friction) of a part and log(friction) of its type. The estimated
+friction is thus limited to 1/3 to 3 times the friction of the part's type."""
 
 SAMPLES = np.vstack([np.zeros(5), np.diag(DIFFERENCE)])
-"""Offsets (6, 5) from a state to itself and to its five neighbours, for the finite differences."""
+"""Offsets (6, 5) that are added to a state to compute the finite differences. The first row is
+zero, and each other row changes one component of the state."""
 
 
 class Coast(NamedTuple):
-    """Maximum number of consecutive images in which an object is not detected. Up to this number,
-    its state is propagated. `parts` applies to parts, and `unknown` to objects of the class
-    `unknown`."""
+    """Maximum number of consecutive images without a detection of an object. Up to this number, the
+    state of the object is propagated. `parts` is the number for parts, and `unknown` is the number
+    for objects of the class `unknown`."""
 
     parts: int
     unknown: int
@@ -71,19 +75,22 @@ class StateEstimate:
     ----------
     ids : tuple of str
     time : (A, M)
-        Time of each state, which is the time of the last detection [s, the time of the stamps].
+        Time at which each state is valid [s, in the time of the image stamps]. It is the time of
+        the part's last detection.
     mean : (A, M, 5)
     covariance : (A, M, 5, 5)
     drift : (M, 2)
-        Last drift that vision measured [m/s].
+        Last drift that the detector measured [m/s].
     unseen : (M,)
-        Number of consecutive images without a detection of the part.
+        Number of consecutive last images without a detection of each part.
     start : float
-        Start of the last cycle that `update` recorded [s]. NaN if there is none.
+        Start of the last cycle that the method `update` recorded [s]. NaN if it has recorded no
+        cycle.
     start_mean : (A, M, 5)
-        State of the parts that was predicted for the time `start`.
+        State of the parts, predicted for the time `start`.
     usual : (M,)
-        Friction of the parts' types relative to the friction in the rig [log].
+        log(f) of the parts' types. f is the friction coefficient of the type divided by the
+        friction coefficient in the rig file.
     """
 
     ids: tuple[str, ...]
@@ -98,7 +105,7 @@ class StateEstimate:
 
     @classmethod
     def nothing(cls, count: int) -> StateEstimate:
-        """Return an estimate for `count` hypotheses, without parts."""
+        """Return an estimate that contains no parts, for `count` hypotheses of the latency."""
         return cls(
             (), np.zeros((count, 0)), np.zeros((count, 0, 5)), np.zeros((count, 0, 5, 5)),
             np.zeros((0, 2)), np.zeros(0, int), np.nan, np.zeros((count, 0, 5)),
@@ -106,18 +113,19 @@ class StateEstimate:
         )  # fmt: skip
 
     def of(self, hypotheses: np.ndarray | list[int]) -> StateEstimate:
-        """Return the estimate for selected hypotheses."""
+        """Return the estimate for some of the hypotheses, which are selected by their indices."""
         return replace(
             self, time=self.time[hypotheses], mean=self.mean[hypotheses],
             covariance=self.covariance[hypotheses], start_mean=self.start_mean[hypotheses],
         )  # fmt: skip
 
     def at(self, hypothesis: int, log: CycleLog, t: float, friction_accel: float) -> np.ndarray:
-        """Return the state of the parts (M, 5) at time t [s], for one hypothesis.
+        """Return the state of the parts (M, 5) at the time t [s], for one hypothesis of the
+        latency.
 
-        If the last detection of a part was after t, its state cannot be propagated to t. In this
-        case the result is `start_mean` if t is equal to `start`, and otherwise the state at the
-        detection.
+        If a part was last detected after t, its state cannot be propagated back to t. In this case,
+        the result for this part is `start_mean` if t is equal to `start`. Otherwise, it is the
+        state at the last detection.
         """
         mean, time = self.mean[hypothesis], self.time[hypothesis]
         ahead = propagate(log, mean, time, np.maximum(time, t), friction_accel)
@@ -134,24 +142,25 @@ class StateEstimate:
         jitter: float,
         friction: np.ndarray,
     ) -> tuple[StateEstimate, Fit]:
-        """Update the filters with the parts of an image.
+        """Return the filters updated with the detected parts of an image.
 
         Parameters
         ----------
         log : CycleLog
         parts : Parts
-            P parts that the image shows.
+            P parts that were detected in the image.
         time : (A, P)
-            Exposure time of each part, for each hypothesis [s].
+            Time at which each part was exposed, for each hypothesis of the latency [s].
         friction_accel : float
-            mu g of the rig [m/s2].
+            Friction coefficient of the rig multiplied by gravity, mu g [m/s2].
         most : Coast
-            Maximum numbers of consecutive images without a detection. A part with more such images
-            is removed.
+            Maximum numbers of consecutive images without a detection. If this number is reached for
+            a part, the part is removed.
         jitter : float
-            Standard deviation of the images' stamps [s].
+            Standard deviation of the noise of the image stamps [s].
         friction : (P,)
-            Initial friction of newly detected parts, relative to the friction in the rig.
+            Initial friction coefficient of newly detected parts, divided by the friction
+            coefficient in the rig file.
 
         Returns
         -------
@@ -193,10 +202,10 @@ class StateEstimate:
         return estimate, fit
 
     def moved(self, log: CycleLog, later: np.ndarray, friction_accel: float) -> StateEstimate:
-        """Return the estimate with all times shifted by `later` (A,) [s].
+        """Return the estimate with the times of all states increased by `later` (A,) [s].
 
-        The positions do not change. The velocities and the friction are propagated to the new
-        times.
+        The positions stay the same, because they were measured. The velocities and the friction are
+        propagated to the new times.
         """
         time = self.time + later[:, None]
         end = propagate(
@@ -210,7 +219,8 @@ class StateEstimate:
         return replace(self, time=time, mean=mean, covariance=covariance)
 
     def _begun(self, log: CycleLog, friction_accel: float) -> StateEstimate:
-        """Store the predicted state of the parts at the start of the last cycle."""
+        """Return the estimate with `start` and `start_mean` set to the start of the last cycle and
+        to the predicted state at this time."""
         begin = np.maximum(self.time, log.begin).ravel()
         mean = propagate(log, self.mean.reshape(-1, 5), self.time.ravel(), begin, friction_accel)
         return replace(self, start=log.begin, start_mean=mean.reshape(self.mean.shape))
@@ -218,8 +228,8 @@ class StateEstimate:
     def _propagated(
         self, rows: np.ndarray, log: CycleLog, time: np.ndarray, friction_accel: float
     ) -> tuple[np.ndarray, np.ndarray]:
-        """Return mean (A, K, 5) and covariance (A, K, 5, 5) of K parts, propagated to times (A, K)
-        [s]."""
+        """Propagate the states of the K parts `rows` to the times `time` (A, K) [s]. Return their
+        means (A, K, 5) and covariances (A, K, 5, 5)."""
         mean, begin = self.mean[:, rows], self.time[:, rows]
         shape = (*begin.shape, 6, 5)
         cloud = (mean[:, :, None] + SAMPLES).reshape(-1, 5)
@@ -234,7 +244,7 @@ class StateEstimate:
         return cloud[:, :, 0], covariance
 
     def _without(self, most: Coast) -> StateEstimate:
-        """Return the estimate without the parts that were not detected in the last `most`
+        """Return the estimate without the parts that were not detected for at least `most`
         consecutive images."""
         unknown = np.array([part_class(name) == UNKNOWN for name in self.ids], bool)
         keep = self.unseen < np.where(unknown, most.unknown, most.parts)
@@ -249,19 +259,19 @@ class StateEstimate:
 
 @dataclass(frozen=True)
 class Fit:
-    """Prediction quality of A hypotheses for one image.
+    """Comparison of the predictions of A hypotheses with one image.
 
     Attributes
     ----------
     log_likelihood : (A,)
     lateness : (A,)
-        Error of the exposure time, estimated from this image only [s]. It is positive if the
-        exposure was later than assumed.
+        Error of the assumed exposure time, estimated from this image only [s]. The error is
+        positive if the exposure was later than assumed.
     square : (A,)
         Mean square of the normalised innovations. The expected value is 1.
     information : (A,)
-        Reciprocal of the variance of `lateness` [1/s2]. 0 if the image contains no information on
-        the exposure time.
+        Reciprocal of the variance of `lateness` [1/s2]. 0 if the image contains no information
+        about the exposure time.
     """
 
     log_likelihood: np.ndarray
@@ -277,20 +287,24 @@ def kalman_update(
     jitter: float,
     of_type: np.ndarray | float = 0.0,
 ) -> tuple[np.ndarray, np.ndarray, Fit]:
-    """Return mean (A, K, 5), covariance (A, K, 5, 5) and fit after an update with measured
-    positions (K, 2) [m].
+    """Update the states of K parts with their measured positions `seen` (K, 2) [m]. Return the
+    means (A, K, 5), the covariances (A, K, 5, 5), and the fit of the predictions.
 
-    `of_type` (K,) is the friction of the parts' types relative to the friction in the rig [log].
+    `of_type` (K,) is log(f) of the parts' types, see `StateEstimate.usual`.
 
-    The stamp has an error T that is common to all parts. T is normally distributed with the
-    standard deviation s = `jitter` [s]. Let v_i be the velocity of part i, P_i the covariance of
-    its position, and z_i its innovation. Then z_i = T v_i + noise. The noise has the covariance S_i
-    = P_i + r^2 1. The posterior of T is normal with
+    The stamp of the image has an error T, which is the same for all parts. T is normally
+    distributed with the standard deviation s = `jitter` [s]. Let v_i be the velocity of part i, P_i
+    the covariance of its position, r the standard deviation `CAMERA_M`, and z_i the innovation: the
+    measured position minus the predicted position. Then z_i = T v_i + noise. The noise has the
+    covariance S_i = P_i + r^2 1, where 1 is the unit matrix. After the measurement, T has a normal
+    distribution with
 
         variance q = s^2 / (1 + s^2 sum v_i' S_i^-1 v_i),    mean T = q sum v_i' S_i^-1 z_i,
 
-    Each part is updated by gain_i (z_i - T v_i) with the gain P S_i^-1. If a part is farther than
-    `PUSHED_SIGMA` from its prediction, it is not used for T and is reset to its measured position.
+    The update of the state of part i is gain_i (z_i - mean T v_i). The gain is C_i S_i^-1, where
+    C_i contains the covariances of the state with the position. If a part is farther than
+    `PUSHED_SIGMA` standard deviations from its prediction, it is not used to estimate T. Such a
+    part is reset to its measured position.
     """
     innovation, velocity = seen - mean[..., :2], mean[..., 2:4]
     spread = covariance[..., :2, :2] + CAMERA_M**2 * np.eye(2)
@@ -341,8 +355,8 @@ def propagate(
     end: np.ndarray | float,
     friction_accel: float,
 ) -> np.ndarray:
-    """Propagate states (K, 5) from the times `begin` to the times `end` by the cycles that were
-    executed.
+    """Propagate the states of K parts (K, 5) from the times `begin` to the times `end` through the
+    executed cycles.
 
     `begin` and `end` are arrays (K,) or scalars [s].
     """

@@ -1,9 +1,9 @@
 """Estimates the exposure times of a free-running camera from the stamps of its images.
 
 The frames have regular intervals, but their stamps are noisy. A Kalman filter estimates the time of
-the last frame and the frame interval. If a stamp is several intervals after the previous stamp,
-images were dropped. The inputs are the stamps. The outputs are the time of the last frame, its
-standard deviation and the image rate.
+the last frame and the frame interval. If two consecutive stamps differ by several intervals, images
+between them were lost (dropped). The inputs are the stamps. The outputs are the time of the last
+frame, its standard deviation and the image rate.
 """
 
 from __future__ import annotations
@@ -16,69 +16,70 @@ from statistics import median
 import numpy as np
 
 WANDER_S = 0.05e-3
-"""Process noise per frame: standard deviation of the frame time [s]."""
+"""Standard deviation of the random change of the frame time per frame [s] (process noise)."""
 
 DRIFT_S = 1e-6
-"""Process noise per frame: standard deviation of the frame interval [s]."""
+"""Standard deviation of the random change of the frame interval per frame [s] (process noise)."""
 
 FIRST_S = 5e-3
-"""Initial standard deviation of the stamps [s]."""
+"""Initial value of the standard deviation of the stamp noise [s]."""
 
 MIN_S = 0.05e-3
-"""Minimum standard deviation of the stamps [s]."""
+"""Minimum value of the standard deviation of the stamp noise [s]."""
 
 FIRST_INTERVAL_S = 1.5e-3
 """Standard deviation of the initial interval [s]. The initial interval is the median interval of
 the stamps."""
 
 SCATTER_FRAMES = 30
-"""Number of frames over which the standard deviation of the stamps is averaged."""
+"""Number of frames over which the standard deviation of the stamp noise is averaged."""
 
 DROPPED = 0.005
 """Assumed probability of a dropped image."""
 
 GIVEN_UP = 12.0
-"""A hypothesis on the number of dropped images is discarded if its log-likelihood is below the best
-log-likelihood by more than this value."""
+"""Each hypothesis assumes a number of dropped images. A hypothesis is discarded if its
+log-likelihood is below that of the best hypothesis by more than this value."""
 
 ACQUIRE = 12
-"""Number of stamps that determine the initial interval. Before this number is reached, the stamp is
-used as the frame time."""
+"""Number of stamps from which the initial frame interval is computed. Until this number is reached,
+the stamp of an image is used as its frame time."""
 
 IRREGULAR = 6.0
 """If a stamp deviates from its prediction by more than this number of standard deviations, the
-camera is not regular and the estimation restarts."""
+frames have become irregular. In this case, the estimation restarts."""
 
 OTHER = 0.3
-"""Maximum difference between the median interval of the last stamps and the estimated interval, as
-a fraction of the estimated interval. The tolerance is larger by two standard deviations of the
-stamps. If the difference is larger, the estimation restarts."""
+"""Maximum difference between the median interval of the last stamps and the estimated frame
+interval, as a fraction of the estimated interval. Two standard deviations of the stamp noise are
+added to this maximum. If the difference is larger, the estimation restarts."""
 
 WIDEST = 2.0
-"""If the standard deviation of the stamps exceeds this value, the estimation restarts
-[intervals]."""
+"""If the standard deviation of the stamp noise exceeds this number of frame intervals, the
+estimation restarts."""
 
 MAX_S = 1.0
-"""If no image arrives for this time, the estimation restarts [s]."""
+"""If no image arrives for this time [s], the estimation restarts."""
 
 
 @dataclass(frozen=True)
 class FrameClock:
-    """Estimate of the times of the frames.
+    """Estimate of the exposure times of a camera's images (frames).
 
     Attributes
     ----------
     stamps : tuple of float
         Stamps of the last images [s], at most `ACQUIRE`.
     frame : (H,)
-        Frame number of the last image for each hypothesis, minus the frame number of the best
-        hypothesis.
+        Number of the last image according to each hypothesis, minus its number according to the
+        best hypothesis.
     log_likelihood : (H,)
         Log-likelihood of each hypothesis minus the maximum log-likelihood.
     time : (H, 2)
-        Time of the last frame and frame interval, for each hypothesis [s].
+        Time of the last frame and the frame interval, for each hypothesis [s].
     covariance : (2, 2)
-        Covariance of time and interval [s2]. Infinite until they are known.
+        Covariance matrix of the frame time and the frame interval [s2]. Infinite until both are
+        known.
     scatter : float
         Standard deviation of the stamps [s].
     """
@@ -92,7 +93,7 @@ class FrameClock:
 
     @classmethod
     def at(cls, stamp: float) -> FrameClock:
-        """Return a clock after one image."""
+        """Return a clock that has received one image with the stamp `stamp` [s]."""
         return cls((stamp,), time=np.array([[stamp, np.nan]]))
 
     @property
@@ -102,7 +103,7 @@ class FrameClock:
 
     @property
     def interval(self) -> float:
-        """Frame interval [s]. NaN until it is known."""
+        """Frame interval [s]. NaN until the interval is known."""
         return float(self.time[np.argmax(self.log_likelihood), 1])
 
     @property
@@ -117,14 +118,14 @@ class FrameClock:
 
     @property
     def rate(self) -> float:
-        """Number of images per second. 0 until it is known."""
+        """Number of images per second. 0 until two stamps are known."""
         if len(self.stamps) < 2:
             return 0.0
         known = np.isfinite(self.interval)
         return 1 / (self.interval if known else float(np.median(np.diff(self.stamps))))
 
     def tick(self, stamp: float) -> FrameClock:
-        """Update with the next stamp [s]."""
+        """Return the clock updated with the stamp of the next image [s]."""
         if not self.stamps or not 0 < stamp - self.stamps[-1] < MAX_S:
             return FrameClock.at(stamp)
         stamps = (*self.stamps, stamp)[-ACQUIRE:]
@@ -146,15 +147,17 @@ class FrameClock:
         return replace(clock, stamps=stamps)
 
     def _next(self, stamp: float) -> FrameClock:
-        """Update with a stamp, if the interval is known. If the stamp contradicts all hypotheses,
-        the estimation restarts.
+        """Return the clock updated with the stamp of the next image [s], when the frame interval is
+        already known. If the stamp contradicts all hypotheses, the estimation restarts.
 
-        The image belongs to the next frame or, if images were dropped, to a later frame. A single
-        late stamp is ambiguous, because the image may be late or a frame may have been dropped.
-        Therefore each hypothesis of the frame number has its own filter. Let t be the time and h
-        the interval of the last frame. After n frames, the innovation of a stamp is e = stamp - t -
-        n h with a variance q. The log-likelihood changes by (n - 1) log(DROPPED) - (e^2/q + log
-        q)/2. If two hypotheses have the same number, the likelier one is kept (Viterbi).
+        The image is the next frame or, if images were dropped, a later frame. A single late stamp
+        is ambiguous, because the image may be late or a frame may have been dropped. Therefore,
+        each hypothesis about the frame number has a separate filter.
+
+        Let t be the time of the last frame, h the frame interval, and n the number of frames since
+        the last frame. The innovation of the stamp is e = stamp - t - n h. It has a variance q. The
+        log-likelihood of the hypothesis changes by (n - 1) log(DROPPED) - (e^2/q + log q)/2. If two
+        hypotheses reach the same frame number, only the likelier hypothesis is kept (Viterbi).
         """
         if not math.isfinite(self.interval):
             return FrameClock.at(stamp)

@@ -1,11 +1,11 @@
-"""Estimates the image latency by parallel hypotheses. The latency is the age of an image at its
-stamp.
+"""Estimates the image latency by parallel hypotheses. The latency is the time from the exposure of
+an image to the time in its stamp.
 
 The latency of a camera is rarely known, and parts move by millimetres in 10 ms. Each hypothesis
-assumes a different latency and has its own Kalman filters. The hypothesis whose predictions have
-the highest likelihood is accepted. The grid of latencies is refined around the accepted latency, to
-a spacing of 0.5 ms. If the latency changes, the grid follows. The jitter of the stamps is estimated
-from the remaining timing errors.
+assumes a different latency and has separate Kalman filters. The hypothesis whose predictions have
+the highest likelihood is accepted. The latencies of the hypotheses form a grid. The grid is refined
+around the accepted latency, to a spacing of 0.5 ms. If the latency changes, the grid moves with it.
+The standard deviation of the stamps (jitter) is estimated from the remaining timing errors.
 """
 
 from __future__ import annotations
@@ -20,37 +20,38 @@ from .cycle_log import CycleLog
 from .filter import Coast, Fit, StateEstimate
 
 STEPS = np.arange(-2, 3)
-"""Latencies of the hypotheses minus the latency of the middle hypothesis, in steps of the grid."""
+"""Latency of each hypothesis minus the latency of the middle hypothesis, divided by the spacing of
+the grid."""
 
 COARSE_S = 0.025
 """Initial spacing of the latencies [s]. The first hypotheses cover 0 to 0.1 s."""
 
 FINE_S = 0.5e-3
-"""Final spacing of the latencies [s]. An error of this size has hardly more effect than the
-camera's noise."""
+"""Final spacing of the latencies [s]. A latency error of this size has about the same effect as the
+noise of the camera."""
 
 MAX_S = 0.5
 """Maximum latency [s]."""
 
 FEWEST_IMAGES = 4
-"""Minimum number of images before a latency is discarded."""
+"""Minimum number of images before the grid of latencies may change."""
 
 CLEAR = 12.0
-"""A latency is discarded if its log-likelihood is below the best log-likelihood by more than this
-value. The value is large because the model and the noise are not exact."""
+"""Latencies are discarded if their log-likelihood is below that of the best latency by more than
+this value. The value is large because the model of the motion and of the noise is not exact."""
 
 BETTER = 4.0
-"""Another latency is accepted if its log-likelihood exceeds that of the accepted latency by more
-than this value. The value is smaller than `CLEAR`, so that a wrong latency is soon replaced."""
+"""Another latency is accepted if its log-likelihood exceeds that of the accepted latency by at
+least this value. The value is smaller than `CLEAR`, so that a wrong latency is replaced soon."""
 
 SOON_IMAGES = 4
-"""Number of images up to which a difference of `BETTER` is sufficient to accept another latency, if
-images are taken at cycle starts. With more images, the required difference increases in proportion
-to their number."""
+"""If images are taken at cycle starts, a difference of `BETTER` is sufficient to accept another
+latency only up to this number of images. With more images, the required difference increases in
+proportion to their number."""
 
 MISFIT = 6.0
-"""Maximum mean square of the normalised innovations. The expected value is 1. Above the maximum,
-all hypotheses are assumed to be wrong, and the estimation restarts."""
+"""Maximum mean square of the normalised innovations, whose expected value is 1. If this maximum is
+exceeded, all hypotheses are assumed to be wrong, and the estimation restarts."""
 
 MISFIT_IMAGES = 8
 """Number of images over which the mean square of the normalised innovations is averaged."""
@@ -59,18 +60,19 @@ FADING_S = 3.0
 """Time constant [s] with which the weight of old images in the likelihood decreases."""
 
 JITTER_S = (0.5e-3, 1e-3, 20e-3)
-"""Minimum, initial and maximum standard deviation of the stamps [s]."""
+"""Minimum, initial and maximum value of the standard deviation of the stamps [s]."""
 
 JITTER_IMAGES = 50
-"""Number of images over which the jitter is averaged."""
+"""Number of images over which the variance of the stamps is averaged."""
 
 
 @dataclass(frozen=True)
 class Jitter:
-    """Variance of the stamps: a weighted mean of squared timing errors.
+    """Estimate of the variance of the stamps from a weighted mean of squared timing errors.
 
-    Let e be the timing error of an image, r = 1 / information its variance, and s the standard
-    deviation of the stamps. Then e^2 has the mean s^2 + r. The estimate is
+    Let e be the timing error that is measured in an image, r = 1 / information the variance of this
+    measurement, and s the standard deviation of the stamps. Then e^2 has the mean s^2 + r. The
+    estimate is
 
         s^2 = sum of weight (e^2 - r) / sum of weight, weight = (s^2 + r)^-2,
 
@@ -79,7 +81,7 @@ class Jitter:
     Attributes
     ----------
     total, weight : float
-        Weighted sum of the squared errors [1/s2], and sum of the weights [1/s4].
+        `total` is the weighted sum of e^2 - r [1/s2]. `weight` is the sum of the weights [1/s4].
     """
 
     total: float = 1 / JITTER_S[1] ** 2
@@ -91,8 +93,8 @@ class Jitter:
         return float(np.clip(np.sqrt(max(self.total / self.weight, 0.0)), *JITTER_S[::2]))
 
     def update(self, lateness: float, information: float) -> Jitter:
-        """Update with the lateness of an image [s] and its information [1/s2], as defined in
-        `Fit`."""
+        """Return the estimate updated with one image. `lateness` [s] and `information` [1/s2] are
+        defined in `Fit`."""
         if information <= 0:
             return self
         noise, keep = 1 / information, 1 - 1 / JITTER_IMAGES
@@ -103,20 +105,20 @@ class Jitter:
 
 @dataclass(frozen=True)
 class LatencyHypotheses:
-    """State estimates of the parts for A hypotheses of the latency.
+    """State estimates of the parts for A hypotheses of the image latency.
 
     Attributes
     ----------
     latencies : (A,)
-        Latencies in increasing order [s].
+        Latencies of the hypotheses in increasing order [s].
     estimate : StateEstimate
         Estimates for all latencies.
     best : int
         Index of the accepted latency.
     log_likelihood : (A,)
-        Log-likelihood of the predictions, with exponential forgetting.
+        Log-likelihood of the measured positions under each hypothesis, with exponential forgetting.
     images : int
-        Number of images with a moving plate since the latencies were set.
+        Number of images with a moving plate since the grid of latencies was last changed.
     misfit : float
         Mean square of the normalised innovations of the accepted hypothesis; the expected value is
         1.
@@ -137,8 +139,8 @@ class LatencyHypotheses:
 
     @classmethod
     def of(cls, latency: float | None) -> LatencyHypotheses:
-        """Return the initial hypotheses: one if the latency [s] is given, several if it is None
-        (unknown)."""
+        """Return the initial hypotheses. If the latency [s] is given, there is only one hypothesis.
+        If the latency is None (unknown), there are several."""
         tried = COARSE_S * (STEPS - STEPS[0]) if latency is None else np.array([latency])
         nothing = StateEstimate.nothing(len(tried))
         blank = np.zeros(len(tried))
@@ -151,7 +153,8 @@ class LatencyHypotheses:
 
     @property
     def estimated(self) -> bool:
-        """Whether the latency is known to within a few milliseconds."""
+        """Whether the hypotheses have been narrowed down, so that the latency is known to within a
+        few milliseconds."""
         return bool(np.ptp(self.latencies) < COARSE_S)
 
     def update(
@@ -165,14 +168,15 @@ class LatencyHypotheses:
         most: Coast,
         friction: np.ndarray,
     ) -> LatencyHypotheses:
-        """Update with the parts of an image with stamp t [s].
+        """Return the hypotheses updated with the parts of an image with the stamp t [s].
 
-        The log-likelihood L of each hypothesis becomes exp(-dt/FADING_S) L + log p(parts). dt is
-        the time since the last image, and p is the likelihood of the measured positions.
+        If the plate moves, the log-likelihood L of each hypothesis becomes exp(-dt/FADING_S) L +
+        log p(parts). dt is the time since the last image, and p is the likelihood of the measured
+        positions.
 
-        `unsure` is the minimum standard deviation of the stamp [s]. `delay` (P,) is the time from
-        the exposure of the middle of the image to the exposure of each part [s]. The other
-        parameters are the same as in `StateEstimate.update`.
+        `unsure` is a lower bound of the standard deviation of the stamp [s]. `delay` (P,) is the
+        time from the exposure of the middle of the image to the exposure of each part [s]. The
+        other parameters are the same as in `StateEstimate.update`.
         """
         time = t - self.latencies[:, None] + delay
         last = np.max(self.estimate.time[self.best], initial=-np.inf)
@@ -217,7 +221,8 @@ class LatencyHypotheses:
         return replace(seen, best=best)
 
     def none_old(self, log: CycleLog, friction_accel: float) -> LatencyHypotheses:
-        """Return the hypothesis of zero latency, because the stamps coincide with cycle starts.
+        """Return a single hypothesis with zero latency. Call this method if the stamps coincide
+        with cycle starts.
 
         If the latency is known or `trusting` is False, the hypotheses are not changed.
         """
@@ -227,8 +232,8 @@ class LatencyHypotheses:
         return replace(self.of(0.0), estimate=estimate, jitter=self.jitter, trusting=True)
 
     def _jitter(self, fit: Fit) -> Jitter:
-        """Return the jitter updated with an image. Until the latency is known, the jitter does not
-        change."""
+        """Return the value of `jitter` after an image. Until the latency is known, the value does
+        not change."""
         if not self.estimated:
             return self.jitter
         return self.jitter.update(float(fit.lateness[self.best]), float(fit.information[self.best]))
@@ -236,7 +241,8 @@ class LatencyHypotheses:
     def _around(
         self, best: int, step: float, log: CycleLog, friction_accel: float
     ) -> LatencyHypotheses:
-        """Return hypotheses with latencies around the best one, spaced by `step` [s]."""
+        """Return hypotheses whose latencies surround the latency of the hypothesis `best`, with the
+        spacing `step` [s]."""
         middle = np.clip(self.latencies[best], -STEPS[0] * step, MAX_S - STEPS[-1] * step)
         latencies = middle + step * STEPS
         older = np.minimum(np.searchsorted(self.latencies, latencies - 1e-9), len(STEPS) - 1)
