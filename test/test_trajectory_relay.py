@@ -129,7 +129,7 @@ def test_a_cycle_with_a_tail_is_played_to_rest_and_none_in_motion(rig):
     moving = np.flatnonzero(np.max(np.abs(np.array(rig.rows)[:, 0]), axis=1) > 1e-9)
     assert (moving[-1] - moving[0]) * TICK == pytest.approx(cycle.period + 0.05, abs=0.01)
     assert not np.any(rig.state)
-    with pytest.raises(CycleError, match="begins in motion, allowed here: one that begins at rest"):
+    with pytest.raises(CycleError, match="begins in motion, allowed: a cycle that begins at rest"):
         rig.relay.send(MotorTable.of(RIG, cycle.tail, 1), 1)
 
 

@@ -97,7 +97,9 @@ def await_quiet() -> None:
     while (cores := busy_cores()) > MAX_CORES:
         if not has_printed:
             print(
-                f"waiting for other programs, which use {cores:.1f} cores ... ", end="", flush=True
+                f"waiting until other programs use fewer cores (now {cores:.1f}) ... ",
+                end="",
+                flush=True,
             )
         has_printed = True
 

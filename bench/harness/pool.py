@@ -20,7 +20,8 @@ _cluster: list[Executor] = []
 
 def cluster_option(parser: argparse.ArgumentParser) -> None:
     """Add the option `--cluster` to a command line."""
-    text = "address of a Dask scheduler, such as tcp://192.168.0.10:8786 (this computer)"
+    text = "run on the workers of the Dask scheduler at this address, such as "
+    text += "tcp://192.168.0.10:8786 (default: run on this computer)"
     parser.add_argument("--cluster", default="", metavar="ADDRESS", help=text)
 
 
@@ -76,7 +77,7 @@ def parallel(
             count += 1
             elapsed = time.monotonic() - began
             left = elapsed / count * (len(work) - count)
-            note(f"{count} of {len(work)} done in {elapsed:.0f} s, about {left:.0f} s left")
+            note(f"{count} of {len(work)} runs done in {elapsed:.0f} s, about {left:.0f} s left")
             yield runs[done], done.result()
     finally:
         for other in runs:

@@ -64,7 +64,7 @@ class Rows:
             self._write()
 
     def _read(self, path: Path) -> list[dict[str, Any]]:
-        other = "allowed: another file, or one that this command has written"
+        other = "allowed: a new file, or a result of this command"
         try:
             rows = json.loads(path.read_text(encoding="utf-8") or "[]")
         except (ValueError, RecursionError) as problem:
@@ -74,7 +74,7 @@ class Rows:
             isinstance(row, dict) and keys <= row.keys() and type(row["seed"]) is int
             for row in rows
         ):
-            raise PlateError(f"{path} has no rows with {', '.join(sorted(keys))}, {other}")
+            raise PlateError(f"{path}: not every row has {', '.join(sorted(keys))}, {other}")
         for row in rows:
             for name in self._marks:
                 was: Any = row[name]
@@ -85,8 +85,8 @@ class Rows:
                     name = next(key for key in now | was if now.get(key) != was.get(key))
                     was, now = was.get(name), now.get(name)
                 raise PlateError(
-                    f"{path}: seed {row['seed']} was run with {name} {was!r}, allowed: {now!r} "
-                    "as in this call, or another file"
+                    f"{path}: seed {row['seed']} was run with {name} {was!r}, allowed: {now!r} (as "
+                    "in this command), or another file"
                 )
         return rows
 

@@ -79,7 +79,7 @@ class Port:
 def opened(emulator: Emulator) -> Port:
     """Return the driver's port. Raise PlateError if the device is disconnected."""
     if not emulator.connected:
-        raise PlateError("port is 'device', which is disconnected, allowed: an open serial port")
+        raise PlateError("port is 'device', which is disconnected, allowed: a connected device")
     return Port(emulator)
 
 
@@ -167,7 +167,9 @@ class SerialLine:
         Images are taken only at the ends of the device's segments.
         """
         if np.isfinite(until):
-            raise PlateError("image_rate is given with a serial line, allowed: a triggered camera")
+            raise PlateError(
+                "image_rate is above 0 with a serial line, allowed: 0 (a triggered camera)"
+            )
         motions = []
         while True:
             while not self._segments:

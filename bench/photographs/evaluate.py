@@ -165,12 +165,12 @@ def main() -> int:
     parser.add_argument(
         "--held-out",
         action="store_true",
-        help="evaluate the half that was not used for tuning; prints only totals",
+        help="evaluate the photographs that were not used for tuning, and print only totals",
     )
     half = HALVES[parser.parse_args().held_out]
     there, missing = of_half(half)
     if missing:
-        print(f"{missing} of {missing + len(there)} photographs are missing: {MISSING}")
+        print(f"{missing} of {missing + len(there)} photographs are missing; first run {MISSING}")
     rows, refused = evaluate(there)
     print("\n".join(text_table({"title": half, "columns": COLUMNS, "rows": rows})))
     for line in refused if half == HALVES[0] else ():

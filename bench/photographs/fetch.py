@@ -36,7 +36,7 @@ def main() -> int:
         if problem:
             print(f"missing: {photograph.name}: {problem}", file=sys.stderr)
         there += not problem
-    print(f"{there} of {len(photographs)} photographs exist")
+    print(f"{there} of {len(photographs)} photographs are on this computer")
     return 0
 
 

@@ -107,9 +107,10 @@ def made(data: Data, folder: Path, columns: Mapping[str, dict[str, str]]) -> lis
                 sheet = Sheet.read(folder / f"{one.key}.csv", columns.get(one.key, {}))
             panels, finding, default = one.draw(sheet.rows)
         except PlateError as error:
-            print(f"omitted chart {one.key}: {error}", file=sys.stderr)
+            print(f"chart {one.key} is omitted: {error}", file=sys.stderr)
         except KeyError as key:
-            print(f"omitted chart {one.key}: its older rows lack {key}", file=sys.stderr)
+            why = f"its stored rows have no column {key}"
+            print(f"chart {one.key} is omitted: {why}", file=sys.stderr)
         else:
             words = {"letter": "", "default": default} | WORDS[one.key]
             charts.append(
@@ -124,5 +125,6 @@ def made(data: Data, folder: Path, columns: Mapping[str, dict[str, str]]) -> lis
             )
             old += [one.key] * (not measured)
     if old:
-        print(f"not measured here, drawn from {folder}: {', '.join(old)}", file=sys.stderr)
+        text = f"charts without a new measurement, drawn from {folder}"
+        print(f"{text}: {', '.join(old)}", file=sys.stderr)
     return charts

@@ -115,7 +115,7 @@ class Sheet:
             If the file does not exist, or is empty.
         """
         if not path.exists():
-            raise PlateError(f"not measured, and {path} does not exist")
+            raise PlateError(f"there is no measurement, and {path} does not exist")
         with path.open(encoding="utf-8", newline="") as file:
             rows = [{key: value_of(cell) for key, cell in row.items()} for row in DictReader(file)]
         if not rows:
@@ -153,7 +153,7 @@ def table(data: Data, name: str, key: str) -> Sheet:
     """
     found = [t for t in data[name]["tables"] if t["key"] == key] if name in data else []
     if not found:
-        raise PlateError(f"measurement {name} has no table {key!r}: repeat it")
+        raise PlateError(f"the result of measurement {name} has no table {key!r}; measure it again")
     return Sheet.of(found[0]["rows"], found[0]["columns"])
 
 

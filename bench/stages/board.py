@@ -29,7 +29,9 @@ def measure(quick: bool) -> Result:
     """Commit tables of all sizes while another table plays. Then send malformed packets at the
     maximum rate. A quick measurement uses fewer."""
     if lacking := packages([need for need in NEEDS if program(need) is None]):
-        raise PlateError(f"the board's tools are not installed: apt install {lacking}")
+        raise PlateError(
+            f"the tools that build and emulate the board are missing: apt install {lacking}"
+        )
     pieces, packets = ((1, 48, 500), 500) if quick else (PIECES, PACKETS)
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)

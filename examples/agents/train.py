@@ -300,7 +300,9 @@ def layers_of(network: Any) -> list[tuple[np.ndarray, np.ndarray]]:
 def main() -> None:
     """Run the command line."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").partition("\n")[0])
-    parser.add_argument("--task", default="Sort4-v1", help="Sort4-v1 (default), Sort10-v1, ...")
+    parser.add_argument(
+        "--task", default="Sort4-v1", help="environment, such as Sort10-v1 (default: Sort4-v1)"
+    )
     parser.add_argument(
         "--updates", type=int, default=8000, help="number of updates of the weights (default: 8000)"
     )
@@ -314,7 +316,7 @@ def main() -> None:
     network = torch.nn.Sequential(layers[0], torch.nn.ReLU(), layers[1], torch.nn.ReLU(), layers[2])
     optimiser = torch.optim.Adam(network.parameters(), RATE)
     rows, began = [], time.process_time()
-    print("updates  minutes  done  plate time [s]  lost", flush=True)
+    print("updates  minutes  solved  plate time [s]  lost parts", flush=True)
     for update in range(1, args.updates + 1):
         optimiser.param_groups[0]["lr"] = RATE * (1 - update / args.updates)
         optimiser.zero_grad()
@@ -328,7 +330,7 @@ def main() -> None:
         done, took, lost = judged(env, Network(found))
         minutes = round((time.process_time() - began) / 60, 2)
         rows.append([update, minutes, done, round(took, 2), lost])
-        print("{:7d}  {:7.1f}  {:4.2f}  {:14.1f}  {:4d}".format(*rows[-1]), flush=True)
+        print("{:7d}  {:7.1f}  {:6.2f}  {:14.1f}  {:10d}".format(*rows[-1]), flush=True)
         arrays = {
             f"{name}_{k}": values.astype(np.float32)
             for k, layer in enumerate(found)

@@ -36,8 +36,8 @@ STILL_M, STILL_S = 2e-4, 0.1
 STOP_S = BRAKE_S + HOMEWARD_S + 0.5
 """Maximum time from a stop until the joint states show that the motors are at rest [s]."""
 
-CANNOT_CUT = "a trajectory controller cannot cut the current: use the drives' own stop"
-HELD = "at rest, but the drives hold their current: cut it at the drives before you reach in"
+CANNOT_CUT = "a trajectory controller cannot cut the current: use the stop of the drives"
+HELD = "at rest, but the motors have current: cut it at the drives before you touch the plate"
 
 
 @dataclass(frozen=True)
@@ -131,7 +131,7 @@ class Relay:
         if self.report().condition is not Condition.READY:
             raise CycleError(f"plate_cycle: the motors are {self.report().condition.value}")
         if not table.cycle.starts_at_rest:
-            raise CycleError("plate_cycle: begins in motion, allowed here: one that begins at rest")
+            raise CycleError("plate_cycle: begins in motion, allowed: a cycle that begins at rest")
         table = MotorTable.of(self._rig, unspliced(table.cycle), table.stamp_ns)
         self._next = table, repeats
         self._publish(table)
@@ -170,7 +170,7 @@ class Relay:
 
     def home(self) -> Order:
         """Refuse the homing, because the drives perform it themselves."""
-        return Order().complete("homing is the drives' own")
+        return Order().complete("the node cannot home the plate: home it with the drives")
 
     def troubles(self) -> list[str]:
         """Return no problems, because the report already contains all of them."""
@@ -198,7 +198,7 @@ class Relay:
         if len(recent) > 1 and np.max(np.ptp(recent, axis=0)) < STILL_M:
             order.complete()
         elif now - asked > STOP_S:
-            order.complete("joint_states do not show that the motors rest")
+            order.complete("joint_states do not show that the motors are at rest")
         if order.completed:
             self._stop = None
 
