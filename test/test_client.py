@@ -81,8 +81,8 @@ def check_a_planner_that_dies(graph, monkeypatch):
     observer.pulses.clear()  # else the death of a node is the observer's error
     task = plate.start(SORT_4)
     graph.processes.signal("planner", signal.SIGKILL)
-    with pytest.raises(PlateError, match="no message from the planner for 2 s"):
+    with pytest.raises(PlateError, match="the planner has sent no message for 2 s"):
         plate.wait(task, 30.0)
     monkeypatch.setattr("plate_client.ros.client.FOUND_S", 1.0)  # it has ended
-    with pytest.raises(GraphError, match=r"no action sort_parts|does not answer the goal"):
+    with pytest.raises(GraphError, match=r"no action sort_parts|has not answered the goal"):
         observer.start(SORT_4, 0.0)

@@ -39,11 +39,11 @@ LEVELS = {"*": "/[^/]+", "**": "(/[^/]+)*"}
 COMMON = {
     "method": "method of the solver: rotations or sinusoids",
     "seed": "random seed of scattered parts, image noise and the solver",
-    "transport": "connection to the motors",
+    "transport": "transport to the motors: sim, serial, or an installed one",
     "rig_file": "rig file with the measured data of the rig",
     "params_file": "file of ROS parameters, which override the values in config/nodes.yaml",
-    "one_process": "run all nodes in one process instead of one process each",
-    "autostart": "if false, another program configures and activates the nodes",
+    "one_process": "run all nodes in one process, instead of one process per node",
+    "autostart": "whether nodes configure and activate themselves; if false, another program must",
     "record": "record all messages into a bag (MCAP) with ros2 bag",
     "view": "show a live page at http://127.0.0.1:8080/",
     "namespace": "namespace of all nodes and topics, and of the frames in /tf",
@@ -52,7 +52,7 @@ SIMULATED = {
     "scenario": "parts on the plate: name in config/scenarios, or path of a .yaml file",
     "lockstep": "the simulator waits until the nodes have processed each image",
     "rate": "simulated seconds per second",
-    "image_rate": "images per second of a free-running camera; 0 means one at each cycle start",
+    "image_rate": "images per second of a free-running camera; 0: one image at each cycle start",
 }
 HARDWARE = {
     "port": "serial port of the motor controller",
@@ -198,7 +198,7 @@ def start(hardware: bool, file: str, context: Any) -> list[Any]:
     actions: list[Any] = [OpaqueFunction(function=partial(_put_first, defaults))]
     for rig in (rigs or [""]) if hardware else ():
         facts = unmeasured(load_rig(rig))
-        actions += [LogInfo(msg=f"not measured on this rig: {text}") for text in facts]
+        actions += [LogInfo(msg=f"this rig is not fully measured. {text}") for text in facts]
     views = {node.name for node in load_graph() if node.view}
     for name, program in programs(options, given, space).items():
         last_words = [""]
@@ -257,7 +257,7 @@ class _Loader(yaml.BaseLoader):
 
     def compose_node(self, parent: Any, index: Any) -> Any:
         if self.check_event(yaml.AliasEvent):
-            raise yaml.YAMLError("allowed: no aliases")
+            raise yaml.YAMLError("the file contains an alias (*NAME), allowed: none")
         return super().compose_node(parent, index)
 
 

@@ -169,7 +169,7 @@ class Cluster(Executor):
             return
         problem = sent.exception()
         if type(problem).__name__ == "KilledWorker":
-            problem = PlateError(f"a run has ended several workers: {problem}")
+            problem = PlateError(f"several workers died while they ran the same job: {problem}")
         # Raised if the caller has canceled the run in the meantime.
         with suppress(InvalidStateError):
             if problem is None:
@@ -202,7 +202,7 @@ class Cluster(Executor):
         """Check each new worker, and send lost runs again."""
         while not self._ending.wait(POLL_S):
             if self._client.status == "closed":
-                away = f"cluster {self._address}: the scheduler was away for {RETURN_S:g} s"
+                away = f"cluster {self._address}: no connection to the scheduler for {RETURN_S:g} s"
                 for result in list(self._calls):
                     with suppress(InvalidStateError):
                         result.set_exception(PlateError(away))
@@ -283,7 +283,9 @@ def _connect(address: str) -> Any:
     try:
         import distributed
     except ImportError as problem:
-        raise PlateError(f"cluster is {address!r}, which requires Dask: {INSTALL}") from problem
+        raise PlateError(
+            f"cluster is {address!r}, but Dask is not installed: {INSTALL}"
+        ) from problem
     try:
         kind, there = asyncio.run(asyncio.wait_for(_ask_server(address), CONNECT_S))
     except Exception as problem:
@@ -293,7 +295,7 @@ def _connect(address: str) -> Any:
         ) from problem
     if kind != "Scheduler":
         raise PlateError(
-            f"cluster is {address!r}, the address of a {kind}, allowed: the address that "
+            f"cluster is {address!r}, which is the address of a {kind}, allowed: the address that "
             "`dask scheduler` prints"
         )
     if there != distributed.__version__:

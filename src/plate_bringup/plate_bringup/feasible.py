@@ -31,9 +31,10 @@ from .bounds import rest_to_rest_s, speed_bounds
 from .rehearsal import STILL, Verdict, rehearse_task
 
 NOT_REHEARSED = {
-    PoseTask: "tasks of kind pose are not rehearsed; run the demo",
-    MoveTask: "tasks of kind move are not rehearsed; run the demo",
-    FeedTask: "tasks of kind feed are not rehearsed; run `ros2 run plate_bringup qualify`",
+    PoseTask: "feasible cannot rehearse tasks of kind pose; run the demo instead",
+    MoveTask: "feasible cannot rehearse tasks of kind move; run the demo instead",
+    FeedTask: "feasible cannot rehearse tasks of kind feed; run "
+    "`ros2 run plate_bringup qualify` instead",
 }
 """Kinds of tasks that cannot be rehearsed, with an explanation and the command to use instead."""
 
@@ -60,11 +61,14 @@ def main() -> None:
     parser = argparse.ArgumentParser(
         prog="feasible",
         description="Estimate whether a rig can do a task, how fast parts can move, and which "
-        "limit is used most. The task is rehearsed in the solver's own prediction, which takes a "
-        "few seconds. Exit code: 0 likely, 1 not likely, 2 wrong arguments.",
+        "limit is used most. The task is rehearsed in a simulation by the solver, which takes "
+        "some seconds. Exit code: 0 likely, 1 not likely, 2 wrong arguments.",
     )
     parser.add_argument(
-        "--scenario", default="", help="name or file (default: the speed of 1, 2, 4 and 10 parts)"
+        "--scenario",
+        default="",
+        help="name in config/scenarios, or .yaml file (default: no task; the speeds of 1, 2, 4 and "
+        "10 parts are printed)",
     )
     parser.add_argument(
         "--rig", default="",
@@ -87,7 +91,8 @@ def report(rig: Rig, name: str, scenario: Scenario | None) -> tuple[str, bool]:
     """Return the lines of the report, and whether the task is likely to succeed. If no task is
     given, return whether parts can be moved."""
     lines = [
-        f"{name}: Gamma = {rig.gamma:.1f}, limited by {rig.reach.limit}; parts slide above 1",
+        f"{name}: shaking ratio Gamma = {rig.gamma:.1f}, limited by {rig.reach.limit}; parts slide "
+        "if Gamma is above 1",
         one_part(rig),
         "",
     ]
@@ -99,9 +104,10 @@ def one_part(rig: Rig) -> str:
     """Return a line about the maximum speed of one part."""
     bounds = speed_bounds(rig, PERIOD_S)
     return (
-        f"one part: at most {1e3 * bounds.least:.0f} mm/s along a line by any steady motion of "
-        f"{PERIOD_S:g} s (limited by {bounds.binds}, see docs/model.md); {1e3 * DISTANCE_M:.0f} mm "
-        f"from rest to rest take at least {rest_to_rest_s(DISTANCE_M, rig.friction.accel):.2f} s"
+        f"one part on a line: periodic motions of {PERIOD_S:g} s give it a mean speed of at most "
+        f"{1e3 * bounds.least:.0f} mm/s (limited by {bounds.binds}, see docs/model.md); "
+        f"{1e3 * DISTANCE_M:.0f} mm from rest to rest take at least "
+        f"{rest_to_rest_s(DISTANCE_M, rig.friction.accel):.2f} s"
     )
 
 
@@ -137,7 +143,7 @@ def of_task(rig: Rig, scenario: Scenario) -> tuple[list[str], bool]:
 def of_counts(rig: Rig) -> tuple[list[str], bool]:
     """Return a table of the predicted speeds for several numbers of parts. Half of the parts move
     to the left, the others to the right. Also return whether the parts move."""
-    lines = ["random starts, to two sides  mean speed [mm/s]   most used limit"]
+    lines = ["random places to two sides   mean speed [mm/s]   most used limit"]
     moved = False
     for count in COUNTS:
         try:
@@ -152,7 +158,9 @@ def of_counts(rig: Rig) -> tuple[list[str], bool]:
             f"{binds}, {100 * max(verdict.share):.0f} % of {KEYS[binds]}"
         )
     lines.append(
-        "for the duration of a task: --scenario NAME" if moved else "not likely: parts hardly move"
+        "to estimate the duration of a task, use --scenario NAME"
+        if moved
+        else "not likely: parts hardly move"
     )
     return lines, moved
 

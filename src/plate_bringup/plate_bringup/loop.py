@@ -537,7 +537,7 @@ def run(
                 request = own.plan(parts, began)
                 if not isinstance(request, CycleRequest):
                     raise PlateError(
-                        f"planner {setup.own_planner}: plan returned {type(request).__name__}, "
+                        f"planner {setup.own_planner}: plan() returned a {type(request).__name__}, "
                         "allowed: a plate_core.CycleRequest"
                     )
             solving = cpu_time()

@@ -341,9 +341,9 @@ def check_robot(task: FeedTask, cycle_s: float) -> None:
     least = (1 + LEAVES - ASKS) * cycle_s
     if task.valid_s < least:
         raise PlateError(
-            f"valid_s is {task.valid_s:g} s, allowed: at least {least:g} s, because a robot with "
-            f"a cycle of {cycle_s:g} s needs this time from the feeder's reply until it has left "
-            "the plate"
+            f"valid_s is {task.valid_s:g} s, allowed: at least {least:g} s, because a robot with a "
+            f"cycle of {cycle_s:g} s needs this time from the feeder's reply until its gripper has "
+            "left the plate"
         )
 
 
@@ -366,7 +366,7 @@ def filled(recipe: Scenario, fill: int) -> Scenario:
     hopper, ready = task.hopper, sum(pick.ready for pick in task.picks)
     if not ready <= fill <= MAX_PARTS:
         raise PlateError(
-            f"fill is {fill}, allowed: {ready} (the parts to keep ready) to {MAX_PARTS}"
+            f"fill is {fill}, allowed: {ready} (the number of ready parts) to {MAX_PARTS}"
         )
     least = max(1, round(fill * hopper.least / hopper.fill))
     wanted = [pick.label for pick in task.picks]
@@ -419,10 +419,11 @@ def produce(
         note(cell)
         if moment.progress.ended:
             raise PlateError(
-                f"{recipe.name} ended after {moment.time:.1f} s: {moment.progress.text}"
+                f"the task of recipe {recipe.name} ended too early, after {moment.time:.1f} s: "
+                f"{moment.progress.text}"
             )
         if cell.tally.time_s >= time_s:
             break
     if cell.simulation is None:
-        raise PlateError(f"time is {time_s:g} s, allowed: above 0")
+        raise PlateError(f"time_s is {time_s:g}, allowed: above 0")
     return Production.of(cell.tally, cell.robot, cell.simulation, recipe.task)

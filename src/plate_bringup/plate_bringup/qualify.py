@@ -238,7 +238,8 @@ def main() -> None:
             filled(recipe, fill)
         about = (
             f"Recipe {recipe.name}, rig {rig_path(rig_name).name}, robot with one pick per "
-            f"{args.robot_cycle:g} s, {args.minutes:g} min for each of {args.seeds} seeds."
+            f"{args.robot_cycle:g} s, simulated for {args.minutes:g} min with each of {args.seeds} "
+            "seeds."
         )
         print(about, flush=True)
         rows = []
@@ -299,7 +300,10 @@ def arguments() -> argparse.Namespace:
         description="Simulate a feeder in production with several fills of the plate, before a "
         "rig is built. Exit code: 0 parts were picked, 1 no parts, 2 wrong arguments.",
     )
-    parser.add_argument("--recipe", required=True, help="name or file of a scenario of kind feed")
+    parser.add_argument(
+        "--recipe", required=True,
+        help="scenario of kind feed: name in config/scenarios, or .yaml file",
+    )  # fmt: skip
     parser.add_argument(
         "--rig", default="",
         help=f"rig file, or one of {', '.join(rig_names())} (default: the rig of the recipe)",
@@ -320,7 +324,9 @@ def arguments() -> argparse.Namespace:
         "--fill", type=_fills, default=[5, 10, 15, 20, 30], metavar="N,N,...",
         help="numbers of parts that the hopper keeps on the plate (default: 5,10,15,20,30)",
     )  # fmt: skip
-    parser.add_argument("--page", type=Path, metavar="FILE.html", help="write a page with a chart")
+    parser.add_argument(
+        "--page", type=Path, metavar="FILE.html", help="write the results and a chart"
+    )
     return parser.parse_args()
 
 

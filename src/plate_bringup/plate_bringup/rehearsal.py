@@ -193,7 +193,7 @@ def rehearse(rig: Rig, scenario: Scenario, seed: int) -> Rehearsal:
         move, feed).
     """
     if not isinstance(scenario.task, REHEARSED):
-        raise PlateError("tasks of kind pose, move and feed are not rehearsed")
+        raise PlateError("tasks of kind pose, move and feed cannot be rehearsed")
     setup = Setup(replace(scenario, time_limit_s=ENDLESS_S), seed, image_age_s=0.0)
     moments = list(islice(run(setup, rig, scene=Predicted(scenario, rig, seed)), MAX_CYCLES))
     progresses = [moment.progress for moment in moments]

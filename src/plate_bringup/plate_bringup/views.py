@@ -82,8 +82,9 @@ def view_from(
     seen = corners(distance_m or far)
     if seen is None:
         raise PlateError(
-            f"camera: part of the plate is behind it at {distance_m:g} m and a tilt of "
-            f"{tilt_deg:g} degrees, allowed: a larger distance or a smaller tilt"
+            f"camera: at a distance of {distance_m:g} m and a tilt of {tilt_deg:g} degrees, a "
+            "corner of the plate is behind the camera, allowed: a larger distance or a smaller "
+            "tilt"
         )
     corners_px = tuple((float(u), float(v)) for u, v in seen)
     return replace(rig, camera=replace(rig.camera, corners_px=corners_px, lens=lens))

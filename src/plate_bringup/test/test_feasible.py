@@ -134,17 +134,17 @@ def _command(monkeypatch, capsys):
 def test_command_says_likely(command):
     code, out, _ = command("--scenario", "sort_4", "--rig", "desk")
     assert code == 0
-    assert "desk.yaml: Gamma = 24.5, limited by accel_mps2" in out
+    assert "desk.yaml: shaking ratio Gamma = 24.5, limited by accel_mps2" in out
     assert "sort_4: likely: 3 of 3 rehearsals end within 120 s (time_limit_s)" in out
-    assert "one part: at most" in out
+    assert "one part on a line: " in out
 
 
 def test_command_takes_the_rig_of_the_scenario():
     words = [sys.executable, "-m", "plate_bringup.feasible", "--scenario", "align_6"]
     done = subprocess.run(words, capture_output=True, text=True, timeout=300)
     assert done.returncode == 1
-    assert "shapes.yaml: Gamma = " in done.stdout
-    assert "align_6: unknown: tasks of kind pose are not rehearsed" in done.stdout
+    assert "shapes.yaml: shaking ratio Gamma = " in done.stdout
+    assert "align_6: unknown: feasible cannot rehearse tasks of kind pose" in done.stdout
 
 
 def test_command_says_no_and_what_would_do(command, tmp_path, monkeypatch):

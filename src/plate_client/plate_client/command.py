@@ -20,7 +20,7 @@ SERVICES = {
     "emergency_stop": "brake, then switch the motors off (stop category 1)",
     "cut_power": "switch the motors off at once (stop category 0)",
     "home": "forget the home position; the next enable searches for it",
-    "calibrate": "learn the plate's response",
+    "calibrate": "measure the plate's dynamics and write them to calibration_file",
     "resume_feeding": "let the feeder continue after a stop",
     "call": "SERVICE: call any service without arguments, such as detector/learn_plate",
 }
@@ -81,7 +81,8 @@ def _arguments() -> argparse.Namespace:
     lines = "\n".join(f"  {name:15}{what}" for name, what in (SERVICES | OTHERS).items())
     parser = argparse.ArgumentParser(
         prog="plate", usage="plate COMMAND [--namespace NAME]",
-        description=f"Command the plate's running nodes in the ROS domain ROS_DOMAIN_ID:\n{lines}",
+        description="Control the plate's nodes, which run in the ROS domain of "
+        f"ROS_DOMAIN_ID:\n{lines}",
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )  # fmt: skip
     commands = parser.add_subparsers(dest="command", required=True, help=argparse.SUPPRESS)
@@ -94,7 +95,9 @@ def _arguments() -> argparse.Namespace:
         if name == "call":
             one.add_argument("service", metavar="SERVICE")
         if name == "friction":
-            one.add_argument("--write", action="store_true", help="write without confirmation")
+            one.add_argument(
+                "--write", action="store_true", help="write the result without confirmation"
+            )
         if name == "goal":
             one.add_argument("scenario", metavar="SCENARIO")
         if name == "set":

@@ -149,7 +149,7 @@ def test_enable_waits_until_the_motors_are_ready(make, view, clock, ends):
     if ends == "ready":
         assert asked(graph, "enable") == "ready"
     else:
-        with pytest.raises(PlateError, match="not enabled, driver_status: stopped: supply"):
+        with pytest.raises(PlateError, match="not enabled; driver_status: stopped: supply"):
             asked(graph, "enable")
     assert not [*graph.node.subscriptions, *graph.node.clients]
 
@@ -167,8 +167,8 @@ def starting(make, clock):
 
 def test_state_while_nodes_start(graph, starting):
     assert asked(graph, "state").splitlines()[2:] == [
-        "not all nodes are ready yet; other nodes may wait for their messages",
-        "  mute: no message; the node is starting or hangs",
+        "some nodes have sent no message; other nodes may wait for them",
+        "  mute: no message yet: the node is starting, or it hangs",
         "  solver: WARN, waiting",
     ]
 
@@ -197,10 +197,13 @@ def test_parameters(graph):
     ("words", "message"),
     [
         (("talker", "gain", "2"), r"gain out of range Min: 0.0, Max: 1.0, value: 2.0"),
-        (("talker", "gain", ""), r"talker gain is '', allowed: a float"),
-        (("talker", "gain", "{a: 1}"), r"talker gain is '{a: 1}', allowed: a float"),
-        (("talker", "gain", "2026-13-45"), r"talker gain is '2026-13-45', allowed: a float"),
-        (("talker", "gain", "["), r"talker gain is '\[', allowed: a float"),
+        (("talker", "gain", ""), r"parameter gain of talker is '', allowed: a float"),
+        (("talker", "gain", "{a: 1}"), r"parameter gain of talker is '{a: 1}', allowed: a float"),
+        (
+            ("talker", "gain", "2026-13-45"),
+            r"parameter gain of talker is '2026-13-45', allowed: a float",
+        ),
+        (("talker", "gain", "["), r"parameter gain of talker is '\[', allowed: a float"),
         (("talker", "seed", "4"), r"talker refuses: .*read-only"),
         (("talker", "gian", "1"), r"talker has no parameter 'gian' \(did you mean gain\?\)"),
         (("talk", "gain", "1"), r"'talk' runs \(did you mean talker\?\); running nodes: talker"),

@@ -212,8 +212,8 @@ class OwnFile:
             os.close(number)
             if not free:
                 raise PlateError(
-                    f"{self._path} is in use: another process writes it, allowed: another file, or "
-                    "the same after that process has ended"
+                    f"{self._path} is in use, because another process writes it, allowed: another "
+                    "file, or this file after that process has ended"
                 )
             # another process has replaced the file in the meantime, so open the new one
 

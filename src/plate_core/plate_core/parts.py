@@ -125,5 +125,5 @@ def filled(name: str, array: np.ndarray | None, shape: tuple[int, ...]) -> np.nd
         return np.zeros(shape)
     values = np.array(array, float)
     if values.shape[:1] != shape[:1] or values.size != np.prod(shape):
-        raise PlateError(f"{name} has shape {values.shape}, allowed: {shape}, a row for each part")
+        raise PlateError(f"{name} has shape {values.shape}, allowed: {shape} (a row per part)")
     return values.reshape(shape)

@@ -249,7 +249,7 @@ class PlateClient:
         while not self._until(client.server_is_ready, AGAIN_S):
             if time.monotonic() > end:
                 raise PlateError(f"there is no action {name} in this ROS domain; start the planner")
-            waiting(f"there is no action {name} yet; the planner offers it when it is configured")
+            waiting(f"waiting for the action {name}, which a configured planner offers")
         number = new_goal_id()
 
         def send_goal(feedback: Callback, answer: Callback) -> None:
@@ -292,11 +292,11 @@ class PlateClient:
             feedbacks = task.feedbacks
             if silent_s > SILENT_S:
                 raise PlateError(
-                    f"no message from the planner for {SILENT_S:g} s; it hangs or has ended, so "
-                    "the result of the task is unknown"
+                    f"the planner has sent no message for {SILENT_S:g} s, so it hangs or has "
+                    "ended; the result of the task is unknown"
                 )
             if time.monotonic() > end:
-                raise PlateError(f"{task.name} has not ended within {timeout_s:g} s")
+                raise PlateError(f"the task {task.name} has not ended within {timeout_s:g} s")
             task.send_again()
             meanwhile()
         assert task.status is not None
@@ -329,7 +329,7 @@ class PlateClient:
             if not task.accepted:
                 task.cancel()  # cancel the goal in case it still arrives
                 raise PlateError(
-                    f"the planner does not answer the goal within {FOUND_S:g} s; it may hang"
+                    f"the planner has not answered the goal within {FOUND_S:g} s; it may hang"
                 )
             if task.status is None or task.status.reason not in REFUSED:
                 return task

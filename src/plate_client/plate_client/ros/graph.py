@@ -207,10 +207,10 @@ class Graph(Services):
             reports = len(received) + measuring
             if silent_s > SILENT_S:
                 why = (
-                    f"the driver has not reported for {SILENT_S:g} s that it measures; it hangs, "
-                    "has ended or was restarted"
+                    f"the driver has reported no measurement for {SILENT_S:g} s, so it hangs, has "
+                    "ended or was restarted"
                 )
-                print(f"  {why}; requesting the end of the measurement", flush=True)
+                print(f"  {why}; canceling the measurement", flush=True)
                 raise SilentError(f"{why}. Check whether the plate is at rest")
 
     # State
@@ -233,9 +233,9 @@ class Graph(Services):
             raise PlateError(no_graph_text())
         lines = [f"{topic}: {self._texts.get(topic, 'no message')}" for topic in topics]
         nodes = {name: f"{each.level.name}, {each.message}" for name, each in reports.items()}
-        nodes |= dict.fromkeys(silent, "no message; the node is starting or hangs")
+        nodes |= dict.fromkeys(silent, "no message yet: the node is starting, or it hangs")
         if silent:
-            lines.append("not all nodes are ready yet; other nodes may wait for their messages")
+            lines.append("some nodes have sent no message; other nodes may wait for them")
         return "\n".join([*lines, *(f"  {name}: {text}" for name, text in sorted(nodes.items()))])
 
     def _silent(self, reports: dict[str, Report]) -> list[str]:
@@ -321,7 +321,7 @@ class Graph(Services):
         except (yaml.YAMLError, ValueError, OverflowError, RecursionError):
             allowed = False
         if not allowed:
-            raise PlateError(f"{node} {name} is {text!r}, allowed: a {kind.__name__}")
+            raise PlateError(f"parameter {name} of {node} is {text!r}, allowed: a {kind.__name__}")
         request = SetParameters.Request(
             parameters=[Parameter(name, value=value).to_parameter_msg()]
         )

@@ -162,7 +162,8 @@ class Services:
             self.node.destroy_subscription(subscription)
         if not statuses or statuses[-1].state != ready:
             raise PlateError(
-                f"not enabled, driver_status: {statuses[-1].text if statuses else 'no message'}"
+                "the motors are not enabled; driver_status: "
+                f"{statuses[-1].text if statuses else 'no message'}"
             )
         return str(statuses[-1].text)
 
@@ -188,7 +189,7 @@ class Services:
             client.call_async(request).add_done_callback(lambda done: answers.append(done.result()))
             if self._until(lambda: bool(answers), again_s):
                 return answers[0]
-        raise PlateError(f"{service} does not answer{cut}")
+        raise PlateError(f"the service {service} does not answer{cut}")
 
     def _missing(self, service: str) -> str:
         """Return the reason why the service is missing."""
@@ -231,7 +232,9 @@ def no_graph_text() -> str:
     text = f"no graph runs in ROS domain {ours}"
     if others:
         listed = ", ".join(map(str, others))
-        text += f"; ROS domains in use on this machine: {listed}; export ROS_DOMAIN_ID="
+        text += (
+            f"; ROS domains in use on this machine: {listed}; to choose one, export ROS_DOMAIN_ID="
+        )
         # Some of these graphs may belong to other users.
         text += listed if len(others) == 1 else "(the domain of your graph)"
     return text

@@ -128,8 +128,8 @@ class PlateCycle:
         slack = 1e-9 * self.period
         if t.size and not (np.min(t) >= -slack and np.max(t) <= self.period + slack):
             raise CycleError(
-                f"time {t[(t < -slack) | (t > self.period + slack) | ~np.isfinite(t)][0]:g} s, "
-                f"allowed: 0 to the period, {self.period:g} s"
+                f"time is {t[(t < -slack) | (t > self.period + slack) | ~np.isfinite(t)][0]:g} s, "
+                f"allowed: 0 to {self.period:g} s (the period)"
             )
         return evaluate_pieces(self.times, self._coefficients, np.clip(t, 0, self.period), order)
 
@@ -174,12 +174,15 @@ class PlateCycle:
             np.all(np.isfinite(times)) and times[0] == 0 and rises and len(twice) < 2 and inside
         ):
             raise CycleError(
-                "knot times must be finite, start at 0 and increase; an inner one can occur twice"
+                "knot times must be finite, start at 0 and increase; one time between them can "
+                "occur twice, where the tail begins"
             )
         if len(twice):
             k = int(twice[0])
             if any(np.any(state[k] != state[k - 1]) for state in states):
-                raise CycleError(f"two knots at {times[k]:g} s differ")
+                raise CycleError(
+                    f"the two knots at {times[k]:g} s have different states, allowed: equal ones"
+                )
             tail = cls._ending(times[k:] - times[k], [state[k:] for state in states], at_rest=True)
             return replace(cls._made(times[:k], [state[:k] for state in states]), tail=tail)
         return cls._ending(times, states)
@@ -211,7 +214,9 @@ class PlateCycle:
         with np.errstate(all="ignore"):
             coefficients = quintic_pieces(times, pose, twist, accel)
         if not np.all(np.isfinite(coefficients)):
-            raise CycleError("knots are too large or too close in time to compute a motion")
+            raise CycleError(
+                "the knots have too large values or too short intervals to compute a motion"
+            )
         return cls(times, pose, twist, accel, coefficients)
 
     @classmethod

@@ -86,9 +86,9 @@ def plate_state(
     if error.size and np.max(np.abs(error)) > tolerance:
         sample, motor = np.unravel_index(np.argmax(np.abs(error)), error.shape)
         raise CycleError(
-            f"{rig.motors[motor].name} disagrees with the other motors by "
-            f"{abs(error[sample, motor]) * 1e3:.4g} mm at sample {sample}, "
-            f"allowed: {tolerance * 1e3:g} mm"
+            f"position of {rig.motors[motor].name} at sample {sample} does not fit the other "
+            f"motors: the deviation is {abs(error[sample, motor]) * 1e3:.4g} mm, allowed: "
+            f"{tolerance * 1e3:g} mm"
         )
     jacobian = _jacobian(direction, across)
     normal = _normal(jacobian)

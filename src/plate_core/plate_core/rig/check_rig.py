@@ -54,8 +54,8 @@ def main() -> None:
     )  # fmt: skip
     parser.add_argument(
         "--drawing", type=Path, metavar="FILE",
-        help="file of the drawing, .svg or .png (default: NAME_rig.svg or default_rig.svg in this "
-        "folder)",
+        help="file for a drawing of the rig, .svg or .png (default: NAME_rig.svg or "
+        "default_rig.svg in the current folder)",
     )  # fmt: skip
     args = parser.parse_args()
     try:
@@ -89,11 +89,12 @@ def report(rig: Rig, name: str, found: list[Doubt]) -> str:
     lines = [
         f"{name}: plate of {plate.length_m:g} x {plate.width_m:g} m and {plate.mass_kg:g} kg, "
         f"parts of {1e3 * parts.radius_m:g} mm radius and {1e3 * parts.mass_kg:g} g",
-        f"Gamma = {rig.gamma:.1f}: {rig.reach.accel:.3g} m/s2 in every direction continuously, "
-        f"limited by {rig.reach.limit}; parts slide above mu g = {rig.friction.accel:.3g} m/s2",
-        f"motors: {limits.force:g} N peak, {limits.continuous_force:g} N continuously (root mean "
-        f"square; peaks in a task are {PEAK_OVER_RMS:g} times that), "
-        f"{1e3 * limits.stroke_m:g} mm to either side, {limits.speed:g} m/s",
+        f"shaking ratio Gamma = {rig.gamma:.1f}: the plate can accelerate by "
+        f"{rig.reach.accel:.3g} m/s2 in every direction continuously, limited by "
+        f"{rig.reach.limit}; parts slide above mu g = {rig.friction.accel:.3g} m/s2",
+        f"motors: peak force {limits.force:g} N, continuous force {limits.continuous_force:g} N "
+        f"(root mean square; the peaks in a task are {PEAK_OVER_RMS:g} times as large), stroke "
+        f"{1e3 * limits.stroke_m:g} mm to either side, speed {limits.speed:g} m/s",
         *_drives(rig),
         *_view(rig),
         "",
@@ -136,20 +137,21 @@ def _view(rig: Rig) -> Iterator[str]:
     place = camera_place(rig)
     if place is None:
         yield (
-            "camera: its position is unknown, because the file has neither focal_px nor camera: "
-            "height_m, and corners_px have too little perspective; the image shows a part of "
-            "height h too far out by r h/(H - h), where r is its distance from the point below the "
-            "lens, and H is the height of the lens above the plate"
+            "camera: its position is unknown, because the section camera has neither focal_px nor "
+            "height_m, and corners_px have too little perspective. Therefore a part of height h "
+            "appears too far from the point below the lens, by r h/(H - h). r is its distance from "
+            "this point, and H is the height of the lens above the plate"
         )
         return
     x, y, height = place
-    yield f"camera: its lens is {height:.3g} m above the plate, over [{x:.3f}, {y:.3f}]"
+    yield f"camera: the lens is {height:.3g} m above the point [{x:.3f}, {y:.3f}] of the plate"
     if flat and height > EXAMPLE_M:
         far = float(np.max(np.hypot(*(rig.plate.corners - place[:2]).T)))
         yield (
-            f"camera: height_m is 0 (flat or unknown) for {flat}; the image would show a part "
-            f"{1e3 * EXAMPLE_M:g} mm high, {1e3 * far:.0f} mm from that point (farthest corner), "
-            f"{1e3 * far * EXAMPLE_M / (height - EXAMPLE_M):.2g} mm too far out"
+            f"camera: height_m is 0 (flat or unknown) for {flat}. If one of them is "
+            f"{1e3 * EXAMPLE_M:g} mm high, its measured position is wrong by up to "
+            f"{1e3 * far * EXAMPLE_M / (height - EXAMPLE_M):.2g} mm (in the corner that is "
+            f"{1e3 * far:.0f} mm from the point below the lens)"
         )
 
 

@@ -120,9 +120,9 @@ def _motors(rig: Rig) -> Iterator[Doubt]:
     if sizes[-1] < 0.05 * sizes[0]:
         yield Doubt(
             "motors",
-            "motors: their directions and points cannot move the plate in x, y and theta, "
-            "because one of these requires more than 20 times the force of another, allowed: "
-            "motors whose lines are not all parallel and do not all meet in one point",
+            "motors: with these points and directions, one of the motions x, y and theta requires "
+            "more than 20 times the force of another, allowed: motors whose lines of force are "
+            "not all parallel and do not all meet in one point",
             bool(sizes[-1] < 1e-3 * sizes[0]),
         )
 
@@ -135,26 +135,27 @@ def _drives(rig: Rig) -> Iterator[Doubt]:
     first, kind = next((name, drive.kind) for name, drive in drives.items())
     for name in [name for name in kinds if kinds[name] != kind][:1]:
         yield Doubt(
-            "motors", f"motors: {name}: drive is {kinds[name]!r} and {first} has {kind!r}, "
-            "allowed: the same for all four", True,
+            "motors", f"motors: {name}: drive is {kinds[name]!r}, but {first} has {kind!r}, "
+            "allowed: the same for all four motors", True,
         )  # fmt: skip
     if len({drive.absolute for drive in drives.values()}) > 1:
         yield Doubt(
             "motors", "motors: home is 'here' for some motors and 'absolute' for others, so "
-            "the plate is level at home only if it hangs there; better: the same for all four",
+            "home is correct only if the plate hangs there at the first enable; better: the same "
+            "for all four motors",
         )  # fmt: skip
     nodes: dict[int, str] = {}
     serials: dict[int, str] = {}
     for name, drive in drives.items():
         if drive.node in nodes:
             yield Doubt(
-                "motors", f"motors: {name}: node is {drive.node}, as for {nodes[drive.node]}, "
-                "allowed: a different one for each motor", True,
+                "motors", f"motors: {name}: node is {drive.node}, the same as for "
+                f"{nodes[drive.node]}, allowed: a different one for each motor", True,
             )  # fmt: skip
         nodes[drive.node] = name
         if drive.serial in serials:
             yield Doubt(
-                "motors", f"motors: {name}: serial is {drive.serial}, as for "
+                "motors", f"motors: {name}: serial is {drive.serial}, the same as for "
                 f"{serials[drive.serial]}, allowed: a different one for each motor", True,
             )  # fmt: skip
         if drive.serial:
@@ -171,7 +172,8 @@ def _drives(rig: Rig) -> Iterator[Doubt]:
             yield Doubt(
                 "motors", f"motors: {name}: turns_per_m is {scale:g}, so the drive turns at "
                 f"{scale * rig.limits.speed:.3g} turns/s at speed_mps {rig.limits.speed:g}, but "
-                f"its feed-forward is limited to {ODRIVE_SPEED:g} turns/s; better: reduce either",
+                f"its feed-forward is limited to {ODRIVE_SPEED:g} turns/s; better: reduce "
+                "turns_per_m or speed_mps",
             )  # fmt: skip
         coarse = 1 / drive.counts_per_m
         if coarse > COARSEST_M:
@@ -190,7 +192,7 @@ def _drives(rig: Rig) -> Iterator[Doubt]:
     if alike and len({drive.counts_per_m for drive in drives.values()}) > 1:
         yield Doubt(
             "motors", f"motors: {key} is {scales} for {', '.join(drives)}; check them, because "
-            "drives of one make usually have equal scales",
+            "drives of the same model usually have equal scales",
         )  # fmt: skip
     if rig.limits.following_error_m == 0:
         yield Doubt(
@@ -215,14 +217,15 @@ def _limits(rig: Rig) -> Iterator[Doubt]:
             "limits",
             f"limits: {key} is {value:g}, which accelerates a plate of {rig.plate.mass_kg:g} kg by "
             f"{rig.reach.accel:.3g} m/s2 in every direction, allowed: {value / rig.gamma:.3g} or "
-            f"more, for mu g = {floor:g} m/s2 (below it parts never slide)",
+            f"more, because parts slide only above mu g = {floor:g} m/s2",
             True,
         )
     elif rig.gamma < MIN_GAMMA:
         yield Doubt(
             "limits",
-            f"limits: Gamma is {rig.gamma:.3g} (limited by {rig.reach.limit}), advised: "
-            f"{MIN_GAMMA:g} or more; the plate shakes too little, so tasks take long or fail",
+            f"limits: shaking ratio Gamma is {rig.gamma:.3g} (limited by {rig.reach.limit}), "
+            f"advised: {MIN_GAMMA:g} or more; the plate shakes too little, so tasks take long or "
+            "fail",
         )
     if 0 < limits.following_error_m < MIN_FOLLOWING_M:
         yield Doubt(
@@ -259,7 +262,7 @@ def _speeds(rig: Rig) -> Iterator[Doubt]:
             yield Doubt(
                 "limits",
                 f"limits: {key} is {value:g} {unit}, which allows {most:.3g} m/s2 at "
-                f"{CYCLE_HZ[1]:g} Hz (the fastest wave of a cycle). Parts slide above mu g = "
+                f"{CYCLE_HZ[1]:g} Hz (the highest frequency in a cycle). Parts slide above mu g = "
                 f"{floor:g} m/s2; advised: {MIN_GAMMA * floor * value / most:.2g} {unit} or more",
                 bool(most <= floor),
             )
@@ -267,8 +270,9 @@ def _speeds(rig: Rig) -> Iterator[Doubt]:
     if limits.stroke_m > 3 * needed:
         yield Doubt(
             "limits",
-            f"limits: stroke_m is {limits.stroke_m:g}, but at {CYCLE_HZ[0]:g} Hz, the slowest wave "
-            f"of a cycle, {rig.reach.accel:.3g} m/s2 ({rig.reach.limit}) use only {needed:.2g} m",
+            f"limits: stroke_m is {limits.stroke_m:g}, but cycles use only {needed:.2g} m: their "
+            f"lowest frequency is {CYCLE_HZ[0]:g} Hz, and the acceleration is at most "
+            f"{rig.reach.accel:.3g} m/s2 (limited by {rig.reach.limit})",
         )
 
 
@@ -348,8 +352,8 @@ def _heights(rig: Rig) -> Iterator[Doubt]:
         if value > height / 2:
             yield Doubt(
                 "parts",
-                f"{where}: height_m is {value:g} below a camera {height:.3g} m above the plate, "
-                f"allowed: up to {height / 2:.3g}",
+                f"{where}: height_m is {value:g}, but the camera is {height:.3g} m above the "
+                f"plate, allowed: up to {height / 2:.3g} (half of this height)",
                 True,
             )
 
@@ -392,7 +396,7 @@ def _shape(rig: Rig, corners: np.ndarray) -> Doubt | None:
     if np.degrees(tilt) > STEEP_DEG:
         return Doubt(
             "camera",
-            f"camera: corners_px give a tilt of {np.degrees(tilt):.0f} degrees from the vertical, "
+            f"camera: its tilt from the vertical is {np.degrees(tilt):.0f} degrees by corners_px, "
             f"advised: up to {STEEP_DEG:g}",
         )
     return None
@@ -451,16 +455,16 @@ def _size(rig: Rig) -> Iterator[Doubt]:
         need = rig.parts.radius_m * low / radius_px
         yield Doubt(
             "camera",
-            f"parts: radius_m is {rig.parts.radius_m:g}, in the image {radius_px:.3g} px, "
+            f"parts: radius_m is {rig.parts.radius_m:g}, which is {radius_px:.3g} px in the image, "
             f"allowed: {low:g} to {high:g} px, advised: {FINE_PX:g} px or more; move the camera "
-            f"nearer, use one of {rig.camera.width_px * FINE_PX / radius_px:.0f} px width, or "
-            f"parts of {need:.2g} m or more",
+            f"nearer, use images {rig.camera.width_px * FINE_PX / radius_px:.0f} px wide, or use "
+            f"parts with a radius of {need:.2g} m or more",
             radius_px < low,
         )
     elif radius_px > high:
         yield Doubt(
             "camera",
-            f"parts: radius_m is {rig.parts.radius_m:g}, in the image {radius_px:.4g} px, allowed: "
-            f"{low:g} to {high:g} px; use a smaller image or smaller parts",
+            f"parts: radius_m is {rig.parts.radius_m:g}, which is {radius_px:.4g} px in the image, "
+            f"allowed: {low:g} to {high:g} px; use a smaller image or smaller parts",
             True,
         )

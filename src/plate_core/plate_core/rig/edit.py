@@ -50,7 +50,7 @@ def edit_rig(path: Path, values: Values, expected: Callable[[Rig], bool]) -> Non
         file.flush()
         try:
             if not expected(load_rig(file.name)):
-                raise PlateError("the changed file would have other values")
+                raise PlateError("after the change, the file would not contain the new values")
         except PlateError as error:
             raise PlateError(f"{path} was not changed, edit it by hand: {error}") from None
 

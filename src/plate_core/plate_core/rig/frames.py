@@ -135,7 +135,7 @@ def camera_pose(rig: Rig) -> tuple[np.ndarray, np.ndarray]:
     """
     lens = rig.camera.lens
     if lens is None:
-        raise RigError("camera: focal_px and centre_px are missing, so its pose is not known")
+        raise RigError("camera: focal_px and centre_px are missing, so the pose is unknown")
     return home_pose(homography(rig), lens.matrix)
 
 
