@@ -9,7 +9,7 @@
 
 namespace plate {
 
-// Throw a ValueError with the text `what` unless `right` is true.
+// If `right` is false, throw an error that Python receives as a ValueError with the text `what`.
 inline void require(bool right, const char* what) {
     if (!right) throw std::invalid_argument(what);
 }

@@ -11,7 +11,8 @@ namespace {
 template <class T, nb::ssize_t N>
 using In = Array<const T, N>;
 
-// Returns whether numbers (n,) never decrease and are all within [low, high].
+// Returns whether the numbers (n,) are in ascending order (equal neighbours are allowed) and all
+// from `low` to `high`.
 bool ordered(const View<const int64_t, 1>& numbers, int64_t low, int64_t high) {
     for (int i = 0; i < numbers.size(0); i++) {
         if (numbers(i) < low || numbers(i) > high) return false;

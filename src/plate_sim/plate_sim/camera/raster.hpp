@@ -1,9 +1,11 @@
-// Rasterisation of plate and parts into an image, limited to the pixels that change; see raster.py.
+// C++ kernels of raster.py, which draws the plate and the parts into an image. Only pixels that
+// change are drawn.
 //
 // `places` contains for each pixel the point of the plate's plane that the pixel shows [m,
-// plate_home]. `canvas` contains the grey value of each pixel, and `light` its brightness as a
-// fraction of full light. The grey values of parts and plate are those at full light. Pixels at
-// edges are collected, and their coverage is computed in batches.
+// plate_home]. `canvas` contains the grey value of each pixel. `light` contains the brightness of
+// each pixel as a fraction of full light. The grey values of parts and plate are given for full
+// light. Pixels at edges are collected in batches, and the covered fractions of a batch are
+// computed together.
 #pragma once
 #include <algorithm>
 #include <cmath>
@@ -24,13 +26,13 @@ struct Pose {
     double x, y, cos, sin;
 };
 
-// Fields of `Outlines` in raster.py that the functions below need.
+// Outlines of the parts. `Outlines` in raster.py describes the fields.
 struct Outlines {
     View<const double, 2> edges;
     View<const int64_t, 1> pieces, first, hole, end;
 };
 
-// Compiled counterpart of `Sprites` in raster.py.
+// Shapes to draw. `Sprites` in raster.py describes the fields.
 struct Sprites {
     View<const int64_t, 2> window;
     View<const double, 1> scale;
@@ -41,8 +43,8 @@ struct Sprites {
     View<const double, 1> grey, opacity;
 };
 
-// Add `noise` times the standard normal random numbers `bank` (n,) to the canvas (n,). Write the
-// rounded result to the image (n,).
+// Add image noise to the canvas (n,), and write the rounded result to the image (n,). The noise is
+// `noise` times the standard normal random numbers `bank` (n,).
 PLATE_WIDE inline void expose(View<const float, 1> canvas, View<const float, 1> bank, float noise,
                               View<uint8_t, 1> image) {
     const float *__restrict from = canvas.data, *__restrict deviate = bank.data;
@@ -54,8 +56,8 @@ PLATE_WIDE inline void expose(View<const float, 1> canvas, View<const float, 1> 
     }
 }
 
-// Batch of pixels at an edge. Each pixel has the point of the plate's plane that it shows [m], its
-// coverage, and its index in the image.
+// Batch of pixels at an edge. For each pixel, it contains the point of the plate's plane that the
+// pixel shows [m], the covered fraction, and the index in the image.
 struct Pixels {
     static constexpr int ROOM = 64;
     double x[ROOM]{}, y[ROOM]{}, cover[ROOM];
@@ -69,10 +71,10 @@ struct Pixels {
     }
 };
 
-// Position on a path. The path has `last` pieces of equal duration, and is divided into `copies`
-// intervals of equal duration. The position is the middle of interval k. `piece` is the index of
-// the piece that contains the position. `part` is the fraction of this piece before the position, 0
-// to 1.
+// Position on the path of a moving shape. The path has `last` pieces of equal duration. For motion
+// blur, it is divided into `copies` intervals of equal duration. The position is in the middle of
+// interval k. `piece` is the index of the piece that contains the position. `part` is the fraction
+// of this piece before the position, from 0 to 1.
 struct Along {
     int piece;
     double part;
@@ -85,13 +87,14 @@ struct Along {
     double operator()(double from, double to) const { return from + part * (to - from); }
 };
 
-// Covered fraction of a pixel whose centre is at a given distance inside an edge [px].
+// Return the covered fraction of a pixel. `inside` is the distance of the pixel's centre from the
+// edge [px], positive inside the shape.
 [[gnu::always_inline]] inline double covered(double inside) {
     return std::min(std::max(inside + 0.5, 0.0), 1.0);
 }
 
-// Distances [m] of a point from the nearer edge of the plate along each axis. The distances are
-// positive inside the plate.
+// Return the distances [m] of a point from the nearest edges of the plate along both axes of the
+// plate. The distances are positive inside the plate.
 [[gnu::always_inline]] inline Vec depths(const Pose& pose, const double half[2], double x,
                                         double y) {
     const double dx = x - pose.x, dy = y - pose.y;
@@ -99,7 +102,7 @@ struct Along {
             half[1] - std::abs(pose.cos * dy - pose.sin * dx)};
 }
 
-// Computes the mean coverage of pixels by the plate over its poses.
+// Computes the fraction of each pixel that the plate covers, averaged over the poses of the plate.
 PLATE_WIDE inline void cover_by_plate(Pixels& pixels, std::span<const Pose> poses,
                                       const double half[2], double scale) {
     double cover[Pixels::ROOM] = {};
@@ -111,7 +114,8 @@ PLATE_WIDE inline void cover_by_plate(Pixels& pixels, std::span<const Pose> pose
     for (int p = 0; p < Pixels::ROOM; p++) pixels.cover[p] = cover[p] / poses.size();
 }
 
-// Repaints background and plate in the given pixels, as described in raster.py.
+// Paints background and plate in the pixels with the indices `some`. raster.py describes the
+// method.
 inline void draw_plate(View<float, 1> canvas, View<const float, 1> light,
                        View<const double, 2> places, View<const int64_t, 1> some,
                        View<const double, 2> poses, int copies, double travel, const double half[2],
@@ -154,14 +158,16 @@ inline void draw_plate(View<float, 1> canvas, View<const float, 1> light,
     paint_edge();
 }
 
-// Positions on a path at which a shape is drawn and averaged, the point midway between the path's
-// ends, and the maximum distance of a position from this point [m].
+// Positions at which a moving shape is drawn. The image of the shape is the average over these
+// positions. `middle` is the point midway between the ends of the path. `spread` is the maximum
+// distance of a position from `middle` [m].
 struct Positions {
     std::vector<Vec> centre;
     Vec middle;
     double spread = 0.0;
 
-    // Positions of shape i: the copies along its path in `path` (s, n, 2).
+    // Computes the positions of shape i. `path` (s, n, 2) contains the points of the paths of all n
+    // shapes.
     Positions(View<const double, 3> path, int i, int copies) : centre(copies) {
         const int last = path.size(0) - 1;
         middle = {0.5 * (path(0, i, 0) + path(last, i, 0)),
@@ -177,16 +183,16 @@ struct Positions {
     }
 };
 
-// A shape is a disc of a radius [m], or a union of adjacent convex polygons with holes. The
-// polygons have the indices [begin, hole) in the outlines, and the holes have the indices [hole,
-// end). `scale` is the scale of the image [px/m].
+// A shape is a disc with a radius [m], or a union of adjacent convex polygons with holes. In the
+// outlines, the polygons have the indices `begin` to `hole` - 1, and the holes have the indices
+// `hole` to `end` - 1. `scale` is the scale of the image [px/m].
 struct Shape {
     const Outlines& outlines;
     int begin, hole, end;
     double radius, cos, sin, scale;
 
-    // Radius [m] of a circle around the centre that is inside the shape, if the shape has no holes.
-    // Holes are ignored.
+    // Returns the radius [m] of a circle around the centre that is inside the shape. The function
+    // ignores holes.
     double inner_radius() const {
         if (begin == hole) return radius;
         double inner = 0.0;
@@ -200,7 +206,8 @@ struct Shape {
     }
 };
 
-// Computes the coverage of the pixels at x, y [m, part's frame] by the polygons [begin, end).
+// Computes the fraction of each pixel that the polygons with the indices `begin` to `end` - 1
+// cover. x, y are the pixels' points in the part's frame [m].
 [[gnu::always_inline]] inline void polygons_cover(const double* x, const double* y,
                                                   const Shape& shape, int begin, int end,
                                                   double* cover) {
@@ -220,7 +227,7 @@ struct Shape {
     for (int p = 0; p < ROOM; p++) cover[p] = std::min(cover[p], 1.0);
 }
 
-// Computes the coverage of pixels by a shape. The coverage is the sum over all positions of the
+// Computes the fraction of each pixel that a shape covers, as a sum over all positions of the
 // shape's centre.
 PLATE_WIDE inline void cover_by_part(Pixels& pixels, std::span<const Vec> centres,
                                      const Shape& shape) {
@@ -244,7 +251,8 @@ PLATE_WIDE inline void cover_by_part(Pixels& pixels, std::span<const Vec> centre
     for (int p = 0; p < ROOM; p++) pixels.cover[p] = sum[p];
 }
 
-// Blends shapes into the canvas (height, width) one after the other, as described in raster.py.
+// Blends the shapes into the canvas (height, width) one after the other. raster.py describes the
+// method.
 inline void draw_parts(View<float, 2> canvas, View<const float, 2> light,
                        View<const double, 3> places, const Sprites& sprites,
                        const Outlines& outlines) {

@@ -1,8 +1,9 @@
-// Broad phase of collision detection: a list of pairs of parts that are near each other. The list
-// stays valid for many steps.
+// Broad phase of collision detection. It makes a list of pairs of parts that are near each other.
+// The list stays valid for many time steps.
 //
-// Parts are sorted by x, and all pairs with a gap below the width of the skin are listed. No other
-// pair can touch until two parts have approached each other by this width.
+// The skin is a safety distance around the parts. Parts are sorted by x, and all pairs with a gap
+// below the width of the skin are listed. No other pair can touch until two parts have approached
+// each other by this width.
 #pragma once
 #include <algorithm>
 #include <cmath>
@@ -20,13 +21,14 @@ struct Pair {
     int i, j;
 };
 
-// Pairs of parts with a small gap. Only parts on the plate (`here`, (M,)) are listed.
+// Pairs of parts with a small gap. The list contains only parts on the plate. `here` (M,) states
+// which parts are on the plate.
 struct NearPairs {
     std::vector<Pair> pairs;
     double skin = INFINITE;  // maximum approach of two parts for which the list is valid [m]
     double gap = INFINITE;   // minimum gap [m] of any two parts, at most the skin
-    std::vector<double> x, y;  // positions (marks) at the time at which the list was made
-    std::vector<int> order;    // parts in order of x at that time
+    std::vector<double> x, y;  // positions of the parts when the list was made, called marks [m]
+    std::vector<int> order;    // indices of the parts, sorted by x when the list was made
 
     // Rebuild the list.
     void find(const State& state, Bodies bodies, View<const bool, 1> here) {
@@ -43,7 +45,8 @@ struct NearPairs {
             const int i = order[a];
             most = std::max(most, bodies[i].reach);
             int b = a;
-            // An insertion sort is fast, because the order changes little.
+            // An insertion sort is fast here, because the order of the parts changes little between
+            // two lists.
             for (; b > 0 && x[i] < x[order[b - 1]]; b--)
                 order[b] = order[b - 1];
             order[b] = i;

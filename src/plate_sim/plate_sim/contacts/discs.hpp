@@ -1,16 +1,21 @@
-// Collisions of two discs, and of a disc with a wall. The formulae are the closed form of the
-// method in impulses.hpp.
+// Collisions of two discs, and of a disc with a wall. impulses.hpp contains the general method. For
+// discs, its result has a closed form.
 //
 // The normal impulse passes through the centre of a disc, so it does not rotate the disc. Friction
-// between the edges does not change the closing speed. Therefore one normal and one tangential
-// impulse are sufficient:
+// between the edges does not change the speed at which the discs approach. Therefore one normal
+// impulse J and one tangential impulse J_t are sufficient:
 //
-//     J = (1 + e) c / (1/m1 + 1/m2),
-//     J_t = u / (1/m1 + 1/m2 + r1^2/I1 + r2^2/I2),   limited to mu_c J,
+//     J = (1 + e) c / (1/m1 + 1/m2)
+//     J_t = u / (1/m1 + 1/m2 + r1^2/I1 + r2^2/I2), limited to mu_c J
 //
-// c is the closing speed, u the tangential speed at the contact, and r1, r2 are the distances of
-// the contact from the centres. Both impulses act at the time of the contact, which is within the
-// step.
+// - e: restitution
+// - c: closing speed, which is the speed at which the discs approach each other
+// - u: relative tangential speed at the contact
+// - m1, m2 and I1, I2: masses and moments of inertia of the discs
+// - r1, r2: distances of the contact from the centres
+// - mu_c: friction coefficient between the edges
+//
+// Both impulses act at the time of the contact, which is within the time step.
 #pragma once
 #include <algorithm>
 #include <cmath>
@@ -35,7 +40,7 @@ inline void turn(const State& state, int i, double spin, double ago) {
     state(ANGLE, i) += ago * spin;
 }
 
-// Depth [m] of the overlap of two discs. The depth is 0 if they do not overlap.
+// Return the depth [m] of the overlap of two discs, or 0 if they do not overlap.
 inline double overlap(const State& state, Bodies bodies, int i, int j) {
     const double dx = state(X, i) - state(X, j), dy = state(Y, i) - state(Y, j);
     const double size = bodies[i].radius + bodies[j].radius;
@@ -43,8 +48,8 @@ inline double overlap(const State& state, Bodies bodies, int i, int j) {
     return lack > 0 ? lack / (size + std::sqrt(dx * dx + dy * dy)) : 0.0;
 }
 
-// If two discs touch, collide them in place. Return the depth [m] of their overlap. `step` is the
-// length of the time step [s].
+// If two discs touch, apply their collision to the state. Return the depth [m] of their overlap.
+// `step` is the length of the time step [s].
 inline double collide_discs(const State& state, Bodies bodies, int i, int j, const Rules& rules,
                             double step) {
     double dx = state(X, i) - state(X, j), dy = state(Y, i) - state(Y, j);
@@ -96,8 +101,9 @@ inline double collide_discs(const State& state, Bodies bodies, int i, int j, con
     return depth;
 }
 
-// Collide a disc with a wall. `depth` [m] is the overlap of the disc and the wall. n is the wall's
-// inward normal. The last entry of the state is the plate's pose and twist.
+// Apply the collision of a disc with a wall to the state. `depth` [m] is the overlap of the disc
+// and the wall. n is the wall's inward normal. The last entry of the state is the plate's pose and
+// twist.
 inline void collide_with_wall(const State& state, Bodies bodies, int i, double depth, double nx,
                               double ny, const Rules& rules, double step) {
     const int wall = state.walls();

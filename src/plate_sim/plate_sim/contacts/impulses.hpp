@@ -1,13 +1,14 @@
 // Impulses between rotating rigid parts, and removal of their overlaps.
 //
 // If touching parts approach each other, normal impulses at one or two points stop the approach.
-// The minimum impulses are computed (both points together) and multiplied by 1 + e, where e is the
-// restitution. This method never adds energy, for any shapes: the inelastic result is the nearest
-// permitted velocity in the energy norm, and the elastic result is its mirror image. Then friction
-// acts at each point. An impulse of up to mu_c times the normal impulse reduces the tangential
-// speed, but never reverses it. Both parts receive their impulses at the same place and at the time
-// of the contact, which is within the step. Therefore momentum and angular momentum are conserved.
-// In a crowd, an overlap may remain. It is removed by a displacement that does not change the
+// The minimum impulses are computed for both points together. They are multiplied by 1 + e, where e
+// is the restitution. This method never adds energy, for any shapes of the parts. For e = 0, the
+// result is the nearest velocity without approach in the energy norm. For e = 1, the result is the
+// mirror image of the initial velocity at this velocity. Then friction acts at each point. An
+// impulse of up to mu_c times the normal impulse reduces the tangential speed, but never reverses
+// it. Both parts receive their impulses at the same point and at the time of the contact, which is
+// within the time step. Therefore momentum and angular momentum are conserved. If many parts touch
+// each other, an overlap may remain. It is removed by a displacement that does not change the
 // velocities.
 //
 // discs.hpp contains a simpler method for two discs.
@@ -23,25 +24,27 @@
 
 namespace plate::contacts {
 
-// Overlap [m] that is not removed. It disappears when the parts separate. Without a displacement,
-// the angular momentum of the parts does not change.
+// An overlap of up to this depth [m] is not removed, because a displacement would change the
+// angular momentum of the parts. The overlap disappears when the parts separate.
 constexpr double KEPT = 5e-6;
 
-// Maximum number of impulse iterations of a collision. Friction at points off the line of centres
-// can make more than one iteration necessary.
+// Maximum number of impulse iterations in a collision. More than one iteration can be necessary if
+// a contact point is not on the line between the centres. Then friction changes the closing speed.
 constexpr int REBOUNDS = 20;
 
-// Closing speed that counts as 0, as a fraction of the initial closing speed.
+// The closing speed is the speed at which two parts approach each other. It counts as 0 below this
+// fraction of its initial value.
 constexpr double ROUNDING = 1e-12;
 
-// If the relative determinant of two contact points is below this value, they count as one point.
+// If the relative determinant of the compliance matrix of two contact points is below this value,
+// they count as one point.
 constexpr double RANK = 1e-9;
 
-// Bodies of a state, one per part. The last body represents the walls.
+// Constants of the bodies, in the order of the state's columns. The last body represents the walls.
 using Bodies = std::span<const Body>;
 
-// Restitution and friction coefficient of contacts, whether parts can collide with each other, and
-// whether there are walls.
+// Rules of contacts: restitution, friction coefficient, whether parts can collide with each other,
+// and whether the plate has walls.
 struct Rules {
     double restitution, friction;
     bool meets, walls;
@@ -57,12 +60,13 @@ struct Arm {
     Vec first, second;
 };
 
-// Velocity [m/s] of a part at the point (x, y) relative to its centre [m].
+// Return the velocity [m/s] of a part's point. (x, y) is the vector from the part's centre to the
+// point [m].
 inline Vec velocity(const State& state, int i, double x, double y) {
     return {state(VX, i) - state(SPIN, i) * y, state(VY, i) + state(SPIN, i) * x};
 }
 
-// Closing speed of two parts at contact point k [m/s].
+// Return the closing speed of two parts at contact point k [m/s].
 inline double closing_speed(const State& state, int i, int j, const Manifold& contact, int k) {
     const auto [px, py] = contact.point[k];
     const Vec a = velocity(state, i, px - state(X, i), py - state(Y, i));
@@ -77,8 +81,8 @@ inline bool closes(const State& state, int i, int j, const Manifold& contact) {
     return false;
 }
 
-// Time [s] since the first contact of two approaching parts. It is computed from their present
-// speeds, and is at most `step`.
+// Return the time [s] since the first contact of two approaching parts. The time is estimated from
+// the depths of the overlap and the closing speeds. It is at most `step`.
 inline double touched(const State& state, int i, int j, const Manifold& contact, double step) {
     double ago = 0.0;
     for (int k = 0; k < contact.count; k++) {
@@ -88,8 +92,9 @@ inline double touched(const State& state, int i, int j, const Manifold& contact,
     return ago;
 }
 
-// Arm to contact point k at the time of the contact. If `radius` is not 0, the first part is a
-// disc. The second body is a wall or a part.
+// Return the vectors from the centres to contact point k at the time of the contact, which was
+// `ago` [s] earlier. If `radius` is not 0, the first part is a disc. `wall` states whether the
+// second body is a wall.
 inline Arm arm_of(const State& state, int i, int j, double radius, bool wall,
                   const Manifold& contact, int k, double ago) {
     Arm arm;
@@ -110,16 +115,17 @@ inline Arm arm_of(const State& state, int i, int j, double radius, bool wall,
     return arm;
 }
 
-// Speed [m/s] along n of the first part relative to the second, at one point.
+// Return the speed [m/s] along n of the first part relative to the second part at a contact point.
 inline double speed(const State& state, int i, int j, const Arm& arm, Vec n) {
     const Vec a = velocity(state, i, arm.first.x, arm.first.y);
     const Vec b = velocity(state, j, arm.second.x, arm.second.y);
     return n.x * (a.x - b.x) + n.y * (a.y - b.y);
 }
 
-// Compliance [1/kg]: change of the relative speed at `arm` by an impulse of 1 N s along n at
-// `other`. The compliance is 1/m1 + 1/m2 + (a x n)(c x n)/I1 + (b x n)(d x n)/I2, where a, b are
-// the vectors of `arm` and c, d are the vectors of `other`.
+// Return the compliance [1/kg]: the change of the relative speed at the point `arm` by an impulse
+// of 1 N s along n at the point `other`. It is
+//     1/m1 + 1/m2 + (a x n)(c x n)/I1 + (b x n)(d x n)/I2
+// where a, b are the vectors of `arm`, and c, d are the vectors of `other`.
 inline double compliance(const Arm& arm, const Arm& other, Vec n, const Inertia& inertia) {
     const double a = arm.first.x * n.y - arm.first.y * n.x;
     const double b = arm.second.x * n.y - arm.second.y * n.x;
@@ -142,9 +148,11 @@ inline void push(const State& state, int i, int j, const Arm& arm, Vec n, double
     state(row + 2, j) -= impulse * inertia.second_turn * (b.x * n.y - b.y * n.x);
 }
 
-// Minimum non-negative impulses j along n at two points after which neither point approaches: the
-// solution of j >= 0, v + H j >= 0, j . (v + H j) = 0. v = (v0, v1) are the points' speeds [m/s]
-// along n, and H contains the compliances.
+// Minimum impulses j >= 0 along n at two contact points after which the parts do not approach at
+// either point. j is the solution of
+//     j >= 0,  v + H j >= 0,  j . (v + H j) = 0
+// v = (v0, v1) are the relative speeds [m/s] along n at the points, and H is the matrix of
+// compliances.
 struct Least {
     double at[2] = {0.0, 0.0};
 
@@ -168,8 +176,8 @@ struct Least {
     }
 };
 
-// Apply impulses until no contact point approaches. v0, v1 are the speeds [m/s] of the points along
-// n.
+// Apply impulses until the parts do not approach at any contact point. v0, v1 are the relative
+// speeds [m/s] along n at the points.
 inline void bounce(const State& state, int i, int j, const Arm arms[2], Vec n,
                    const Inertia& inertia, int count, double v0, double v1, const Rules& rules) {
     const Vec t{-n.y, n.x};
@@ -188,18 +196,19 @@ inline void bounce(const State& state, int i, int j, const Arm arms[2], Vec n,
                 push(state, i, j, arms[k], t, std::min(std::max(drag, -most), most), inertia, VX);
             }
         }
-        // Friction may have restored a closing speed, so repeat.
+        // Friction may have caused a new closing speed, so compute the speeds again for the next
+        // iteration.
         v0 = speed(state, i, j, arms[0], n);
         v1 = count == 2 ? speed(state, i, j, arms[1], n) : 0.0;
     }
 }
 
-// Collide two parts, or a part and a wall, at their contact points. The state is changed in place.
+// Apply the collision of two parts, or of a part and a wall, to the state.
 //
-// i and j are either two parts, at least one of which is not a disc, or a part that is not a disc
-// and a wall. If there is a disc, i is the disc. If there is a wall, j is the wall. The wall is the
-// last body, and the last column of the state, which contains the pose and twist of the plate.
-// `step` is the length of the time step [s].
+// i and j are the indices of the bodies. At most one of them is a disc, and this disc is i. If one
+// of the bodies is a wall, it is j, and i is not a disc. The walls are the last body. The last
+// column of the state contains the pose and twist of the plate. `step` is the length of the time
+// step [s].
 inline void collide(const State& state, Bodies bodies, int i, int j, Manifold contact,
                     const Rules& rules, double step) {
     const Body &a = bodies[i], &b = bodies[j];

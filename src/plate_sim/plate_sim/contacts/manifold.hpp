@@ -1,7 +1,8 @@
 // Contact points of two rigid parts in the plane. The parts are discs or convex polygons.
 //
-// Two convex polygons touch at the side with the maximum separation (separating axes: Gottschalk,
-// Lin and Manocha 1996). The nearest side of the other polygon is clipped to this side.
+// The contact of two convex polygons is at the side whose outward normal gives the maximum
+// separation (method of separating axes: Gottschalk, Lin and Manocha 1996). This side is the
+// reference side. The nearest side of the other polygon is clipped to the reference side.
 #pragma once
 #include <algorithm>
 #include <cmath>
@@ -14,8 +15,8 @@ namespace plate::contacts {
 
 constexpr double INFINITE = std::numeric_limits<double>::infinity();
 
-// A side of the second part becomes the reference side only if its separation is larger by this
-// value [m].
+// A side of the second part becomes the reference side only if its separation exceeds that of the
+// first part's side by this value [m].
 constexpr double PREFER = 1e-6;
 
 // Contact of two parts:
@@ -29,9 +30,9 @@ struct Manifold {
     double depth[2]{};
 };
 
-// A corner of a part's outline: its position, the outward normal of the side that begins at the
-// corner, and a flag. The flag is 1 if this side belongs to the outline, and 0 if it adjoins
-// another piece of the part.
+// A corner of a convex piece of a part. (x, y) is its position. (out_x, out_y) is the outward
+// normal of the side that begins at the corner. `open` is 1 if this side belongs to the part's
+// outline, and 0 if it adjoins another piece of the part.
 struct Corner {
     double x, y, out_x, out_y, open;
 };
@@ -43,7 +44,7 @@ inline int next(int k, Corners corners) {
     return k + 1 < static_cast<int>(corners.size()) ? k + 1 : 0;
 }
 
-// Manifold of a disc (first part) and a convex polygon.
+// Return the contact of a disc (first part) and a convex polygon.
 inline Manifold disc_polygon(double cx, double cy, double radius, Corners corners) {
     double most = -INFINITE;
     int side = -1;
@@ -56,7 +57,7 @@ inline Manifold disc_polygon(double cx, double cy, double radius, Corners corner
     if (side < 0) return {};
     double nx = corners[side].out_x, ny = corners[side].out_y;
     if (most > 0) {
-        // The nearest feature is the side or one of its ends.
+        // The nearest point of the polygon is on this side or at one of its ends.
         const Corner &a = corners[side], &b = corners[next(side, corners)];
         const double along = (a.x - cx) * ny - (a.y - cy) * nx;
         const double beyond = (cx - b.x) * ny - (cy - b.y) * nx;
@@ -72,8 +73,9 @@ inline Manifold disc_polygon(double cx, double cy, double radius, Corners corner
     return {1, {nx, ny}, {{cx - arm * nx, cy - arm * ny}}, {depth}};
 }
 
-// Maximum separation of two polygons by an open side of the first polygon, and this side. The gap
-// is 0 if any side separates the polygons.
+// Maximum separation `gap` of two polygons along the normal of an open side of the first polygon,
+// and the index of this side. The gap is negative if the polygons overlap. It is set to 0 if any
+// side separates the polygons.
 struct Separation {
     double gap;
     int side;
@@ -93,11 +95,13 @@ struct Separation {
     }
 };
 
-// Contact of a side of the polygon `flat` with the polygon `other`. The normal points to `other`.
+// Return the contact of the reference side of the polygon `flat` with the polygon `other`. The
+// normal points to `other`.
 inline Manifold clip(Corners flat, int side, Corners other) {
     const double x0 = flat[side].x, y0 = flat[side].y;
     const double nx = flat[side].out_x, ny = flat[side].out_y, tx = -ny, ty = nx;
-    // Side of the other polygon with the most opposite normal.
+    // k is the side of the other polygon whose normal is most nearly opposite to the reference
+    // normal.
     double facing = INFINITE;
     int k = 0;
     for (int i = 0; i < static_cast<int>(other.size()); i++) {
@@ -125,7 +129,7 @@ inline Manifold clip(Corners flat, int side, Corners other) {
         }
     }
     if (contact.count) return contact;
-    // If the clipped side gives no point, use the deepest corner.
+    // If no point of the clipped side is inside `flat`, use the deepest corner of `other`.
     for (const Corner& corner : other) {
         const double d = nx * (corner.x - x0) + ny * (corner.y - y0);
         if (-d > contact.depth[0])
@@ -134,7 +138,7 @@ inline Manifold clip(Corners flat, int side, Corners other) {
     return contact;
 }
 
-// Manifold of two convex polygons.
+// Return the contact of two convex polygons.
 inline Manifold polygon_polygon(Corners first, Corners second) {
     const Separation of_first(first, second);
     if (of_first.gap >= 0) return {};
@@ -147,8 +151,8 @@ inline Manifold polygon_polygon(Corners first, Corners second) {
     return contact;
 }
 
-// Manifold of an outline and a wall. The wall contains the point `wall`, and n is its inward
-// normal.
+// Return the contact of an outline and a wall. `wall` is a point on the wall, and n is the wall's
+// inward normal.
 inline Manifold polygon_wall(Corners rim, Vec wall, Vec n) {
     Manifold contact{0, n};
     for (const Corner& corner : rim) {
@@ -168,7 +172,7 @@ inline Manifold polygon_wall(Corners rim, Vec wall, Vec n) {
     return contact;
 }
 
-// Transform a part's corners from its axes to plate_home.
+// Transform a part's corners from the part's frame to the frame plate_home.
 inline void place_corners(Corners corners, double x, double y, double cosine, double sine,
                           Corner* placed) {
     for (const auto& [a, b, u, v, open] : corners)

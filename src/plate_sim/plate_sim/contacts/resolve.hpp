@@ -1,8 +1,8 @@
-// Contacts between parts and with walls in one step.
+// Contacts between parts, and between parts and walls, in one time step.
 //
-// The inputs are the near pairs of the broad phase. Each Gauss-Seidel pass collides each touching
-// pair, and each part at a wall. The passes end when the maximum overlap is small enough. The
-// passes change velocities and positions in place.
+// The inputs are the pairs of near parts from the broad phase. Each Gauss-Seidel pass applies the
+// collision of each touching pair, and of each part at a wall. The passes change velocities and
+// positions in place. The passes end when the maximum overlap is small enough.
 #pragma once
 #include <algorithm>
 #include <cmath>
@@ -17,26 +17,29 @@
 
 namespace plate::contacts {
 
-// Maximum number of Gauss-Seidel passes over the near pairs of a step.
+// Maximum number of Gauss-Seidel passes over the near pairs in a time step.
 constexpr int SWEEPS = 24;
 
-// Maximum overlap at which the passes end [m]: a hundredth of a pixel.
+// The Gauss-Seidel passes end when no overlap exceeds this depth [m], which is a hundredth of a
+// pixel.
 constexpr double OVERLAP = 1e-5;
 
-// Pairs with a gap below this fraction of their size take part in the passes of a step, because
-// other parts may push them together.
+// Each pass examines all pairs whose gap is below this fraction of the sum of their radii. These
+// pairs do not touch yet, but other parts may push them together.
 constexpr double MARGIN = 0.03;
 
-// Estimated maximum approach of two parts in a pass, as a multiple of the deepest overlap.
+// Estimated maximum distance by which two parts approach each other in a pass, as a multiple of the
+// deepest overlap.
 constexpr double PUSHES = 4.0;
 
-// First corner, and last corner + 1, of a convex piece.
+// A convex piece of a part, as a range of corners. `first` is the index of its first corner, and
+// `end` is the index after its last corner.
 struct Convex {
     std::int64_t first, end;
 };
 
-// Outlines of all parts except discs, in the axes of the parts. A buffer contains them in
-// plate_home.
+// Outlines of all parts except discs. `corners` contains them in the parts' frames. The buffer
+// `placed` contains them in the frame plate_home.
 struct Outlines {
     std::span<const Convex> pieces;
     Corners corners;
@@ -45,10 +48,10 @@ struct Outlines {
     Outlines(std::span<const Convex> the_pieces, Corners the_corners)
         : pieces(the_pieces), corners(the_corners), placed(the_corners.size()) {}
 
-    // Corners of a piece in plate_home.
+    // Return the corners of a piece in plate_home.
     Corners operator[](int piece) const { return rim(piece, piece + 1); }
 
-    // Corners of the consecutive pieces [first, end).
+    // Return the corners of the pieces with the indices `first` to `end` - 1 in plate_home.
     Corners rim(int first, int end) const {
         return {placed.data() + pieces[first].first, placed.data() + pieces[end - 1].end};
     }
@@ -70,7 +73,7 @@ struct Touch {
     Manifold contact{};
 };
 
-// Deepest contact of two parts, at least one of which is not a disc.
+// Return the deepest contact of two parts. At least one of the parts is not a disc.
 inline Touch touch(const State& state, Bodies bodies, int i, int j, Outlines& outlines) {
     if (bodies[j].radius > 0 && !(bodies[i].radius > 0)) std::swap(i, j);
     const Body &a = bodies[i], &b = bodies[j];
@@ -91,9 +94,9 @@ inline Touch touch(const State& state, Bodies bodies, int i, int j, Outlines& ou
     return most;
 }
 
-// Pair of parts with the maximum relative depth: its indices, its depth [m], and its relative
-// depth. The relative depth is the depth divided by `slim` of the slimmer part. The values are -1,
-// -1, 0, 0 if no parts overlap.
+// The pair of overlapping parts with the maximum relative depth: indices of the parts, depth of the
+// overlap [m], and relative depth `share`. The relative depth is the depth divided by `slim` of the
+// slimmer part. The values are -1, -1, 0, 0 if no parts overlap.
 struct Overlap {
     int first = -1, second = -1;
     double depth = 0.0, share = 0.0;
@@ -128,9 +131,9 @@ struct Contacts {
     std::vector<Pair> close{};  // work buffer
     std::vector<int> edge{};
 
-    // Remove closing speeds and overlaps after a step, for near pairs and at the walls of the
-    // plate. The state is changed in place. The last entries of the state and of the bodies are the
-    // walls.
+    // After a time step, apply collisions until near pairs, and parts at the walls, neither
+    // approach each other nor overlap. The state is changed in place. The last entries of the state
+    // and of the bodies represent the walls.
     void resolve(std::span<const Pair> pairs, const PlateSample& plate) {
         const int wall = state.walls();
         const double twist[] = {plate.x, plate.y, plate.theta, plate.vx, plate.vy, plate.spin};
@@ -148,7 +151,8 @@ struct Contacts {
             }
             double deepest = 0.0;
             for (int row = 0; row < count; row++) {
-                // The order of the pairs alternates, so that pushes propagate in both directions.
+                // The order of the pairs alternates from pass to pass, so that pushes propagate in
+                // both directions.
                 const auto [i, j] = close[sweep % 2 == 0 ? row : count - 1 - row];
                 const bool discs = bodies[i].radius > 0 && bodies[j].radius > 0;
                 deepest = std::max(deepest, discs ? collide_discs(state, bodies, i, j, rules, step)
@@ -162,8 +166,9 @@ struct Contacts {
     }
 
   private:
-    // Fill `close` with the pairs whose gap is at most MARGIN, and return their number. Reduce
-    // `margin` to the minimum approach [m] after which another pair could touch.
+    // Fill `close` with the pairs whose gap is at most MARGIN times the sum of their radii. Return
+    // the number of these pairs. Reduce `margin` to the minimum approach [m] after which another
+    // pair could touch.
     int close_pairs(std::span<const Pair> pairs, double& margin) {
         int count = 0;
         for (const auto [i, j] : pairs) {
@@ -171,13 +176,14 @@ struct Contacts {
             const double reach = bodies[i].reach + bodies[j].reach, size = (1 + MARGIN) * reach;
             margin = std::min(margin, MARGIN * reach);
             close[count] = {i, j};
-            // No branch, because the processor would mispredict it.
+            // The code avoids a branch here, because the processor would often mispredict it.
             count += dx * dx + dy * dy < size * size;
         }
         return count;
     }
 
-    // Fill `edge` with the parts whose distance from a wall is at most MARGIN.
+    // Fill `edge` with the parts whose distance from a wall is at most MARGIN times their radius.
+    // Return the number of these parts.
     int near_walls(double c, double s, double& margin) {
         const int wall = state.walls();
         int count = 0;
@@ -193,8 +199,8 @@ struct Contacts {
         return count;
     }
 
-    // Collide two parts, at least one of which is not a disc, if they touch. Return the depth [m]
-    // of their overlap.
+    // If two parts touch, apply their collision. At least one of the parts is not a disc. Return
+    // the depth [m] of their overlap.
     double collide_parts(int i, int j) {
         const double dx = state(X, i) - state(X, j), dy = state(Y, i) - state(Y, j);
         const double size = bodies[i].reach + bodies[j].reach;
@@ -205,7 +211,8 @@ struct Contacts {
         return most.depth;
     }
 
-    // Collide a part with the walls. Return the maximum depth [m] of its overlap with them.
+    // Apply the collisions of a part with the walls. Return the maximum depth [m] of the overlap of
+    // the part and a wall.
     double meet_walls(int i, double c, double s) {
         const Body& body = bodies[i];
         const int wall = state.walls();

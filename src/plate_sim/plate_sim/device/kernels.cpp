@@ -1,5 +1,6 @@
-// Python binding of the firmware. The firmware is compiled from the same C files as for a board.
-// Only the functions of the hardware (hal_*) are different: their inputs and outputs are in memory.
+// Python binding of the firmware. The firmware is compiled from the same C files as for a real
+// board. Only the hardware functions (hal_*) are different, because their inputs and outputs are in
+// memory.
 #include <plate/bind.hpp>
 
 // These headers are included first, because the firmware's files include them inside a namespace.
@@ -29,7 +30,8 @@ namespace firmware {
 namespace {
 
 class Device;
-Device* running;  // device of the hal functions, while the GIL is held
+// device that the hal functions use; only the thread with Python's global lock (GIL) may use it
+Device* running;
 
 class Device {
 public:

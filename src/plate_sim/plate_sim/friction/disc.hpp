@@ -1,9 +1,9 @@
-// Friction of a disc with uniform pressure on the plate, in closed form.
+// Friction force and torque on a disc with uniform pressure on the plate, in closed form.
 //
-// The centre slips with the speed s. The spin c adds the slip w = R |c| at the edge. The mean slip
-// over the disc is the mean distance of the disc's points from a point at s/w radii. Complete
-// elliptic integrals give this distance. Force and torque are its derivatives with respect to s and
-// w (Farkas, Bartels, Unger and Wolf, PRL 90, 248302, 2003).
+// R is the radius of the disc. Relative to the plate, the centre slips with the speed s, and the
+// disc rotates with the spin c. w = R |c| is the slip that the spin adds at the edge. The mean slip
+// speed of the disc's points is a complete elliptic integral of s and w. Its derivatives with
+// respect to s and w give force and torque (Farkas, Bartels, Unger and Wolf, PRL 90, 248302, 2003).
 //
 // For w <= s/2, a power series is used. With k = w/s the mean slip is s sum_n b_n k^2n, where b_n =
 // binomial(1/2, n)^2/(n + 1). Otherwise the elliptic integrals are computed by the
@@ -24,16 +24,17 @@ struct Slip {
 
 namespace plate::disc {
 
+// The velocity step is the maximum velocity change mu g dt that friction can cause in a time step.
 // If the slip after a step is below this fraction of the velocity step, the part sticks.
 constexpr double SNAP = 1e-3;
-// Tolerance of the slip's component perpendicular to the normal, as a fraction of the velocity
-// step.
+// `disc_slip_after` computes the direction n of the slip after a step. CLOSE is the tolerance of
+// the slip's component perpendicular to n, as a fraction of the velocity step.
 constexpr double CLOSE = 1e-9;
 // The iteration of the arithmetic-geometric mean ends if half the difference of its two numbers,
 // divided by their mean, is at most this value. Then the arithmetic and the geometric mean of the
 // two numbers are equal up to rounding.
 constexpr double MEANS = 2e-8;
-// Maximum k^2 for the series. The omitted terms are below 2e-10 mu m g.
+// Maximum k^2 for which the power series is used. The omitted terms are below 2e-10 mu m g.
 constexpr double SERIES = 0.25;
 
 // Force [mu m g] and torque [mu m g R] on a disc.
@@ -41,7 +42,8 @@ struct Push {
     double force, torque;
 };
 
-// Returns the force, and the torque divided by k. The series is valid for k^2 up to `SERIES`.
+// Returns the force, and the torque divided by k, from the power series. The series is valid for
+// k^2 up to `SERIES`.
 [[gnu::always_inline]] inline Push series(double k2) {
     double force = -0.00020234903786331415, torque = 0.0001563606201671064;
     force = -0.0002856692299246788 + k2 * force, torque = 0.0002142519224435091 + k2 * torque;
@@ -55,8 +57,8 @@ struct Push {
     return {1.0 + k2 * force, 0.25 + k2 * torque};
 }
 
-// Returns force and torque on a disc. The centre of the disc slips with the speed s, and its edge
-// with the rotational speed w [m/s]. Both speeds are at least 0, and at least one of them is above
+// Returns force and torque on a disc. The centre of the disc slips with the speed s [m/s]. Rotation
+// adds the speed w [m/s] at its edge. Both speeds must be at least 0, and one of them must be above
 // 0.
 inline Push disc_force(double s, double w) {
     if (w * w <= SERIES * s * s) {
@@ -81,13 +83,16 @@ inline Push disc_force(double s, double w) {
     return {force, 2 / (9 * a) * k * (1 + (2 - 4 * k2) * (k2 > 0 ? rest / k2 : 0.0625))};
 }
 
-// Return the slip of a disc after a step, as `patch::slip_after` does for other footprints.
+// Return the slip of a disc after a time step with friction. `free` is the slip after the step
+// without friction. `dv` is mu g dt [m/s]. `patch::slip_after` is the corresponding function for
+// other footprints.
 //
 // By symmetry, there are two unknowns: the slip s of the centre, and g |c|, where g is the radius
-// of gyration. Let z be the slip without friction, divided by dv. Let y(n) be the friction with
-// which the disc resists a slip along the unit vector n. The slip after the step is dv (z - y). y
-// is the point nearest to z in the convex set of all friction forces. At this point y, z - y is
-// parallel to n. Regula falsi finds the angle p of n.
+// of gyration. They form a vector in a plane. Let z be the vector of the slip without friction,
+// divided by dv. Let y(n) be the friction force and torque on a disc whose slip has the direction
+// of the unit vector n. The slip after the step is dv (z - y). y is the point nearest to z in the
+// convex set of all friction vectors. Therefore z - y(n) is parallel to n. The method of regula
+// falsi computes the angle p of n.
 inline Slip disc_slip_after(const Slip& free, double dv, double gyration2, double radius) {
     const double arm = std::sqrt(gyration2), rim = radius / arm;
     const double zx = std::sqrt(free.x * free.x + free.y * free.y) / dv;
@@ -100,8 +105,8 @@ inline Slip disc_slip_after(const Slip& free, double dv, double gyration2, doubl
     double low = 0, high = 0.5 * std::numbers::pi, s_low = -zy, s_high = zx, p = std::atan2(zy, zx);
     double nx = 1, ny = 0, yx = 0, yy = 0;
     int side = 0;
-    // Illinois method: regula falsi that halves the value at an end of the interval if this end is
-    // kept twice.
+    // Illinois method: regula falsi with a modification. If one end of the interval remains the
+    // same twice, the function value at this end is halved.
     for (int i = 0; i < 60; i++) {
         nx = std::cos(p), ny = std::sin(p);
         const Push push = disc_force(nx, rim * ny);

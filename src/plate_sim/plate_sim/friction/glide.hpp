@@ -1,7 +1,7 @@
-// Steps of discs that slide steadily, which is the most frequent case. The method is the explicit
-// midpoint rule of `stepping::midpoint` with `disc::series`. It processes several discs at the same
-// time and has no branches. If a step does not meet the conditions of the method, `advance`
-// computes this step.
+// Time steps of discs that slide steadily, which is the most frequent case. The method is the
+// explicit midpoint rule (see `stepping::midpoint`) with the friction from `disc::series`. It
+// processes several discs at the same time and has no branches. If a disc does not meet the
+// conditions of the method in a step, `advance` computes this step.
 #pragma once
 #include <algorithm>
 #include <cmath>
@@ -12,15 +12,16 @@
 
 namespace plate::gliding {
 
-// Number of groups that complete one stage of a step before the next stage begins. With several
-// groups, a group does not wait for the latency of its own square roots and sums.
+// Number of groups of parts whose calculations are interleaved. All these groups complete one stage
+// of a step before the next stage begins. Therefore the processor need not wait for the square
+// roots and sums of a single group.
 constexpr int BLOCK = 16;
 
-// Quantities at the start (a) and in the middle (b) of a step:
+// Quantities of a group at the start (prefix a) and in the middle (prefix b) of a step:
 // - ax, ay, ac: slip of the centre and relative spin
 // - a2: squared speed of the slip of the centre
-// - ak2: squared ratio of the rotational slip at the edge to this speed
-// The friction is computed in the middle of the step.
+// - ak2: squared ratio of the slip at the edge due to rotation to the slip speed of the centre
+// `force` and `torque` are the friction from `disc::series` in the present stage.
 struct Stages {
     double ax[LANES], ay[LANES], ac[LANES], a2[LANES], ak2[LANES];
     double bx[LANES], by[LANES], bc[LANES], b2[LANES], bk2[LANES];
@@ -31,8 +32,8 @@ struct Stages {
 
 namespace plate {
 
-// Set the entries of part i in its group, except its state and its mark. Return whether `glide` can
-// advance the part. step [s].
+// Set the constants of part i in its group. Return whether `glide` can advance the part. `step` is
+// the length of a time step [s], and `here` states whether the part is on the plate.
 inline bool describe(const State& state, int i, const Body& body, double step, bool here) {
     constexpr double none = std::numeric_limits<double>::infinity();
     const double dv = body.mu_g * step, least = stepping::DISC_STIFF / stepping::GENTLE * dv;
@@ -46,11 +47,11 @@ inline bool describe(const State& state, int i, const Body& body, double step, b
     return glides;
 }
 
-// Advance the discs that slide steadily by a step. Return their number.
+// Advance all discs that slide steadily by one time step. Return the number of these discs.
 //
 // `plate` contains samples of the plate's motion at the start, in the middle and at the end of the
-// step. `step` is the length of the step [s]. Intermediate values of lanes that do not glide may be
-// NaN or infinite.
+// step. `step` is the length of the step [s]. For other parts, intermediate values may be NaN or
+// infinite, but their states do not change.
 [[gnu::always_inline]] inline int glide(const PlateSample* plate, double step,
                                         const GroundEffect& ground, std::span<Group> groups) {
     using namespace gliding;
@@ -108,8 +109,8 @@ inline bool describe(const State& state, int i, const Body& body, double step, b
         for (int k = 0; k < count; k++) {
             Group& g = groups[k];
             const Stages& s = stages[k];
-            // The loop writes to a buffer, because for the states themselves the compiler would use
-            // masked stores, which are slow.
+            // The loop writes the new states to a buffer. If it wrote to `g.state`, the compiler
+            // would use masked stores, which are slow.
             double next[6][LANES];
 #pragma omp simd
             for (int i = 0; i < LANES; i++) {

@@ -1,24 +1,24 @@
-// Implicit Coulomb friction step of a rigid footprint. The step is a convex problem with three
-// unknowns.
+// Implicit time step with Coulomb friction for a rigid footprint, which is the contact area of a
+// part. The step is a convex problem with three unknowns.
 //
 // The slip d = (u, v, c) [m/s, m/s, rad/s] of a part is the twist of the plate at the part minus
-// the twist of the part. Without friction, the slip after a step would be `free`. With friction
-// over the footprint, the slip after the step minimises
+// the twist of the part. `free` is the slip after a step without friction. With friction, the slip
+// after the step minimises
 //
 //     1/2 |d - free|^2 + dv sum_i p_i |d_i|,    |d|^2 = u^2 + v^2 + gyration2 c^2,
 //
-// where d_i is the slip at point i, p_i is the point's fraction of the weight, and dv = mu g dt is
-// the velocity step. By the optimality condition, the force at each point is mu p_i m g along the
-// slip AFTER the step. At a point without slip, the force can have any direction, and any magnitude
-// up to mu p_i m g. Therefore a part slips, rotates and sticks without overshooting, for any length
-// of the step.
+// where d_i is the slip at point i of the footprint, p_i is the fraction of the weight at this
+// point, and dv = mu g dt is the velocity step. By the optimality condition, the force at each
+// point is mu p_i m g along the slip AFTER the step. At a point without slip, the force can have
+// any direction, and any magnitude up to mu p_i m g. Therefore a part slips, rotates and sticks
+// without overshooting, for any length of the step.
 //
-// A primal-dual Newton method solves the problem. Its unknowns are slips and forces (Andersen,
-// Christiansen, Conn and Overton 2000). The method converges, although the norms are not smooth at
-// 0. The iteration ends when the duality gap guarantees the accuracy.
+// A primal-dual Newton method solves the problem (Andersen, Christiansen, Conn and Overton 2000).
+// Its unknowns are the slip and the forces at the points. The method converges, although the norms
+// |d_i| are not smooth at 0. The iteration ends when the duality gap guarantees the accuracy.
 //
-// The terms of a sum are computed for several points at the same time, and then added point by
-// point. Therefore sums do not depend on the processor's vector width.
+// The terms of a sum over the points are computed for several points at the same time, and then
+// added one by one. Therefore the sums do not depend on the processor's vector width.
 #pragma once
 #include <plate/view.hpp>
 #include <plate/wide.hpp>
@@ -30,35 +30,38 @@
 
 namespace plate {
 
-// Points of footprints (7, n). The rows are positions x, y in the part's axes [m]; fractions of the
-// weight; sizes of the cells (see `Footprint.blur`) [m]; and the forces along x, along y and of the
-// blur in the last step [p_i mu m g]. The forces are the initial guess of the next step, which
-// updates them.
+// Points of all footprints (7, n), one point per column. The rows are:
+// - position x and y in the part's frame [m]
+// - fraction p_i of the part's weight
+// - size of the cell that the point represents (see `Footprint.blur`) [m]
+// - force along x, force along y, and force of the blur in the last step [p_i mu m g]
+//
+// The forces of the last step are the initial values for the next step.
 using Mesh = View<double, 2>;
 
 }  // namespace plate
 
 namespace plate::patch {
 
-// Tolerance of the slip after a step, as a fraction of dv = mu g dt. A relative error of mu with
-// this value has the same effect.
+// Tolerance of the slip after a step, as a fraction of dv = mu g dt. An error of mu by the same
+// fraction has the same effect.
 constexpr double SLACK = 1e-6;
-// Rounding error of the duality gap, relative to the slip times dv.
+// Rounding error of the duality gap, as a fraction of the slip times dv.
 constexpr double ROUNDING = 1e-14;
 // If the slip after a step is below this fraction of dv = mu g dt, the part sticks.
 constexpr double SNAP = 1e-3;
-// Maximum number of Newton iterations. Usually 1 to 12 are needed. If a part on feet rotates about
-// one of its feet, one case in 5000 does not converge.
+// Maximum number of Newton iterations. Usually 1 to 12 iterations are necessary. If a part on
+// several feet rotates about one of the feet, one case in 5000 does not converge.
 constexpr int ITERATIONS = 30;
 // Value that is added to a squared slip [m2/s2], to avoid a division by 0.
 constexpr double TINY = 1e-200;
-// If the slip of a point is below this fraction of dv, the friction at the point is smoothed, so
-// that Newton's method converges.
+// The friction at a point is smoothed if the slip of the point is below this fraction of dv. Then
+// Newton's method converges.
 constexpr double ROUND = 1e-4;
-// Number of points whose terms are computed before they are added.
+// Number of points whose terms of a sum are computed together before they are added.
 constexpr int BLOCK = 64;
-// If a part has fewer points than this number, for example a part on feet, the points are added one
-// by one.
+// If a part has fewer points than this number, for example a part on feet, each point is computed
+// and added separately.
 constexpr int FEW = 6;
 
 // Points of a part: the consecutive columns of `Mesh` that belong to the part.
@@ -81,7 +84,8 @@ struct Friction {
     double stiff;
 };
 
-// Contribution of point i. The caller must still divide the torque and the bound by gyration2.
+// Return the friction at point i. The caller must still divide the torque and the bound by
+// gyration2.
 [[gnu::always_inline]] inline Friction friction_at(const Slip& d, double gyration2,
                                                    const Points& at, int i) {
     const double x = at.x[i], y = at.y[i], b = at.blur[i];
@@ -127,9 +131,12 @@ PLATE_WIDE inline Friction friction(const Slip& d, double gyration2, const Mesh&
     }
 }
 
-// Sums over the points for a Newton step, weighted and multiplied by dv: the directions g of the
-// slips, the forces w, the duality gap, and the symmetric part of (1 - z n')/|slip| in the
-// coordinates (u, v, c).
+// Sums over the points for a Newton step. Each term is weighted with p_i and multiplied by dv.
+// - g: directions of the points' slips
+// - w: forces at the points
+// - gap: duality gap
+// - hxx to hcc: symmetric part of (1 - z n')/|d_i| in the coordinates (u, v, c), where z is the
+//   force and n is the direction of the slip at the point
 struct Sums {
     Slip g, w;
     double gap, hxx, hyy, hxy, hxc, hyc, hcc;
@@ -146,7 +153,8 @@ struct Sums {
         double even[BLOCK], mixed[BLOCK];
 #pragma omp simd
         for (int i = 0; i < at.count; i++) {
-            // n is the direction of the slip at the point, and z is the force.
+            // (nx, ny, nb) is the direction of the slip at the point, and (zx, zy, zb) is the
+            // force.
             const double x = at.x[i], y = at.y[i], b = at.blur[i];
             const double u = d.x - d.turn * y, v = d.y + d.turn * x, w = d.turn * b;
             const double norm = std::sqrt(u * u + v * v + w * w + round2), inverse = 1 / norm;
@@ -186,7 +194,7 @@ struct Sums {
     return sum;
 }
 
-// Update the forces in a Newton step that changes the slip d by s.
+// Update the forces at the points for a Newton step that changes the slip d by s.
 [[gnu::always_inline]] inline void change_forces(const Slip& d, const Slip& s, double dv,
                                                  const Points& at) {
     const double round2 = (ROUND * dv) * (ROUND * dv);
@@ -220,10 +228,11 @@ inline Slip solve(double a, double b, double c, double d, double e, double f, Sl
     return {(right.x - b * s2 - c * s3) / a, s2, s3};
 }
 
-// Return the slip after a step, in the part's axes. The slip is 0 if the part sticks.
+// Return the slip after a time step, in the part's frame. The slip is 0 if the part sticks.
 //
 // `free` is the slip after the step without friction. `dv` is mu g dt [m/s], above 0. The points of
-// the part have the indices `first` to `end` - 1 in the mesh. Their forces are updated.
+// the part have the indices `first` to `end` - 1 in the mesh. The function updates the forces at
+// these points.
 PLATE_WIDE inline Slip slip_after(const Slip& free, double dv, double gyration2, const Mesh& mesh,
                                   int first, int end) {
     const Points all = points_of(mesh, first, end);
@@ -233,8 +242,8 @@ PLATE_WIDE inline Slip slip_after(const Slip& free, double dv, double gyration2,
         far2 = std::max(far2, r2);
         spread += all.weight[i] * r2;
     }
-    // The part sticks if forces that vary linearly over the footprint can stop it. This sufficient
-    // condition detects nearly all cases.
+    // The part sticks if forces that vary linearly over the footprint can stop it. This condition
+    // is sufficient for sticking, and detects nearly all cases.
     const double push = free.turn * gyration2 / spread;
     if (std::sqrt(free.x * free.x + free.y * free.y) + std::abs(push) * std::sqrt(far2) <= dv)
         return {0, 0, 0};

@@ -1,5 +1,6 @@
-// Event-driven simulation of point parts on the exact motion of the plate, with a given accuracy.
-// This simulation is the reference for all other integrators. point_events.py describes the method.
+// C++ kernels of point_events.py: an event-driven simulation of parts that are modelled as points,
+// with a given accuracy. The plate's motion is exact. This simulation is the reference for all
+// other integrators.
 #pragma once
 #include <algorithm>
 #include <cmath>
@@ -10,58 +11,63 @@
 
 namespace plate::sliding {
 
-// Allowed error of one step, as a fraction of the tolerance for a cycle. The errors of a cycle's
-// steps add up, but each error decays in the following steps, so the error of a cycle is about the
-// tolerance.
+// Allowed error of one step, as a fraction of the tolerance for a cycle. The errors of the steps
+// add up, but each error decays during the following steps. Therefore the error of a cycle is about
+// the tolerance.
 constexpr double STEP_SHARE = 0.05;
-// A part is set to stick if it would slide at most this distance, as a fraction of the allowed
+// A slow part is stopped if its remaining sliding distance is at most this fraction of the allowed
 // error of a step.
 constexpr double SNAP_SHARE = 0.1;
-// Determines which slip counts as zero (`zero_slip`). While such a slip vanishes, friction changes
-// the velocity by at most this fraction of e / T. e is the allowed error of a step, and T is the
-// period.
+// Determines which slip counts as zero (see `zero_slip`). While such a slip vanishes, friction
+// changes the part's velocity by at most ZERO_SHARE e / T. e is the allowed error of a step, and T
+// is the period.
 constexpr double ZERO_SHARE = 0.2;
-// A part is set to stick only if friction can still hold it a short time later. This time is a
-// fraction of the period.
+// A part with zero slip sticks only if friction can still hold it a short time later. AHEAD is this
+// time as a fraction of the period.
 constexpr double AHEAD = 1e-8;
-// Minimum step, as a fraction of the period. The time itself has a rounding error of 1e-16 of the
-// period.
+// Minimum step, as a fraction of the period. The rounding error of the time is 1e-16 of the period.
 constexpr double FLOOR = 1e-13;
-// Maximum mean number of steps per cycle. If more steps are necessary, the rest of the motion is
-// computed with coarse steps, without error control.
+// Maximum mean number of steps per cycle. If a motion needs more steps, its rest is computed with
+// coarse steps, without error control.
 constexpr std::int64_t BUDGET = 50'000;
 // Number of equal steps per cycle for the rest of a motion that exceeds `BUDGET`.
 constexpr int COARSE = 2000;
-// Tolerance of roots in time, and of motion on a line, as a fraction of a slip that counts as zero.
+// Tolerance of the slip at an event, and of the slip perpendicular to a line of motion, as a
+// fraction of a slip that counts as zero.
 constexpr double FINE = 1e-3;
 // Minimum friction [m/s2]. Smaller friction is neglected, because its direction would be a rounding
 // error.
 constexpr double LEAST = 1e-60;
-// Minimum number of intervals per piece in the search for the time at which a stuck part slides.
+// Minimum number of intervals per piece of the motion in the search for the time at which a stuck
+// part begins to slide.
 constexpr int SCAN = 3;
-// Minimum number of intervals per period in the search for the time at which a stuck part slides.
+// Minimum number of intervals per period in the search for the time at which a stuck part begins to
+// slide.
 constexpr int INTERVALS = 100;
 
-// Scales of one part's motion: mu g [m/s2], period [s], approximate maximum acceleration of the
-// surface under the part [m/s2], and the maximum relative rate of change of this acceleration
-// [1/s].
+// Typical magnitudes of a part's motion:
+// - limit: friction acceleration mu g [m/s2]
+// - period [s]
+// - accel: approximate maximum acceleration of the plate's surface under the part [m/s2]
+// - rate: maximum rate of change of this acceleration divided by `accel` [1/s]
 struct Bounds {
     double limit, period, accel, rate;
 };
 
-// A sliding part at the start of a step:
-// - magnitudes of its slip [m/s] and of the surface's acceleration [m/s2]
-// - scalar product of this acceleration and friction [m2/s4]
-// - allowed error [m]
-// - whether the slip stays on a line
-// - whether the maximum number of steps is exceeded
+// State of a sliding part at the start of a step:
+// - slip, surface: magnitudes of its slip [m/s] and of the surface's acceleration [m/s2]
+// - power: scalar product of the surface's acceleration and the friction acceleration [m2/s4]
+// - allowed: allowed error of the position [m]
+// - line: whether the slip stays on a line
+// - crude: whether the maximum number of steps is exceeded
 struct Slide {
     double slip, surface, power, allowed;
     bool line, crude;
 };
 
-// Output samples: interval [s], number per cycle, number of completed cycles, and gravity along the
-// plate [m/s2]. The frame falls with this gravity.
+// Times of the output samples: interval between samples [s], number of samples per cycle, and
+// number of completed cycles. `gravity` is the component of gravity along a tilted plate [m/s2].
+// The integration uses a frame that falls with this acceleration.
 struct Grid {
     double step;
     int per_cycle, done;
@@ -71,8 +77,8 @@ struct Grid {
     double time(int j) const { return (j - done * per_cycle) * step; }
 };
 
-// Positions [m] and velocities [m/s] of one part. Each sample has two numbers, and the distance
-// between samples is `row` numbers. The first sample is an input.
+// Output samples of one part: positions [m] and velocities [m/s]. Each sample consists of two
+// numbers, and consecutive samples are `row` numbers apart. The first sample is an input.
 struct Track {
     double *path, *speed;
     int count, row;
@@ -87,28 +93,29 @@ struct Track {
     }
 };
 
-// Convert a state in the falling frame to plate_home. t [s] is the time since the start of the
-// fall.
+// Convert the state of a part from the falling frame to plate_home. t [s] is the time since the
+// start of the fall.
 inline Point fallen(const Point& part, double t, Vec gravity) {
     return {part.place + 0.5 * t * t * gravity, part.velocity + t * gravity};
 }
 
-// Slip [m/s] that counts as zero. A slip r lasts for about r/max(a, limit). For the returned slip,
-// friction changes the velocity in this time by at most `ZERO_SHARE` of the allowed error per
-// period. The result is also at most the velocity change by friction in a period.
+// Return the largest slip [m/s] that counts as zero. a is the acceleration of the surface. A slip r
+// vanishes after about r/max(a, limit). For the returned slip, friction changes the velocity in
+// this time by at most ZERO_SHARE allowed / period. The result is also at most the velocity change
+// by friction in a period.
 inline double zero_slip(double limit, double a, double allowed, double period) {
     return std::min(ZERO_SHARE * allowed / period * std::max(1.0, a / limit), limit * period);
 }
 
-// Whether a slip r [m/s] counts as zero at an acceleration a [m/s2] of the surface. It counts as
-// zero if the stopping distance r^2/(2 (limit - a)) is at most `SNAP_SHARE` of the allowed error,
-// or if the slip is at most `zero_slip`.
+// Whether a slip r [m/s] counts as zero if the surface has the acceleration a [m/s2]. One of two
+// conditions must be true: the stopping distance r^2/(2 (limit - a)) is at most `SNAP_SHARE` of the
+// allowed error, or the slip is at most `zero_slip`.
 inline bool calm(double r, double limit, double a, double allowed, double period) {
     return r * r <= 2 * SNAP_SHARE * allowed * (limit - a) ||
            r <= zero_slip(limit, a, allowed, period);
 }
 
-// Squared acceleration [m2/s4] of the plate's point q [m, plate frame].
+// Return the squared acceleration [m2/s4] of the plate's point q [m, plate frame].
 inline double felt(Table table, double t, int k, Vec q) {
     const Vec accel = riding(table, t, k, q).accel;
     return dot(accel, accel);
@@ -119,8 +126,8 @@ inline bool holds(Table table, double t, int k, Vec q, double limit) {
     return felt(table, t, k, q) <= limit * limit;
 }
 
-// Limit a step h [s] to `room` [s], and to the end of the present piece. A step that is longer than
-// two pieces may pass this end.
+// Return the step h [s], limited to `room` [s] and to the end of the present piece of the motion. A
+// step that is longer than two pieces may pass the end of the piece.
 inline double to_knot(Table table, double t, int k, double h, double room) {
     h = std::min(h, room);
     const double least = FLOOR * table.back().end;
@@ -129,9 +136,9 @@ inline double to_knot(Table table, double t, int k, double h, double room) {
     return gap > least && gap < h && h < 2 * (table[k].end - table[k].start) ? gap : h;
 }
 
-// Whether the slip may nearly vanish within a step although the stages of the step do not show
-// this. The magnitude of the slip is approximated by a cubic through its values and rates at both
-// ends.
+// Whether the slip may nearly vanish within a step, although it does not reverse at any stage of
+// the step. The magnitude of the slip is approximated by a cubic. The cubic has the correct values
+// and rates at both ends of the step.
 inline bool dips(Table table, double t, int k, double h, const Step& made, const Slide& now,
                  const Bounds& bounds) {
     const double r = now.slip, limit = bounds.limit;
@@ -140,18 +147,19 @@ inline bool dips(Table table, double t, int k, double h, const Step& made, const
     const Vec w = slip(table, t + h, k, made.end), a = surface_rate(table, t + h, k, made.end);
     const double r_end = std::sqrt(dot(w, w)), up = h * (dot(made.force, a) / limit - limit);
     if (up <= 0) return false;
-    // The cubic is r + down s + b s^2 + c s^3, s from 0 to 1.
+    // The cubic is r + down s + b s^2 + c s^3, with s from 0 to 1 during the step.
     const double b = 3 * (r_end - r) - 2 * down - up, c = 2 * (r - r_end) + down + up;
     const double root = std::sqrt(std::max(0.0, b * b - 3 * c * down));
     const double s = b + root > 0 ? -down / (b + root) : 0.5;
     const double least = r + s * (down + s * (b + s * c)), turn = bounds.rate * h;
-    // The error of the cubic is at most h^4/384 times the fourth derivative of the slip (Hermite
-    // interpolation). This derivative is about accel rate^3. The factor 0.01 is four times 1/384.
+    // The error of the cubic (Hermite interpolation) is at most h^4/384 times the fourth derivative
+    // of the slip. This derivative is about accel rate^3. The factor 0.01 is about four times
+    // 1/384, as a safety margin.
     return least < 0.01 * bounds.accel * h * (turn * (turn * turn));
 }
 
-// A completed step: length [s], state and friction at its end, and length of the next step to try
-// [s].
+// A completed step: length [s], state and friction at its end, and recommended length of the next
+// step, `hint` [s].
 struct Slid {
     double h;
     Point end;
@@ -159,8 +167,8 @@ struct Slid {
     double hint;
 };
 
-// Compute one step of a sliding part. Its length is at most h [s]. The step ends where the slip
-// vanishes.
+// Compute one step of a sliding part. The length of the step is at most h [s]. If the slip vanishes
+// during the step, the step ends at this time.
 inline Slid slide(Table table, double t, int k, double h, double hint, const Point& part, Vec force,
                   const Slide& now, const Bounds& bounds) {
     const double limit = bounds.limit, period = bounds.period, first = h;
@@ -189,8 +197,9 @@ inline Slid slide(Table table, double t, int k, double h, double hint, const Poi
             h = hint = 0.5 * h;
             continue;
         }
-        // The error is of the order h^5. The factor for the next step is at most 6, because for a
-        // straight motion the error is near 0 and gives no information about longer steps.
+        // The error of a step is proportional to h^5. The next step is at most 6 times longer,
+        // because the error is near 0 for a straight motion. Such an error gives no information
+        // about longer steps.
         const double grown =
             error * 4000 < now.allowed ? 6 : 0.9 * std::pow(now.allowed / error, 0.2);
         const bool as_wanted = h == first && first == hint;
@@ -199,10 +208,12 @@ inline Slid slide(Table table, double t, int k, double h, double hint, const Poi
     }
 }
 
-// Return a time [s] in (low, high] at which friction cannot hold the part, or -1.
+// Search for a time [s] after `low`, up to `high`, at which friction cannot hold a sticking part.
+// Return this time, or -1 if no checked time meets this condition.
 //
-// The checked times are the middle, the end, and the peak of a parabola. The parabola passes
-// through the squared accelerations at the start, in the middle and at the end.
+// Three times are checked: the middle of the interval, the peak of a parabola, and the end of the
+// interval. The parabola passes through the squared accelerations at the start, in the middle and
+// at the end.
 inline double first_free(Table table, double low, double high, int k, Vec q, double limit) {
     const double middle = 0.5 * (low + high), most = limit * limit;
     const double a = felt(table, low, k, q), b = felt(table, middle, k, q);
@@ -216,7 +227,8 @@ inline double first_free(Table table, double low, double high, int k, Vec q, dou
     return c > most ? high : -1;
 }
 
-// Time [s] until which friction holds a part at q [m, plate frame]. It is at most the period.
+// Return the time [s] until which friction holds a part at q [m, plate frame]. The result is at
+// most the period.
 inline double release(Table table, double t, int k, Vec q, double limit) {
     const double period = table.back().end, radius = std::sqrt(dot(q, q));
     for (int piece = k; piece < static_cast<int>(table.size()); piece++) {
@@ -245,8 +257,8 @@ inline double release(Table table, double t, int k, Vec q, double limit) {
     return period;
 }
 
-// Write the samples of a part that sticks at q, from sample j until a time [s]. Return the next
-// sample.
+// Write the output samples of a part that sticks at q, from sample j up to the time `until` [s].
+// Return the index of the next sample.
 inline int emit_held(Table table, double until, int k, Vec q, const Grid& grid, int j,
                      const Track& track) {
     for (; j < track.count - 1; j++) {
@@ -257,8 +269,8 @@ inline int emit_held(Table table, double until, int k, Vec q, const Grid& grid, 
     return j;
 }
 
-// Write the samples of a sliding step. The samples are taken from the quintic through p, v and v'
-// at both ends. Return the next sample.
+// Write the output samples during a sliding step. A quintic polynomial interpolates position,
+// velocity and acceleration of both ends of the step. Return the index of the next sample.
 inline int emit(double t, double h, const Point& start, Vec before, const Point& end, Vec after,
                 const Grid& grid, int j, const Track& track) {
     if (j >= track.count - 1 || grid.time(j) > t + h) return j;
@@ -278,18 +290,18 @@ inline int emit(double t, double h, const Point& start, Vec before, const Point&
     return j;
 }
 
-// Compute a part's track from its first row. Return the number of steps.
+// Compute the output samples of a part from its first sample. Return the number of steps.
 //
-// limit, static_limit: maximum acceleration by dynamic and by static friction [m/s2]. tolerance:
-// allowed error of the displacement in one cycle [m].
+// `limit` and `static_limit` are the maximum accelerations by dynamic and by static friction
+// [m/s2]. `tolerance` is the allowed error of the displacement in one cycle [m].
 inline std::int64_t run_part(Table table, const Scales& scales, double limit, double static_limit,
                              double tolerance, int cycles, const Track& track) {
     const double period = table.back().end;
     const bool wraps = table[0].wraps != 0;
     const int count = (track.count - 1) / cycles;
     Point part = track.at(0);
-    // Approximate maximum acceleration [m/s2] of the surface, and its relative rate of change
-    // [1/s].
+    // `accel` is the approximate maximum acceleration of the surface under the part [m/s2]. `rate`
+    // is the maximum rate of change of this acceleration divided by `accel` [1/s].
     const double arm = std::sqrt(dot(part.place, part.place));
     const double accel = scales.accel + arm * scales.push;
     const double jerk = scales.jerk + arm * scales.push_rate, rate = accel > 0 ? jerk / accel : 0;
@@ -309,7 +321,7 @@ inline std::int64_t run_part(Table table, const Scales& scales, double limit, do
         const double a = std::sqrt(dot(rate_under, rate_under));
         const bool ends = done == cycles - 1 || !wraps;
         const double room = ends ? left : period;
-        // The rounding errors of the state limit the accuracy of a step.
+        // The allowed error of a step cannot be smaller than the rounding errors of the state.
         const double size = std::abs(part.place.x) + std::abs(part.place.y) +
                             period * (std::abs(part.velocity.x) + std::abs(part.velocity.y));
         const double allowed = std::max(STEP_SHARE * tolerance, 1e-15 * size);
@@ -358,7 +370,7 @@ inline std::int64_t run_part(Table table, const Scales& scales, double limit, do
             t = std::max(0.0, t - period);
             done++;
             k = 0;
-            if (!wraps) {  // convert from the falling frame to plate_home
+            if (!wraps) {  // convert the state from the falling frame to plate_home
                 const Point fell = even({part.place, {0, 0}}, scales.gravity, period);
                 part = {fell.place, end.velocity + fell.velocity};
             }
@@ -370,11 +382,11 @@ inline std::int64_t run_part(Table table, const Scales& scales, double limit, do
     return steps;
 }
 
-// Compute the tracks of M parts, path and speed (rows, M, 2), from their first rows. Return the
-// number of steps.
+// Compute positions `path` (rows, M, 2) and velocities `speed` (rows, M, 2) of M parts from their
+// first rows. Return the total number of steps.
 //
 // `limit` (M,) is mu g of each part [m/s2]. `static_ratio` is the ratio of static to dynamic
-// friction. `checked` (M,) is set to whether the part's motion was computed within the maximum
+// friction. `checked` (M,) becomes false for each part whose motion needed more than the maximum
 // number of steps.
 inline std::int64_t run_points(Table table, const Scales& scales, const double* limit,
                                double static_ratio, double tolerance, int cycles, double* path,

@@ -1,15 +1,16 @@
-// Step of a disc without spin whose slip reverses, on a plate that does not rotate.
+// Time step of a disc whose slip reverses its direction. The disc and the plate do not rotate.
 //
-// The slip is one vector w(t). Friction accelerates the disc by mu g along w/|w|. If t goes from 0
-// to 1 over the step,
+// The slip w(t) is the velocity of the plate minus the velocity of the disc. Friction accelerates
+// the disc by mu g along w/|w|. The time t is 0 at the start and 1 at the end of the step. s + a t
+// + b t^2 is the slip without friction. With friction, the slip is
 //
-//     w(t) = s + a t + b t^2 - dv int_0^t w/|w|,    dv = mu g dt.
+//     w(t) = s + a t + b t^2 - dv int_0^t w/|w|, dv = mu g dt.
 //
-// If the plate accelerates much more than friction does, w is nearly straight. The step is split at
-// the minimum of |w|. In both parts, w is approximated by a straight segment. The mean of w/|w|
-// along a segment has a closed form, which is also valid near 0. Therefore the method needs no
-// shorter steps. It is exact for a slip that reverses on a line. For a slip that rotates quickly,
-// it is of second order.
+// If the plate accelerates much more than mu g, the path of the vector w is nearly straight. The
+// step is split at the minimum of |w|. Before and after this time, the path of w is approximated by
+// a straight segment. The mean of w/|w| along a segment has a closed form, which is also valid near
+// w = 0. Therefore the method does not need shorter steps. It is exact for a slip that reverses on
+// a line. For a slip that rotates quickly, it is of second order.
 #pragma once
 #include <algorithm>
 #include <cmath>
@@ -19,21 +20,22 @@
 
 namespace plate::reversing {
 
-// Minimum rate of change of the slip at both ends of the step, as a multiple of the rate that
-// static friction can cause.
+// The method is used only if the rate of change of the slip without friction, at both ends of the
+// step, exceeds this multiple of the acceleration by static friction.
 constexpr double FAST = 2.0;
-// Minimum cosine of the angle between the rates at both ends of the step.
+// Minimum cosine of the angle between the rates of change of the slip at both ends of the step.
 constexpr double BENT = 0.9;
-// Maximum number of iterations for a mean direction, and the change of the direction at which the
-// iterations end. Each iteration multiplies the error by the ratio of friction to the change of the
-// slip.
+// ROUNDS is the maximum number of iterations for the mean of w/|w| along a segment. The iterations
+// end if the result changes by at most CLOSE. Each iteration multiplies the error by about the
+// ratio of the friction acceleration to the rate of change of the slip.
 constexpr int ROUNDS = 8;
 constexpr double CLOSE = 1e-4;
-// If the line of a segment is closer to 0 than this fraction of the segment's length, the segment
-// passes through 0.
+// If the distance of a segment's line from the point w = 0 is below this fraction of the segment's
+// length, the line counts as passing through w = 0.
 constexpr double THIN = 1e-5;
 
-// Mean of x/|x| over the segment from `from` to `to`. The result is n if both points are equal.
+// Return the mean of x/|x| over the points x of the segment from `from` to `to`. If both ends are
+// equal, return n.
 inline Vec heading(Vec from, Vec to, Vec n) {
     Vec d = to - from;
     const double length2 = dot(d, d);
@@ -54,14 +56,14 @@ inline Vec heading(Vec from, Vec to, Vec n) {
     return {mean * d.x + side * d.y, mean * d.y - side * d.x};
 }
 
-// Whether the method applies, mean velocity of the disc in the step, and velocity at the end of the
-// step [m/s].
+// Result of a step: whether the method is applicable (`fits`), mean velocity of the disc during the
+// step, and velocity at its end [m/s].
 struct Reversal {
     bool fits;
     Vec mean, end;
 };
 
-// Compute a step of a disc with the velocity v [m/s].
+// Compute a time step of a disc with the initial velocity v [m/s].
 //
 // `plate` contains samples of the plate's motion at the start, in the middle and at the end of the
 // step. `fall`, `static_dv` and `dv` [m/s] are the velocity changes in the step by gravity along
@@ -91,7 +93,8 @@ inline Reversal reversal(const PlateSample* plate, Vec fall, double static_dv, d
             if (std::abs(t - before) <= CLOSE) break;
         }
     }
-    // Compute the velocity u at the minimum of the slip, then the rest of the step.
+    // u is the velocity of the disc at the minimum of the slip. The following lines compute the
+    // rest of the step.
     const Vec u = v + t * (fall + dv * n);
     const double left = 1 - t, kick = left * dv;
     const Vec g = left * (a + (1 + t) * b);

@@ -1,8 +1,9 @@
-// Steps of a sliding point part: Runge-Kutta 5(4), the event at which the slip vanishes, and the
-// restart from zero slip.
+// Integration steps for a part that is modelled as a point and slides on the plate: Runge-Kutta
+// 5(4), the event at which the slip vanishes, and the restart from zero slip.
 //
-// A sliding part obeys p' = v and v' = mu g w/|w|, where w = v_s(p, t) - v is the slip and v_s the
-// velocity of the surface (pieces.hpp). The right-hand side is smooth while w is not 0.
+// A sliding part at the position p with the velocity v obeys p' = v and v' = mu g w/|w|. w = v_s(p,
+// t) - v is the slip, and v_s is the velocity of the plate's surface (pieces.hpp). The right-hand
+// side is smooth while w is not 0.
 #pragma once
 #include <algorithm>
 #include <cmath>
@@ -12,8 +13,8 @@
 namespace plate::sliding {
 
 // Dormand and Prince, A family of embedded Runge-Kutta formulae, J. Comp. Appl. Math. 6 (1980),
-// table 2: order 5 with an error estimate of order 4. The last stage of a step is the first stage
-// of the next step.
+// table 2: order 5 with an error estimate of order 4. The last stage of a step is identical to the
+// first stage of the next step.
 constexpr int STAGES = 7;
 constexpr double C[STAGES] = {0., 1. / 5, 3. / 10, 4. / 5, 8. / 9, 1., 1.};
 constexpr double B[] = {35. / 384, 0., 500. / 1113, 125. / 192, -2187. / 6784, 11. / 84};
@@ -32,13 +33,14 @@ constexpr double E[STAGES] = {
     B[4] + 92097. / 339200, B[5] - 187. / 2100,
     -1. / 40};
 
-// Maximum number of restarts with shortened steps. After this number, the part remains stuck,
-// because the step is below rounding (0.3**40 of its length).
+// Maximum number of attempts of a restart, with shorter and shorter steps. After this number, the
+// part remains stuck. At that point, the step is below the rounding error of the time (0.3^40 of
+// its initial length).
 constexpr int TRIES = 40;
-// Tolerance of a root in time, as a fraction of the initial bracket of the root.
+// Tolerance of the time of an event, as a fraction of the initial interval that contains the event.
 constexpr double ROOT = 1e-15;
 
-// Sum of products of weights and vectors, added in order.
+// Return the weighted sum of vectors. The terms are added in the order of the indices.
 template <int COUNT>
 [[gnu::always_inline]] inline Vec weighted(const double* weights, const Vec* vectors) {
     Vec sum = weights[0] * vectors[0];
@@ -48,9 +50,10 @@ template <int COUNT>
     return sum;
 }
 
-// Result of a trial step. If the slip reversed, `turned` is the fraction of the step at the stage
-// that detected the reversal. Otherwise `turned` is 0. The other fields are the state and friction
-// [m/s2] at the end, and the estimated errors of position [m] and velocity [m/s].
+// Result of a trial step. If the slip reversed, `turned` is the time of the stage that detected the
+// reversal, as a fraction of the step. Otherwise `turned` is 0. The other fields are the state and
+// the friction [m/s2] at the end of the step, and the estimated errors of position [m] and velocity
+// [m/s].
 struct Step {
     double turned;
     Point end;
@@ -58,8 +61,8 @@ struct Step {
     double place_error, velocity_error;
 };
 
-// A stage of a step: velocity, friction, and whether the component of the slip along n is still
-// positive.
+// A stage of a Runge-Kutta step: velocity of the part, friction, and whether the component of the
+// slip along n is still positive. n is the direction of the slip at the start of the step.
 struct Stage {
     Vec velocity, force;
     bool on;
@@ -72,8 +75,8 @@ struct Stage {
     return {part.velocity, share * w, dot(w, n) > 0};
 }
 
-// Compute stage S of a step and all later stages. `v` and `f` are the velocities of the part and
-// its accelerations by friction in the previous stages.
+// Compute stage S of a Runge-Kutta step and all later stages. `v` and `f` contain the part's
+// velocities and friction accelerations in the previous stages.
 template <int S>
 [[gnu::always_inline]] inline Step stages(Table table, double t, int k, double h, const Point& part,
                                           double limit, Vec n, Vec* v, Vec* f) {
@@ -107,30 +110,32 @@ inline Point even(const Point& part, Vec force, double tau) {
     return {part.place + tau * (part.velocity + 0.5 * tau * force), part.velocity + tau * force};
 }
 
-// Returns the components of the slip along and perpendicular to n [m/s], after tau [s] with
-// constant friction.
+// Returns the slip [m/s] after tau [s] with constant friction. x is the component along n, and y is
+// the component perpendicular to n.
 inline Vec straight(Table table, double t, int k, double tau, const Point& part, Vec force, Vec n) {
     const Vec w = slip(table, t + tau, k, even(part, force, tau));
     return {w.x * n.x + w.y * n.y, w.y * n.x - w.x * n.y};
 }
 
-// Try a step of a slip that stays on a line. Friction is constant in such a step, so the step is
-// exact.
+// Try a step in which the slip vector stays on a line. Friction is constant in such a step, so the
+// step is exact.
 inline Step line_step(Table table, double t, int k, double h, const Point& part, Vec force) {
     const Vec w = straight(table, t, k, h, part, force, force);
     return {w.x > 0 ? 0. : 1., even(part, force, h), force, 0, 0};
 }
 
-// Event at which the slip vanishes. Its fields are the time [s] since the start of the step (0 if
-// the slip does not vanish), the remaining slip [m/s] perpendicular to its initial direction (0 on
-// a line), and an upper bound of the velocity's error [m/s], which the constant direction of
-// friction causes.
+// Event at which the slip vanishes:
+// - tau: time since the start of the step [s], or 0 if the slip does not vanish
+// - rest: remaining slip perpendicular to its initial direction [m/s], which is 0 for a motion on a
+//   line
+// - error: upper bound of the velocity error [m/s] due to the assumption that the direction of
+//   friction is constant
 struct Landing {
     double tau, rest, error;
 };
 
-// Find the time within h [s] at which the slip vanishes along its present direction. Friction is
-// assumed to be constant.
+// Compute the time within the next h [s] at which the component of the slip along its present
+// direction vanishes. Friction is assumed to be constant.
 //
 // `r` is the present slip [m/s]. If the component of the slip along its present direction is below
 // `none` [m/s], it counts as 0.
@@ -141,8 +146,8 @@ inline Landing landing(Table table, double t, int k, double h, const Point& part
     if (last.x > 0) return {0, 0, 0};
     double low = 0, high = h, s_low = r, s_high = last.x, rest = last.y, tau = h;
     int side = 0;
-    // Illinois method: regula falsi that halves the value at an end of the interval if this end is
-    // kept twice.
+    // Illinois method: regula falsi with a modification. If one end of the interval remains the
+    // same twice, the function value at this end is halved.
     for (int i = 0; i < 60; i++) {
         if (high - low <= ROOT * h || s_high == 0) break;
         tau = (low * s_high - high * s_low) / (s_high - s_low);
@@ -165,47 +170,50 @@ inline Landing landing(Table table, double t, int k, double h, const Point& part
     }
     const Vec half = straight(table, t, k, 0.5 * tau, part, force, n);
     rest = std::abs(rest);
-    // If the slip decreases linearly, the rate of its angle is proportional to 1/(tau - t), so its
-    // angle changes by a logarithm.
+    // The magnitude of the slip decreases approximately linearly to 0 at t = tau. Then the rate of
+    // the slip's angle is proportional to 1/(tau - t). The integral of this rate is the logarithm
+    // in `share`.
     double share = rest > 0 ? rest / r * (1 + std::log(std::max(1.0, r / rest))) : 0;
     share += half.x > 0 ? std::abs(half.y) / half.x : 1;
     return {tau, rest, limit * tau * share};
 }
 
-// Unit vector of the acceleration of the plate's point q [m, plate frame]. The vector is 0 if the
-// point does not accelerate.
+// Return the direction of the acceleration of the plate's point q [m, plate frame] as a unit
+// vector. The vector is 0 if the point does not accelerate.
 inline Vec heading(Table table, double t, int k, Vec q) {
     const Vec accel = riding(table, t, k, q).accel;
     const double a = std::sqrt(dot(accel, accel));
     return a > 0 ? Vec{accel.x / a, accel.y / a} : Vec{0, 0};
 }
 
-// First step of a part that begins to slide: length [s] (0 if it does not slide), state at its end,
-// and friction at both ends [m/s2].
+// First step of a part that begins to slide: length of the step [s], state at its end, and friction
+// at both ends [m/s2]. The length is 0 if the part does not slide.
 struct Restart {
     double tau;
     Point end;
     Vec before, after;
 };
 
-// Compute a step of at most h [s] from a slip of nearly 0. The step is computed only if friction
-// cannot hold the part.
+// Compute a step of at most h [s] for a part whose slip is nearly 0. The function is called only if
+// friction cannot hold the part.
 //
-// The slip has the direction of the surface's acceleration a from the start, and follows this
-// direction. Therefore friction is mu g a/|a|. `allowed` is the maximum error of the velocity
-// [m/s].
+// a is the acceleration of the plate's surface at the part. From the start of sliding, the
+// direction of the slip follows the direction of a. Therefore the friction acceleration is mu g
+// a/|a|. `allowed` is the maximum error of the velocity [m/s].
 inline Restart restart(Table table, double t, int k, double h, const Point& part, double limit,
                        double allowed) {
     const Vec q = in_plate(table, t, k, part.place), n0 = heading(table, t, k, q);
     for (int i = 0; i < TRIES; i++) {
         const Vec n1 = heading(table, t + 0.5 * h, k, q), n2 = heading(table, t + h, k, q);
-        // Use Simpson's rule for v, and the corresponding rule for p.
+        // Integrate the friction acceleration by Simpson's rule to the velocity u, and by the
+        // corresponding rule to the position p.
         const Vec u = part.velocity + limit * h / 6 * (n0 + 4 * n1 + n2);
         const Vec p = part.place + h * (part.velocity + limit * h / 6 * (n0 + 2 * n1));
         int piece = k;
         const Vec w = slip(table, t + h, piece, {p, u});
         const double r = std::sqrt(dot(w, w));
-        // If a rotates at the rate w, the slip r lags behind a by the angle r w/|a|.
+        // If the direction of a rotates at the rate c, the direction of the slip lags behind by the
+        // angle r c/|a|. r is the magnitude of the slip.
         const double error = r * (std::abs(n2.x - n0.x) + std::abs(n2.y - n0.y));
         if (error > allowed) {
             h *= std::max(0.1, std::min(0.7, 0.9 * std::pow(allowed / error, 1. / 3)));

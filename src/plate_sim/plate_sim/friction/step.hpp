@@ -1,11 +1,12 @@
-// Time step of a finite part that slides and rotates, moves with the plate, or begins to stick.
+// Time step of a part with a contact area, which slides and rotates, moves with the plate, or
+// begins to stick.
 //
-// A part that slides steadily is advanced by the midpoint rule, which is of second order. The
-// explicit form is used unless the friction changes much with the slip. Otherwise the implicit form
-// is used. If the slip rotates quickly, the step is bisected, at most `HALVINGS` times. If the slip
-// reverses, the step is split just before the reversal. The shortest substeps use the implicit
-// Euler method (patch.hpp). A part that sticks at both ends of a step moves exactly with the plate,
-// so it cannot creep.
+// The midpoint rule, which is of second order, advances a part that slides steadily. If the
+// friction changes only a little with the slip, the explicit form of the rule is used. Otherwise
+// the implicit form is used. If the direction of the slip changes quickly, the step is bisected, at
+// most `HALVINGS` times. If the slip reverses, the step is split just before the reversal. The
+// shortest substeps use the implicit Euler method (patch.hpp). A part that sticks at both ends of a
+// step moves exactly with the plate. Therefore a sticking part does not creep.
 //
 // In most steps, most parts are discs that slide steadily. `glide` (glide.hpp) advances these discs
 // together. `advance` advances the other parts one by one.
@@ -26,13 +27,14 @@
 
 namespace plate {
 
-// Rows of a state: position [m], angle [rad] and their rates, in plate_home.
+// Rows of a part's state in plate_home: position [m], angle [rad], velocity [m/s] and spin [rad/s].
 constexpr int X = 0, Y = 1, ANGLE = 2, VX = 3, VY = 4, SPIN = 5;
 
 // Number of parts in an SIMD vector.
 constexpr int LANES = 4;
 
-// Constants of a part: a record of BODY in step.py. The record has the same bytes as ten numbers.
+// Constants of a part. `BODY` in step.py describes the fields. The struct has the same size as ten
+// numbers of type double.
 struct Body {
     double mu_g, gyration2, radius, reach, slim, mass_inverse;
     std::int64_t first_point, end_point, first_piece, end_piece;
@@ -54,7 +56,7 @@ struct Group {
     double mark[2][LANES];  // positions at an earlier time [m]
 };
 
-// State of the parts. The last column represents the walls.
+// States of all parts, in groups. The last entry represents the walls.
 struct State {
     std::span<Group> groups;
 
@@ -68,18 +70,19 @@ struct State {
 
 namespace plate::stepping {
 
-// Maximum number of bisections of a step. With this number, times of reversals are exact to 1/512
-// of the step.
+// Maximum number of bisections of a step. With this number, the time of a reversal is exact to
+// 1/512 of the step.
 constexpr int HALVINGS = 9;
 // Minimum cosine of the angle between the slip at the start of a step and the slip in the middle or
 // at the end. If a cosine is smaller, the step is bisected.
 constexpr double STEADY = 0.9;
 // A slip below this fraction of mu g dt is a rounding error and counts as 0.
 constexpr double STUCK = 1e-3;
-// If friction changes by less than this fraction of the slip in a step, the explicit rule is used.
+// If the slip changes, the friction changes, too. The explicit midpoint rule is used if the
+// resulting velocity change in a step is less than this fraction of the slip's change.
 constexpr double GENTLE = 0.5;
-// Approximate upper bound of the derivative of a disc's friction with respect to the slip,
-// multiplied by the slip [mu g].
+// Approximate upper bound of the following product: the derivative of a disc's friction with
+// respect to the slip, times the slip. The unit of the product is mu g.
 constexpr double DISC_STIFF = 3.0;
 
 // State of one part: position [m], angle [rad], and their rates, in plate_home.
@@ -101,8 +104,8 @@ inline Slip operator*(double scale, const Slip& a) {
     return a.x * b.x + a.y * b.y + gyration2 * a.turn * b.turn;
 }
 
-// Transform a slip to the axes of a part, and back. c and s are the cosine and sine of the part's
-// angle.
+// `to_part` transforms a slip from plate_home to the frame of a part, and `from_part` transforms it
+// back. c and s are the cosine and sine of the part's angle.
 inline Slip to_part(const Slip& a, double c, double s) {
     return {c * a.x + s * a.y, c * a.y - s * a.x, a.turn};
 }
@@ -117,20 +120,22 @@ inline bool alike(const Slip& a, const Slip& b, double gyration2) {
            product * product > STEADY * STEADY * dot(a, a, gyration2) * dot(b, b, gyration2);
 }
 
-// Twist of the plate at (x, y) minus the twist of a part: equation (2).
+// Return the slip of a part at (x, y): the twist of the plate at this point minus the twist of the
+// part (equation (2)).
 [[gnu::always_inline]] inline Slip slip(const PlateSample& plate, double x, double y, double vx,
                                        double vy, double spin) {
     return {plate.vx - plate.spin * (y - plate.y) - vx, plate.vy + plate.spin * (x - plate.x) - vy,
             plate.spin - spin};
 }
 
-// State h [s] later, if the velocity changes linearly to (vx, vy, spin).
+// Return the state after h [s] if the velocity changes linearly to (vx, vy, spin).
 inline Motion moved(const Motion& m, double h, double vx, double vy, double spin) {
     return {m.x + 0.5 * h * (m.vx + vx), m.y + 0.5 * h * (m.vy + vy),
             m.angle + 0.5 * h * (m.spin + spin), vx, vy, spin};
 }
 
-// Return the friction in plate_home for any part at `angle` [rad], see `patch::friction`.
+// Return the friction on a disc or another part at `angle` [rad], in plate_home. `patch::Friction`
+// describes the result.
 inline patch::Friction friction(const Slip& slip, double angle, const Body& body,
                                 const Mesh& mesh) {
     if (body.even()) {
@@ -150,8 +155,8 @@ inline patch::Friction friction(const Slip& slip, double angle, const Body& body
     return {from_part(found.push, c, s), found.stiff};
 }
 
-// Return the slip after a step in plate_home for any part at `angle` [rad], see
-// `patch::slip_after`.
+// Return the slip after a step, in plate_home, for a disc or another part at `angle` [rad].
+// `patch::slip_after` describes the method.
 inline Slip slip_after(const Slip& free, double angle, double dv, const Body& body,
                        const Mesh& mesh) {
     if (body.even()) return disc::disc_slip_after(free, dv, body.gyration2, body.radius);
@@ -161,7 +166,8 @@ inline Slip slip_after(const Slip& free, double angle, double dv, const Body& bo
     return from_part(left, c, s);
 }
 
-// Whether friction that changes the velocity by at most dv [m/s] can stop a slip.
+// Whether friction can stop a slip in one step. Friction changes the velocity by at most dv [m/s]
+// in the step.
 inline bool holds(const Slip& slip, double angle, double dv, const Body& body, const Mesh& mesh) {
     constexpr double MOST = (1 + disc::SNAP) * (1 + disc::SNAP);
     if (slip.x * slip.x + slip.y * slip.y > MOST * dv * dv) return false;
@@ -189,8 +195,9 @@ inline Middle midpoint(const Slip& slip, const Slip& free, double angle, double 
     return {half, 2 * (free - half)};
 }
 
-// Result of a trial step: whether it is accurate enough, and the state at its end. If the slip
-// reverses, `ahead` is the estimated fraction of the step before the reversal. Otherwise it is 0.
+// Result of a trial step: whether the step is accurate enough (`fine`), and the state at its end.
+// If the slip reverses, `ahead` is the estimated fraction of the step before the reversal.
+// Otherwise `ahead` is 0.
 struct Attempt {
     bool fine;
     Motion after;
@@ -199,8 +206,8 @@ struct Attempt {
 
 // Move a stuck part with the plate. `fine` is true if static friction can hold the part.
 //
-// fall, static_dv [m/s]: velocity changes in the step by gravity along the plate and by static
-// friction.
+// `fall` and `static_dv` [m/s] are the velocity changes in the step by gravity along the plate and
+// by static friction.
 inline Attempt ride(const PlateSample* plate, Vec fall, double static_dv, const Motion& m,
                     const Body& body, const Mesh& mesh) {
     const PlateSample &start = plate[0], &middle = plate[1], &end = plate[2];
@@ -211,10 +218,11 @@ inline Attempt ride(const PlateSample* plate, Vec fall, double static_dv, const 
                        end.vx - end.spin * qy, end.vy + end.spin * qx, end.spin};
     const Slip gain{after.vx - m.vx, after.vy - m.vy, after.spin - m.spin}, pull{fall.x, fall.y, 0};
     if (!holds(gain - pull, m.angle, static_dv, body, mesh)) return {false, after};
-    // Also check the rate at the end, because the part may begin to slide there. The change of the
-    // slip is approximated by a parabola a s + b s^2. With its values at s = 1/2 (`half`) and at
-    // s = 1 (`gain`), a = 4 half - gain and b = 2 gain - 4 half. The rate of the parabola at s = 1
-    // is a + 2 b = 3 gain - 4 half.
+    // At the end of the step, the plate may accelerate so much that the part begins to slide.
+    // Therefore the rate of change of the slip at the end is checked, too. Without friction, the
+    // slip is approximated by the parabola a s + b s^2, with s from 0 to 1. `half` is its value at
+    // s = 1/2, and `gain` is its value at s = 1. This gives a = 4 half - gain and b = 2 gain - 4
+    // half. The rate of the parabola at s = 1 is a + 2 b = 3 gain - 4 half.
     turn = middle.theta - start.theta;
     const Slip half =
         slip(middle, middle.x + rx - turn * ry, middle.y + ry + turn * rx, m.vx, m.vy, m.spin);
@@ -242,7 +250,8 @@ inline Attempt attempt(const PlateSample* plate, double h, bool last, double non
     const Slip middle = slip(plate[1], m.x + 0.5 * h * m.vx, m.y + 0.5 * h * m.vy,
                              m.vx + 0.5 * fall.x, m.vy + 0.5 * fall.y, m.spin);
     double dv = slow;
-    // Use the friction at the RMS slip in the middle of the step.
+    // The friction coefficient depends on the slip speed. Use its value at the RMS slip of the part
+    // in the middle of the step.
     if (ground.slope != 0) [[unlikely]] {
         const double speed = std::sqrt(dot(middle, middle, g2));
         dv = slow * ground.share(std::max(0.0, speed - 0.5 * slow * ground.share(speed)));
@@ -251,7 +260,7 @@ inline Attempt attempt(const PlateSample* plate, double h, bool last, double non
     Motion after = moved(m, h, m.vx + fall.x + push.x, m.vy + fall.y + push.y, m.spin + push.turn);
     const Slip end = slip(plate[2], after.x, after.y, after.vx, after.vy, after.spin);
     bool loose = true;
-    if (stuck) {  // the slip grows as a parabola, with the initial rate a of `ride`
+    if (stuck) {  // the slip grows as the parabola in `ride`, from the rate a at the start
         start = 4 * half - end;
         loose = static_dv <= dv || !holds(4 * middle - end - push, m.angle, static_dv, body, mesh);
     }
@@ -271,8 +280,8 @@ inline Attempt attempt(const PlateSample* plate, double h, bool last, double non
     return {last, after, ahead};
 }
 
-// Return a size smaller than `size`: the part before the reversal or, without a reversal, half of
-// it. Sizes are in units of the finest substep.
+// Return a shorter substep than `size`: the time before the reversal or, without a reversal, half
+// of `size`. The unit is the length of the finest substep.
 inline int shorter(int size, double ahead) {
     return ahead > 0 ? std::max(1, std::min(size - 1, static_cast<int>(size * ahead))) : size >> 1;
 }
@@ -280,8 +289,8 @@ inline int shorter(int size, double ahead) {
 // Split a step into substeps until each substep is accurate enough. Return the state at the end of
 // the step.
 //
-// `first` is the plate at the start of the step. `ahead` is the result of `attempt` for the whole
-// step.
+// `first` is the state of the plate at the start of the step. `ahead` is the field of the `attempt`
+// for the whole step.
 inline Motion advance_in_parts(const Course& course, double start, double step, double none,
                                const PlateSample& first, double ahead, const GroundEffect& ground,
                                Motion motion, const Body& body, const Mesh& mesh) {
@@ -301,8 +310,8 @@ inline Motion advance_in_parts(const Course& course, double start, double step, 
         motion = made.after;
         done += size;
         if (done == FINEST) return motion;
-        // After a substep that ends just before a reversal, a substep of the minimum size passes
-        // the reversal, and one more substep computes the rest of the step.
+        // If a substep ends just before a reversal, the next substep has the minimum length and
+        // passes the reversal. One more substep computes the rest of the step.
         size = !to_end ? 2 * size : size > 1 ? 1 : FINEST - done;
         to_end = to_end && size == 1;
         size = std::min(size, FINEST - done);

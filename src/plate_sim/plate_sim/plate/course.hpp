@@ -1,5 +1,5 @@
-// Evaluation of the plate's pose and twist at any time of a motion, for x, y and theta at once. The
-// steps of finite parts use it.
+// Evaluation of the plate's pose and twist at any time of a motion. x, y and theta are evaluated
+// together in one vector. The simulation of parts with a contact area uses this code.
 #pragma once
 #include <algorithm>
 #include <vector>
@@ -14,9 +14,9 @@ struct PlateSample {
     double x, y, theta, vx, vy, spin;
 };
 
-// Motion between two knots: the times of its start and end [s], and coefficients of the powers of
-// the time since its start. Each power has coefficients for x, y [m] and theta [rad], and a zero
-// for padding. There is a second set of coefficients for the rates.
+// Motion of the plate between two knots. `start` and `end` are times [s]. `pose` and `twist`
+// contain polynomial coefficients, one row per power of the time since `start`. Each row contains
+// the coefficients for x, y [m] and theta [rad], and a zero for padding.
 struct Leg {
     double start, end, pose[6][4], twist[5][4];
 
@@ -49,7 +49,8 @@ struct Course {
 
     double period() const { return legs.back().end; }
 
-    // Pose and twist at time t [s]. Outside the motion the first or last piece is extrapolated.
+    // Pose and twist at time t [s]. For times outside the motion, the first or last piece is
+    // extrapolated.
     PlateSample at(double t) const {
         const int last = static_cast<int>(legs.size()) - 1;
         const double share = t / period() * (last + 1);
@@ -60,7 +61,8 @@ struct Course {
     }
 };
 
-// The (steps + 1) samples at the boundaries of `steps` equal steps through a motion.
+// Divide a motion into `steps` equal time steps, and return the (steps + 1) samples at their
+// boundaries.
 PLATE_WIDE inline std::vector<PlateSample> samples(const Course& course, int steps) {
     std::vector<PlateSample> rows(steps + 1);
     const double period = course.period();

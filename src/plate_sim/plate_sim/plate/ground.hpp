@@ -1,4 +1,5 @@
-// Surface effects beyond one friction coefficient, as described in ground.py.
+// Effects of the plate's surface that a constant friction coefficient does not describe. ground.py
+// describes them.
 #pragma once
 
 #include <algorithm>
@@ -9,14 +10,14 @@ namespace plate {
 struct GroundEffect {
     double gravity_x, gravity_y, static_ratio, slope, heave;
 
-    // Dynamic friction at a slip [m/s], as a fraction of the friction at zero slip. See
-    // `Ground.friction_slope`.
+    // Return the dynamic friction at a slip speed [m/s], as a fraction of the friction at zero slip
+    // (see `Ground.friction_slope`).
     double share(double slip) const {
         return slope < 0 ? 1 / (1 - slope * slip) : 1 + slope * slip;
     }
 
-    // Weight at a plate acceleration along x [m/s2], as a fraction of the weight at rest. See
-    // `Ground.heave`.
+    // Return the weight of a part at a plate acceleration along x [m/s2], as a fraction of the
+    // weight at rest (see `Ground.heave`).
     double weight(double accel) const { return std::max(0.0, 1 + heave * accel); }
 
     // Whether friction is independent of the slip and of the plate's motion.

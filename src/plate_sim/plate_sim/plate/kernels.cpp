@@ -1,4 +1,4 @@
-// Python bindings of the kernels of the plate's motion.
+// Python bindings of the kernels that evaluate the plate's motion.
 #include <plate/bind.hpp>
 
 #include "plate/pieces.hpp"

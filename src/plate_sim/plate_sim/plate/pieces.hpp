@@ -1,5 +1,6 @@
-// The exact motion of the plate: a table of a cycle's quintic pieces, and the evaluation of pose,
-// twist and acceleration for the event-driven simulation of points. See pieces.py.
+// Exact motion of the plate during a cycle, for the event-driven simulation of parts that are
+// modelled as points. A table contains the quintic pieces of the motion. The functions evaluate
+// pose, twist and acceleration. pieces.py describes the table.
 #pragma once
 #include <algorithm>
 #include <cmath>
@@ -9,16 +10,20 @@
 
 namespace plate {
 
-// A piece between two knots. It is one row of a table (K, 24). pieces.py describes the columns.
+// A polynomial piece of the motion between two knots. Each piece is one row of a table (K, 24).
+// pieces.py describes the columns.
 struct Piece {
     double start, end, x[6], y[6], theta[6], line, push, turns, wraps;
 };
 static_assert(sizeof(Piece) == 24 * sizeof(double));
 using Table = std::span<const Piece>;
 
-// Scales of a cycle (see `tabulate` in pieces.py): bounds of the rates of O', theta', O'' and
-// theta'', the direction of the line along which the plate accelerates (0 if there is no such
-// line), and gravity along the plate.
+// Typical magnitudes of a cycle (see `tabulate` in pieces.py). O is the position of the plate's
+// centre, and theta is its angle.
+// - accel, push: upper bounds of |O''| and |theta''|
+// - jerk, push_rate: upper bounds of |O'''| and |theta'''|
+// - line: direction of the line along which the plate accelerates, or 0 if there is no such line
+// - gravity: component of gravity along the plate
 struct Scales {
     double accel, push, jerk, push_rate;
     Vec line, gravity;
@@ -30,11 +35,12 @@ struct Point {
     Vec place, velocity;
 };
 
-// A motion counts as motion on a line if its acceleration perpendicular to the line is at most this
-// fraction of its maximum acceleration. The fraction allows for rounding.
+// The plate's motion counts as motion on a line if its acceleration perpendicular to the line is at
+// most this fraction of its maximum acceleration. The fraction permits rounding errors.
 constexpr double STRAIGHT = 1e-11;
 
-// Value, first and second derivative of the polynomial c at the time u [s] after its knot.
+// `place`, `slope` and `bend` return the value, the first derivative and the second derivative of
+// the polynomial with coefficients c. u [s] is the time since its knot.
 inline double place(const double* c, double u) {
     return c[0] + u * (c[1] + u * (c[2] + u * (c[3] + u * (c[4] + u * c[5]))));
 }
@@ -45,24 +51,24 @@ inline double bend(const double* c, double u) {
     return 2 * c[2] + u * (6 * c[3] + u * (12 * c[4] + u * (20 * c[5])));
 }
 
-// Estimated index of the piece at a fraction of the motion. The estimate assumes that all pieces
-// have the same length.
+// Return the estimated index of the piece at the fraction `share` of the motion. The estimate
+// assumes that all pieces have the same length.
 inline int piece_at(Table table, double share) {
     const int last = static_cast<int>(table.size()) - 1;
     const double k = share * (last + 1);
     return k >= last ? last : k > 0 ? static_cast<int>(k) : 0;
 }
 
-// Index of the piece that contains time t [s]. The search starts at piece k. Times outside the
-// motion belong to the first or last piece.
+// Return the index of the piece that contains the time t [s]. The search starts at piece k. Times
+// outside the motion belong to the first or last piece.
 inline int seek(Table table, double t, int k) {
     while (k > 0 && t < table[k].start) k--;
     while (k + 1 < static_cast<int>(table.size()) && t >= table[k].end) k++;
     return k;
 }
 
-// Reduce t [s] to the range of a closed cycle, and set k to its piece. If t is not in piece k, the
-// search starts at the piece estimated from t.
+// If t [s] is after the end of a closed cycle, subtract the period. Return the result, and set k to
+// the piece that contains it. If t is not in piece k, the search starts at an estimated piece.
 inline double locate(Table table, double t, int& k) {
     const double period = table.back().end;
     if (t >= period) {
@@ -76,8 +82,9 @@ inline double locate(Table table, double t, int& k) {
     return t;
 }
 
-// Slip w = v_s - v [m/s] of a part at time t, with v_s = O' + theta' x (P - O). k is set to the
-// piece of t.
+// Return the slip w = v_s - v [m/s] of a part with position P and velocity v at time t. v_s = O' +
+// theta' x (P - O) is the velocity of the plate's surface at P. The function sets k to the piece
+// that contains t.
 inline Vec slip(Table table, double t, int& k, const Point& part) {
     t = locate(table, t, k);
     const Piece& piece = table[k];
@@ -91,8 +98,8 @@ inline Vec slip(Table table, double t, int& k, const Point& part) {
     return w;
 }
 
-// Rate of change [m/s2] of the surface's velocity under a part: O'' + theta'' x (P - O) + theta' x
-// (v - O').
+// Return the rate of change [m/s2] of the surface's velocity under a part with position P and
+// velocity v. It is O'' + theta'' x (P - O) + theta' x (v - O').
 inline Vec surface_rate(Table table, double t, int k, const Point& part) {
     t = locate(table, t, k);
     const Piece& piece = table[k];
@@ -114,7 +121,8 @@ struct Ride {
     Vec accel;
 };
 
-// State at time t of a part that sticks at q [m, plate frame]. k is set to the piece of t.
+// Return the state at time t of a part that sticks at the point q of the plate [m, plate frame].
+// The function sets k to the piece that contains t.
 inline Ride riding(Table table, double t, int& k, Vec q) {
     t = locate(table, t, k);
     const Piece& piece = table[k];
@@ -132,7 +140,7 @@ inline Ride riding(Table table, double t, int& k, Vec q) {
              bend(piece.y, u) + push * r.x - spin * spin * r.y}};
 }
 
-// Position [m] in the plate frame of a part that is at p at time t.
+// Return the position [m] in the plate frame of a part that is at p [m, plate_home] at time t.
 inline Vec in_plate(Table table, double t, int k, Vec p) {
     t = locate(table, t, k);
     const Piece& piece = table[k];
@@ -143,12 +151,14 @@ inline Vec in_plate(Table table, double t, int k, Vec p) {
     return {c * r.x + s * r.y, c * r.y - s * r.x};
 }
 
-// Maximum acceleration [m/s2] during a piece of a part that sticks at `radius` [m].
+// Return an upper bound of the acceleration [m/s2] of a part that sticks at the distance `radius`
+// [m] from the plate's centre. The bound is valid for the whole piece.
 inline double ride_bound(const Piece& piece, double radius) {
     return piece.line + radius * piece.push;
 }
 
-// Bezier point i of the second derivative of `place`, for u from 0 to h.
+// Return Bezier point i (0 to 3) of the second derivative of a polynomial with coefficients c, for
+// u from 0 to h.
 inline double bezier(const double* c, double h, int i) {
     double point = 2 * c[2] + 2 * h * i * c[3];
     if (i >= 2) point += (i == 2 ? 4.0 : 12.0) * h * h * c[4];
@@ -156,11 +166,13 @@ inline double bezier(const double* c, double h, int i) {
     return point;
 }
 
-// Compute the bounds for sticking parts in a piece from Bezier points, and update the scales.
+// Compute the bounds `piece.line` and `piece.push` from the Bezier points of a piece. Raise the
+// bounds in `scales` if necessary.
 //
-// A cubic stays in the convex hull of its Bezier points. Therefore the maximum norm of the points
-// is a bound of O'' and theta'', and the maximum difference of the points is a bound of the rates
-// of O'' and theta''. theta' is bounded from its values at the ends.
+// O'' and theta'' are cubic polynomials of time, and a cubic stays in the convex hull of its Bezier
+// points. Therefore the maximum norm of the points is an upper bound of O'' and theta''.
+// Differences of consecutive points give upper bounds of O''' and theta'''. The bound of theta'
+// follows from its values at both ends of the piece.
 inline void bound(Piece& piece, Scales& scales) {
     const double h = piece.end - piece.start;
     double line = 0, push = 0, last = 0;
@@ -197,7 +209,7 @@ inline bool on_line(Table table, Vec n, double accel) {
 }
 
 // Fill a table from the knots (K + 1,) [s] and the coefficients (K, 6, 3) of a cycle. Return the
-// scales of the table.
+// `Scales` of the cycle.
 inline Scales tabulate(const double* times, const double* coefficients, Vec gravity, bool closed,
                        std::span<Piece> table) {
     Scales scales{};

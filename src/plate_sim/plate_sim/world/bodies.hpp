@@ -1,5 +1,5 @@
-// Simulation of all parts during cycles of the plate. Each step computes friction, then contacts.
-// See also bodies.py.
+// C++ kernels of bodies.py: simulation of all parts during cycles of the plate. Each time step
+// computes friction, then contacts.
 #pragma once
 #include <algorithm>
 #include <cmath>
@@ -20,7 +20,7 @@
 
 namespace plate {
 
-// Footprints of the parts. The fields are those of `Shapes` in bodies.py.
+// Footprints and outlines of the parts. `Shapes` in bodies.py describes the fields.
 struct Shapes {
     std::span<const Body> bodies;
     View<const double, 2> mesh;
@@ -28,9 +28,9 @@ struct Shapes {
     contacts::Corners corners;
 };
 
-// Inputs and outputs of one plate. The arrays are those of `run_plates` in bodies.py without the
-// first axis: states (M, 6), limits (M,), `here` (M,) and the record (k, M, 6). They are in the
-// order of the caller's parts.
+// Inputs and outputs of the simulation of one plate. `run_plates` in bodies.py describes the
+// arrays, which have an additional first axis there. The shapes here are `states` (M, 6), `limit`
+// (M,), `here` (M,) and `record` (k, M, 6). The parts are in the caller's order.
 struct Job {
     const double *times, *factors;  // arguments of `Course`
     int legs, steps, cycles, every;
@@ -41,11 +41,12 @@ struct Job {
     View<double, 3> record;
 };
 
-// Factor slightly above 1 that covers the rounding errors of a few sums and products.
+// Factor slightly above 1. It is larger than the rounding errors of a few sums and products.
 constexpr double ROUNDED = 1 + 1e-12;
 
-// Minimum and maximum over all parts on the plate of four values: x and y of the part, and its
-// displacements along x and y from its mark [m].
+// Minimum and maximum of four values over all parts on the plate. The values are x and y of the
+// part, and its displacements along x and y from its mark [m]. The mark is the part's position when
+// the list of near pairs was made.
 struct Extent {
     double low[4], high[4];
 
@@ -70,8 +71,8 @@ struct Extent {
         }
     }
 
-    // Upper bound of the distance by which two parts have approached each other since they were at
-    // their marks [m].
+    // Returns an upper bound of the distance [m] by which any two parts have approached each other
+    // since they were at their marks.
     double approach() const {
         if (high[2] < low[2]) return 0.0;  // there are no parts
         const double wide = high[2] - low[2], tall = high[3] - low[3];
@@ -87,10 +88,13 @@ struct Extent {
     }
 };
 
-// Makes up to `most` steps. Stops if one of the `count` parts does not glide, if two parts can have
-// approached each other by `gap` [m] or more, or if a part is not clearly inside the edges. Returns
-// the number of complete steps. If this is less than `most`, the gliding parts have already moved
-// in the next step.
+// Computes up to `most` time steps with `glide`. The function stops for one of three reasons:
+// - `glide` cannot advance all `count` parts.
+// - Two parts may have approached each other by `gap` [m] or more.
+// - A part is not clearly inside the edges of the plate.
+//
+// Returns the number of complete steps. If this number is below `most`, `glide` has already
+// advanced its parts in the next step.
 PLATE_WIDE inline int cruise(std::span<Group> groups, const PlateSample* plate, double step,
                              const GroundEffect& ground, const double* half, double gap, int count,
                              int most) {
@@ -102,7 +106,8 @@ PLATE_WIDE inline int cruise(std::span<Group> groups, const PlateSample* plate, 
     return most;
 }
 
-// Removes parts whose centre is beyond an edge of the plate. Returns whether a part was removed.
+// Removes all parts whose centres are beyond an edge of the plate. Returns whether any part was
+// removed.
 inline bool drop(const State& state, View<bool, 1> here, const PlateSample& plate,
                  const double* half) {
     const double c = std::cos(plate.theta), s = std::sin(plate.theta);
@@ -122,17 +127,15 @@ inline bool drop(const State& state, View<bool, 1> here, const PlateSample& plat
     return any;
 }
 
-// Advances the parts during cycles of the plate, in place, as described in bodies.py. Returns the
-// deepest overlap at the start. If the fraction of this overlap exceeds `allowed`, no part is
-// moved.
+// Simulates the parts during cycles of the plate, in place. bodies.py describes the method. Returns
+// the deepest overlap at the start. If its relative depth exceeds `allowed`, no part is moved.
 inline contacts::Overlap run(const Job& job, const Shapes& shapes, const contacts::Rules& rules,
                              double allowed, const double* half) {
     const int count = job.states.size(0);
     const Course course(job.times, job.factors, job.legs);
     const double step = course.period() / job.steps;
     const std::vector<PlateSample> plate = samples(course, 2 * job.steps);
-    // The parts are sorted by position, so that the result does not depend on the order of the
-    // caller's parts.
+    // The parts are sorted by position, so that the result does not depend on the caller's order.
     std::vector<int> order(count);
     std::iota(order.begin(), order.end(), 0);
     std::stable_sort(order.begin(), order.end(), [&](int i, int j) {
@@ -154,7 +157,8 @@ inline contacts::Overlap run(const Job& job, const Shapes& shapes, const contact
         together |= describe(state, i, bodies[i], step, i < count && here(i));
     }
     together &= job.ground.even();
-    // The groups of the parts. The groups also contain the walls, which are not parts.
+    // `parts` contains the groups with parts. `groups` also contains the walls, which are not
+    // parts.
     const std::span<Group> parts(groups.data(), (count + LANES - 1) / LANES);
     const int points = shapes.mesh.size(1);
     std::vector<double> forces(7 * points);

@@ -12,12 +12,13 @@ namespace plate {
 
 namespace {
 
-// Returns whether [first, end) is a range of indices from 0 to count - 1, with at least one index.
+// Returns whether the indices `first` to `end` - 1 are all from 0 to `count` - 1. The range may be
+// empty.
 bool within(std::int64_t first, std::int64_t end, size_t count) {
     return 0 <= first && first <= end && end <= static_cast<std::int64_t>(count);
 }
 
-// Returns entry k of the first axis.
+// Returns the subarray with the index k of the first axis.
 template <class T, int N>
 View<T, N - 1> entry(const View<T, N>& all, int k) {
     View<T, N - 1> one{all[k], {}};
@@ -25,10 +26,10 @@ View<T, N - 1> entry(const View<T, N>& all, int k) {
     return one;
 }
 
-// Simulates the parts on N plates with several threads, as described in bodies.py. All arguments
-// are checked before the first plate starts. Returns four values for each plate: the indices of the
-// two parts with the deepest overlap at the start, the depth of this overlap [m], and the depth
-// divided by half the width of the slimmer part.
+// Simulates the parts on N plates with several threads. bodies.py describes the arguments. All
+// arguments are checked before the first simulation starts. Returns four values for each plate: the
+// indices of the two parts with the deepest overlap at the start, the depth of this overlap [m],
+// and the depth divided by half the width of the slimmer part.
 nb::ndarray<nb::numpy, double, nb::ndim<2>> run_plates(
     Array<const double, 1> times, Array<const double, 3> coefficients,
     Array<const int64_t, 2> counts, int cycles, int every, Array<const double, 2> ground,
