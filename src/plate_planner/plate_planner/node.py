@@ -1,10 +1,10 @@
 """ROS node of the planner.
 
 The node receives the detected parts, and publishes the mean force that the next cycle should exert
-on each part. Goals of its actions start tasks. It also receives plate_cycle and cycle_started,
-because the plate moves the parts between images and the next cycle continues the plate's motion.
-`TaskRunner` runs a task. `InputMonitor` ends it if an input is missing. `Lockstep` and
-`AnswerSchedule` decide when to plan.
+on each part. An action goal starts a task. The node also subscribes to plate_cycle and
+cycle_started. These topics contain the motion of the plate, which moves the parts between images,
+and which the next cycle continues. `TaskRunner` runs a task. `InputMonitor` ends the task if an
+input is missing. `Lockstep` and `AnswerSchedule` decide when the next request is computed.
 """
 
 from __future__ import annotations
@@ -69,10 +69,11 @@ WATCH_PERIOD_S = 0.1
 """Period at which the inputs of a running task are checked [s]."""
 
 IDLE_S = 1.0
-"""Period of the timer for requests while no request is due [s]."""
+"""Period of the timer for requests while no request is pending [s]."""
 
 SAME_CLOCK_S = 1.0
-"""A stamp that differs from this node's time by more than this value is from another clock [s]."""
+"""If a stamp differs from the time of this node by more than this value [s], the stamp is assumed
+to be from another clock."""
 
 CANCELED = Failure(Reason.CANCELED, "canceled")
 PREEMPTED = Failure(Reason.PREEMPTED, "preempted by another goal")
@@ -132,7 +133,7 @@ class PlannerParameters(NodeOptions):
     )
 
     def planner(self) -> PlannerOptions:
-        """Return the options of the planner's core."""
+        """Convert the node's parameters to options of `Planner`."""
         return PlannerOptions(
             follow=FollowOptions(kp=self.kp),
             answer_s=self.answer_s,
@@ -144,18 +145,22 @@ class PlannerParameters(NodeOptions):
 
 
 class PlannerNode(SafeLifecycleNode[PlannerParameters]):
-    """Node `planner`: runs tasks, and requests a mean force on each part for each cycle.
+    """Node `planner`. The node runs tasks. For each cycle, it requests a mean force on each part
+    from the solver.
 
     Actions: sort_parts, follow_paths, assemble_parts, pose_parts, move_parts, feed_parts. The
-    service stop ends the task. The node subscribes to parts, plate_cycle, cycle_started,
+    service `stop` ends the running task. The node subscribes to parts, plate_cycle, cycle_started,
     driver_status, diagnostics, targets (for move_parts) and feed_orders (for feed_parts). If images
-    are taken at cycle starts, the node sends one request per image. Otherwise it sends one request
-    per cycle, shortly before the cycle ends. The next cycle starts from the plate's motion only if
-    this motion is certain, images are taken at cycle starts or `answer_s` is below 0.1 s, and there
-    are at most 40 parts. Otherwise the next cycle starts from rest. The motion is certain if
-    cycle_started has reported the running or the previous cycle, and recent results were not
-    delayed. The node publishes part_forces, task_status, part_targets, feed_status, markers and
-    diagnostics.
+    are taken at cycle starts, the node sends one request per image. Otherwise, it sends one request
+    per cycle, shortly before the cycle ends.
+
+    The next cycle continues the motion of the plate only under three conditions. First, the motion
+    of the plate is certain. Second, images are taken at cycle starts, or `answer_s` is below 0.1 s.
+    Third, there are at most 40 parts. Otherwise, the next cycle starts with the plate at rest. The
+    motion is certain if cycle_started has reported the running or the previous cycle, and the
+    solver's last results were not delayed.
+
+    The node publishes part_forces, task_status, part_targets, feed_status, markers and diagnostics.
     """
 
     def __init__(self) -> None:
@@ -173,7 +178,7 @@ class PlannerNode(SafeLifecycleNode[PlannerParameters]):
     # Transitions
 
     def configure(self) -> None:
-        """Read the rig, and create publishers, subscriptions, services, actions and timers."""
+        """Read the rig file. Create publishers, subscriptions, services, actions and timers."""
         options = self.options
         self._rig = load_rig(options.rig_file)
         warm_up(self._rig)
@@ -210,7 +215,7 @@ class PlannerNode(SafeLifecycleNode[PlannerParameters]):
         self.keep(GoalServers.destroy, self._goals)
 
     def begin(self) -> None:
-        """Create new objects for tasks and inputs, so that no state of an earlier activation
+        """Create new objects for the task and the inputs, so that no state of an earlier activation
         remains."""
         options, now = self.options, time.monotonic()
         core = options.planner()
@@ -252,7 +257,8 @@ class PlannerNode(SafeLifecycleNode[PlannerParameters]):
             self._see(msg)
 
     def _plan_next(self) -> None:
-        """Plan the waiting image, unless `Lockstep` still holds it."""
+        """Process the waiting image and publish a request, unless the image must still wait in
+        `Lockstep`."""
         following = self._lockstep.next_image()
         if following is not None:
             msg, starts = following
@@ -261,7 +267,8 @@ class PlannerNode(SafeLifecycleNode[PlannerParameters]):
             self._plan(msg)
 
     def _plan(self, msg: Parts) -> None:
-        """Request the next cycle for an image that was taken at the start of a cycle."""
+        """Process an image that was taken at the start of a cycle, and publish the request for the
+        next cycle."""
         stamp, run = msg.header.stamp, self._tasks.run
         parts = self._record_image(msg)
         if parts is None:  # an invalid image: request rest, to continue the loop
@@ -282,7 +289,7 @@ class PlannerNode(SafeLifecycleNode[PlannerParameters]):
         self._request(NOTHING, stamp)
 
     def _see(self, msg: Parts) -> None:
-        """Record an image of a free-running camera."""
+        """Process an image of a free-running camera. The request is published later."""
         parts = self._record_image(msg)
         if parts is None:
             return
@@ -294,8 +301,8 @@ class PlannerNode(SafeLifecycleNode[PlannerParameters]):
             self._request(NOTHING, msg.header.stamp)
 
     def _record_image(self, msg: Parts) -> CoreParts | None:
-        """Return the parts of an image. Also record the other objects in the image. Return None if
-        the image is invalid."""
+        """Record an image, including objects that are not parts. Return its parts, or None if the
+        image is invalid."""
         try:
             parts = msg_to_parts(msg)
         except PlateError as error:
@@ -309,8 +316,8 @@ class PlannerNode(SafeLifecycleNode[PlannerParameters]):
     # Cycles
 
     def _on_started(self, msg: JointTrajectory) -> None:
-        """Record that the plate began a cycle. In lockstep, the report is kept until the image of
-        this cycle is planned."""
+        """Receive the report that the plate has begun a cycle. In lockstep, the report is stored
+        until the image of this cycle is processed."""
         self._wake()
         if self.options.lockstep and self.options.camera_triggered:
             self._lockstep.add_start(msg, nanoseconds(msg.header.stamp))
@@ -319,8 +326,8 @@ class PlannerNode(SafeLifecycleNode[PlannerParameters]):
             self._record_start(msg)
 
     def _record_start(self, msg: JointTrajectory) -> None:
-        """Record the cycle that the plate began. If the camera is free-running, set the timer of
-        the next request."""
+        """Record the cycle that the plate has begun. If the camera is free-running, also set the
+        timer for the next request."""
         begin = seconds(msg.header.stamp)
         try:
             cycle = msg_to_cycle(msg)
@@ -339,7 +346,8 @@ class PlannerNode(SafeLifecycleNode[PlannerParameters]):
             self._alarm.reset()
 
     def _on_due(self) -> None:
-        """Publish the request for the cycle after the running one, if the request is due."""
+        """Publish the pending request for the cycle after the running cycle. Do nothing if no
+        request is pending."""
         assert self._alarm is not None
         self._alarm.timer_period_ns = round(1e9 * IDLE_S)
         if not self._schedule.take_due():
@@ -364,9 +372,11 @@ class PlannerNode(SafeLifecycleNode[PlannerParameters]):
             self._plan_next()
 
     def _arrival(self, stamp: float) -> float:
-        """Return the arrival time of a message [s, the time of the stamps].
+        """Return the arrival time of a message that has just arrived [s, in the time of the image
+        stamps].
 
-        In lockstep, or if the stamp is from another clock, the stamp itself is returned.
+        In lockstep, or if the message's stamp `stamp` is from another clock, the result is the
+        stamp.
         """
         now = 1e-9 * self.get_clock().now().nanoseconds
         # In lockstep, simulated time stops until the planner has replied to the message, so the
@@ -377,7 +387,8 @@ class PlannerNode(SafeLifecycleNode[PlannerParameters]):
     # Requests
 
     def _answer(self, run: Run, stamp: Time, compute: Callable[[Run], CycleRequest]) -> None:
-        """Compute and publish a task's request for the next cycle, and report the progress."""
+        """Compute and publish the request of the running task for the next cycle. Then report the
+        progress of the task."""
         sorted_before = -1 if run.progress is None else run.progress.parts_sorted
         request = compute(run)
         stalled = self._has_stalled()  # also updates the record of clock steps
@@ -434,8 +445,9 @@ class PlannerNode(SafeLifecycleNode[PlannerParameters]):
             self._plan_next()
 
     def _wake(self) -> float:
-        """Record that the planner runs. If its process has stalled, end the task. Return the time
-        [s, steady clock]. Each callback must call this function first."""
+        """Record that the planner is running, and return the time [s, steady clock]. If the
+        planner's process had stalled before, end the task. Each callback must call this method
+        first."""
         self._has_stalled()
         return self._monitor.inputs.ran
 
@@ -461,15 +473,15 @@ class PlannerNode(SafeLifecycleNode[PlannerParameters]):
                 self._end(failure)
 
     def _end(self, why: Failure) -> None:
-        """End the running task for this reason. Do nothing if no task runs."""
+        """End the running task with the reason `why`. Do nothing if no task runs."""
         if self._tasks.end(why):
             self._report_progress()
 
     # Goals
 
     def _on_goal(self, goal: Any) -> None:
-        """Begin the task of a goal. If the task cannot begin, accept the goal and abort it at once,
-        because ROS has no field for the reason of a rejection."""
+        """Begin the task of an action goal. If the task cannot begin, the goal is accepted and
+        aborted at once, because ROS has no field for the reason of a rejection."""
         failure = self._begin_task(goal, self._wake() if self.active else 0.0)
         if failure is not None:
             self.get_logger().warning(f"goal refused: {failure.text}")
@@ -480,7 +492,8 @@ class PlannerNode(SafeLifecycleNode[PlannerParameters]):
             self._goals.finish(goal, status)
 
     def _begin_task(self, goal: Any, now: float) -> Failure | None:
-        """Begin a task and return None. If the task cannot begin, return the reason."""
+        """Begin the task of an action goal. Return None, or the reason why the task cannot
+        begin."""
         if not self.active:
             return Failure(Reason.NOT_READY, "the planner is not active")
         if self._monitor.goal_may_be_old(time.monotonic()):
@@ -506,7 +519,8 @@ class PlannerNode(SafeLifecycleNode[PlannerParameters]):
         return None
 
     def _on_cancel(self, goal: Any) -> CancelResponse:
-        """End the task of a goal. Reject the request if this task is not running."""
+        """End the task of an action goal that a client cancels. Reject the cancellation if the task
+        is not running."""
         run = self._tasks.run if self.active else None
         if run is None or run.goal is not goal or run.finished:
             return CancelResponse.REJECT
@@ -538,7 +552,7 @@ class PlannerNode(SafeLifecycleNode[PlannerParameters]):
         return response
 
     def _on_targets(self, msg: Targets) -> None:
-        """Replace the targets of parts. Targets that are not feasible are refused."""
+        """Replace targets of parts in the running move task. Invalid targets are refused."""
         self._wake()
         try:
             refused = self._tasks.retarget(msg_to_targets(msg))
@@ -550,7 +564,7 @@ class PlannerNode(SafeLifecycleNode[PlannerParameters]):
         self._reports.publish_targets(self._tasks, self._stamp)
 
     def _on_order(self, msg: FeedOrder) -> None:
-        """Apply a received order (mode and picks) to the running feed task."""
+        """Pass an order of the feeder (mode and picks) to the running feed task."""
         self._monitor.inputs = self._monitor.inputs.order_received(self._wake())
         try:
             self._tasks.order(msg_to_order(msg))
@@ -560,7 +574,7 @@ class PlannerNode(SafeLifecycleNode[PlannerParameters]):
     # Reports
 
     def _report_progress(self) -> None:
-        """Publish and log the progress or the end of the task."""
+        """Publish the progress or the end of the task, and log it."""
         run = self._tasks.run
         if run is None:
             return
@@ -583,8 +597,8 @@ class PlannerNode(SafeLifecycleNode[PlannerParameters]):
         return self._reports.publish_status(self._tasks.run, self._answered(), reason)
 
     def _answered(self) -> Time:
-        """Return the stamp of the last request. If there was no request, return the stamp of the
-        last image."""
+        """Return the stamp of the last published request. If no request was published, return the
+        stamp of the last image."""
         request_ns = self._lockstep.request_ns
         return self._stamp if request_ns is None else to_time(request_ns)
 

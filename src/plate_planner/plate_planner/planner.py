@@ -1,8 +1,9 @@
-"""Planner of a task. The planner computes the request to the solver once per plate cycle.
+"""Planner of a task. Once per cycle of the plate, the planner computes a request to the solver.
 
-The inputs are the parts in the images, the cycles that were sent and started, and the scenario. The
-estimator predicts the states of the parts. The task rules return drifts or targets. The supervision
-decides whether the task continues. All functions are pure; the time is an argument.
+The inputs are the parts in the images, the cycles that were sent to the plate and that the plate
+has begun, and the scenario. The estimator predicts the states of the parts. The task rules compute
+requested drifts or targets. The supervision decides whether the task continues. All functions are
+pure. The time is an argument of the functions.
 """
 
 from __future__ import annotations
@@ -63,30 +64,30 @@ from .supervision import (
 from .tasks import CROWD, Assessment, DriftInterval, Situation, TaskOptions, TaskRules, rules_for
 
 NOTHING = CycleRequest.make(Parts.make((), np.zeros((0, 2))))
-"""Empty request: the plate rests."""
+"""Empty request, for which the plate rests."""
 
 TAKEN_COAST = Coast(parts=1, unknown=1)
-"""Value of `MISSED_IMAGES` for tasks in which parts are added and removed. It is small, because a
-part that is not detected may have been picked."""
+"""Value that replaces `MISSED_IMAGES` in tasks in which parts are added and removed. The value is
+small, because a part that is not detected may have been picked."""
 
 IN_MOTION_S = 0.1
 """Length of cycles that start from a moving plate [s]. If images are not taken at cycle starts and
 `answer_s` is at least this length, all cycles start from rest."""
 
 MAX_GAP_S = 10.0
-"""Maximum difference between the stamps of two images of a running task [s]. An interruption of
-images of this length would end the task. Therefore a larger difference means that the clock was
-set."""
+"""Maximum difference between the stamps of two consecutive images of a running task [s]. Such a
+long interruption of images would have ended the task. Therefore, a larger difference means that a
+clock was set."""
 
 
 @dataclass(frozen=True)
 class PlannerOptions(TaskOptions):
-    """Options of the planner. The options of each task are in `TaskOptions`.
+    """Options of the planner. The options of the single tasks are in `TaskOptions`.
 
     Attributes
     ----------
     default_period : float
-        Length of a cycle that is assumed until two images determine it [s].
+        Length of a cycle that is assumed until the interval between two images is known [s].
     start_timeout_s : float
         Maximum time from the start of the task until all parts are detected [s].
     unseen_timeout_s : float
@@ -94,12 +95,12 @@ class PlannerOptions(TaskOptions):
     stuck_timeout_s : float
         Maximum time without progress before the task counts as stuck [s].
     answer_s : float
-        Time before the next cycle start at which the request is sent [s]. It is used if images are
-        not taken at cycle starts. It covers the computing times of solver and driver, and the
-        connection.
+        Time from a request to the start of the next cycle [s]. This option is used if images are
+        not taken at cycle starts. The time must be sufficient for the computations of solver and
+        driver, and for the connection to the motors.
     image_age_s : float or None
-        Age of an image at its stamp [s]. If None, the age is estimated from the motion of the
-        parts.
+        Time from the exposure of an image to the time in its stamp [s]. If None, this time is
+        estimated from the motion of the parts.
     """
 
     default_period: float = 0.1
@@ -119,16 +120,17 @@ class PlannerState:
     task : TaskState
     estimator : Estimator
     memory
-        Memory of the task rules; None before the task begins.
+        Data that the task rules store between images. None before the task begins.
     known : tuple of str
-        Ids in the last image that showed all parts.
+        Ids of the parts in the last image that showed all parts.
     last : mapping of str to LastSeen
-        Last detected position of each part on the plate. Empty if parts are added and removed.
+        Last detected position of each part. Empty in tasks in which parts are added and removed.
     answer : (CycleRequest, Progress) or None
-        The last result. If the same image arrives again, this result is returned again. None before
-        the first image.
+        Result of the last call of `Planner.answer`. If the same image arrives again, this result is
+        returned again. None before the first image.
     due : float
-        Time of the next request [s]. Infinite until a cycle start is reported.
+        Time at which the next request must be computed [s]. Infinite until a cycle start is
+        reported.
     kept : bool
         Whether the last image was ignored: see `TaskRules.keeps_last`.
     """
@@ -147,11 +149,11 @@ class PlannerState:
 class Planner:
     """Planner for one scenario on one rig.
 
-    Begin with `state = planner.start(planner.initial())`. The next calls depend on the camera. If
-    the camera is triggered at cycle starts, call `state, request, progress = planner.plan(state,
+    First call `state = planner.start(planner.initial())`. The following calls depend on the camera.
+    If the camera is triggered at cycle starts, call `state, request, progress = planner.plan(state,
     parts, t)` for every image. If the camera is free-running, call `state = planner.see(state,
-    parts, t)` for every image, `state = planner.started(state, cycle, t)` for every cycle that the
-    plate begins, and at the time `state.due` call `state, request, progress =
+    parts, t)` for every image, and `state = planner.started(state, cycle, t)` for every cycle that
+    the plate begins. At the time `state.due`, call `state, request, progress =
     planner.answer(state)`.
     """
 
@@ -165,13 +167,13 @@ class Planner:
 
     @cached_property
     def rules(self) -> TaskRules:
-        """Rules of the task. The rules are cached, because they contain tables of paths and
-        bins."""
+        """Rules of the task. The object is cached, because it contains tables that take time to
+        compute."""
         return rules_for(self.scenario.task, self.rig, self.options)
 
     def warnings(self) -> tuple[str, ...]:
-        """Return warnings on requests that are infeasible on this rig, with remedies. The warnings
-        are shown before the start."""
+        """Return warnings about requests of the scenario that are infeasible on this rig. Each
+        warning contains a remedy. The warnings are shown before the task starts."""
         slow = outlook(self.rig, self.scenario.count, self.scenario.time_limit_s)
         warnings = (*self.rules.warnings(), *edge_doubts(self.scenario, self.rig))
         return (*warnings, slow) if slow else warnings
@@ -190,21 +192,21 @@ class Planner:
         )
 
     def initial(self, estimator: Estimator | None = None) -> PlannerState:
-        """Return the idle state of a planner. `estimator` may be the estimator of an earlier
-        planner."""
+        """Return the state of a planner that runs no task. `estimator` can be the estimator of an
+        earlier planner."""
         options = self.options
         if estimator is None:
             estimator = Estimator.of(self.rig, options.default_period, options.image_age_s)
         return PlannerState(TaskState(), estimator, known=estimator.seen.ids)
 
     def start(self, state: PlannerState) -> PlannerState:
-        """Start or restart the task. The time of the task begins when two images have shown all
-        parts."""
+        """Return the state after the task was started or restarted. The time limit of the task
+        applies from the image at which two images have shown all parts."""
         return replace(state, task=started(), memory=None, last={})
 
     def stop(self, state: PlannerState, why: Failure = STOP) -> PlannerState:
-        """Stop the task. From the next image on, the planner requests no motion. A running task is
-        aborted with the reason `why`."""
+        """Return the state after the task was stopped. From the next image on, the planner requests
+        no motion. A running task is aborted with the reason `why`."""
         stamp = state.estimator.stamp
         return replace(state, task=stopped(state.task, stamp if np.isfinite(stamp) else None, why))
 
@@ -216,10 +218,10 @@ class Planner:
         Returns
         -------
         planner : Planner
-            Planner with the new targets, which replaces this planner.
+            Planner with the new targets. It must replace this planner.
         state : PlannerState
         refused : tuple of str
-            Reasons why targets were refused. The other targets are accepted.
+            Reasons why single targets were refused. All other targets are accepted.
 
         Raises
         ------
@@ -247,13 +249,13 @@ class Planner:
         return replace(self, scenario=scenario), replace(state, task=task_state), tuple(refused)
 
     def order(self, state: PlannerState, order: FeedOrder) -> Planner:
-        """Return a planner with another order for a running `feed` task. The result replaces this
-        planner.
+        """Return a planner with another order for the running `feed` task. The result must replace
+        this planner.
 
         Raises
         ------
         PlateError
-            If no `feed` task runs, or if the order does not fit the rig or the recipe.
+            No `feed` task runs, or the order is infeasible with this rig or this recipe.
         """
         task = self.scenario.task
         if not isinstance(task, FeedTask) or state.task.phase is not Phase.RUNNING:
@@ -274,28 +276,29 @@ class Planner:
     def record_cycle(
         self, state: PlannerState, cycle: PlateCycle, arrival: float, requested: float | None = None
     ) -> PlannerState:
-        """Record a cycle that arrived from the solver at `arrival` [s, the time of the stamps].
+        """Record a cycle from the solver that arrived at the time `arrival` [s, in the time of the
+        image stamps].
 
-        `requested` is the start of the cycle at which the image of its request was taken [s].
-        Default: the start of the running cycle. Until a cycle is recorded, the planner assumes that
-        the parts follow the requests.
+        `requested` is the start time of the cycle during which the image for this cycle's request
+        was taken [s]. Default: the start of the running cycle. Until the first cycle is recorded,
+        the planner assumes that the parts move as requested.
         """
         return replace(state, estimator=state.estimator.record_cycle(cycle, arrival, requested))
 
     def started(
         self, state: PlannerState, cycle: PlateCycle, begin: float, triggered: bool = False
     ) -> PlannerState:
-        """Record that the plate began a cycle at `begin` [s, the time of the stamps]. `triggered`
-        states whether images are taken at cycle starts although starts are reported."""
+        """Record that the plate began a cycle at the time `begin` [s, in the time of the image
+        stamps]. `triggered` states whether images are taken at cycle starts."""
         due = begin + max(cycle.period - self.options.answer_s, 0.0)
         estimator = state.estimator.started(cycle, begin, triggered)
         return replace(state, estimator=estimator, due=due)
 
     def see(self, state: PlannerState, parts: Parts, t: float) -> PlannerState:
-        """Record the detected parts of an image and its stamp [s].
+        """Record the detected parts of an image. `t` is the stamp of the image [s].
 
-        If the stamp is earlier than the last stamp, a running task restarts. If it is more than
-        `MAX_GAP_S` later, the task ends.
+        If the stamp is earlier than the last stamp, a running task restarts. If the stamp is later
+        than the last stamp by more than `MAX_GAP_S`, a running task ends.
         """
         clock = state.estimator.clock
         if state.task.phase is not Phase.RUNNING or clock.stamp is None:
@@ -315,7 +318,8 @@ class Planner:
     def plan(
         self, state: PlannerState, parts: Parts, t: float
     ) -> tuple[PlannerState, CycleRequest, Progress]:
-        """Return the request for an image that was taken at the start of a cycle.
+        """Record an image that was taken at the start of a cycle, and return the request for the
+        next cycle.
 
         Parameters
         ----------
@@ -323,9 +327,10 @@ class Planner:
         parts : Parts
             Detected parts.
         t : float
-            Stamp of the image [s]. If it is equal to the last stamp, the last request is returned
-            again, or `NOTHING` if the task has ended since then. An earlier stamp means that the
-            source of the images was restarted. In this case a running task restarts.
+            Stamp of the image [s]. If the stamp is equal to the last stamp, the last request is
+            returned again, or `NOTHING` if the task has ended since then. If the stamp is earlier
+            than the last stamp, the source of the images was restarted. In this case, a running
+            task restarts too.
 
         Returns
         -------
@@ -340,8 +345,8 @@ class Planner:
         return self.answer(self.see(state, parts, t))
 
     def answer(self, state: PlannerState) -> tuple[PlannerState, CycleRequest, Progress]:
-        """Return the request for the next cycle from the images recorded so far. The result is the
-        same as in `plan`."""
+        """Compute the request for the next cycle from the images that were recorded so far. The
+        returned values are the same as in `plan`."""
         estimator = state.estimator
         there, last = estimator.parts, state.last
         if self.rules.open_ended:  # parts may be removed at any time
@@ -361,24 +366,25 @@ class Planner:
 
     @property
     def _labels(self) -> tuple[str, ...]:
-        """Classes of the task's parts."""
+        """Classes of the parts in the scenario."""
         return tuple(group.label for group in self.scenario.parts)
 
     def _mine(self, ids: Sequence[str]) -> set[str]:
-        """Return the ids without the ids of objects that do not belong to the task."""
+        """Return those of the ids `ids` that belong to parts of the task. Ids of unknown objects
+        are omitted."""
         return {name for name in ids if not is_bystander(name, self._labels)}
 
     def _on_plate(self, parts: Parts) -> Parts:
-        """Return the parts whose centres are on the plate. The other parts have left the plate."""
+        """Return the parts whose centres are on the plate. All other parts have left the plate."""
         keep = np.all(np.abs(parts.position) <= self.rig.plate.half, axis=1)
         return parts if np.all(keep) else parts.take(np.flatnonzero(keep))
 
     def _without_doubles(
         self, parts: Parts, seen: Parts, classes: tuple[str, ...] | None = None
     ) -> Parts:
-        """Return the parts without each undetected part at whose position another part is detected.
-        Both are the same part, which was hidden and has a new id. `classes` limits this to some
-        classes."""
+        """Remove each undetected part at whose predicted position another part is detected. Both
+        are assumed to be the same part, which was hidden and has a new id. If `classes` is given,
+        only parts of these classes are removed."""
         label = [part_class(name) for name in parts.ids]
         missing = [name not in seen.ids for name in parts.ids]
         if classes is not None:
@@ -395,8 +401,8 @@ class Planner:
     def _last_seen(
         self, before: Mapping[str, LastSeen], parts: Parts, t: float
     ) -> Mapping[str, LastSeen]:
-        """Return the last position and stamp of each part. If a part has left the plate, this is
-        its first position outside the plate."""
+        """Return the last position and stamp of each part. If a part has left the plate, its first
+        position outside the plate is used instead."""
         half = self.rig.plate.half
         off = {name for name, at in before.items() if np.any(np.abs(at.position) > half)}
         on = np.all(np.abs(parts.position) <= half, axis=1)
@@ -405,7 +411,7 @@ class Planner:
         return {**before, **now}
 
     def _advance(self, state: PlannerState, parts: Parts) -> tuple[PlannerState, Assessment]:
-        """Update the state of the task, and evaluate it by its rules."""
+        """Update the state of the task, and evaluate the task by its rules."""
         t, count = state.estimator.stamp, self.scenario.count
         comes_and_goes = self.rules.open_ended
         missing = () if comes_and_goes else missing_parts(self.scenario, state.known, parts)
@@ -436,8 +442,8 @@ class Planner:
         ), assessment
 
     def others(self, parts: Parts) -> str:
-        """Return a text on unknown objects on the plate. The text is empty for tasks in which parts
-        are added and removed, because these tasks count unknown objects themselves."""
+        """Return a text that lists unknown objects on the plate. The text is empty for tasks in
+        which parts are added and removed, because these tasks count unknown objects themselves."""
         return "" if self.rules.open_ended else bystanders_text(parts, self._labels)
 
     def _observe(self, state: PlannerState, parts: Parts, begins: bool) -> Estimator:
@@ -454,7 +460,7 @@ class Planner:
     def _situation(
         self, estimator: Estimator, state: PlannerState, parts: Parts, active: bool
     ) -> Situation:
-        """Return the input of the task rules."""
+        """Collect the inputs of the task rules."""
         period, start, place = estimator.period, estimator.next_start, estimator.bias.place
         axes = self.rules.bias_axes(state.memory, parts, start - period / 2)
         return Situation(
@@ -482,7 +488,7 @@ class Planner:
         parts: Parts,
         content: DriftInterval | Targets,
     ) -> tuple[PlannerState, CycleRequest]:
-        """Build the request for the solver. Store the drift that it requests in the estimator."""
+        """Build the request to the solver. Store the requested drift in the estimator."""
         estimator, period = state.estimator, state.estimator.period
         targets = content if isinstance(content, Targets) else None
         if isinstance(content, Targets):

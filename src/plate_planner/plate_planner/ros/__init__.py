@@ -1,4 +1,5 @@
-"""The planner's action servers, its reports, and its state as ROS messages."""
+"""Action servers of the planner, publishers of its reports, and conversions of its state to ROS
+messages."""
 
 from .goals import GoalServers
 from .messages import STATES, run_to_msg

@@ -1,7 +1,7 @@
 """Action servers of the planner.
 
-There is one server per action. It passes each goal to the node. A goal has the state *accepted*
-while its task runs. It is executed when the task ends.
+Each action has one server. The server passes each goal to the node. While the task of a goal runs,
+the goal has the ROS state *accepted*. The goal is executed only when the task ends.
 """
 
 from __future__ import annotations
@@ -23,10 +23,11 @@ class GoalServers:
     ----------
     node : Node
     on_goal : callable
-        Receives each goal handle. The owner must call `finish` for it, either at once or later.
+        Function that is called with the handle of each new goal. The owner of this object must
+        later call `finish` for this goal.
     on_cancel : callable
-        Receives the handle of a goal that a client wants to cancel. Returns whether the goal is
-        canceled.
+        Function that is called with the handle of a goal that a client wants to cancel. It returns
+        whether the cancellation is accepted.
     """
 
     def __init__(
@@ -45,16 +46,16 @@ class GoalServers:
         ]  # fmt: skip
 
     def finish(self, goal: Any, status: TaskStatus) -> None:
-        """Send the result to the client of a goal.
+        """Complete a goal: send the status `status` as its result to the client.
 
-        The goal is executed only now. If it were executed when it is accepted, rclpy would
+        The goal is executed only here. If a goal were executed when it is accepted, rclpy would
         continuously poll a coroutine that waits for the end of the task.
         """
         self._results[bytes(goal.goal_id.uuid)] = status
         goal.execute()
 
     def feed_back(self, goal: Any, progress: TaskProgress) -> None:
-        """Send the progress to the client of a goal."""
+        """Send the progress of a task as action feedback to the client of the goal."""
         feedback = ACTIONS[action_name(goal.request)].Feedback()
         feedback.progress = progress
         goal.publish_feedback(feedback)

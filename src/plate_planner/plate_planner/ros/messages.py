@@ -41,7 +41,7 @@ def progress_to_msg(progress: Progress) -> TaskProgress:
 
 
 def run_to_msg(run: Run, answered: Time) -> TaskStatus:
-    """Convert the state of a task to a message. `answered` is the stamp of the message."""
+    """Convert the state of a task to a TaskStatus message with the stamp `answered`."""
     status = TaskStatus(
         header=Header(stamp=answered), task=run.name, state=STATES[run.task.phase],
         reason=int(run.task.reason), text=run.task.text,
@@ -58,15 +58,15 @@ def run_to_msg(run: Run, answered: Time) -> TaskStatus:
 def feed_to_msg(
     report: FeedReport, moves: bool, shown: Mapping[str, Part], stamp: Time
 ) -> FeedStatus:
-    """Convert the report of a feed to a message.
+    """Convert the report of a feed task to a FeedStatus message.
 
     Parameters
     ----------
     report : FeedReport
     moves : bool
-        Whether the plate is requested to move after this image.
+        Whether the planner requests a motion of the plate after the last image.
     shown : mapping of str to Part
-        Parts of the last image, by id. The message omits ready parts that are not in this image.
+        Parts of the last image, by id. The message omits ready parts that this image does not show.
     stamp : Time
         Stamp of the last image.
     """

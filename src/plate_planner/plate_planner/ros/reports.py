@@ -1,4 +1,4 @@
-"""Publishers of the planner's task_status, part_targets and feed_status.
+"""Publishers of the planner's topics task_status, part_targets and feed_status.
 
 `TaskReports` stores the last published values, so that unchanged targets are not published again
 and an unchanged text is not logged again.
@@ -21,7 +21,7 @@ from .messages import feed_to_msg, run_to_msg
 
 
 class TaskReports:
-    """Publishes task_status, part_targets and feed_status.
+    """Publishes the planner's topics task_status, part_targets and feed_status.
 
     Parameters
     ----------
@@ -35,13 +35,14 @@ class TaskReports:
         self.begin()
 
     def begin(self) -> None:
-        """Forget the published targets, the last image and the logged text."""
+        """Delete the stored values: the published targets, the parts of the last image, and the
+        logged text."""
         self._published_targets: tuple[PartTarget, ...] | None = None
         self._shown: dict[str, Part] = {}  # parts of the last image, by id
         self._logged_text = ""
 
     def record_image(self, msg: Parts) -> None:
-        """Keep the parts of the last image for feed_status."""
+        """Store the parts of the last image, because feed_status needs them."""
         self._shown = {part.id: part for part in msg.parts}
 
     def publish_status(
@@ -52,11 +53,11 @@ class TaskReports:
         Parameters
         ----------
         run : Run or None
-            Task to report. None if there was no task.
+            Task whose status is published. None if there was no task.
         answered : Time
             Stamp of the last image or cycle start for which a request was published.
         reason : Reason
-            Text in the status if `run` is None.
+            Reason in the status if `run` is None.
         """
         if run is None:
             status = TaskStatus(header=Header(stamp=answered), text="idle", reason=int(reason))
@@ -73,16 +74,18 @@ class TaskReports:
 
     def publish_feed(self, run: Run, moves: bool, stamp: Time) -> None:
         """Publish the state of a `feed` task. Do nothing for other tasks. `moves` states whether
-        the task requests motion after the image with this stamp."""
+        the task requests a motion of the plate after the image with the stamp `stamp`."""
         memory = run.state.memory
         if isinstance(run.planner.scenario.task, FeedTask) and memory is not None:
             self._feed.publish(feed_to_msg(memory.report, moves, self._shown, stamp))
 
     def is_new(self, text: str) -> bool:
-        """Return whether a text differs from the text of the last call and must be logged."""
+        """Return whether `text` differs from the text of the last call, so that it must be
+        logged."""
         new, self._logged_text = text != self._logged_text, text
         return new
 
     def forget_text(self) -> None:
-        """Forget the last text, so that `is_new` returns True for the same text again."""
+        """Delete the stored text, so that `is_new` returns True even if it is called with the same
+        text."""
         self._logged_text = ""

@@ -1,7 +1,7 @@
 """Supervision of a task: its phase, the reason of its end, its progress, and the planner's inputs.
 
-`begin`, `evaluate` and `stopped` change the phase. `Inputs` is the state of the planner's inputs.
-`InputMonitor` decides whether a task can continue with these inputs.
+The functions `begin`, `evaluate` and `stopped` change the phase of a task. `Inputs` is the state of
+the planner's inputs. `InputMonitor` decides whether a task can continue with these inputs.
 """
 
 from .bystanders import Overlooked, bystanders_text, is_bystander, without_surplus

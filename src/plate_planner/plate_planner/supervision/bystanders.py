@@ -1,9 +1,10 @@
-"""Objects on the plate that do not belong to the task, or that vision cannot classify.
+"""Functions for objects on the plate that do not belong to the task, or that the detector cannot
+classify.
 
-Vision publishes some of these objects as parts of the classes `unknown` and `group`. The planner
-treats them like all parts without a goal: it keeps them on the plate and away from the parts of the
-task. Vision lists other objects only as overlooked. Parts may collide with these objects, so the
-planner reports them.
+The detector publishes some of these objects as parts of the classes `unknown` and `group`. The
+planner treats them like all parts without a goal. It keeps them on the plate and away from the
+parts of the task. The detector publishes other objects only in its list of overlooked objects.
+Parts may collide with these objects, so the planner reports them.
 """
 
 from __future__ import annotations
@@ -24,24 +25,24 @@ from plate_core import (
 )
 
 SEVERAL = 5
-"""Number of the last images that are evaluated. An object counts only if the majority of these
-images shows it. This rejects short reflections."""
+"""Number of last images in which overlooked objects are counted. An object counts only if the
+majority of these images shows it. This rejects short reflections."""
 
 LISTED = 3
-"""Maximum number of objects that a message lists with their positions. All further objects are only
+"""Maximum number of objects that a message lists with their positions. Further objects are only
 counted."""
 
 
 def is_bystander(part_id: str, labels: tuple[str, ...]) -> bool:
-    """Whether a part belongs neither to the task's classes `labels` nor to any other class that
-    vision knows."""
+    """Whether a part is an object whose class the detector does not know. The result is False if
+    this class is one of the task's classes `labels`."""
     label = part_class(part_id)
     return label in NAMELESS and label not in labels
 
 
 def bystanders_text(parts: Parts, labels: tuple[str, ...]) -> str:
-    """Return a text that lists the parts for which `is_bystander` is true. Empty if there are
-    none."""
+    """Return a text that lists the parts for which `is_bystander` is True. The text is empty if
+    there are no such parts."""
     rows = [row for row, name in enumerate(parts.ids) if is_bystander(name, labels)]
     if not rows:
         return ""
@@ -51,8 +52,8 @@ def bystanders_text(parts: Parts, labels: tuple[str, ...]) -> str:
 
 
 def without_surplus(parts: Parts, labels: tuple[str, ...]) -> Parts:
-    """Return at most `MAX_PARTS` parts, because the solver accepts no more. Unknown objects are
-    removed first."""
+    """Return at most `MAX_PARTS` of the parts, because the solver accepts no more. Unknown objects
+    are removed first."""
     if len(parts) <= MAX_PARTS:
         return parts
     last = [is_bystander(name, labels) for name in parts.ids]
@@ -61,13 +62,14 @@ def without_surplus(parts: Parts, labels: tuple[str, ...]) -> Parts:
 
 @dataclass
 class Overlooked:
-    """Objects in the last images that may be parts, although vision does not publish them as parts.
+    """Objects in the last images that may be parts, although the detector does not publish them as
+    parts.
 
     Attributes
     ----------
     rig : Rig
     images : deque of tuple of OverlookedThing
-        Objects of each image.
+        Overlooked objects in each of the last images.
     """
 
     rig: Rig
@@ -76,7 +78,7 @@ class Overlooked:
     )
 
     def add(self, things: tuple[OverlookedThing, ...], parts: Parts) -> None:
-        """Add the objects and parts of an image."""
+        """Record the overlooked objects and the parts of an image."""
         areas = [part.area_m2 for part in self.rig.types.values()]
         areas = areas or [np.pi * self.rig.parts.radius_m**2]
         low = np.sqrt(PLAUSIBLE_AREA[0] * min(areas) / np.pi)
@@ -94,12 +96,13 @@ class Overlooked:
 
     @property
     def count(self) -> int:
-        """Median number of overlooked objects per image, over the last images."""
+        """Median of the number of overlooked objects in the last images."""
         return int(np.median([len(one) for one in self.images])) if self.images else 0
 
     @property
     def text(self) -> str:
-        """Text with the number and the positions of overlooked objects. Empty if there are none."""
+        """Text with the number and the positions of overlooked objects. Empty if there are no such
+        objects."""
         count = self.count
         if not count:
             return ""

@@ -1,7 +1,8 @@
-"""Texts for failed tasks: cause, measured values and remedy.
+"""Texts for failed tasks. They describe the cause, the measured values and a remedy.
 
-`loss_of` explains a lost part by its last position and by objects near it. `shortfall_text`
-compares requested and actual drift. `outlook` warns of a low shaking ratio before the start.
+`loss_of` explains a lost part by its last position and by objects near this position.
+`shortfall_text` compares the requested drift with the actual drift of a part. `outlook` warns of a
+low shaking ratio before a task starts.
 """
 
 from __future__ import annotations
@@ -17,21 +18,21 @@ from ..estimation import LastRequest
 from .phase import LOOK, Failure, Reason
 
 NEAR_EDGE = 3.0
-"""If the last position of a lost part is within this distance of an edge, the part counts as having
-left the plate [part radii]."""
+"""If a lost part was last detected within this distance of an edge, it counts as having left the
+plate [part radii]."""
 
 SAME_PLACE = 3.0
-"""An unknown object within this distance of a part's last position counts as this part [part
-radii]."""
+"""If an unknown object is within this distance of the last position of a lost part, it counts as
+this part [part radii]."""
 
 NOBODY = Parts.make((), np.zeros((0, 2)))
 
 FEW = 5
-"""Number of parts that can be moved independently. With more parts, only few cycles move all of
-them as requested."""
+"""Number of parts that the plate can move independently. With more parts, only few cycles move all
+parts as requested."""
 
 AT_REST_MPS = 0.5e-3
-"""Minimum requested drift that is expected to move a part [m/s]."""
+"""If the requested drift of a part is below this value, no motion of the part is expected [m/s]."""
 
 
 class LastSeen(NamedTuple):
@@ -44,7 +45,8 @@ class LastSeen(NamedTuple):
 def loss_of(
     name: str, last: LastSeen | None, began: float, rig: Rig, count: int, parts: Parts = NOBODY
 ) -> Failure:
-    """Return the failure for a part that is no longer detected, with a remedy.
+    """Return the failure of a task in which a part is no longer detected. Its text contains a
+    remedy.
 
     `last` is the last detection of the part, or None if it was never detected. `began` is the start
     of the task [s], `count` is the number of parts, and `parts` are the parts in the image.
@@ -73,8 +75,9 @@ def loss_of(
 def shortfall_text(
     request: LastRequest, rig: Rig, parts: Parts, distance: np.ndarray, count: int
 ) -> str:
-    """Return a text on the part with the largest `distance` (M,) [m] from its goal. The text states
-    the requested and the actual drift, and a remedy."""
+    """Return a text about the part that has the largest distance from its goal. `distance` (M,) [m]
+    contains the distances of all parts. The text states the requested and the actual drift of the
+    part, and a remedy."""
     if not len(distance):
         return ""
     worst = int(np.argmax(distance))
@@ -99,8 +102,8 @@ def shortfall_text(
 
 
 def outlook(rig: Rig, count: int, time_limit_s: float) -> str:
-    """Return a warning before the start if the shaking ratio is too low. The text is empty if the
-    ratio is high enough."""
+    """Return a warning if the shaking ratio is too low for the task. The text is empty if the ratio
+    is high enough."""
     if rig.gamma >= MIN_GAMMA:
         return ""
     expect = "longer"
@@ -112,7 +115,7 @@ def outlook(rig: Rig, count: int, time_limit_s: float) -> str:
 
 
 def remedy(rig: Rig, count: int) -> str:
-    """Return a remedy for parts that do not move as requested."""
+    """Return a text that proposes a remedy if parts do not move as requested."""
     if rig.gamma < MIN_GAMMA:
         return weak_plate_text(rig)
     if count > FEW:

@@ -1,8 +1,8 @@
-"""The planner's inputs: the arrival times of their messages, and whether the task can continue with
-them.
+"""State of the planner's inputs. It contains the arrival times of messages, and determines whether
+a task can continue with these inputs.
 
-All functions are pure; the time is an argument. All times are from the steady clock [s]. Therefore
-an old image stamp or a stopped simulated clock cannot make an input appear new.
+All functions are pure, and the time is an argument. All times are measured by the steady clock [s].
+Therefore an old image stamp or a stopped simulated clock cannot make an input appear new.
 """
 
 from __future__ import annotations
@@ -20,38 +20,40 @@ CYCLES = 3.0
 used."""
 
 SECOND_HAND_S = 0.2
-"""Time by which the planner's timeout exceeds the timeouts of other nodes [s]. Therefore a node
-that lacks input reports this first, and its report gives the more exact reason."""
+"""Time by which the planner's timeout exceeds the timeouts of other nodes [s]. If another node
+lacks input, it therefore reports this before the planner's timeout. The report of that node
+contains the more exact reason."""
 
 ERROR_TIMEOUT_S = 1.0
 """Maximum duration of an error that the driver or the detector reports [s]. If the error lasts
-longer, the task ends. Short errors are tolerated, because a connection may fail for a moment and a
-single image may be misread."""
+longer, the task ends. Shorter errors are tolerated, because a connection may fail for a short time,
+and the detector may misinterpret a single image."""
 
 REPORT_TIMEOUT_S = 1.3
-"""Maximum age of a node's diagnostics [s]. Nodes publish them once per second. If they are older,
-the node counts as timed out."""
+"""Maximum age of a node's diagnostics [s]. Nodes publish diagnostics once per second. If the newest
+diagnostics of a node are older, the node counts as timed out."""
 
 LOOP = ("detector", "solver", "driver", "device", "simulator")
-"""Nodes whose diagnostics are evaluated, in the order of the data flow. If one of them has no
-input, the plate does not move as planned."""
+"""Nodes whose diagnostics are evaluated, in the order of the data flow. If one of these nodes has
+no input, the plate does not move as planned."""
 
 FEEDER_S = 1.5
 """Timeout of a feeder's orders [s]. The feeder repeats its order every 0.5 s. If no order arrives
-for the timeout, the plate must rest."""
+for this time, the plate must rest."""
 
 FRESH_S = 0.5
-"""Maximum age of parts and cycles [s]. It is longer if cycles are long. If an input is older, later
-nodes lack inputs only as a consequence, which is not a separate reason."""
+"""Maximum age of the messages parts and plate_cycle [s]. If cycles are long, the maximum age is
+longer. If such a message is older, all later nodes in the data flow lack input only as a
+consequence. Their reports are then ignored."""
 
 LIFE_S = 0.8
-"""Maximum age of driver_status [s]. The driver publishes it every 0.5 s."""
+"""Maximum age of the message driver_status [s]. The driver publishes this message every 0.5 s."""
 
 
 @dataclass(frozen=True)
 class Report:
-    """The newest diagnostics of a node: arrival time, level, message, and time since which the
-    level is unchanged."""
+    """Newest diagnostics of a node. The attributes are the arrival time, the level, the message,
+    and the time since which the level is unchanged."""
 
     at: float
     level: Level
@@ -66,19 +68,19 @@ class Inputs:
     Attributes
     ----------
     parts, driver : Input
-        Arrival times of `parts` and driver_status. Parts count as received only if their stamp is
-        new.
+        Arrival times of the messages parts and driver_status. A message parts counts only if its
+        stamp is new.
     ran : float
         Time at which the planner was last active.
     stamp : int or None
         Stamp of the last parts [ns].
     unanswered : float or None
-        Time of the first part_forces for which no plate_cycle has arrived yet. None if there
-        are none.
+        Time of the first message part_forces for which no plate_cycle has arrived yet. None if no
+        plate_cycle is missing.
     driver_status : DriverStatus or None
-        Newest driver_status. None before the first one.
+        Newest message driver_status. None before the first message.
     error_since : float or None
-        Time since which driver_status has reported an error. None if it does not.
+        Time since which driver_status has reported an error. None if it reports no error.
     enabled_ns : int or None
         Time at which the motors were enabled, from the newest ready status [ns, wall clock].
         None before the first ready status.
@@ -88,9 +90,9 @@ class Inputs:
     reports : mapping of str to Report
         Newest diagnostics by node.
     starts : Input or None
-        Arrival of reported cycle starts. None if reports are not required.
+        Arrival times of reported cycle starts. None if reports are not required.
     orders : Input or None
-        Arrival of the orders that a feeder repeats. None until the first order.
+        Arrival times of the orders that a feeder repeats. None until the first order.
     """
 
     parts: Input
@@ -108,9 +110,10 @@ class Inputs:
 
     @classmethod
     def none_yet(cls, now: float, timeout_s: float, triggered: bool = True) -> Inputs:
-        """Return the initial state, without inputs.
+        """Return the state before any message has arrived.
 
-        Cycle starts must be reported unless the camera is triggered at cycle starts.
+        If the camera is triggered at cycle starts (`triggered`), reports of cycle starts are not
+        required.
         """
         parts = Input(
             "parts", "parts", "check that the detector and the camera run", timeout_s, now
@@ -125,17 +128,17 @@ class Inputs:
     # Messages received
 
     def parts_received(self, now: float, stamp_ns: int) -> Inputs:
-        """Record received parts."""
+        """Record that a message parts has arrived."""
         if stamp_ns == self.stamp:
             return self
         return replace(self, parts=self.parts.received(now), stamp=stamp_ns)
 
     def start_received(self, now: float) -> Inputs:
-        """Record a reported cycle start."""
+        """Record that the start of a cycle was reported."""
         return self if self.starts is None else replace(self, starts=self.starts.received(now))
 
     def order_received(self, now: float) -> Inputs:
-        """Record an order of a feeder."""
+        """Record that an order of a feeder has arrived."""
         advice = "check that the feeder runs and the computer is fast enough"
         orders = Input("feed_orders", "feed_orders", advice, FEEDER_S, now, now)
         return replace(self, orders=orders)
@@ -145,11 +148,11 @@ class Inputs:
         return self if self.unanswered is not None else replace(self, unanswered=now)
 
     def cycle_received(self) -> Inputs:
-        """Record a cycle from the solver."""
+        """Record that a cycle of the solver has arrived."""
         return replace(self, unanswered=None)
 
     def driver_received(self, now: float, status: DriverStatus) -> Inputs:
-        """Record a driver_status."""
+        """Record that a message driver_status has arrived."""
         ready = status.state is DriverState.READY
         again = ready and self.enabled_ns not in (None, status.enabled_ns)
         since = now if self.error_since is None else self.error_since
@@ -163,7 +166,8 @@ class Inputs:
         )
 
     def report_received(self, now: float, name: str, level: Level, message: str) -> Inputs:
-        """Record the diagnostics of a node. Nodes outside `LOOP` are ignored."""
+        """Record that diagnostics of a node have arrived. Nodes that `LOOP` does not contain are
+        ignored."""
         if name not in LOOP:
             return self
         before = self.reports.get(name)
@@ -173,7 +177,7 @@ class Inputs:
     # Evaluation
 
     def timeout(self, period: float) -> float:
-        """Return the input timeout [s] for cycles of `period` [s]."""
+        """Return the timeout of inputs [s] for cycles of the length `period` [s]."""
         return max(self.parts.timeout_s, CYCLES * period) + SECOND_HAND_S
 
     def answer_overdue(self, now: float, period: float) -> bool:
@@ -181,7 +185,8 @@ class Inputs:
         return self.unanswered is not None and now - self.unanswered > self.timeout(period)
 
     def driver_problem(self, now: float) -> str:
-        """Return the reason why the driver prevents the start of a task. Empty if it does not."""
+        """Return the reason why the state of the driver prevents the start of a task. The text is
+        empty if a task can start."""
         finding = self.driver.timed_out(now)
         if finding is not None:
             return finding.message
@@ -199,7 +204,8 @@ class Inputs:
         return self.driver_status is not None and self.driver_status.state is DriverState.READY
 
     def parts_problem(self, now: float, publishers: Callable[[str], int]) -> str:
-        """Return the reason why missing parts prevent the start of a task. Empty if they do not."""
+        """Return the reason why missing messages parts prevent the start of a task. The text is
+        empty if a task can start."""
         if self.parts.arrival is None:
             return f"no parts yet; {self._blame_for_parts(now, publishers)}"
         if self.parts.timed_out(now) is not None:
@@ -207,8 +213,8 @@ class Inputs:
         return ""
 
     def starts_problem(self, now: float) -> str:
-        """Return the reason why missing cycle starts prevent the start of a task. Empty if they do
-        not."""
+        """Return the reason why missing reports of cycle starts prevent the start of a task. The
+        text is empty if a task can start."""
         if self.starts is None:
             return ""
         finding = self.starts.timed_out(now)
@@ -219,13 +225,13 @@ class Inputs:
     def problem(
         self, now: float, began: float, period: float, publishers: Callable[[str], int]
     ) -> Failure | None:
-        """Return the reason why a running task cannot continue. None if it can.
+        """Return the reason why a running task cannot continue, or None if it can continue.
 
         Parameters
         ----------
         now : float
         began : float
-            Start of the task. Interruptions before the task are ignored.
+            Time at which the task started. Interruptions of inputs before this time are ignored.
         period : float
             Length of a cycle [s].
         publishers : callable
@@ -283,9 +289,11 @@ class Inputs:
         return Failure(Reason.CUT_OFF, finding.message) if finding is not None else None
 
     def _cut_off(self, now: float, began: float, period: float) -> str:
-        """Return the first node of the loop that reports missing input. Empty if there is none.
+        """Return the first node of `LOOP` that reports missing input. The result is empty if there
+        is no such node.
 
-        A node that follows this node, or a node that timed out, lacks input only as a consequence.
+        Nodes that come later in the data flow lack input only as a consequence, so their reports
+        are ignored. The same applies to nodes after a node that timed out.
         """
         fresh = max(FRESH_S, CYCLES * period)
         stale = {
@@ -309,8 +317,9 @@ class Inputs:
         return next((name for name in ("device", "simulator") if name in stale), "")
 
     def findings(self, now: float, publishers: Callable[[str], int]) -> list[Finding | None]:
-        """Return the findings on missing inputs for the diagnostics: parts, driver and cycle
-        starts. None if an input is not missing. The findings do not depend on a running task."""
+        """Return findings for the diagnostics about the inputs parts, driver and cycle starts. The
+        finding is None if this input is not missing. The findings do not depend on whether a task
+        runs."""
         parts = self.parts.timed_out(now)
         if parts is not None:
             parts = Finding(Level.STALE, self.parts_problem(now, publishers))
@@ -321,10 +330,10 @@ class Inputs:
         return [parts, driver, starts]
 
     def stood_still(self, now: float, period: float) -> Failure | None:
-        """Return a failure if the planner's process stalled for longer than the input timeout.
+        """Return a failure if the planner's process has stalled for longer than the input timeout.
         Otherwise return None.
 
-        After such a stall, messages that arrived during it appear to be new, although the driver
+        Messages that arrived during such a stall appear to be new afterwards, although the driver
         has stopped the plate.
         """
         away = now - self.ran
@@ -337,8 +346,8 @@ class Inputs:
         return replace(self, ran=now)
 
     def woken(self, now: float) -> Inputs:
-        """Return the inputs after a stall of the process. Arrival times of earlier messages are
-        discarded."""
+        """Return the inputs after a stall of the planner's process. Arrival times of earlier
+        messages are discarded."""
         parts, driver = (
             replace(each, since=now, arrival=None if each.arrival is None else now)
             for each in (self.parts, self.driver)
@@ -357,8 +366,8 @@ class Inputs:
     def _blame(
         self, topic: str, node: str, advice: str, now: float, publishers: Callable[[str], int]
     ) -> str:
-        """Return the reason why the node `node` does not publish its topic. If the reason is
-        unknown, return `advice`."""
+        """Return the reason why the node `node` does not publish the topic `topic`. If the reason
+        is unknown, return `advice`."""
         if not publishers(topic):
             return f"no node publishes {topic}; check that the {node} runs"
         report = self.reports.get(node)

@@ -2,7 +2,8 @@
 continue.
 
 `InputMonitor` combines four checks: timeouts of inputs, the driver's state, a second publisher of a
-topic, and stalls of the planner's own process. The caller passes the time [s, steady clock].
+topic, and stalls of the planner's own process. The time is an argument of the methods [s, steady
+clock].
 """
 
 from __future__ import annotations
@@ -16,37 +17,37 @@ from .inputs import Inputs
 from .phase import Failure, Reason, TaskState
 
 STILL_S = 1.0
-"""After a stall that was longer than this value [s], the planner refuses goals that may have waited
-during the stall."""
+"""If the planner's process has stalled for longer than this time [s], the planner refuses goals
+that may have waited during the stall."""
 
 SINGLE = ("parts", "part_forces", "plate_cycle", "driver_status", "cycle_started", "feed_orders")
-"""Topics that only one node may publish."""
+"""Topics that may have only one publisher."""
 
 MARGIN_S = 0.1
-"""Additional time that the monitor waits for all parts [s], so that the planner itself ends the
-task first."""
+"""Additional time that the monitor waits until all parts are detected [s]. With this time, the
+planner itself normally ends the task first."""
 
 
 class InputMonitor:
     """Stores the state of the planner's inputs, and decides whether a task can start or continue.
 
-    Times are on the steady clock [s].
+    All times are measured by the steady clock [s].
 
     Parameters
     ----------
     inputs : Inputs
     start_timeout_s : float
-        Maximum time from a goal until all parts are detected.
+        Maximum time from the arrival of a goal until all parts are detected.
     now : float
     publishers : callable
         Function that returns the number of publishers of a topic.
     second_publisher : callable
-        Function that returns a message if several nodes publish a topic, otherwise "".
+        Function that returns a text if several nodes publish a topic, otherwise "".
 
     Attributes
     ----------
     inputs : Inputs
-        Inputs received so far. The owner of the monitor records each message in this object.
+        State of the planner's inputs. The owner of the monitor records each message in this object.
     """
 
     def __init__(
@@ -62,10 +63,11 @@ class InputMonitor:
         self._publishers, self._second_publisher = publishers, second_publisher
 
     def wake(self, now: float, period: float) -> Failure | None:
-        """Record that the planner runs. Return a failure if its process has stalled since the last
-        call for longer than the input timeout, otherwise None.
+        """Record that the planner is running. Return a failure if the planner's process has stalled
+        since the last call for longer than the input timeout. Otherwise return None.
 
-        Each callback must call this function first. `period` is the length of a cycle [s].
+        Each callback of the node must call this method first. `period` is the length of a cycle
+        [s].
         """
         self._standstill.is_late(now)
         failure = self.inputs.stood_still(now, period)
@@ -73,20 +75,20 @@ class InputMonitor:
         return failure
 
     def goal_may_be_old(self, now: float) -> bool:
-        """Whether a goal that is received at `now` may have waited during a stall."""
+        """Whether a goal that is received at the time `now` may have waited while the process
+        stalled."""
         return self._standstill.is_late(now)
 
     def second_publishers(self) -> str:
-        """Return a message if several nodes publish a topic that only one may publish. Otherwise
-        return ""."""
+        """Return a text if a topic of `SINGLE` has several publishers. Otherwise return ""."""
         return next(filter(None, map(self._second_publisher, SINGLE)), "")
 
     def findings(self, now: float) -> list[Finding | None]:
-        """Return the findings on missing inputs at `now` for the diagnostics."""
+        """Return findings about missing inputs for the diagnostics at the time `now`."""
         return self.inputs.findings(now, self._publishers)
 
     def start_problem(self, now: float) -> str:
-        """Return the reason why a task cannot start. Return "" if it can start."""
+        """Return the reason why a task cannot start, or "" if it can start."""
         return (
             self.second_publishers()
             or self.inputs.driver_problem(now)
@@ -97,13 +99,13 @@ class InputMonitor:
     def task_problem(
         self, now: float, goal_time: float, task: TaskState, period: float
     ) -> Failure | None:
-        """Return the reason why a running task cannot continue. Return None if it can continue.
+        """Return the reason why a running task cannot continue, or None if it can continue.
 
         Parameters
         ----------
         now : float
         goal_time : float
-            Arrival of the goal.
+            Arrival time of the goal.
         task : TaskState
         period : float
             Length of a cycle.
