@@ -1,7 +1,8 @@
 """A test host for the emulated board, written on top of `plate_core.serial_protocol`.
 
-`Host` sends commands and tables over an emulated serial line of limited baud rate. `committed` and
-`attacked` measure the length of the board's ticks, with a valid table and with hostile packets.
+`Host` sends commands and tables over an emulated serial line of limited baud rate. The function
+`committed` measures the length of the board's ticks with a valid table, and `attacked` with hostile
+packets.
 """
 
 from __future__ import annotations
@@ -45,24 +46,24 @@ LINE_BYTES = 92
 """Number of bytes that a line of 921,600 baud carries per tick."""
 
 FLOOD_BYTES = 3500
-"""Size of one flood [bytes]. It nearly fills the board's receive ring (`RING_BYTES`)."""
+"""Size of one flood [bytes]. A flood nearly fills the board's receive ring (`RING_BYTES`)."""
 
 BEAT_TICKS = 25
 """Time between heartbeats while nothing else is sent [ticks]."""
 
 WAIT_TICKS = 12_000
-"""Maximum wait for a condition [ticks], which exceeds the time for which a table may be
+"""Maximum wait for a condition [ticks]. This wait is longer than the time for which a table may be
 repeated."""
 
 FEW_PIECES = 24
-"""Minimum number of pieces that can represent the wave. With fewer pieces, `committed` uses a tiny
-amplitude."""
+"""Minimum number of polynomial pieces that can represent the motion of `wave`. With fewer pieces,
+`committed` uses a tiny amplitude."""
 
 PLAYED_TICKS = 300
-"""Number of ticks for which a new table is measured."""
+"""Number of ticks after the start of a new table in which the tick lengths are measured."""
 
 HOSTS = itertools.count(1)
-"""Counter of hosts, for separate sequence numbers."""
+"""Counter of `Host` objects. Each host gets separate sequence numbers."""
 
 STROKE_M, SPEED, ACCEL = 0.010, 1.0, 100.0
 """Limits of config/rig.yaml: stroke [m], speed [m/s], acceleration [m/s2]."""
@@ -70,7 +71,7 @@ STROKE_M, SPEED, ACCEL = 0.010, 1.0, 100.0
 
 @dataclass(frozen=True)
 class Ticks:
-    """Tick lengths in a part of a measurement, and extremes since the board's reset.
+    """Tick lengths in a part of a measurement, and maximum values since the board's reset.
 
     Attributes
     ----------
@@ -161,7 +162,7 @@ class Host:
         Raises
         ------
         TimeoutError
-            If it is not true within `WAIT_TICKS`.
+            If the condition is not true within `WAIT_TICKS`.
         """
         end = self._ticks + WAIT_TICKS
         while not reached():
@@ -216,7 +217,7 @@ class Host:
 
     def ticks_since(self, before: np.record, first: int) -> Ticks:
         """Return the tick lengths since an earlier record. `first` is the index of the first
-        telemetry to include."""
+        telemetry that is used."""
         record = self.board.record()
         worst = max(m.load for m in self.telemetry[first:]) * TICK_INSTRUCTIONS
         seen = float(record.step_m), tuple(record.most.tolist()), int(record.late)
@@ -231,13 +232,13 @@ def wave(
     and acceleration.
 
     The motion is q = s(t) sin(w t + phase) with the envelope s. With w = 100 rad/s a sine reaches
-    all three limits of config/rig.yaml. The convex hulls of the spline exceed the limits where the
-    spline itself does not, so the board's check must bisect the pieces.
+    all three limits of config/rig.yaml. The convex hulls of the spline exceed the limits, although
+    the spline does not. Therefore the board's check must bisect the pieces.
 
     Parameters
     ----------
     jitter : float
-        Random shift of the knots in time, full width in lengths of a piece.
+        Width of the range of random shifts of the knots in time, in lengths of a piece.
     """
     rate = ACCEL / SPEED
     t = np.linspace(0, period_s, pieces + 1)
@@ -264,7 +265,8 @@ def wave(
 
 def committed(host: Host, pieces: int, table: int) -> tuple[Status, Ticks]:
     """Upload a second table of `pieces` pieces while a table plays, and let it play for
-    `PLAYED_TICKS`. Return the status of its Commit and the tick lengths meanwhile."""
+    `PLAYED_TICKS`. Return the status of the table's Commit, and the tick lengths during this
+    time."""
     if host.now().state is State.READY:
         host.upload(table, wave(48, 0.9), 8)
         host.until(lambda: host.now().state is State.PLAYING)
@@ -303,7 +305,8 @@ class Attack:
         return self.table
 
     def floods(self) -> Iterator[bytes]:
-        """Yield copies of one of the smallest frames, as many as nearly fill the board's ring."""
+        """Yield copies of one of the smallest frames. The copies nearly fill the board's receive
+        ring."""
         smallest = [frame(bytes([kind])) for kind in (1, 2, 3, 0x10, 0x11, 0x12, 0x55)]
         smallest += [frame(pack(Packet(0, Heartbeat(0)))), self.host.numbered(Home())]
         chosen = smallest[int(self.rng.integers(len(smallest)))]
@@ -341,8 +344,8 @@ class Attack:
             yield self.host.numbered(Commit(self.table, 1))
 
     def streams(self) -> Iterator[bytes]:
-        """Yield the frames of a stream near the limits. It has more knots than the board can store,
-        and a Commit in the middle."""
+        """Yield the frames of a stream near the limits. The stream has more knots than the board
+        can store, and a Commit in the middle."""
         table, knots = self.another(), wave(200, 1.0015)
         yield self.host.numbered(Begin(table, 0, 0))
         for first in range(0, 200, 4):
@@ -352,8 +355,8 @@ class Attack:
                 yield self.host.numbered(Commit(table, 1))
 
     def wild(self) -> Iterator[bytes]:
-        """Yield the frames of a table with random finite numbers of any size. Its length is between
-        0 s and minutes."""
+        """Yield the frames of a table with random finite numbers of any size. The duration of the
+        table is between 0 s and some minutes."""
         count = int(self.rng.integers(2, 40))
         size = 10.0 ** self.rng.integers(-9, 9)
         ticks = np.cumsum(self.rng.integers(0, 10 ** int(self.rng.integers(1, 8)), count))
@@ -374,7 +377,7 @@ class Attack:
 
 def attacked(host: Host, packets: int, seed: int) -> tuple[Attack, Ticks]:
     """Send at least `packets` hostile packets to a board. Between batches, make the board play a
-    valid table if it is at rest. Return the attack and the tick lengths."""
+    valid table if it is at rest. Return the attack, and the tick lengths during the attack."""
     attack = Attack(np.random.default_rng(seed), host)
     before, first = host.board.record(), len(host.telemetry)
     while sum(attack.kinds.values()) < packets:

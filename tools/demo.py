@@ -3,8 +3,8 @@
 python tools/demo.py --scenario sort_10 --method sinusoids
 
 Exit code 0: the task succeeded, no part was dropped, all limits were kept, and all nodes ended with
-code 0. 1: one of these failed. 2: invalid arguments, nothing was started. 130: interrupted, the
-results so far are kept.
+code 0. Exit code 1: one of these conditions is not met. Exit code 2: an argument is invalid, and
+nothing was started. Exit code 130: the run was interrupted, and the results so far are kept.
 """
 
 from __future__ import annotations

@@ -1,10 +1,10 @@
-"""Run the demo of every scenario, and keep small pictures of it: docs/results.
+"""Run the demo of every scenario, and store small pictures of each run in docs/results.
 
 python tools/demos.py [SCENARIO ...]
 
-Each run is `make demo SCENARIO=... ARGS=--lockstep`: the real graph, in which simulated time waits
-for the results, so that a film does not depend on the computer's load. Runs with a feeder are not
-in lockstep, because the robot uses real time. A failed run is reported.
+Each run is `make demo SCENARIO=... ARGS=--lockstep`. In lockstep, simulated time waits for the
+results of the real nodes. Therefore a film does not depend on the computer's load. Runs with a
+feeder are not in lockstep, because the robot uses real time. A failed run is reported.
 """
 
 from __future__ import annotations

@@ -36,10 +36,10 @@ RECORD = np.dtype(
         ],
     )
 )  # fmt: skip
-"""`Record` of board.h: the board's counts and extremes since its reset.
+"""`Record` of board.h: the board's counts and maximum values since its reset.
 
 ticks, late, longest_ns, by_us: Number of ticks, number of ticks that lasted beyond the start of the
-    next one, longest tick [ns], histogram of tick lengths [us].
+next tick, longest tick [ns], histogram of tick lengths [us].
 setpoints, step_m, most: Number of setpoints, maximum step of a motor between setpoints of
     successive ticks [m], maximum travel [m], speed [m/s] and acceleration [m/s2] of all motors.
 received, overruns, dropped: Number of received bytes, of receiver overruns, and of frames that did
@@ -50,7 +50,7 @@ ANSWER_S = 60.0
 """Maximum wait for a reply of QEMU [s]. The value is large, because the computer can be busy."""
 
 MAX_BYTES = 1024
-"""Maximum number of bytes per memory request, half of QEMU's limit."""
+"""Maximum number of bytes per memory request. This number is half of QEMU's limit."""
 
 NEEDS = ("arm-none-eabi-gcc", "qemu-system-arm")
 """Required programs, by their names in tools/needs.py."""
@@ -69,7 +69,7 @@ def built(out: Path, **options: str | Path) -> Path:
 
 def unfollowed(rig: Path, folder: Path) -> Path:
     """Write a rig file without supervision of the following error, because the emulated board has
-    no plate. Return its path."""
+    no plate. Return the path of the file."""
     facts = yaml.safe_load(rig.read_text(encoding="utf-8"))
     facts["limits"]["following_error_m"] = 0
     path = folder / rig.name
@@ -87,7 +87,8 @@ def symbols(elf: Path) -> dict[str, int]:
 
 
 def median_ticks(record: np.record, before: np.record) -> float:
-    """Return the median tick length since an earlier record [instructions], to 125 instructions."""
+    """Return the median tick length since an earlier record [instructions]. The resolution is 125
+    instructions."""
     count = record.by_us - before.by_us
     middle = int(np.searchsorted(np.cumsum(count), np.sum(count) / 2))
     return (middle + 0.5) * 1e3 / INSTRUCTION_NS
@@ -97,18 +98,19 @@ class EmulatedBoard:
     """The board in QEMU, simulated tick by tick. The result does not depend on the computer's load.
 
     A debugger stops the board when it is idle until the next tick. QEMU's virtual time then jumps
-    to this tick. A read watchpoint is used, because after a breakpoint or a single step QEMU
-    translates the whole program again. The watched word alternates from tick to tick, because the
-    board would stop at the same word again at once. Received bytes are written into the board's
-    receive ring, as if they had arrived during the tick. Use it as a context manager.
+    to this tick. The debugger uses a read watchpoint, because QEMU translates the whole program
+    again after a breakpoint or a single step. The watched word alternates between two words from
+    tick to tick. With a single word, the board would stop at this word again at once. Received
+    bytes are written into the board's receive ring, as if they had arrived during the tick. Use the
+    object as a context manager.
 
     Parameters
     ----------
     elf : Path
         Program to run.
     idle : str
-        Name of an array of two words. The idle board reads one word, and the other word after the
-        next tick.
+        Name of an array of two words. The idle board reads one word in one tick, and the other word
+        in the next tick.
     more : sequence of str
         Additional arguments of QEMU.
     """
@@ -149,13 +151,13 @@ class EmulatedBoard:
         return found
 
     def _rest(self, word: int) -> None:
-        """Run until the board is idle and reads word 0 or 1 of the idle words."""
+        """Run until the board is idle and reads the given word (0 or 1) of the array `idle`."""
         self._word = word
         self._debugger.go_to_read(self._idle + 4 * word)
 
     def tick(self, data: bytes = b"") -> bytes:
-        """Simulate one tick in which the board has received these bytes, `room` at most. Return the
-        bytes that it has sent."""
+        """Simulate one tick in which the board receives `data`, at most `room` bytes. Return the
+        bytes that the board has sent."""
         if data:
             self._come(data)
         self._rest(1 - self._word)
@@ -180,7 +182,8 @@ class EmulatedBoard:
         self._debugger.write(ring, struct.pack("<I", (came + len(data)) % 2**32))
 
     def _counts(self) -> tuple[int, int]:
-        """Return the number of bytes that the board has received, and that it has read."""
+        """Return the number of bytes that the board has received, and the number of bytes that it
+        has read."""
         return struct.unpack("<2I", self.memory("received", 8))
 
 
@@ -216,7 +219,7 @@ class Debugger:
             raise RuntimeError(f"debugger: the processor has stopped: {answer!r}")
 
     def read(self, address: int, size: int) -> bytes:
-        """Return bytes of memory."""
+        """Return `size` bytes of memory from an address."""
         end, data = address + size, b""
         for begin in range(address, end, MAX_BYTES):
             some = min(MAX_BYTES, end - begin)
@@ -224,7 +227,7 @@ class Debugger:
         return data
 
     def write(self, address: int, data: bytes) -> None:
-        """Write bytes to memory."""
+        """Write bytes to memory at an address."""
         self.order(f"M{address:x},{len(data):x}:{data.hex()}")
 
     def order(self, order: str) -> None:

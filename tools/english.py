@@ -29,16 +29,17 @@ PATTERNS = {
     "name who requested or reported": r"\bas (?:asked|told|said)\b",
     "write not available": r"\bcannot be had\b",
 }
-"""Advice to the writer, and the pattern. Only patterns that are wrong in every sentence."""
+"""Advice to the writer, and the pattern. The table contains only patterns that are wrong in every
+sentence."""
 
 SUFFIXES = (".py", ".md", ".hpp", ".cpp", ".c", ".h", ".msg", ".srv", ".action", ".yaml")
-"""Endings of the files that are checked. Tests are not."""
+"""Name endings of the files that are checked. Tests are not checked."""
 
 EXCEPTIONS = ("tools/english.py",)
 """Files that can contain the patterns."""
 
 COMMENT = re.compile(r"(?:^\s*(?:\*|#)|//|/\*)[*/!]*\s?(.*)")
-"""Comment of a line in a file that is neither Python nor Markdown. It can follow code."""
+"""Comment of a line in a file that is neither Python nor Markdown. Code may precede the comment."""
 
 
 def texts(path: Path) -> Iterator[tuple[int, str]]:
@@ -79,7 +80,7 @@ def findings(path: Path) -> list[tuple[int, str, str]]:
 
 
 def main() -> int:
-    """Run the command line; returns its exit code."""
+    """Run the command line. Return its exit code."""
     parser = argparse.ArgumentParser(
         prog="tools/english.py",
         description="Find sentences that readers do not understand at the first reading.",
@@ -93,7 +94,8 @@ def main() -> int:
 def check(names: list[str]) -> int:
     """Check files, print the findings, and return the exit code.
 
-    A file that cannot be read, or is not Python as its name says, counts as a finding.
+    A file that cannot be read counts as a finding. A file whose name ends in .py, but which is not
+    valid Python, also counts as a finding.
     """
     if not names:
         names = [name for name in _listed() if _is_checked(name)]

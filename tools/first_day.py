@@ -26,8 +26,9 @@ DEFOCUS_PX = 2.5
 """Blur of the camera when its lens was turned the wrong way [px]."""
 
 STEADY_S, MEASURED_S = 6.0, 300.0
-"""Time for which the page receives messages before a picture, and maximum time until friction is
-measured or, on a busy machine, until the page shows no alarm [s]."""
+"""`STEADY_S`: time for which the page receives messages before a picture [s]. `MEASURED_S`: maximum
+time until friction is measured [s]. It is also the maximum time until the page of a busy machine
+shows no alarm."""
 
 
 def shoot(page: Any, graph: Session, out: Path) -> None:

@@ -1,7 +1,7 @@
 """Install Python packages into .venv: python tools/install.py [arguments of `pip install`]
 
-If uv is installed, it installs the packages about five times faster than pip, and from its cache if
-there is no network. It gets the settings of pip. If uv fails, pip is used.
+If uv is installed, it installs the packages about five times faster than pip. Without a network, uv
+installs from its cache. This program passes the settings of pip to uv. If uv fails, pip is used.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ FROM_PIP = {
     "cert": "SSL_CERT_FILE",
     "proxy": "ALL_PROXY",
 }
-"""uv's environment variable for each of these pip settings."""
+"""Settings of pip, and the environment variable of uv for each setting."""
 
 ELSEWHERE = ("UV_PREFIX", "UV_PYTHON", "UV_SYSTEM_PYTHON", "UV_TARGET")
 """Environment variables that would make uv install outside .venv."""

@@ -21,14 +21,14 @@ MARK = "<!-- made of benchmarks/ -->\n"
 """Line that separates the handwritten text from the generated tables."""
 
 ERRORS = {"error_mm": "error [mm]", "turn_error_deg": "error [degrees]"}
-"""Columns of errors. A task has them only if an episode has such an error."""
+"""Columns of errors. The table of a task has such a column only if an episode has this error."""
 
 MIN_SEEDS = 20
-"""Minimum number of seeds per task. They start at 0."""
+"""Minimum number of seeds per task. The seeds start at 0."""
 
 
 def page() -> str:
-    """Return the page with its old text and the new tables."""
+    """Return the content of the page, with the old text and the new tables."""
     return PAGE.read_text("utf-8").split(MARK)[0] + MARK + tables(RESULTS)
 
 
@@ -38,7 +38,8 @@ def tables(folder: Path) -> str:
     Raises
     ------
     PlateError
-        If a file is not a result, or its seeds do not start at 0. The message names the file.
+        If a file is not a result, or its seeds do not start at 0. The message contains the name of
+        the file.
     """
     from plate_gym import TASKS  # imported here, because --help should not need gymnasium
     from plate_gym.result import ranges, read, validate

@@ -5,10 +5,10 @@ python tools/machines.py [--reach named|subnet|nobody] [--scenario sort_4] [--js
 The machines are two network namespaces of this computer, connected by a pair of virtual network
 cards. This requires root.
 
-named    discovery stays on each machine, except that each names the other (ROS_STATIC_PEERS)
-subnet   discovery includes the whole network
-nobody   default settings. The other machine is an intruder, which names this one or searches the
-         whole network. It must not find a node, and its call of a stop must get no reply.
+named discovery stays on each machine, except that each names the other (ROS_STATIC_PEERS) subnet
+discovery includes the whole network nobody default settings. The other machine is an intruder,
+which names this one or searches the whole network. The intruder must not find a node, and must get
+no reply when it calls a stop.
 """
 
 from __future__ import annotations
@@ -77,7 +77,7 @@ def machine() -> Iterator[int]:
     Raises
     ------
     PlateError
-        If the process has no permission for this.
+        If the process has no permission to create a network namespace.
     """
     words = ["unshare", "--net", "--mount", "sh", "-c", f"{OWN_SHM} && echo made && exec cat"]
     pipe = subprocess.PIPE
@@ -96,7 +96,7 @@ def machines() -> Iterator[tuple[int, int]]:
     Raises
     ------
     PlateError
-        If the process has no permission for this.
+        If the process has no permission to create a network namespace.
     """
     with machine() as eyes, machine() as hands:
         ends = f"{CARD} netns {eyes} type veth peer {CARD} netns {hands}"
@@ -116,7 +116,7 @@ def await_card(pid: int) -> None:
     Raises
     ------
     PlateError
-        If it is not up within `CARD_S`.
+        If the network card is not up within `CARD_S`.
     """
     end = time.monotonic() + CARD_S
     while " UP " not in do(*enter(pid), "ip", "-brief", "link", "show", CARD):
@@ -142,8 +142,8 @@ def enter(pid: int) -> list[str]:
 
 
 def reach_environment(reach: str, other: str) -> dict[str, str]:
-    """Return the environment variables for a kind of reach. `other` is the other machine's
-    address."""
+    """Return the environment variables for a reach of discovery (`named`, `subnet` or `nobody`).
+    `other` is the other machine's address."""
     peers = other if reach == "named" else ""
     where = "SUBNET" if reach == "subnet" else "LOCALHOST"
     reach_it = {"ROS_AUTOMATIC_DISCOVERY_RANGE": where, "ROS_STATIC_PEERS": peers}
@@ -152,8 +152,8 @@ def reach_environment(reach: str, other: str) -> dict[str, str]:
 
 
 def intrude(machine: int) -> list[str]:
-    """Return what an intruder on a machine finds: names of nodes, and "answered" if a stop was
-    answered. It tries `named` and `subnet`."""
+    """Return the names of the nodes that an intruder on a machine finds. The result also contains
+    "answered" if a node replied to a stop. The intruder tries the reaches `named` and `subnet`."""
     words = [*enter(machine), sys.executable, "-c", INTRUDER, str(ALONE_S)]
     tries = []
     for reach in ("named", "subnet"):

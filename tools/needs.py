@@ -1,5 +1,4 @@
-"""Tools that some tests need and set-up does not install: installs their wheels, and lists the
-missing tools.
+"""Install the wheels of tools that only some tests need, and list the missing tools.
 
 --install also installs the programs, the browser's driver and ROS's launch. A test names its tools
 with `@pytest.mark.needs("chromium", "plotly")`. conftest.py omits the test if a tool is missing.
@@ -45,7 +44,7 @@ LAUNCH = "launch_ros"
 
 
 def program(need: str) -> str | None:
-    """Return the path of a tool's program. None if it is not installed."""
+    """Return the path of a tool's program, or None if the program is not installed."""
     return next(filter(None, map(shutil.which, PROGRAMS[need][0])), None)
 
 
@@ -56,7 +55,7 @@ def missing() -> list[str]:
 
 
 def packages(needs: list[str]) -> str:
-    """Return the Debian packages of these tools, separated by spaces."""
+    """Return the names of the Debian packages of the given tools, separated by spaces."""
     return " ".join(PROGRAMS[need][1] for need in needs if need in PROGRAMS)
 
 
@@ -85,7 +84,7 @@ def install_wheels(requirements: str) -> bool:
 
 
 def install() -> int:
-    """Install all missing tools, each separately. Return 1 if one is still missing."""
+    """Install all missing tools, each separately. Return 1 if a tool is still missing."""
     apt = ["apt-get", "-q", "-y", "-o", "DPkg::Lock::Timeout=300"]
     lacking = missing()
     if debian := packages(lacking):

@@ -25,7 +25,7 @@ from plate_core import PlateError, piped
 FRAME_S = 0.25
 FILM_WIDTH_PX, QUALITY = 720, 40
 STILL_S = 9.0
-"""Time of the still picture in the film [s]."""
+"""Time in the film at which the still picture is taken [s]."""
 
 DRAGS = (
     ("black_1", (0.12, 0.08), 0.5),

@@ -20,7 +20,7 @@ PAGE_S = 30.0
 """Maximum wait for the page [s]."""
 
 LOOK_S = 0.5
-"""Period at which the program checks that all nodes run [s]."""
+"""Interval at which the program checks that all nodes run [s]."""
 
 
 def main() -> int:
@@ -85,7 +85,8 @@ def checked(args: argparse.Namespace):
     Raises
     ------
     PlateError
-        If an argument is invalid. The message has the argument, its value and the allowed values.
+        If an argument is invalid. The message contains the argument, its value and the allowed
+        values.
     """
     from plate_core import PlateError, load_rig
     from plate_core.tasks import load_scenario, start_positions

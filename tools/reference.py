@@ -16,7 +16,8 @@ from plate_core.yaml_fields import Choice, Key, Number, Numbers, Section, Whole
 PAGE = Path(__file__).resolve().parents[1] / "docs/reference.md"
 
 MAX_LISTED = 10
-"""Maximum number of choices in the page; messages about a wrong choice list all."""
+"""Maximum number of choices that the page lists for a key. Messages about a wrong choice list all
+choices."""
 
 HEAD = """# All keys of scenario and rig files
 
@@ -49,7 +50,7 @@ def _sections(sections: Iterable[Section]) -> Iterable[str]:
 
 
 def _what(key: Key) -> str:
-    """Return type, range and unit of a key."""
+    """Return the type, the range and the unit of a key as text."""
     unit = "" if key.unit in ("", "-") else f" {key.unit}"
     match key.kind:
         case Choice(choices) if len(choices) > MAX_LISTED:

@@ -42,7 +42,7 @@ OPTIONS: dict[str, dict[str, Any]] = {
     "scenario": {"help": "default: that of the demo"},
     "uneven": {"type": float, "help": "variation of friction [fraction]; default: 0"},
 }
-"""All options of the cases. A case accepts the options that are arguments of its `run`."""
+"""All options of the cases. A case accepts the options that are arguments of its function `run`."""
 
 
 @piped()

@@ -1,7 +1,7 @@
 """Cases of `tools/robustness.py`.
 
-Each module has a function `run(logs, ...)`, which yields an `Outcome` after every step. Its other
-arguments are the case's options.
+Each module has a function `run(logs, ...)`, which yields an `Outcome` after every step. The other
+arguments of this function are the options of the case.
 """
 
 from __future__ import annotations
@@ -20,11 +20,11 @@ class Outcome:
     Attributes
     ----------
     result : object
-        Content of the JSON file.
+        Content of the JSON file with the results.
     line : str
         Line that is printed at once. If empty, nothing is printed.
     well : bool
-        Whether the case has passed, if this outcome is the last one.
+        Whether the case has passed. Only the last outcome counts.
     text : str
         Text that is printed at the end if this outcome is the last one. If empty, the result is
         printed as JSON.

@@ -1,11 +1,11 @@
 """Kill, freeze and cut off each node of the graph during a task, and record the reactions.
 
-For each fault the parts are placed again and a new task starts. `kill` sends SIGKILL and starts
-the node again after 4 s. `freeze` sends SIGSTOP, and SIGCONT after 3 s. `cut` blocks the node's
-main input for 4 s. A row of the result lists the messages in task_status, driver_status and the
-diagnostics with their delays after the fault, when the plate came to rest, whether it moved again
-without a request, and which calls were needed to continue. With --transport serial, a simulated
-motor controller plays the plate's motion.
+For each fault the parts are placed again and a new task starts. `kill` sends SIGKILL and starts the
+node again after 4 s. `freeze` sends SIGSTOP, and SIGCONT after 3 s. `cut` blocks the node's main
+input for 4 s. A row of the result lists the messages in task_status, driver_status and the
+diagnostics, with their delays after the fault. It also states when the plate came to rest, whether
+the plate moved again without a request, and which calls were needed to continue. With --transport
+serial, a simulated motor controller plays the plate's motion.
 """
 
 from __future__ import annotations
@@ -43,7 +43,7 @@ BACK_S = 30.0
 """Maximum wait until a restarted node publishes diagnostics [s]."""
 
 STILL_S = 0.6
-"""Time without motion after which the plate counts as at rest [s], three cycles."""
+"""Time without motion after which the plate counts as at rest [s]. This time is three cycles."""
 
 STILL_SPEED = 2e-3
 """Speed below which a motor counts as at rest [m/s]. A motor without current is slowed down only by
@@ -63,9 +63,9 @@ TRIES = 3
 class Plate:
     """Records the time until which the plate has moved [s, system clock].
 
-    With a serial line, this time follows from the motion that the device has played
-    (`motor_motion`). Without a serial line, this time follows from the parts' velocities
-    (`ground_truth`), or from the driver's tables if the fault is in the simulator.
+    With a serial line, this time is determined from the motion that the device has executed
+    (`motor_motion`). Without a serial line, this time is determined from the parts' velocities
+    (`ground_truth`). If the fault is in the simulator, it is determined from the driver's tables.
     """
 
     def __init__(self, observer: Observer, transport: str) -> None:
@@ -121,8 +121,8 @@ WATCH_S, FREEZE_S = 4.0, 3.0
 
 @dataclass
 class Row:
-    """Result of one fault. Times are measured from the fault [s]; None if the event did not
-    happen."""
+    """Result of one fault. Times are measured from the fault [s]. A time is None if the event did
+    not happen."""
 
     fault: str
     node: str
@@ -152,7 +152,7 @@ class Faults:
     Parameters
     ----------
     graph : Session
-        It must not be watched, so that a node can end.
+        Running graph, started with `watched=False`, so that a node may end.
     """
 
     def __init__(self, graph: Session) -> None:
@@ -264,7 +264,7 @@ class Faults:
         return plate.moved_until > begun
 
     def go_on(self, row: Row) -> None:
-        """Make the calls that a user must make until the plate moves again."""
+        """Make the service calls that a user must make until the plate moves again."""
         observer = self.observer
         try:
             observer.start(self.scenario, 0.0)

@@ -1,12 +1,13 @@
-"""Freeze nodes of the graph at random, one or two at once, and check the age of every motor table.
+"""Freeze nodes of the graph at random, one or two at the same time, and check the age of every
+motor table.
 
 A node is frozen (SIGSTOP) for 0.1 to 5 s: during a task, while it is stopped, or after an emergency
 stop. A fraction `--kills` of the faults kills the node (SIGKILL) and starts it again. The check
 uses only the stamps and publication times of the driver's tables. A table that moves the plate is
-wrong if its image is older than `age_limit` or than the last emergency stop, or if its task had
-ended before. With `--image_rate` the camera is free-running: the table's stamp is then the start of
-a cycle, and the newest `parts` can be older by another `age_limit`. Exit code 1 if a table was
-wrong.
+wrong in three cases. The table's image is older than `age_limit`, the image is older than the last
+emergency stop, or the table's task had already ended. With `--image_rate` the camera is
+free-running: the table's stamp is then the start of a cycle, and the newest `parts` can be older by
+another `age_limit`. Exit code 1 if a table was wrong.
 """
 
 from __future__ import annotations
@@ -37,11 +38,12 @@ FREEZE_S, PAUSE_S = (0.1, 5.0), (0.2, 1.5)
 """Ranges of a freeze's duration, and of the time between two freezes [s]."""
 
 STOPS = 0.1
-"""Fraction of the freezes during which a task is stopped. In the same fraction an emergency stop is
-called."""
+"""Fraction of the freezes during which a task is stopped. During the same fraction of the freezes,
+an emergency stop is called."""
 
 TOLD_S = 0.1
-"""Maximum delay until the driver has received the end of a task [s], unless it is frozen."""
+"""Maximum delay until the driver has received the end of a task [s]. This maximum does not apply to
+a frozen driver."""
 
 DEAD_S = (0.5, 3.0)
 """Range of the time until a killed node is started again [s]."""
@@ -95,7 +97,8 @@ class Judge(Listener):
 
 
 def freeze(processes: Processes, observer: Observer, longest: dict[str, float]) -> None:
-    """Freeze nodes at the same time. `longest` gives the duration for each [s]."""
+    """Freeze nodes at the same time. `longest` contains the duration of the freeze for each node
+    [s]."""
     begun = time.monotonic()
     for name in longest:
         processes.signal(name, signal.SIGSTOP)

@@ -2,10 +2,11 @@
 memory or make the plate exceed its limits.
 
 Each node's class is created in this process, and its callbacks receive messages that were
-serialised and deserialised, like any message from the network. Most are valid messages in which up
-to four fields were changed: not finite, huge, empty, too long, in the wrong order, or with another
-stamp. The motion that the driver sends and that the simulated device plays is checked at samples,
-independent of their own limit checks.
+serialised and deserialised, like any message from the network. Most messages are valid messages in
+which up to four fields were changed. The new values are not finite, huge, empty, too long, in the
+wrong order, or another stamp. The motion that the driver sends, and the motion that the simulated
+device executes, are checked at samples. This check is independent of the limit checks in the driver
+and the device.
 """
 
 from __future__ import annotations
@@ -52,14 +53,14 @@ NODES = {node.name: node.component for node in RunOptions().nodes(load_graph())}
 NUMBERS = (0.0, -0.0, 1e-300, 1.0, -1.0, 1e3, -1e9, 1e200, -1e308, np.nan, np.inf, -np.inf)
 WORDS = ("", "x", "black_1", "motor_1", "ready", "stopped", "mono8", "\u00e9\u00e4", "a" * 5000)
 WARM = 0.2
-"""Fraction of the messages after which memory is measured first."""
+"""Fraction of the messages after which memory is measured for the first time."""
 
 POOL = 200
-"""Number of valid messages of each type to choose from."""
+"""Number of valid messages of each type from which the test chooses."""
 
 COUNTS, SHARES = (0, 1, 2, 3, 11), (0.2, 0.5, 0.2, 0.09, 0.01)
-"""Numbers of parts in valid messages, and their probabilities. Many parts are rare, because they
-cost the solver 0.1 s."""
+"""Numbers of parts in valid messages, and the probabilities of these numbers. Messages with many
+parts are rare, because the solver needs 0.1 s for such a message."""
 
 TICK = 20
 """Number of messages between two calls of the node's timer callback."""
@@ -68,13 +69,13 @@ MAX_GROWTH_MB = 20.0
 """Maximum growth of a node's memory [MB]."""
 
 ROUNDING = {"driver": 1e-4, "simulator": 0.02}
-"""Tolerated relative excess of a limit: rounding of the driver, tolerance of the simulated
-device."""
+"""Tolerated relative excess of a limit. For the driver, it is the rounding error. For the
+simulator, it is the tolerance of the simulated device."""
 
 
 @dataclass
 class Verdict:
-    """Result of one node."""
+    """Result of the test of one node."""
 
     node: str
     messages: int = 0
@@ -138,7 +139,7 @@ def spoil(msg: Any, rng: np.random.Generator) -> None:
 
 
 def spoil_list(msg: Any, name: str, value: Any, rng: np.random.Generator) -> None:
-    """Change a list: make it shorter, longer, empty or unordered, or change one of its items."""
+    """Make a list shorter, longer, empty or unordered, or change one of its items."""
     fixed = isinstance(value, np.ndarray)
     items = list(value)
     way = int(rng.integers(0, 5))
@@ -169,8 +170,8 @@ def alone(callback: Any) -> Any:
 
 
 def topics_of(node: Any) -> list[tuple[str, type, Any]]:
-    """Return the topics of a node, and its services whose requests have numbers: name, type and
-    callback."""
+    """Return the topics of a node, and the services whose requests contain numbers. Each entry has
+    the name, the type and the callback."""
     topics = [(s.topic_name, s.msg_type, alone(s.callback)) for s in node.subscriptions]
     for subscription, take in getattr(node, "raw_inputs", ()):  # the driver receives bytes
 
@@ -206,7 +207,7 @@ def message(kind: type, pool: list[dict[type, bytes]], rng: np.random.Generator)
 
 
 class Judge:
-    """Checks the motion that the driver sends, or that the simulated device plays."""
+    """Checks the motion that the driver sends, or the motion that the simulated device executes."""
 
     def __init__(self, node: Any, verdict: Verdict) -> None:
         self.node, self.verdict, self.rig = node, verdict, load_rig()

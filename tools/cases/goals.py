@@ -28,12 +28,12 @@ from plate_interfaces.msg import TaskStatus
 from plate_planner.supervision import Reason
 
 SCENARIOS = ("sort_4", "sort_6", "follow_2", "assemble_8", "spin_1")
-"""Scenarios of the goals. The parts of the first scenario are on the plate, so the other scenarios
-lack parts."""
+"""Scenarios of the goals. The parts of the first scenario are on the plate. Therefore parts are
+missing for the goals of the other scenarios."""
 
 PAUSE_S, ANSWER_S, REST_S = 0.15, 10.0, 3.0
-"""Mean time between two goals; maximum wait for results at the end; time until the plate must rest
-[s]."""
+"""`PAUSE_S`: mean time between two goals [s]. `ANSWER_S`: maximum wait for results at the end [s].
+`REST_S`: time until the plate must be at rest [s]."""
 
 
 def wrong(goal: Any, rng: np.random.Generator) -> Any:

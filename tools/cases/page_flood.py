@@ -1,8 +1,9 @@
-"""Flood the live page with commands from several sockets: it must not crash, and must stop in time.
+"""Flood the live page with commands from several sockets. The page must not crash, and it must stop
+the plate in time.
 
 The real graph runs with the simulator. Each socket sends valid and invalid commands of every kind
-as fast as the page reads them. Sometimes it reconnects, or does not read for a while. One more
-socket calls emergency_stop and stop in turn, and measures the time until the reply arrives.
+as fast as the page reads them. Sometimes a socket reconnects, or does not read for a while. One
+more socket calls emergency_stop and stop in turn, and measures the time until the reply arrives.
 """
 
 from __future__ import annotations
@@ -56,13 +57,14 @@ class Verdict:
     sockets, sent : int
         Number of flooding sockets, and of commands that they sent.
     ends : list of str
-        Messages on processes of the graph that ended.
+        Messages about processes of the graph that ended.
     stops : int
         Number of stops that were answered.
     median_ms, slowest_ms : float
         Median and maximum time until a stop was answered.
     late, problems : Counter of str
-        Number of stops by name that took longer than `LATE_S`, and of failed ones by message.
+        `late`: number of stops that took longer than `LATE_S`, by name. `problems`: number of
+        failed stops, by message.
     """
 
     minutes: float
@@ -77,7 +79,7 @@ class Verdict:
 
 
 def command(rng: random.Random) -> dict[str, Any]:
-    """Return a random command except the stops. Most are valid."""
+    """Return a random command except the stops. Most of these commands are valid."""
     name = rng.choice([each for each in COMMANDS if each not in URGENT] + ["parameters", "set"] * 4)
     node, part = rng.choice(NODES), f"{rng.choice(['black', 'grey'])}_{rng.randrange(6)}"
     x, y = rng.uniform(-0.12, 0.12), rng.uniform(-0.12, 0.12)
@@ -149,7 +151,7 @@ def flooder(url: str, sockets: int, seed: int, sent: Any) -> None:
 
 
 async def stop(url: str, end: float, verdict: Verdict) -> list[float]:
-    """Call emergency_stop and stop in turn until the time `end`. Return the time that each took
+    """Call emergency_stop and stop in turn until the time `end`. Return the time until each reply
     [ms]."""
     took: list[float] = []
     socket, number = await connect(url), 0
@@ -204,7 +206,7 @@ def flooded(graph: Session, verdict: Verdict, seed: int) -> None:
 
 
 def run(logs: Path, minutes: float = 3.0, seed: int = 0) -> Iterator[Outcome]:
-    """Flood the page for a number of minutes, and call stops meanwhile."""
+    """Flood the page for a number of minutes, and call stops at the same time."""
     verdict = Verdict(minutes, SOCKETS)
     # `save_home` and others write into the rig file, so the graph has a copy of it.
     rig = shutil.copy(config_path("rig.yaml"), logs)

@@ -1,9 +1,11 @@
-"""Sort for hours in real time, and measure growth of memory and drift of latency.
+"""Run sorting tasks for hours in real time, and measure the growth of memory and the drift of
+latency.
 
-The parts are placed again for each task. Each task prints a line. The result has the slopes of
-each node's memory and of the latency (image stamp to motor setpoints) with 95 % confidence
-intervals, from a least-squares line through one sample per task in the same state. It also has the
-fraction of cycles without a new motion in time, and the ends of failed tasks.
+The parts are placed again for each task. Each task prints a line. The result contains the slopes of
+each node's memory and of the latency (image stamp to motor setpoints), with 95 % confidence
+intervals. A slope is computed by a least-squares line through one sample per task. All samples are
+taken in the same state. The result also contains the fraction of cycles without a new motion in
+time, and the ends of failed tasks.
 """
 
 from __future__ import annotations
@@ -22,7 +24,7 @@ from cases import Outcome
 from plate_bringup import RunOptions
 
 SETTLED_S = 600.0
-"""Time before the first sample, because buffers and caches grow until then [s]. If a run is shorter
+"""Time before the first sample [s]. During this time, buffers and caches grow. If a run is shorter
 than three times this value, a third of the run is used instead."""
 
 MAX_MISSED = 1e-3
@@ -42,7 +44,7 @@ def slope(time_s: np.ndarray, value: np.ndarray) -> tuple[float, float]:
 
 
 def line(task: Task) -> str:
-    """Return a line of text on one task."""
+    """Return a line of text about one task."""
     cycles, held, late = task.counts
     latency = 1e3 * task.latency
     memory = " ".join(f"{name} {mb:.1f}" for name, mb in task.memory_mb.items())
@@ -110,8 +112,8 @@ def text(result: dict[str, Any]) -> str:
 def run(
     logs: Path, scenario: str = RunOptions.scenario, uneven: float = 0.0, minutes: float = 60.0
 ) -> Iterator[Outcome]:
-    """Sort repeatedly for a number of minutes. `uneven` is the spread of friction between parts and
-    over the plate."""
+    """Run sorting tasks repeatedly for a number of minutes. `uneven` is the spread of friction
+    between parts and over the plate."""
     until = time.monotonic() + 60 * minutes
     friction = dict.fromkeys(("friction_spread", "friction_patches"), uneven)
     options = RunOptions(scenario, autostart=False)

@@ -19,7 +19,7 @@ SIZE: Any = {"width": 1366, "height": 768}
 """Size of the browser window [px]."""
 
 LOADED_MS = 3000
-"""Time for the page to show the graph [ms]."""
+"""Time that the page needs to show the graph [ms]."""
 
 
 @contextmanager

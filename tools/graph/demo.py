@@ -52,8 +52,8 @@ from .robot import Grip, Robot, feed_result
 from .session import Session, session
 
 QUIET_S = 1.8
-"""Time without diagnostics of the planner after which the reason is shown [s]. Their period is 1
-s."""
+"""Time without diagnostics of the planner after which the reason is shown [s]. The planner
+publishes diagnostics once per second."""
 
 SILENCE_S = 30.0
 """Maximum time without diagnostics of the planner [s]."""
@@ -66,8 +66,8 @@ LOCKSTEP_SLOWER = 3
 """Maximum ratio of wall time to simulated time in lockstep, on a slow computer."""
 
 PROGRESS_S, WAITING_S = 2.0, 10.0
-"""Time between two status lines if the output is not a terminal: of a task, and before it begins
-[s]."""
+"""`PROGRESS_S`: time between two status lines of a task if the output is not a terminal [s].
+`WAITING_S`: the same time before the task begins [s]."""
 
 FEEDER_S = 10.0
 """Maximum wait for the feeder's diagnostics [s]."""
@@ -79,7 +79,7 @@ LINE_BYTES = 4096
 """Maximum length of a terminal's input line [bytes] (N_TTY_BUF_SIZE of Linux)."""
 
 MAX_PICKS = 10_000
-"""Maximum number of parts for a robot to take."""
+"""Maximum number of parts that a robot is asked to take."""
 
 DRIVES = {"cia402": "linear_motors", "odrive": "odrives"}
 """Values of --transport that run the firmware on this computer with simulated drives, and the
@@ -106,7 +106,7 @@ class Plan:
     out : path
         Folder of the results.
     domain : int, optional
-        ROS domain. If it is None, a free domain is used.
+        ROS domain. None: a free domain is used.
     """
 
     args: argparse.Namespace
@@ -142,7 +142,8 @@ def checked(args: argparse.Namespace) -> Plan:
     Raises
     ------
     PlateError
-        If an argument is invalid. The message has the argument, its value and the allowed values.
+        If an argument is invalid. The message contains the argument, its value and the allowed
+        values.
     """
     scenario = load_scenario(args.scenario)
     drives = args.transport in DRIVES
@@ -233,7 +234,8 @@ def check_camera(camera: str, port: str) -> None:
 
 
 def print_unmeasured(program: str, rig: Rig, port: str) -> None:
-    """Print the facts of the rig that are unmeasured or inconsistent, before anything moves."""
+    """Before anything moves, print the properties of the rig that are not measured or are
+    inconsistent."""
     facts = [*unmeasured(rig), *(doubt.text for doubt in doubts(rig))]
     if facts:
         print(f"{program}: before anything moves, check these facts of your rig:")
@@ -247,7 +249,8 @@ def print_unmeasured(program: str, rig: Rig, port: str) -> None:
 
 
 def check_terminal() -> None:
-    """Raise PlateError if the standard input is not a terminal, because nobody could answer."""
+    """Raise PlateError if the standard input is not a terminal, because nobody could answer the
+    question."""
     if not sys.stdin.isatty():
         raise PlateError(
             "nobody can enable the motors, because stdin is no terminal. Start the demo in a "
@@ -284,7 +287,8 @@ def await_consent(observer: Observer) -> None:
 
 
 def check_run(args: argparse.Namespace) -> None:
-    """Check the arguments that `make demo` and `make play` share. Raises as `checked` does."""
+    """Check the arguments that `make demo` and `make play` share. Raise the same errors as
+    `checked`."""
     among("method", args.method, METHODS)
     within("seed", args.seed, 0, 2**31 - 1)
     if args.domain is not None:
@@ -292,7 +296,7 @@ def check_run(args: argparse.Namespace) -> None:
 
 
 def among(name: str, value: str, known: Iterable[str]) -> None:
-    """Raise PlateError if the argument is not one of the known words."""
+    """Raise PlateError if the argument is not one of the allowed words."""
     known = sorted(known)
     if value not in known:
         hint = did_you_mean(value, known)
@@ -300,7 +304,7 @@ def among(name: str, value: str, known: Iterable[str]) -> None:
 
 
 def within(name: str, value: float, low: float, high: float, unit: str = "") -> None:
-    """Raise PlateError if the argument is out of range."""
+    """Raise PlateError if the argument is outside the range from `low` to `high`."""
     if not low <= value <= high:
         raise PlateError(f"{name} is {value}{unit}, allowed: {low} to {high}")
 
@@ -395,8 +399,8 @@ def conclude(
     problem: Interrupted | PlateError | None,
     grips: list[Grip],
 ) -> int:
-    """Evaluate, write and draw the results, up to a problem if there was one. Return the exit
-    code."""
+    """Evaluate, write and draw the results. If a problem ended the run, use the results up to this
+    problem. Return the exit code."""
     record, codes = graph.observer.record, graph.processes.exit_codes
     with signals_wait():
         try:
@@ -430,14 +434,15 @@ def conclude(
 def running(
     options: RunOptions, logs: Path, chosen: int | None, line: StatusLine, pictures: bool = True
 ) -> Iterator[Session]:
-    """Context with the running graph, in a free ROS domain or the chosen one. The status line shows
-    what the start waits for. The environment of this process is set to the domain.
+    """Context with the running graph, in a free ROS domain or the chosen one. During the start, the
+    status line shows the event for which the program waits. The environment of this process is set
+    to the domain.
 
     Raises
     ------
     GraphError
-        If nodes of the same names already run in the chosen domain. Both graphs would receive each
-        other's messages.
+        If nodes with the same names already run in the chosen domain. The two graphs would receive
+        each other's messages.
     """
     with own_domain(chosen) as domain:
         os.environ.update(ros_environment(domain))
@@ -539,8 +544,8 @@ def feed(plan: Plan, observer: Observer, grips: list[Grip]) -> None:
 
 
 def clear(out: Path) -> None:
-    """Create the folder, remove the results of an earlier run in it, and set the link `LAST` to it
-    if its name is like that of `own_folder`.
+    """Create the folder, and remove the results of an earlier run in it. If the folder has a name
+    like those from `own_folder`, set the link `LAST` to the folder.
 
     Raises
     ------
@@ -560,14 +565,14 @@ def clear(out: Path) -> None:
 
 
 def unmade(folder: Path, problem: OSError) -> PlateError:
-    """Return the error that a folder of results cannot be used."""
+    """Return an error which states that a folder of results cannot be used."""
     why = problem.strerror or problem
     return PlateError(f"out is {folder}: {why}, allowed: a folder that can be created")
 
 
 def point(link: Path, folder: Path) -> None:
-    """Set a symbolic link to a folder in the same parent. A folder with the link's name is
-    renamed."""
+    """Set a symbolic link to a folder in the same parent folder. If a folder has the name of the
+    link, this folder is renamed."""
     if link.is_dir() and not link.is_symlink():
         link.rename(own_folder("earlier"))
     fresh = link.with_name(f".{link.name}-{os.getpid()}")
@@ -582,8 +587,8 @@ def write(path: Path, result: dict[str, Any]) -> None:
 
 
 def draw(plan: Plan, record: Record) -> None:
-    """Draw the picture strip and the animation, and print their paths. An interrupt ends the
-    drawing."""
+    """Draw the picture strip and the animation, and print their paths. If the user interrupts the
+    program, the drawing ends."""
     from record.film import develop
     from record.pictures import Scene, draw_film, draw_strip
 
@@ -604,8 +609,8 @@ def rig_title(rig: str) -> str:
 
 
 class StatusLine:
-    """Line of output that is overwritten on a terminal. Elsewhere, a new line is printed at most
-    every `quiet_s` [s]."""
+    """Line of output that is overwritten on a terminal. If the output is not a terminal, a new line
+    is printed at most every `quiet_s` [s]."""
 
     PERIOD_S = 0.25
 
@@ -633,7 +638,7 @@ class StatusLine:
 
 
 def progress(task: Task, record: Record) -> str:
-    """Return a text on the progress of a running task, from the diagnostics."""
+    """Return a text about the progress of a running task, made from the diagnostics."""
 
     def value(key: str) -> str:
         return record.last("planner", key)

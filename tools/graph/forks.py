@@ -1,11 +1,12 @@
 """Starts nodes as forks of one server process that has loaded their code.
 
-Such nodes start in a fraction of the time, and share the memory of the code. Each node runs the
-file that `ros2 run` would start. The server forks twice, so that the kernel makes the node a child
-of the program that requested it: this program is a subreaper, and the process between them ends.
+Forked nodes start faster than new processes, and share the memory of the code. Each node runs the
+file that `ros2 run` would start. The server forks twice, and the process in the middle ends. The
+program that requested the node is a subreaper. Therefore the kernel makes the node a child of this
+program.
 
-python tools/graph/forks.py MODULE ...    runs the server. It reads requests from stdin, one JSON
-                                          object per line.
+python tools/graph/forks.py MODULE ... runs the server. The server reads requests from stdin, one
+JSON object per line.
 """
 
 from __future__ import annotations
@@ -35,8 +36,8 @@ AT_LOADING = (
     "AMENT_", "GLIBC_", "LD_", "NPY_", "OMP_", "OPENBLAS_", "OPENCV_", "PYTHONHOME",
     "PYTHONOPTIMIZE", "PYTHONPATH", "PYTHONWARNINGS", "ROS_PYTHON_",
 )  # fmt: skip
-"""Prefixes of environment variables that can be read when code is loaded. A server can start only
-nodes with the same values of these variables."""
+"""Prefixes of the names of environment variables that may be read when code is loaded. A server can
+only start nodes with the same values of these variables."""
 
 START_S = 120.0
 """Maximum wait until the server has loaded its code and started a node [s]. The value is large,
@@ -46,7 +47,7 @@ END_S = 5.0
 """Maximum wait for the server to end [s]."""
 
 LOOK_S = 0.01
-"""Period at which `Fork.wait` polls whether a node has ended [s]."""
+"""Interval at which `Fork.wait` checks whether a node has ended [s]."""
 
 PR_SET_PDEATHSIG, PR_SET_NAME, PR_SET_CHILD_SUBREAPER = 1, 15, 36
 
@@ -59,8 +60,8 @@ def end_with_parent() -> None:
 
 
 class Server:
-    """Client of the server process that starts nodes. The server has its own session, so signals of
-    a terminal do not reach it."""
+    """Client of the server process that starts nodes. The server runs in a separate session.
+    Therefore signals of a terminal do not reach it."""
 
     newest: Server | None = None
 
@@ -84,8 +85,8 @@ class Server:
 
     @classmethod
     def of(cls, modules: Iterable[str], environment: Mapping[str, str]) -> Server | None:
-        """Return the running server, or start one. Return None if it loaded its code with other
-        values of the variables in `AT_LOADING`."""
+        """Return the running server. If no server runs, start one. Return None if the server loaded
+        its code with other values of the variables in `AT_LOADING`."""
         if cls.newest is None or cls.newest._process.poll() is not None:
             cls.newest = cls(modules, environment)
         return cls.newest if cls.newest._loaded == _of_loading(environment) else None
@@ -97,7 +98,7 @@ class Server:
         ------
         OSError
             If the server has ended, for example because the limit of processes is reached, or if it
-            does not answer. It is then killed.
+            does not answer. A server that does not answer is killed.
         """
         order = {"words": words, "environment": dict(environment), "log": str(log.absolute())}
         self._orders.write(json.dumps(order | {"folder": os.getcwd()}).encode() + b"\n")
@@ -119,14 +120,14 @@ class Server:
 
 
 class Fork:
-    """A node that the server has started. It has the interface of `subprocess.Popen`.
+    """A node that the server has started. This class has the interface of `subprocess.Popen`.
 
     Attributes
     ----------
     pid : int
     returncode : int, optional
-        Exit code. A negative exit code is the signal that ended the node. None if it ran at the
-        last `poll`.
+        Exit code. A negative exit code is the signal that ended the node. None if the node was
+        running at the last call of `poll`.
     """
 
     def __init__(self, pid: int) -> None:
@@ -137,8 +138,8 @@ class Fork:
     def start(
         cls, words: list[str], environment: Mapping[str, str], log: Path, modules: Iterable[str]
     ) -> Fork | None:
-        """Start a command that is a Python script. Return None if it is not one, or if the server
-        cannot start it.
+        """Start a command that is a Python script. Return None if the command is not a Python
+        script, or if the server cannot start it.
 
         Parameters
         ----------
@@ -156,7 +157,7 @@ class Fork:
         return None
 
     def poll(self) -> int | None:
-        """Return the exit code. None if the node still runs."""
+        """Return the exit code of the node, or None if the node still runs."""
         if self.returncode is None:
             ended, status = os.waitpid(self.pid, os.WNOHANG)
             self.returncode = os.waitstatus_to_exitcode(status) if ended else None
@@ -168,7 +169,7 @@ class Fork:
         Raises
         ------
         subprocess.TimeoutExpired
-            If it still runs after the time [s].
+            If the node still runs after the time `timeout` [s].
         """
         end = time.monotonic() + timeout
         while (code := self.poll()) is None:
@@ -214,7 +215,8 @@ def serve(modules: Iterable[str]) -> None:
 def _become(
     answers: int, words: list[str], environment: dict[str, str], log: str, folder: str
 ) -> None:
-    """Become a node, with its own session, environment and log, like a new process."""
+    """Turn this process into a node, with a separate session, environment and log, like a new
+    process."""
     code: Any = 1
     try:
         between = os.getpid()

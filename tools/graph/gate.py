@@ -1,8 +1,9 @@
 #!/usr/bin/env python3
 """The gate, a node that forwards the main input of each node: python tools/graph/gate.py TRANSPORT
 
-Its parameter `cut` names a node whose input it does not forward. For this node the effect is that
-of a cut cable, a wrong remapping or a crashed filter: all processes run, but no message arrives.
+The parameter `cut` of the gate is the name of a node whose input the gate does not forward. All
+processes run, but no message arrives at this node. A cut cable, a wrong remapping or a crashed
+filter has the same effect.
 """
 
 from __future__ import annotations
@@ -35,7 +36,7 @@ GATE = "gate"
 
 
 def inputs(transport: str) -> dict[str, tuple[str, Any]]:
-    """Return topic and type of the main input of each node."""
+    """Return the topic and the message type of each node's main input."""
     found = dict(zip((*NODES[1:], NODES[0]), CHAIN, strict=True))
     if transport == "serial":  # the device moves the plate, and publishes its motion
         found["simulator"] = ("motor_motion", JointTrajectory)
@@ -53,8 +54,8 @@ def command(transport: str) -> list[str]:
 
 
 class Gate(Node):
-    """Node `gate`. Its parameter `cut` names the node whose input is blocked. If the parameter is
-    empty, all inputs are forwarded."""
+    """Node `gate`. The parameter `cut` of this node is the name of the node whose input is blocked.
+    If the parameter is empty, all inputs are forwarded."""
 
     def __init__(self, transport: str) -> None:
         super().__init__(GATE)

@@ -1,7 +1,7 @@
-"""Publication times of each message in the chain from the image to the motor setpoints.
+"""Publication times of each message in the chain of topics from the image to the motor setpoints.
 
-The times are the middleware's source timestamps. Messages that answer the same image have its
-stamp, so they are collected by stamp.
+The times are the middleware's source timestamps. All messages that result from one image have the
+stamp of this image. Therefore the messages are collected by stamp.
 """
 
 from __future__ import annotations
@@ -23,8 +23,8 @@ STAMP = struct.Struct("<4xiI")
 
 
 class Listener:
-    """ROS node that receives messages with their publication times, in a separate thread. Use it as
-    a context manager inside the context of an `Observer`."""
+    """ROS node that receives messages with their publication times, in a separate thread. Use this
+    class as a context manager inside the context of an `Observer`."""
 
     def __init__(self, name: str) -> None:
         self.node = rclpy.create_node(name)
@@ -44,19 +44,19 @@ class Listener:
 
 
 class Hops(Listener):
-    """Receives the topics of `CHAIN`.
+    """Receives the topics of `CHAIN`, and stores their publication times.
 
     Parameters
     ----------
     images : bool
-        Whether to receive images. If it is False, an image counts as published at its stamp.
+        Whether to receive images. If False, an image counts as published at the time of its stamp.
 
     Attributes
     ----------
     times : dict of int to list
-        For each image's stamp [ns], the publication times of the image and of its answers [ns,
-        UTC], in the order of `CHAIN`. 0 if not published yet. If a topic has several messages with
-        the stamp, the first one counts.
+        For each image's stamp [ns], the publication times of the image and of the messages that
+        result from it [ns, UTC]. The order is that of `CHAIN`. A time is 0 if the message is not
+        published yet. If a topic has several messages with the stamp, the first one counts.
     """
 
     def __init__(self, images: bool = True) -> None:

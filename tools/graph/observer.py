@@ -1,7 +1,8 @@
-"""ROS node of the test tools. It watches the nodes of a graph, starts tasks, and records messages.
+"""ROS node of the test tools. The node watches the nodes of a graph, starts tasks, and records
+messages.
 
-`Observer` waits for nodes, images and states with a time limit, and raises `GraphError` with the
-nodes' own messages if they do not arrive. `Record` keeps the messages of one run.
+`Observer` waits for nodes, images and states with a time limit. If they do not arrive, it raises
+`GraphError` with the messages of the nodes. `Record` stores the messages of one run.
 """
 
 from __future__ import annotations
@@ -35,14 +36,15 @@ from plate_interfaces.msg import DriverStatus, Parts, TaskStatus
 from .processes import signals_wait
 
 MAX_IMAGES = 240
-"""Maximum number of images kept for drawing, 300 kB each."""
+"""Maximum number of images that are stored for drawing. Each image has 300 kB."""
 
 ALL = QoSProfile(depth=200)
-"""Queue that is long enough to lose no message while this process is slow."""
+"""Quality of service with a long queue, so that no message is lost while this process is slow."""
 
 CALL_S, AGAIN_S = 10.0, 1.0
-"""Maximum wait for a service's reply, and time after which a service that can be called twice is
-called again [s]. DDS can lose the first reply of a service that was just discovered."""
+"""`CALL_S`: maximum wait for a service's reply [s]. `AGAIN_S`: time after which a service that can
+be called twice is called again [s]. DDS can lose the first reply of a service that was just
+discovered."""
 
 AFTER = {
     "configure": "inactive", "activate": "active", "deactivate": "inactive",
@@ -53,23 +55,25 @@ AFTER = {
 POLL_S = 0.05
 
 LOOK_S = 0.25
-"""Period at which a wait reports its progress [s]."""
+"""Interval at which a waiting function reports its progress [s]."""
 
 ANSWERED_S = 15.0
 """Maximum wait for the first plate_cycle after all nodes have published diagnostics [s]."""
 
 FRESH_S = 2.5
-"""Maximum wait for new diagnostics of a node, which publishes them once per second [s]."""
+"""Maximum wait for new diagnostics of a node [s]. Each node publishes diagnostics once per
+second."""
 
 CALL_AGAIN = ": call again"
-"""End of the driver's reply if its process has just stalled, as on a busy computer."""
+"""End of the driver's reply if the driver's process has just stalled. Stalls happen on a busy
+computer."""
 
 READY_S = 15.0
 """Maximum wait until the driver is ready [s]. Homing of the device can take 5 s."""
 
 ACCEPTED_S = 5.0
-"""Maximum wait until the planner accepts a task [s]. It can receive the driver's status and the
-images a little later than this process."""
+"""Maximum wait until the planner accepts a task [s]. The planner can receive the driver's status
+and the images a little later than this process."""
 
 PERSONS = (
     DriverStatus.EMERGENCY_STOP, DriverStatus.POWER_CUT, DriverStatus.STOP_UNANSWERED,
@@ -77,8 +81,8 @@ PERSONS = (
 """Reasons of stops that a person must clear."""
 
 SETTLE_S = 0.5
-"""Time after a stop and a reset of the parts in which the plate comes to rest, and all earlier
-images are processed [s]."""
+"""Time to wait after a stop and a reset of the parts [s]. During this time, the plate comes to rest
+and all earlier images are processed."""
 
 
 @dataclass
@@ -92,7 +96,7 @@ class Thinned:
     count: int = 0
 
     def add(self, item: Any) -> None:
-        """Append the item, or skip it if items are being thinned."""
+        """Append the item, or skip it if only every second (fourth, ...) item is kept."""
         if self.count % self.step == 0:
             self.items.append(item)
             if len(self.items) >= self.most:
@@ -112,7 +116,7 @@ class Received:
     stamp : int
         Stamp of the message [ns].
     text : str
-        Its text.
+        Text of the message.
     level : Level
         Severity, for diagnostics.
     state : int
@@ -131,8 +135,8 @@ class Received:
 
 @dataclass
 class Record:
-    """Messages of one run. Frequent messages are kept serialised, because their deserialisation
-    would slow down the nodes.
+    """Messages of one run. Frequent messages are stored in serialised form, because their
+    deserialisation would slow down the nodes.
 
     Attributes
     ----------
@@ -170,17 +174,17 @@ class Record:
     driver: DriverStatus | None = None
 
     def last(self, node: str, key: str, default: str = "") -> str:
-        """Return a value of the newest diagnostics of a node that have values."""
+        """Return a value from the newest diagnostics of a node that contain values."""
         reports = self.reports(node)
         return reports[-1].values.get(key, default) if reports else default
 
     def reports(self, node: str) -> list[Received]:
-        """Return the diagnostics of a node that have values."""
+        """Return those diagnostics of a node that contain values."""
         return [message for message in self.diagnostics.get(node, []) if message.values]
 
     @property
     def states(self) -> list[str]:
-        """Texts of task_status so far."""
+        """Texts of the task_status messages that were received so far."""
         return [message.text for message in self.tasks]
 
     @property
@@ -216,22 +220,22 @@ class Record:
 
 
 class Observer:
-    """ROS node in this process that records messages and calls services. Use it as a context
-    manager.
+    """ROS node in this process that records messages and calls services. Use this class as a
+    context manager.
 
     Parameters
     ----------
     domain : int
         ROS domain.
     pulse : callable, optional
-        First item of `pulses`.
+        First item of the attribute `pulses`.
     pictures : bool
         Whether to record images.
     waiting : callable, optional
-        Called during a wait, with a text on the missing event.
+        Function that is called during a wait, with a text about the missing event.
     simulated : bool
-        Whether to record the parts' true positions from the simulator. Otherwise, the positions
-        from the detector are recorded.
+        Whether to record the parts' true positions from the simulator. If False, the positions from
+        the detector are recorded.
 
     Attributes
     ----------
@@ -309,11 +313,11 @@ class Observer:
         return PlateClient(self.node, self.until)
 
     def until(self, true: Callable[[], bool], timeout_s: float) -> bool:
-        """Receive messages until the condition is true. Return False if it is not true within the
-        time [s].
+        """Receive messages until the condition is true. Return False if the condition is not true
+        within `timeout_s` [s].
 
-        A signal takes effect between two messages. If its handler raised an exception while rclpy
-        converts a message, rclpy would raise a RuntimeError instead.
+        A signal takes effect only between two messages. If a signal handler raised an exception
+        while rclpy converts a message, rclpy would raise a RuntimeError instead.
         """
         end = time.monotonic() + timeout_s
         while not true():
@@ -339,7 +343,8 @@ class Observer:
         Raises
         ------
         GraphError
-            If some do not appear within the time [s]. The message names them.
+            If some nodes do not appear within `timeout_s` [s]. The message contains the names of
+            these nodes.
         """
 
         def missing() -> list[str]:
@@ -361,7 +366,7 @@ class Observer:
         Raises
         ------
         GraphError
-            If there is no publisher within the time [s].
+            If there is no publisher within `timeout_s` [s].
         """
         topics = ("image_raw", "image_raw/compressed")
         if not self.until(lambda: any(map(self.node.count_publishers, topics)), timeout_s):
@@ -384,7 +389,7 @@ class Observer:
         Raises
         ------
         GraphError
-            If no image is answered. The message contains the nodes' own messages.
+            If no image is answered. The message contains the messages of the nodes.
         """
         names = list(names)
         began, allowed_s = time.monotonic(), timeout_s
@@ -425,7 +430,8 @@ class Observer:
         """Request a lifecycle transition of a node.
 
         If DDS loses the reply, the second call is refused because the transition is already done.
-        So a refusal counts as success if the node is in the state after the transition.
+        Therefore a refusal counts as success if the node is already in the state that follows the
+        transition.
 
         Raises
         ------
@@ -450,7 +456,7 @@ class Observer:
         Raises
         ------
         GraphError
-            If something was stopped. The message names it.
+            If the motors or the task were stopped. The message states which of the two.
         """
         driver, task = self.record.driver, self.record.status
         if driver is not None and driver.reason in PERSONS:
@@ -501,13 +507,13 @@ class Observer:
             self._waiting(f"waiting for the driver, it reports: {reported}")
 
     def start(self, scenario: Scenario, ready_timeout_s: float = ACCEPTED_S) -> Task:
-        """Send the goal of a scenario, and wait until its task runs or has ended. A refused goal is
-        sent again for `ready_timeout_s` [s].
+        """Send the goal of a scenario, and wait until its task runs or has ended. If the planner
+        refuses the goal, the goal is sent again for up to `ready_timeout_s` [s].
 
         Raises
         ------
         GraphError
-            If the goal is refused for longer. The message contains the reason.
+            If the planner still refuses the goal after this time. The message contains the reason.
         """
         if ready_timeout_s:
             self.await_ready()

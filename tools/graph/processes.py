@@ -1,7 +1,7 @@
 """Processes of the nodes: start, supervision and stop. No process remains after a run.
 
 Each node has its own process, log and parameter file. Stopping sends SIGINT, then SIGTERM, then
-SIGKILL. `signals_raise` and `signals_wait` control how signals interrupt this program meanwhile.
+SIGKILL. `signals_raise` and `signals_wait` control how signals interrupt this program during a run.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ KILL_S = 3.0
 """Maximum time until a process has ended after SIGKILL [s]."""
 
 STOP_SIGNALS = ((signal.SIGINT, 6.0), (signal.SIGTERM, 3.0), (signal.SIGKILL, KILL_S))
-"""Signals that stop a node, and the time until the next one is sent [s]."""
+"""Signals that stop a node, and the time until the next signal is sent [s]."""
 
 LAST = "device"
 """Process that is stopped after the others, because the driver makes the device brake when it
@@ -35,7 +35,7 @@ TAIL_LINES = 12
 """Number of last lines of a log that are shown when a node has failed."""
 
 MAX_ENDS, WITHIN_S = 5, 60.0
-"""Number of ends within a time [s] after which a program is not started again."""
+"""If a program has ended `MAX_ENDS` times within `WITHIN_S` [s], it is not started again."""
 
 ENDING = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
 """Signals that request the end of a program."""
@@ -75,8 +75,9 @@ def signals_raise() -> Iterator[None]:
 
 @contextlib.contextmanager
 def signals_wait() -> Iterator[None]:
-    """Context that must not be interrupted. The first signal of `ENDING` takes effect at its
-    end. In a thread other than the main one, which runs no signal handlers, it does nothing."""
+    """Context that must not be interrupted. The first signal of `ENDING` takes effect at the end of
+    the context. Only the main thread runs signal handlers. In another thread, the context does
+    nothing."""
     if threading.current_thread() is not threading.main_thread():
         yield
         return
@@ -126,7 +127,8 @@ ROS_ARGS = ("--ros-args", "--disable-external-lib-logs", "--params-file")
 
 
 class Processes:
-    """Processes of all nodes of a run. Use it as a context manager, which stops them at its end.
+    """Processes of all nodes of a run. Use this class as a context manager. It stops the processes
+    at its end.
 
     If all nodes run in one process, its name is `ONE_PROCESS` in all methods.
 
@@ -136,15 +138,15 @@ class Processes:
     options : RunOptions
         Determines the nodes' parameters.
     logs : path
-        Folder for each process's log NAME.log and parameters NAME.yaml.
+        Folder for the files of each process: the log NAME.log and the parameters NAME.yaml.
     domain : int
         ROS domain.
     prefix : mapping of str to list, optional
-        Words before the command line of a node.
+        Words that are put before the command line of a node.
     environment : mapping, optional
         Additional environment variables, which override those of `ros_environment`.
     remaps : mapping of str to (str, str), optional
-        For a node, a topic and the name to which only this node's topic is remapped.
+        For each node, a topic and a new name. Only this node uses the new name for the topic.
 
     Attributes
     ----------
@@ -221,8 +223,8 @@ class Processes:
             self._start(name, words)
 
     def restart(self, name: str, *words: str) -> None:
-        """Start a node again that has ended, with these words added to its command line. Its log is
-        continued."""
+        """Start a node again that has ended, with `words` added to its command line. The output is
+        appended to the log of the node."""
         self._start(name, [*self._commands[name], *words], "ab")
 
     @property
@@ -244,14 +246,16 @@ class Processes:
         Raises
         ------
         GraphError
-            If a node has ended. The message has its name, its exit code and the end of its log.
+            If a node has ended. The message contains the name, the exit code and the end of the
+            log.
         """
         for name in self._running:
             if name not in self._views and (end := self.end_of(name)):
                 raise GraphError(end)
 
     def end_of(self, name: str) -> str:
-        """Return a text with the exit code of a node and the end of its log. Empty if it runs."""
+        """Return a text with the exit code of a node and the end of its log. The text is empty if
+        the node runs."""
         code = self._running[name].poll()
         return "" if code is None else f"{name} {ended(code)}\n{self.tail(name)}"
 
@@ -271,8 +275,8 @@ class Processes:
         Raises
         ------
         GraphError
-            If it does not end within the time [s]. It is then aborted, and its log shows the
-            traceback of each thread.
+            If the node does not end within `timeout_s` [s]. The node is then aborted, and its log
+            shows the traceback of each thread.
         """
         process = self._running[name]
         try:
@@ -314,14 +318,14 @@ class Ends:
         self._times: deque[float] = deque(maxlen=MAX_ENDS)
 
     def too_many(self, now: float) -> bool:
-        """Count an end at the time `now` [s]. Return whether there were `MAX_ENDS` within
-        `WITHIN_S`."""
+        """Count an end at the time `now` [s]. Return whether the program has ended `MAX_ENDS` times
+        within `WITHIN_S`."""
         self._times.append(now)
         return len(self._times) == MAX_ENDS and now - self._times[0] <= WITHIN_S
 
 
 def ended(code: int) -> str:
-    """Return a text on how a process ended."""
+    """Return a text that describes how a process ended."""
     if code >= 0:
         return f"ended with exit code {code}"
     return f"was ended by {signal.Signals(-code).name}"

@@ -1,7 +1,7 @@
 """A robot controller that picks parts from a running feeder.
 
-It sends commands to the feeder over TCP, as a real robot controller does, and moves the simulator's
-robot by the service simulator/move_robot. The order and times of its steps are those of
+The controller sends commands to the feeder over TCP, as a real robot controller does. It moves the
+simulator's robot by the service simulator/move_robot. The steps and their times are the same as in
 `plate_bringup.production.Robot`.
 """
 
@@ -24,7 +24,7 @@ from plate_interfaces.srv import MoveRobot
 from .observer import Observer, Record
 
 CONNECT_S, ANSWER_S = 10.0, 60.0
-"""Maximum wait for a connection to the server, and for its reply [s]."""
+"""Maximum wait for a connection to the feeder's server, and maximum wait for a reply [s]."""
 
 CALL_S = 2.0
 """Maximum wait for the simulator's reply [s]."""
@@ -49,7 +49,7 @@ class Grip:
     error_m, error_rad : float
         Difference between the part's true pose and the pose in the reply [m, rad].
     cycle_s : float
-        Time since the last attempt, or since the start [s].
+        Time since the last attempt, or since the start of the run for the first attempt [s].
     """
 
     waited_s: float
@@ -61,7 +61,7 @@ class Grip:
 
 @dataclass
 class Robot:
-    """Robot at a running feeder on this computer. Use it as a context manager.
+    """Robot at a running feeder on this computer. Use this class as a context manager.
 
     Parameters
     ----------
@@ -93,7 +93,7 @@ class Robot:
         self.observer.node.destroy_client(self._client)
 
     def ask(self, line: str, timeout_s: float = ANSWER_S) -> tuple[int, str]:
-        """Send a command, and return code and text of the reply.
+        """Send a command, and return the code and the text of the reply.
 
         Raises
         ------
@@ -108,7 +108,7 @@ class Robot:
         self._socket.sendall(line.encode() + b"\n")
 
     def answer(self, timeout_s: float = ANSWER_S) -> tuple[int, str]:
-        """Wait for a reply, and return its code and text. Raises as `ask` does."""
+        """Wait for a reply, and return its code and text. Raise the same errors as `ask`."""
         if not self.observer.until(self._answered, timeout_s):
             raise GraphError(f"the feeder has not answered within {timeout_s:g} s")
         line, _, self._text = self._text.partition(b"\n")
@@ -132,7 +132,7 @@ class Robot:
         Raises
         ------
         GraphError
-            If the feeder refuses a command. The message contains its reply.
+            If the feeder refuses a command. The message contains the feeder's reply.
         """
         arm, name = Arm(self.cycle_s, self._now(), Act.ASK), ""
         while picks > 0 or arm.next is Act.LEAVE:

@@ -1,6 +1,7 @@
 """Series of tasks in the same running graph. The parts are placed again for each task.
 
-After each task, `work_again` yields counts of cycles, latencies, memory and CPU time so far.
+After each task, `work_again` yields the counts of cycles, the latencies, the memory and the CPU
+time up to this task.
 """
 
 from __future__ import annotations
@@ -41,17 +42,17 @@ class Task:
     ended : str
         Text of the final task status.
     done : bool
-        Whether its goal was reached.
+        Whether the goal of the task was reached.
     counts : tuple of int
-        Number of plate cycles, of cycles repeated because no new one had arrived, and of cycles
-        that began late.
+        Number of plate cycles, number of cycles that were repeated because no new cycle had
+        arrived, and number of cycles that began late.
     tables, faults : int
         Number of motor tables, and number of violated limits.
     memory_mb : dict of str to float
         Memory of each node at the end of the task [MB].
     hops : (n, 6)
-        Stamp of each answered image, and the publication times of the image and of its answers [s,
-        UTC].
+        Stamp of each image for which setpoints were published, and the publication times of the
+        image and of the messages that result from it [s, UTC].
     """
 
     at_s: float
@@ -71,7 +72,8 @@ class Task:
 
 @dataclass
 class Series:
-    """Tasks so far, and the fraction of a CPU core that each process has used."""
+    """The tasks that have ended so far, and the fraction of a CPU core that each process has
+    used."""
 
     tasks: list[Task] = field(default_factory=list)
     cpu: dict[str, float] = field(default_factory=dict)
@@ -98,7 +100,7 @@ def work_again(
     logs : path
         Folder for the nodes' logs.
     done : callable
-        Receives the series so far.
+        Function that receives the series up to now.
     longest_s : float
         Maximum duration of a task [s].
     world : mapping, optional
@@ -169,7 +171,8 @@ def rows(hops: Hops, start: float, end: float) -> np.ndarray:
 
 
 def stages_ms(hops: np.ndarray) -> dict[str, np.ndarray]:
-    """Return the duration of each stage of `STAGES`, and of all stages, by name (n,) [ms]."""
+    """Return the durations (n,) of each stage of `STAGES`, and the total durations of all stages,
+    by name [ms]."""
     parts = 1e3 * np.diff(hops, axis=1)
     columns: dict[str, Any] = dict(zip(STAGES, parts.T, strict=True))
     columns["image to setpoints"] = 1e3 * (hops[:, -1] - hops[:, 1])

@@ -1,4 +1,4 @@
-"""A running graph: its processes, and the observer that watches them.
+"""A running graph: its processes, and the observer that watches these processes.
 
 `session` starts the nodes, waits until the first image is answered, and stops the nodes at the end.
 """
@@ -26,7 +26,7 @@ ANSWER_S = 180.0
 """Maximum wait for the answer to the first image [s]."""
 
 PAGE_S = 10.0
-"""Maximum wait for the live page after the other nodes answer [s]."""
+"""Maximum wait for the live page after the other nodes have processed an image [s]."""
 
 CAMERA_S = 3.0
 """Maximum wait for a camera that is not simulated [s]."""
@@ -58,7 +58,7 @@ class Session:
     def free(self) -> None:
         """Activate the driver and, with transport serial, enable the motors.
 
-        The caller is responsible for the enabling, like an operator.
+        The caller has the responsibility of an operator when the motors are enabled.
 
         Raises
         ------
@@ -83,8 +83,8 @@ class Session:
     def begin(self) -> None:
         """Activate the driver as `free` does, and start the task.
 
-        In lockstep the planner holds the second image until the goal arrives, so the task begins
-        with this image.
+        In lockstep, the planner processes the second image only when the goal arrives. Therefore
+        the task begins with this image.
         """
         self.free()
         self.observer.await_ready()
@@ -93,8 +93,8 @@ class Session:
 
 
 def driver_triggers(options: RunOptions) -> bool:
-    """Return whether the motor controller triggers the camera. If so, images arrive only after the
-    driver is connected to the controller."""
+    """Return whether the motor controller triggers the camera. Images of a triggered camera arrive
+    only after the driver is connected to the controller."""
     return options.transport == "serial" and load_rig(options.rig_file).camera.trigger is not None
 
 
@@ -108,7 +108,7 @@ def session(
     watched: bool = True,
     gated: bool = False,
 ) -> Iterator[Session]:
-    """Context with a running graph. The nodes are stopped at its end.
+    """Context with a running graph. The nodes are stopped at the end of the context.
 
     Parameters
     ----------
@@ -117,15 +117,15 @@ def session(
     logs : path
         Folder for the nodes' logs.
     domain : int, optional
-        ROS domain. By default a free one.
+        ROS domain. Default: a free domain.
     pictures : bool
         Whether the observer records images.
     waiting : callable
-        Called during a wait, with a text on the missing event.
+        Function that is called during a wait, with a text about the missing event.
     watched : bool
         Whether a wait raises GraphError if a node has ended.
     gated : bool
-        Whether the gate of `gate` forwards the main input of each node.
+        Whether the main input of each node passes through the gate (module `gate`).
 
     Raises
     ------

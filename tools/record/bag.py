@@ -1,6 +1,7 @@
 """Recording of all messages of a graph to a bag that ros2 bag and Foxglove open.
 
-Uses the package rosbags. It writes the serialised messages to one .mcap file with metadata.yaml.
+The module uses the package rosbags, which writes the serialised messages to one .mcap file with
+metadata.yaml.
 """
 
 from __future__ import annotations
@@ -19,7 +20,7 @@ from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 from plate_core import PlateError
 
 DISCOVERY_S = 0.5
-"""Period at which new topics are searched [s]."""
+"""Interval at which the recorder searches for new topics [s]."""
 
 DEPTH = 200
 """Length of the subscriptions' queues [messages]."""
@@ -32,12 +33,13 @@ BAG_VERSION: Final = 9
 
 
 class Recorder:
-    """Subscribes to every topic that appears, and writes its messages. Use it as a context manager.
+    """Subscribes to every topic that appears, and writes its messages. Use this class as a context
+    manager.
 
     Parameters
     ----------
     node : Node
-        Node of the subscriptions. Its owner spins it, and calls `discover` regularly.
+        Node of the subscriptions. The caller must spin the node, and call `discover` regularly.
     folder : path
         New folder for the bag.
 
@@ -72,8 +74,8 @@ class Recorder:
         self._writer.close()
 
     def discover(self) -> None:
-        """Subscribe to topics that are new since the last call. Does nothing within `DISCOVERY_S`
-        after a search."""
+        """Subscribe to topics that are new since the last search. Within `DISCOVERY_S` after a
+        search, do nothing."""
         if time.monotonic() - self._looked_at < DISCOVERY_S:
             return
         self._looked_at = time.monotonic()
@@ -102,8 +104,8 @@ class Recorder:
 
 
 def profile_for(offered: Sequence[QoSProfile]) -> QoSProfile:
-    """Return the quality of service that is compatible with all publishers of a topic. If all are
-    latched, it also requests the messages from before the subscription."""
+    """Return the quality of service that is compatible with all publishers of a topic. If all
+    publishers are latched, also request the messages from before the subscription."""
     reliable = all(qos.reliability == ReliabilityPolicy.RELIABLE for qos in offered)
     latched = all(qos.durability == DurabilityPolicy.TRANSIENT_LOCAL for qos in offered)
     return QoSProfile(
@@ -114,8 +116,8 @@ def profile_for(offered: Sequence[QoSProfile]) -> QoSProfile:
 
 
 def _kept(qos: QoSProfile) -> Any:
-    """Convert a publisher's quality of service to the bag's form, so that playback publishes with
-    the same one."""
+    """Convert a publisher's quality of service to the bag's form. The playback then publishes with
+    the same quality of service."""
     from rosbags.interfaces import (
         Qos,
         QosDurability,

@@ -1,4 +1,4 @@
-"""Drawing with metres as units, and headings and keys for sheets of such pictures."""
+"""Drawing with metres as units, and the headings and legends for sheets of drawn pictures."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ class Canvas:
     scale : float
         Scale [px/m].
     origin : (x, y)
-        Pixel of the point (0, 0) m. In metres y points up, in pixels it points down.
+        Pixel of the point (0, 0) m. In metres, y points up. In pixels, y points down.
     unit : float
         Width of a thin line [px].
     words : int
@@ -68,7 +68,7 @@ class Canvas:
     def disc(
         self, centre: Sequence | np.ndarray, radius: float, face: Colour | None, edge: Colour
     ) -> None:
-        """Draw a disc with an edge. Without a face colour, draw only the edge."""
+        """Draw a disc with an edge. If `face` is None, draw only the edge."""
         at = self._at(centre)[0, 0].tolist()
         size = round(radius * self.scale * 2**SHIFT)
         if face is not None:
@@ -78,7 +78,7 @@ class Canvas:
     def outline(
         self, corner: np.ndarray, holes: Sequence[np.ndarray], face: Colour | None, edge: Colour
     ) -> None:
-        """Draw a polygon (n, 2) [m] with holes and an edge. Without a face colour, draw only the
+        """Draw a polygon (n, 2) [m] with holes and an edge. If `face` is None, draw only the
         edge."""
         rims = [self._at(each) for each in (corner, *holes)]
         if face is not None:
@@ -133,7 +133,7 @@ def dashes(point: Sequence | np.ndarray, length: float) -> list[np.ndarray]:
 
 @cache
 def font(size: int) -> ImageFont.FreeTypeFont | ImageFont.ImageFont:
-    """Return Pillow's default font in a size [px]."""
+    """Return Pillow's default font with the given size [px]."""
     return ImageFont.load_default(size)
 
 
@@ -148,7 +148,8 @@ def heading(width: int, size: int, left: str, right: str = "") -> np.ndarray:
 
 @dataclass(frozen=True)
 class Sample:
-    """Entry of a key: width of its sample [m], function that draws it from its left end, text."""
+    """Entry of a legend: width of the drawn sample [m], function that draws the sample from its
+    left end, and text."""
 
     width: float
     draw: Callable[[Canvas], None]
@@ -156,8 +157,8 @@ class Sample:
 
 
 def key(samples: Sequence[Sample], width: int, frame: Canvas) -> np.ndarray:
-    """Return the image (H, W, 3) of a key for frames like `frame`: samples in the same scale with
-    their texts, in as many lines as needed."""
+    """Return the image (H, W, 3) of a legend for frames like `frame`. The legend shows samples in
+    the same scale with their texts, in as many lines as needed."""
     size = frame.words
     high, x, row = round(1.7 * size), size / 4, 0
     places: list[tuple[float, float, float]] = []

@@ -28,16 +28,17 @@ class Film:
     ids : tuple of str
         Names of all parts, in the order of `position`.
     time : (n,)
-        Starts of cycles [s]. If there is no simulator, these are the stamps of images.
+        Starts of cycles [s]. If there is no simulator, the stamps of images are used.
     position : (n, M, 2)
         Positions of the parts in plate_home [m] at these times. NaN after a part has left the
         plate, or while it is not detected.
     angle : (n, M)
         Angles of the parts [rad].
     end : float
-        End of the task [s]. If the task did not end, this is the last known time.
+        End of the task [s]. If the task did not end, the value is the last known time.
     table_time : (m,)
-        Stamps of the motor tables, which are those of the images that they answer [s].
+        Stamps of the motor tables [s]. A table has the stamp of the image from which it was
+        computed.
     tables : tuple of PlateCycle
         Motion of the plate in each motor table.
     image_time : (k,)
@@ -74,8 +75,8 @@ class Film:
         return int(np.sum((starts > -ROUNDING) & (starts < self.end - ROUNDING)))
 
     def running(self, t: float) -> PlateCycle | None:
-        """Return the plate's motion at a time: the last table whose stamp is before the start of
-        the cycle at this time. None if there is none."""
+        """Return the plate's motion at a time. This motion is the last table whose stamp is before
+        the start of the cycle at this time. Return None if there is no such table."""
         k = int(np.searchsorted(self.time, t, side="right")) - 1
         if k < 1:
             return None

@@ -25,26 +25,27 @@ from .film import develop
 from .limits import limit_shares, thermal_load
 
 WAITS = {"held_cycles": "cycles held because no answer came", "late_cycles": "late cycles"}
-"""Texts on a computer that was too slow, by key of the result."""
+"""Texts about the effects of a computer that was too slow, by key of the result."""
 
 BUS = {"stroke": 1.002, "speed": 1.002, "acceleration": 1.1}
-"""Maximum of the firmware's commands to drives on a bus, as fractions of the limits. They exceed 1
-because the splines of the motors differ from the plate's, and because braking adds a tenth to the
-acceleration."""
+"""Maximum values of the firmware's commands to drives on a bus, as fractions of the limits. The
+fractions exceed 1 because the motors' splines differ from the plate's motion. Braking also adds a
+tenth to the acceleration."""
 
 SHARES = ("stroke", "speed", "accel", "force")
 """Names of the values of `limit_shares`."""
 
 EARLIER = 4
-"""Number of earlier tables of which a table in motion can continue one. The device does not play a
-table that arrives too late, so the next one continues an earlier table."""
+"""Number of earlier tables that are compared. A table that begins in motion must continue one of
+these tables. If a table arrives too late, the device does not execute it. The next table then
+continues an earlier table."""
 
 ROUNDING = 1e-6
-"""Fraction of a limit that rounding can add."""
+"""Maximum error by rounding, as a fraction of a limit."""
 
 GAP_S = 5e-3
-"""Maximum time between the end of a cycle and the start of the next one [s]. If it is longer, the
-report of a cycle between them was lost, or the simulator was late."""
+"""Maximum time between the end of a cycle and the start of the next one [s]. If the time is longer,
+the report of a cycle was lost, or the simulator was late."""
 
 
 @dataclass(frozen=True)
@@ -56,8 +57,8 @@ class LimitCheck:
     tables : int
         Number of motor tables.
     faults : tuple of str
-        Messages on invalid tables, and on cycles that began with a jump of the plate. Empty if all
-        are valid.
+        Messages about invalid tables, and about cycles that began with a jump of the plate. Empty
+        if there are no such faults.
     shares : dict of str to float
         Maximum fraction of each limit, by `SHARES`. `heat` is the maximum of a motor's I2t load
         over all tables, as a fraction of the continuous load.
@@ -69,7 +70,8 @@ class LimitCheck:
 
 
 def check_limits(record: Record, rig: Rig) -> LimitCheck:
-    """Check every motor table, with mechanics independent of the solver and the driver.
+    """Check every motor table, with equations of motion that are independent of the solver and the
+    driver.
 
     The heat h of a motor follows h' = p + (h - p) exp(-T / thermal_time_s) for a table of length T
     with the load p of `thermal_load`.
@@ -106,10 +108,11 @@ def check_limits(record: Record, rig: Rig) -> LimitCheck:
 
 
 def jumps(starts: Iterable[bytes]) -> list[str]:
-    """Return messages on jumps of the plate between two cycles that it has played.
+    """Return messages about jumps of the plate between two executed cycles.
 
-    A motor table is valid if it continues any of the last tables, but the plate must play it only
-    after that table. So this check uses the reported starts.
+    A motor table is valid if it continues any of the last tables. But the plate must execute this
+    table only after the table that it continues. Therefore this check uses the reported starts of
+    cycles.
 
     Parameters
     ----------
@@ -204,8 +207,8 @@ def there(task: Task) -> str:
 
 
 def typical(record: Record, key: str) -> float | None:
-    """Return the median of a value in the solver's diagnostics during its searches, or None if it
-    made no search."""
+    """Return the median of a value in the solver's diagnostics during its searches, or None if the
+    solver made no search."""
     reports = [said.values for said in record.reports("solver")]
     values = [float(v[key]) for v in reports if float(v["solve_ms_median"]) > 0]
     return round(float(np.median(values)), 4) if values else None

@@ -1,8 +1,9 @@
-"""Fractions of a rig's limits that a motion of the plate uses, by independent mechanics.
+"""Fractions of a rig's limits that a motion of the plate uses, computed by independent equations of
+motion.
 
 The result is an independent check of the solver and the driver. Therefore this module shares only
-the rig file and the motion with them. Points of the plate are complex numbers x + i y. With the
-plate's pose (o, theta), a point a of the plate is at p = o + e^(i theta) a.
+the rig file and the motion with the solver and the driver. Points of the plate are complex numbers
+x + i y. With the plate's pose (o, theta), a point a of the plate is at p = o + e^(i theta) a.
 """
 
 from __future__ import annotations
@@ -49,10 +50,10 @@ def corner_accels(rig: Rig, motion: Motion) -> np.ndarray:
 def motor_forces(rig: Rig, motion: Motion) -> np.ndarray:
     """Return the motor forces (n, 4) [N] of minimum norm for a motion.
 
-    They satisfy B F = w. Each column of B is a motor's force and torque about the centre of the
-    plate at home. The wrench w is diag(m, m, I) accel for a uniform plate, with
-    I = m (length^2 + width^2) / 12. For a rig with a suspension,
-    w = M accel + D twist + K pose with its mass, damping and stiffness.
+    The forces F satisfy B F = w. Each column of B is a motor's force and torque about the centre of
+    the plate at home. The wrench w is diag(m, m, I) accel for a uniform plate, with I = m (length^2
+    + width^2) / 12. For a rig with a suspension, w = M accel + D twist + K pose with the mass M,
+    damping D and stiffness K of the suspension.
     """
     pose, twist, accel = motion
     if rig.suspension is None:

@@ -41,7 +41,8 @@ ARROWS = 153
 """Approximate number of arrows of a strip's force field."""
 
 FIELD_ARROW, PART_ARROW = 0.85, 6.0
-"""Length of the longest arrows: in a field [distance between arrows], on parts [part radii]."""
+"""Length of the longest arrows. `FIELD_ARROW`: in a force field [distances between arrows].
+`PART_ARROW`: on parts [part radii]."""
 
 FULL_FORCE = 80
 """Percentile of the forces above which all arrows have the same length, so that weak forces are
@@ -51,7 +52,8 @@ TINT = 0.14
 """Opacity of targets."""
 
 FILM_FRAMES, FILM_RATE = 100, 12.5
-"""Maximum number of frames, and frames per second. GIF has a time resolution of 0.01 s."""
+"""Maximum number of frames of an animation, and number of frames per second. GIF has a time
+resolution of 0.01 s."""
 
 LAST_MS = 2500
 """Time for which the last frame is shown [ms]."""
@@ -60,19 +62,21 @@ SAME = 12
 """Maximum difference between a pixel of the plate and the picture without parts [grey values]."""
 
 BRIGHT = 85
-"""Percentile of a pixel's values over time that shows the plate. The percentile is high because
-parts are darker than the plate, and can cover a pixel for a long time."""
+"""Percentile of a pixel's values over time. This percentile is the brightness of the plate without
+parts. The percentile is high because parts are darker than the plate, and can cover a pixel for a
+long time."""
 
 TRAIL_S = 2.0
-"""Length of the trails in tasks in which parts come and go [s]. In other tasks, trails begin with
-the task."""
+"""Duration of the motion that the trails of parts show, in tasks in which parts are added and
+removed [s]. In other tasks, trails begin at the start of the task."""
 
 NOW = 1e-6
 """Tolerance for rounding of times [s]."""
 
 TRUE_RAY, WANTED_RAY, BESIDE = 2.8, 5.5, 4.5
-"""Lengths of the lines that show a part's angle and its target angle, and distance of the text of
-the former from the centre [part radii]."""
+"""`TRUE_RAY`: length of the line that shows a part's angle [part radii]. `WANTED_RAY`: length of
+the line that shows its target angle. `BESIDE`: distance of the angle's text from the part's
+centre."""
 
 
 @dataclass(frozen=True)
@@ -90,7 +94,7 @@ class Scene:
 
     @property
     def feeds(self) -> bool:
-        """Whether parts come and go."""
+        """Whether parts are added to and removed from the plate during the task."""
         return isinstance(self.scenario.task, FeedTask)
 
     @property
@@ -149,8 +153,8 @@ class Scene:
         return found
 
     def until(self, t: float) -> np.ndarray:
-        """Return the positions (n, M, 2) [m] from the start of the trails until t [s], at least
-        one."""
+        """Return the positions (n, M, 2) [m] from the start of the trails until t [s]. The result
+        contains at least one position per part."""
         first = int(np.searchsorted(self.film.time, -NOW))
         if self.feeds:
             first = max(first, int(np.searchsorted(self.film.time, t - TRAIL_S)))
@@ -182,8 +186,8 @@ class Scene:
 
 @dataclass(frozen=True)
 class Layout:
-    """Size of a picture: columns of frames, maximum width and height of a frame [px], size of the
-    text [px]."""
+    """Size of a picture: number of columns of frames, maximum width and height of a frame [px],
+    size of the text [px]."""
 
     columns: int
     frame: tuple[int, int]
@@ -196,8 +200,8 @@ class Layout:
     """Width of thin lines [frame widths]."""
 
     def canvas(self, scene: Scene, pixels: np.ndarray | None = None) -> Canvas:
-        """Return a canvas for a frame, white or with these pixels. Its margin also shows parts on
-        the plate's edge."""
+        """Return a canvas for a frame, white or with these pixels. The margin of the canvas also
+        shows parts on the plate's edge."""
         half = scene.rig.plate.half + 1.5 * scene.rig.parts.radius_m
         scale = float(np.min(np.array(self.frame) / (2 * half)))
         wide, high = self.frame[0], round(2 * half[1] * scale)
@@ -208,7 +212,8 @@ class Layout:
     def sheet(
         self, frames: list[np.ndarray], clocks: list[str], title: str, right: str, key: np.ndarray
     ) -> Image.Image:
-        """Return a picture of the title, the frames with their clocks in rows, and the key."""
+        """Return a picture that consists of the title, the frames in rows with their times, and the
+        legend."""
         gap = np.full((frames[0].shape[0] + round(1.6 * self.words), self.GAP, 3), 255, np.uint8)
         tiles = [
             np.vstack([heading(self.frame[0], self.words, clock), frame])
@@ -228,7 +233,7 @@ class Layout:
         return self.columns * (self.frame[0] + self.GAP) - self.GAP
 
     def key(self, scene: Scene, arrows: Arrows) -> np.ndarray:
-        """Return the key of the frames."""
+        """Return the legend of the frames."""
         canvas = self.canvas(scene)
         return key(samples(scene, arrows, canvas), self.width, canvas)
 
@@ -257,7 +262,7 @@ class Arrows:
         self, canvas: Canvas, point: np.ndarray, force: np.ndarray, width: float, pivot: float
     ) -> None:
         """Draw arrows for forces (n, 2) at points (n, 2) [m]. `pivot` is the fraction of an arrow's
-        length before its point."""
+        length that is before the given point."""
         size = np.maximum(np.hypot(*force.T), self.force)
         whole = self.length * force / size[:, None]
         for start, way in zip(point - pivot * whole, whole, strict=True):
@@ -385,8 +390,9 @@ def face_colour(part: PartType) -> Colour:
 def draw_angle(
     canvas: Canvas, centre: np.ndarray, angle: float, radius: float, colour: Colour, dashed: bool
 ) -> None:
-    """Draw the angle of a part with its value beside it, or, dashed, the target angle with its
-    value at the end of the line."""
+    """Draw a line for the angle of a part. If `dashed` is False, the line shows the angle, and its
+    value is beside the part. If `dashed` is True, the line shows the target angle, and its value is
+    at the end of the line."""
     along, ray = np.array([np.cos(angle), np.sin(angle)]), WANTED_RAY if dashed else TRUE_RAY
     canvas.line(centre + radius * np.outer([1.0, ray], along), colour, 2, dashed)
     side = [-BESIDE if along[0] > 0.1 else BESIDE, 0.0]
@@ -395,7 +401,7 @@ def draw_angle(
 
 
 def samples(scene: Scene, arrows: Arrows, frame: Canvas) -> list[Sample]:
-    """Return the entries of the key for frames of this run."""
+    """Return the entries of the legend for the frames of this run."""
     radius = min(scene.rig.parts.radius_m, 0.5 * frame.words / frame.scale)
     bar = round_number(scene.rig.plate.length_m / 6)
     ray, end = WANTED_RAY * radius, np.array([radius, 0.0])
@@ -425,8 +431,8 @@ def samples(scene: Scene, arrows: Arrows, frame: Canvas) -> list[Sample]:
 
 
 def class_sample(scene: Scene, label: str, radius: float) -> Sample:
-    """Return the key's entry of a class: its target or path, a trail, and a part of a radius
-    [m]."""
+    """Return the legend's entry for a class: its target or path, a trail, and a part with the given
+    radius [m]."""
     colour = class_colour(label)
     wide, labels = 6 * radius, [f"{label}: part, trail"]
     target = label in [one for one, _ in scene.targets]
@@ -478,6 +484,7 @@ def from_above(
 
 
 def round_number(value: float) -> float:
-    """Return the largest number 1, 2 or 5 times a power of ten that does not exceed a value."""
+    """Return the largest number of the form 1, 2 or 5 times a power of ten that does not exceed a
+    value."""
     power = 10.0 ** np.floor(np.log10(value))
     return float(power * max(step for step in (1, 2, 5) if step * power <= value * (1 + NOW)))

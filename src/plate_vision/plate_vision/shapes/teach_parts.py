@@ -1,7 +1,6 @@
-"""The program `teach`: learn part types from pictures, and manage files of types. The program needs
-no ROS.
+"""The program `teach`: learn part types from pictures, and manage files of types.
 
-Example:
+The program does not need ROS. Example:
 
 ros2 run plate_vision teach nut nut_1.png nut_2.png --bare plate.png --out parts.yaml
 """
