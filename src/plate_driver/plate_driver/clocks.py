@@ -15,12 +15,13 @@ class Clocks:
     Attributes
     ----------
     steady_s : callable
-        Returns the time on the steady clock [s].
+        Function that returns the time on the steady clock [s].
     stamp_ns : callable
-        Returns the time on the clock that stamps images [ns]. It may be simulated.
+        Function that returns the time on the clock that stamps images [ns]. This clock may be
+        simulated.
     simulated : callable
-        Returns whether simulated time is used. It is never used with real motors, because they heat
-        up in real time.
+        Function that returns whether simulated time is used. Simulated time is never used with real
+        motors, because the motors heat up in real time.
     """
 
     steady_s: Callable[[], float]

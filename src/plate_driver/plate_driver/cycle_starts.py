@@ -1,8 +1,8 @@
 """Start times of the plate's cycles, derived from the device's telemetry. This module uses neither
 ROS nor a clock: all times are arguments. Each telemetry message is checked against the device's
-clock, the table's period and the host's time. The starts in inconsistent messages are not reported,
-because the planner would predict wrong part positions from them. `transports.device_clock` checks
-the device's clock itself.
+clock, the table's period and the host's time. Cycle starts from inconsistent messages are not
+reported. The planner would otherwise predict wrong part positions. The device's clock is checked
+elsewhere, in `transports.device_clock`.
 """
 
 from __future__ import annotations
@@ -24,8 +24,8 @@ device varies."""
 
 MARGIN_S = 3e-3
 """Two times with a smaller difference count as equal [s]. This tolerance is shorter than the
-interval between two telemetry messages. It is longer than the delay of table starts, which occur
-only at ticks of the device."""
+interval between two telemetry messages. This tolerance is longer than the delay of table starts,
+which occur only at ticks of the device."""
 
 AHEAD_S = 0.1
 """Maximum time by which telemetry may be ahead of the host's time [s]. Telemetry can be ahead,
@@ -143,13 +143,13 @@ class CycleStarts:
 
 
 class StartReporter:
-    """Computes the messages on the topic cycle_started from telemetry. A tail counts as a separate
-    cycle. While the motors rest, rest cycles are reported.
+    """Computation of the messages on the topic cycle_started from telemetry. A tail is reported as
+    a separate cycle. While the motors rest, cycles at rest are reported.
 
     Parameters
     ----------
     playback : Playback
-        Its guard records inconsistent telemetry.
+        Playback of the driver. Its guard records inconsistent telemetry.
     now : float
         Time on the host's steady clock [s].
     """

@@ -1,4 +1,5 @@
-"""Content of the driver's diagnostics, from the states of the driver's other objects."""
+"""Content of the driver's diagnostics. It is computed from the states of the driver's other
+objects."""
 
 from __future__ import annotations
 
@@ -17,7 +18,7 @@ __all__ = ["DriverDiagnostics"]
 
 
 class DriverDiagnostics:
-    """Computes level, message and values of the driver's diagnostics.
+    """Computation of the level, message and values of the driver's diagnostics.
 
     Parameters
     ----------

@@ -17,15 +17,15 @@ from plate_core.status import age_limit
 __all__ = ["AHEAD_S", "ALONE_S", "STALL_S", "Freshness"]
 
 SEND_S = 0.02
-"""Maximum time to send a cycle on a busy computer [s]. This time is subtracted from the age limit,
-so that no cycle reaches the device after the limit."""
+"""Maximum time that a busy computer needs to send a cycle [s]. This time is subtracted from the age
+limit. Therefore no cycle reaches the device after the limit."""
 
 AHEAD_S = 0.1
 """Maximum time by which another computer's clock may be ahead of this computer's clock [s]."""
 
 CLOCKS_S = 3.0
-"""Maximum image age that a slow computer can cause [s]. If the age is larger or negative, the
-message advises to check the synchronisation of the clocks."""
+"""Maximum image age that a slow computer can cause [s]. If the age is larger or negative, the error
+message advises the user to check the synchronisation of the clocks."""
 
 STALL_S = 0.25
 """If the time between two calls of `Freshness.with_state` is longer than this value, the driver
@@ -33,17 +33,17 @@ counts as stalled [s]. The value is about one cycle."""
 
 ALONE_S = 1.0
 """If cycles of two publishers arrive within this time [s], both are refused, even if the publishers
-have equal names. A restart of the solver takes longer."""
+have equal names. A restart of the solver takes longer, so it does not cause this error."""
 
 RESTART_NS = 1_000_000_000
 """Maximum time between a stamp and a later event for which both are compared [ns]. If the time is
-longer, the stamp is too old without this comparison, or a simulator was restarted after the
-stamp."""
+longer, the age limit refuses the stamp, or a simulator was restarted after the stamp."""
 
 
 @dataclass(frozen=True)
 class Freshness:
-    """Record of what makes a cycle invalid: its age, events after its image, or a second publisher.
+    """Record of the facts that can make a cycle invalid: its age, events after its image, or a
+    second publisher.
 
     Stamps are in ns.
 
@@ -51,7 +51,7 @@ class Freshness:
     ----------
     since_ns : int
         Time at which the motors became ready or the driver resumed after a stall, on the clock that
-        stamps images. The later of these events counts.
+        stamps images. The later of these two events determines the time.
     why : str
         Text that names the event at `since_ns`.
     ended_ns : int

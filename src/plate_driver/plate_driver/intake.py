@@ -1,4 +1,4 @@
-"""Intake of plate cycles: decides which received cycles are sent to the motors and which are
+"""Intake of plate cycles. It decides which received cycles are sent to the motors and which are
 refused."""
 
 from __future__ import annotations
@@ -21,11 +21,11 @@ __all__ = ["CycleIntake", "NotReadyError"]
 
 
 class NotReadyError(CycleError):
-    """A cycle was received while the motors were not ready."""
+    """Error: a cycle was received while the motors were not ready."""
 
 
 class CycleIntake:
-    """Checks each received cycle, and sends it to the motors or refuses it.
+    """Check of all received cycles. A cycle is either sent to the motors or refused.
 
     Parameters
     ----------
@@ -33,14 +33,15 @@ class CycleIntake:
     latch : Latch
     clocks : Clocks
     status : callable
-        Returns the state of the motors.
+        Function that returns the state of the motors.
     decode : callable
-        Converts a serialized plate_cycle to the cycle and its stamp [ns]. Raises a PlateError if
-        the message or the cycle is invalid.
+        Function that converts a serialized plate_cycle to the cycle and its stamp [ns]. It raises a
+        PlateError if the message or the cycle is invalid.
     second_publisher : callable
-        Returns an error message if several nodes publish plate_cycle, otherwise an empty text.
+        Function that returns an error message if several nodes publish plate_cycle, otherwise an
+        empty text.
     poll_tasks : callable
-        Passes each waiting task_status to `record_task`.
+        Function that passes each waiting task_status message to `record_task`.
 
     Attributes
     ----------
@@ -90,7 +91,7 @@ class CycleIntake:
         """Return the status, and record when the motors became ready or this process stalled. Call
         this method about every 20 ms.
 
-        Stalls and steps of the clock are not recorded in simulated time.
+        In simulated time, stalls and steps of the clock are not recorded.
         """
         status = self._status()
         number = self._latch.number if status.state is DriverState.READY else None
@@ -124,7 +125,7 @@ class CycleIntake:
         Raises
         ------
         PlateError
-            If the cycle is refused. A `NotReadyError` if the motors are not ready.
+            If the cycle is refused. The error is a `NotReadyError` if the motors are not ready.
         """
         number, status = self._latch.number, self.observe()
         self._freshness = self._freshness.with_cycle(source, self._clocks.steady_s())

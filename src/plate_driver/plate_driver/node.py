@@ -2,9 +2,9 @@
 sends the tables to a transport. If cycles are missing, invalid or too old, the plate comes to
 rest.
 
-The node connects topics, services, timers and parameters with other objects. `CycleIntake` accepts
-or refuses cycles, `Playback` sends their tables, and `TransportOwner` opens the transport and stops
-the motors."""
+The node itself only connects topics, services, timers and parameters with other objects.
+`CycleIntake` accepts or refuses cycles, `Playback` sends their tables, and `TransportOwner` opens
+the transport and stops the motors."""
 
 from __future__ import annotations
 
@@ -70,7 +70,7 @@ CORRECTED = (
     "the calibration corrects the plate's motion: cycles that begin in motion are refused, cycles "
     "from rest are played with their tails"
 )
-"""Log message at an activation with a calibration."""
+"""Log message when the node is activated with a calibration."""
 
 MIN_FACTOR = 0.99
 """If the driver scales a cycle down by a factor below this value, it logs a warning."""
@@ -113,8 +113,8 @@ class DriverNode(SafeLifecycleNode[Options]):
     cycles of the task. It always publishes driver_status and diagnostics. While active, it also
     publishes motor_setpoints and motor_states, and cycle_started if the motors play whole cycles.
     Services: enable (switches on the motors' current), emergency_stop, cut_power, home, calibrate,
-    measure_friction and write_friction. For the two services on friction, the node subscribes to
-    parts and publishes friction.
+    measure_friction and write_friction. For the services measure_friction and write_friction, the
+    node subscribes to parts and publishes friction.
 
     emergency_stop, cut_power, enable, home and driver_status must work under any message load and
     in every lifecycle state. Therefore a separate node (`driver_safety`) with its own participant
@@ -275,7 +275,7 @@ class DriverNode(SafeLifecycleNode[Options]):
     # Transport
 
     def _make_transport(self, rig: Rig) -> Transport:
-        """Return the transport that the parameters define. It is not open yet."""
+        """Return the transport that the parameters define. The transport is not open yet."""
         check_transport(self.options.transport, self.options.port)
         context = TransportContext(
             rig, self._play, time.monotonic, asdict(self.options), time.time_ns() % 2**32
@@ -409,7 +409,8 @@ class DriverNode(SafeLifecycleNode[Options]):
             self._starts.publish(cycle_to_msg(cycle, to_time(self._stamp_ns(now - began))))
 
     def _publish_state(self) -> None:
-        """Publish the measured state of the motors. Without motors, publish the commanded state."""
+        """Publish the measured state of the motors. If the transport has no motors, publish the
+        commanded state."""
         transport, rig = self.transports.current, self.playback.rig
         if not self.active or transport is None:
             return
@@ -426,8 +427,8 @@ class DriverNode(SafeLifecycleNode[Options]):
             self._states.publish(msg)
 
     def _stamp_ns(self, age_s: float) -> int:
-        """Return the stamp of an event that is `age_s` [s] old. The stamp is never negative: a
-        simulated clock may still be at 0."""
+        """Return the stamp of an event that is `age_s` [s] old. The stamp is never negative. A
+        negative value could occur because a simulated clock may still be at 0."""
         return max(0, self.get_clock().now().nanoseconds - max(0, round(1e9 * age_s)))
 
     def _find(self, now: float) -> Finding:

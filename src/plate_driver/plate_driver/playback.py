@@ -1,5 +1,5 @@
-"""Playback of motor tables: it sends tables, detects the end of playback, and computes the
-commanded state. This module does not use ROS."""
+"""Playback of motor tables: sending of tables, detection of the end of playback, and computation of
+the commanded state. This module does not use ROS."""
 
 from __future__ import annotations
 
@@ -16,23 +16,25 @@ from .transports import Latch, TransportThread
 __all__ = ["Playback"]
 
 MOTIONS_KEPT = 8
-"""Number of sent cycles whose plate motions are stored. These cycles may still play or wait."""
+"""Number of sent cycles whose plate motions are stored. The device may still play these cycles, or
+they may still wait."""
 
 
 class Playback:
-    """Sends the motor tables of the driver, and records which table plays and when the plate rests.
+    """Playback of the driver's motor tables. The object sends tables, and records which table plays
+    and when the plate rests.
 
     Parameters
     ----------
     guard : Guard
     latch : Latch
     publish : callable
-        Publishes a table that was sent to motors.
+        Function that publishes a table that was sent to motors.
 
     Attributes
     ----------
     guard : Guard
-        Guard with the last table that was sent. Its methods `accepted`, `experimenting` and
+        Guard with the last table that was sent. The guard's methods `accepted`, `experimenting` and
         `commanded` prepare the next table.
     """
 
@@ -58,8 +60,8 @@ class Playback:
     def guard_for(self, transport: TransportThread) -> Guard:
         """Return the guard with the transport's present `hold_s`.
 
-        After a stop, this guard has no tables, even if the motors were enabled again before the
-        next call of `rest`.
+        After a stop, the returned guard has no tables. This is true even if the motors were enabled
+        again before the next call of `rest`.
         """
         stopped = self._number != self._latch.number
         guard = self.guard.without_tables() if stopped else self.guard
@@ -125,8 +127,8 @@ class Playback:
         self.guard = self.guard.refused()
 
     def check_end(self, now: float) -> str:
-        """Record whether the plate rests because cycles no longer arrive. Return a message if it
-        rests for this reason, otherwise an empty text."""
+        """Record whether the plate rests because cycles no longer arrive. Return a message if the
+        plate rests for this reason, otherwise an empty text."""
         hold_s = self.guard.lasts_s
         self.guard, over = self.guard.watched(now)
         return f"no plate_cycle for {hold_s:.3g} s: the plate rests" if over else ""

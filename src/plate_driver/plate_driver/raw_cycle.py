@@ -8,7 +8,8 @@ import struct
 from plate_core import CycleError
 
 POINT_BYTES = 256
-"""Maximum size of a point with three joints [bytes]: 3 x (4 + 4 + 24) + 8 + 8, plus a margin."""
+"""Maximum size of a point with three joints [bytes]: 3 x (4 + 4 + 24) + 8 + 8 = 112, plus a
+margin."""
 
 HEAD_BYTES = 4096
 """Maximum size of the data before the points [bytes]: the names of a frame and of three joints."""
@@ -22,7 +23,7 @@ def check_length(data: bytes, size: int, most_points: int) -> None:
     Parameters
     ----------
     data : bytes
-        First bytes of the message. `HEAD_BYTES` are enough.
+        First bytes of the message. The first `HEAD_BYTES` bytes are enough.
     size : int
         Size of the whole message [bytes].
 
@@ -42,7 +43,7 @@ def check_length(data: bytes, size: int, most_points: int) -> None:
 
 
 def _points(data: bytes) -> int | None:
-    """Return the number of points. None if it cannot be read from `data`."""
+    """Return the number of points. None if the number cannot be read from `data`."""
     if len(data) < 4 or data[0] != 0 or data[1] not in (0, 1):
         return None
     order = "<" if data[1] == 1 else ">"

@@ -15,12 +15,13 @@ from .transports import Condition, Latch, Report
 __all__ = ["AT_REST", "LOOK", "OFF", "UNANSWERED", "driver_status", "health"]
 
 PERSONS = (DriverReason.EMERGENCY_STOP, DriverReason.POWER_CUT)
-"""Reasons of stops that a person requests in case of danger."""
+"""Reasons of stops that a person has requested because of a danger."""
 
 LOOK = "look at the rig, then call enable"
 OFF = "disabled: the motors are off; call enable"
 UNCERTAIN = "error: the last stop was not acknowledged; cut the power by hand"
-"""Text after a stop that was not acknowledged, until a message of the device arrives again."""
+"""Text of the status after a stop that the device has not acknowledged. It remains until a message
+of the device arrives again."""
 
 UNANSWERED = "the device does not answer: cut the power by hand"
 """Reply to a stop that the device has not acknowledged."""
@@ -28,7 +29,7 @@ UNANSWERED = "the device does not answer: cut the power by hand"
 AT_REST = "the plate rests: no task runs"
 
 MANY_RETRIES = 50
-"""Maximum number of repeated messages per second without a warning about the line."""
+"""Number of repeated messages per second above which a warning about the line is given."""
 
 
 def driver_status(
@@ -109,7 +110,7 @@ def health(
     quiet_s : float or None
         Time since the last cycle [s] if the plate rests because no cycle arrives, otherwise None.
     task : bool
-        Whether a task runs. If no task runs, a plate at rest is normal.
+        Whether a task runs. If no task runs, no warning is given about a plate at rest.
     lasting : sequence of str
         Faults that persist until a person corrects them.
     unplayed : str

@@ -1,5 +1,5 @@
-"""Owner of the driver's transport. A stop reaches the motors in every lifecycle state: if no
-transport is open, a temporary transport is opened for the stop."""
+"""Owner of the driver's transport. A stop reaches the motors in every lifecycle state. If no
+transport is open, the owner opens a temporary transport for the stop."""
 
 from __future__ import annotations
 
@@ -26,19 +26,19 @@ REST_S = 3.0
 
 
 class TransportOwner:
-    """Opens and closes the driver's transport, and stops the motors.
+    """Owner of the driver's transport. It opens and closes the transport, and stops the motors.
 
-    `stop` may be called from any thread and in any lifecycle state. A temporary transport that it
-    opens is closed when the stop is complete (successful or failed), or when `open` or `close` is
-    called.
+    `stop` may be called from any thread and in any lifecycle state. If `stop` opens a temporary
+    transport, this transport is closed when the stop is complete (successful or failed). It is also
+    closed when `open` or `close` is called.
 
     Parameters
     ----------
     latch : Latch
     read_rig : callable
-        Returns the rig for a temporary transport.
+        Function that returns the rig for a temporary transport.
     make : callable
-        Returns a transport for a rig. It is not open yet.
+        Function that returns a new transport for a rig. The transport is not open yet.
     on_defect : callable
         See `TransportThread`.
 
@@ -47,7 +47,7 @@ class TransportOwner:
     latch : Latch
         Latch that blocks cycles after a stop.
     current : TransportThread or None
-        The open transport, except a temporary one.
+        The open transport, unless it is temporary.
     temporary : TransportThread or None
         Transport that was opened for a stop.
     """
@@ -66,15 +66,15 @@ class TransportOwner:
         self._changing = threading.Lock()  # held while a transport is opened or closed
 
     def open(self, rig: Rig) -> TransportThread:
-        """Open the transport, and close a temporary one."""
+        """Open the transport, and close a temporary transport."""
         with self._changing:
             self._close_temporary()
             self.current = self._start(rig)
             return self.current
 
     def close(self) -> None:
-        """Stop and close the open transports. They still execute a stop that another thread
-        requests at the same time."""
+        """Stop and close the open transports. The transports still execute a stop that another
+        thread requests at the same time."""
         if self.current is not None:
             self.current.close()
             self.current = None
@@ -82,10 +82,10 @@ class TransportOwner:
             self._close_temporary()
 
     def stop(self, cut: bool) -> bool:
-        """Stop the motors. If `cut` is true, cut their power.
+        """Stop the motors. If `cut` is True, cut the power of the motors.
 
-        Return within `ANSWER_S` whether the device has confirmed the stop. Without a confirmation,
-        the attempts continue after the return.
+        Return within `ANSWER_S` whether the device has confirmed the stop. If the device has not
+        confirmed the stop, the attempts continue after the return.
         """
         end = time.monotonic() + ANSWER_S
         try:

@@ -1,12 +1,13 @@
 """Record of the problems that the transport reports. The record determines which problems are
-logged, and whether sent cycles are no longer played."""
+logged. It also detects that the motors no longer play sent cycles."""
 
 from __future__ import annotations
 
 __all__ = ["TransportProblems"]
 
 UNPLAYED_S = 0.5
-"""If no table plays for longer than this time after a table failed, a problem is reported [s]."""
+"""Maximum time without a playing table after a table has failed [s]. After a longer time, a problem
+is reported."""
 
 
 class TransportProblems:
@@ -37,7 +38,7 @@ class TransportProblems:
         return new
 
     def clear_unplayed(self) -> None:
-        """Record that a table plays, or that no table should play."""
+        """Record that a table plays, or that no table needs to play."""
         self._unplayed = None
 
     def unplayed(self, now: float) -> str:

@@ -28,37 +28,38 @@ from .response import (
 )
 
 PERIOD_S = 1.033
-"""Period of the motions [s]. The harmonics are 1 Hz apart, which is less than the width of a
-resonance. The period is not a multiple of the sample interval of 10 ms. Therefore samples of
-several cycles have different phases, and together they resolve more than 50 harmonics."""
+"""Period of the motions [s]. With this period, the harmonics are 1 Hz apart, which is less than the
+width of a resonance. The period is not a multiple of the sample interval of 10 ms. Therefore the
+samples of different cycles have different phases. Together, the samples resolve more than 50
+harmonics."""
 
 COUNT = 150
-"""Number of harmonics. The highest harmonic has 145 Hz, far more than the frequencies in motions,
-so that corrected motions can begin and end at rest."""
+"""Number of harmonics. The highest harmonic has 145 Hz, far more than the frequencies in the
+solvers' motions. Corrected motions need this margin to begin and end at rest."""
 
 ACCEL = 10.0
-"""Root mean square of the commanded acceleration [m/s2]. A resonance with 3 % damping increases the
-plate's acceleration to about 20 m/s2."""
+"""Root mean square of the commanded acceleration [m/s2]. At a resonance with 3 % damping, the
+actual acceleration of the plate reaches about 20 m/s2."""
 
 SETTLE = 2
-"""Number of cycles that are played first, until the motion is periodic."""
+"""Number of plays of a cycle before the measurement. After these plays, the motion is periodic."""
 
 MEASURE = 6
-"""Number of cycles that are measured after the motion has become periodic."""
+"""Number of plays of a cycle during the measurement."""
 
 SLOWEST = 4
-"""Number of harmonics, up to 3.9 Hz, that determine the start of a cycle."""
+"""Number of harmonics, up to 3.9 Hz, from which the start time of a cycle is computed."""
 
 FOLLOWED = 0.2
-"""Minimum ratio of the plate's slow motion to the commanded slow motion. If the ratio is smaller,
-motors are off or wired wrongly."""
+"""Minimum ratio of the measured to the commanded amplitude of the plate's slow motion. If the ratio
+is smaller, motors are off or wired wrongly."""
 
 RESPONSE_BYTES = 32_768
 """Upper estimate of the size of a response file [bytes]."""
 
 MAX_BYTES = 1_000_000
-"""Maximum size of a response file that is read [bytes]. It is sufficient for files with many more
-harmonics."""
+"""Maximum size of a response file that is read [bytes]. This size is sufficient for files with many
+more harmonics."""
 
 AXES = ("x", "y", "theta")
 
@@ -81,7 +82,8 @@ class Calibration:
     commanded, measured : tuple of (n, 3)
         Amplitudes of the acceleration in the completed experiments.
     settle, measure : int
-        Numbers of plays of a cycle until the motion is periodic, and then for the measurement.
+        `settle` is the number of plays of a cycle until the motion is periodic. `measure` is the
+        number of further plays for the measurement.
     """
 
     rig: Rig
@@ -146,7 +148,7 @@ class Calibration:
 
     @property
     def response(self) -> Response:
-        """The plate's response. It is available at the end of the calibration."""
+        """The plate's response. The result is available at the end of the calibration."""
         frequency = np.arange(1, COUNT + 1) / PERIOD_S
         return identified(self.rig, frequency, np.array(self.commanded), np.array(self.measured))
 
@@ -159,12 +161,12 @@ class Experiment:
     ----------
     calibration : Calibration
     played : PlateCycle or None
-        Sent cycle, scaled to the rig's limits. None before it was sent.
+        Sent cycle, scaled to the rig's limits. None before the cycle was sent.
     table : int
         Number of the device's table that plays.
     samples : tuple of (time [s], q (4,), qdd (4,))
-        Samples since the experiment's start. Their times are on the device's clock, because the
-        conversion to host time varies by milliseconds.
+        Samples since the experiment's start. The times of the samples are on the device's clock,
+        because the conversion to host time varies by milliseconds.
     """
 
     calibration: Calibration
@@ -213,8 +215,8 @@ def aligned(rig: Rig, cycle: PlateCycle, t: np.ndarray, q: np.ndarray) -> np.nda
     """Convert times (n,) [s] with any origin to times since the start of a calibration cycle [s].
 
     The plate follows the slowest harmonics almost without delay, so their phase gives the start of
-    the cycle. The delay of the motors (0.8 ms at 200 Hz) is part of this estimate. Therefore
-    corrected motions are late by this delay, but their shape does not change.
+    the cycle. The estimated start includes the delay of the motors (0.8 ms if their bandwidth is
+    200 Hz). Therefore corrected motions are late by this delay, but their shape is correct.
 
     Raises
     ------

@@ -4,7 +4,7 @@ A plate on flexures amplifies, delays and couples the commanded motions of x, y 
 response to a command of frequency f is the complex 3 x 3 matrix H(f). H is computed from the
 accelerations that the motors' sensors measure while known cycles are repeated. The command for a
 requested motion is H^-1 times this motion. Later measurements correct H by Broyden's update, which
-changes only the excited components. The errors decrease with each update, also for motions that
+changes only the excited components. The errors decrease with each update, even for motions that
 were not measured.
 
 Amplitudes are complex, (k, 3): a(t) = sum over k of Re(A_k exp(2 pi i f_k t)) [m/s2, m/s2, rad/s2].
@@ -21,19 +21,21 @@ from plate_core import PlateCycle, PlateError, Rig
 from plate_core.motion import motor_state, plate_state
 
 SAMPLES = 512
-"""Minimum number of samples per cycle. It is far more than twice the number of harmonics."""
+"""Minimum number of samples per cycle. This number is far more than twice the number of
+harmonics."""
 
 KNOTS_PER_WAVE = 3
-"""Number of knots per period of the highest harmonic. The error of the spline is 2e-3 of this
-harmonic, and the tables are small enough for the devices."""
+"""Number of knots per period of the highest harmonic. With this number, the error of the spline is
+2e-3 of the harmonic's amplitude, and the tables are small enough for the devices."""
 
 STRESS = 30.0
-"""Additional weight of a change at the strongest harmonic of a motion. A change at a harmonic that
-the motion does not contain has the weight 1."""
+"""Additional cost of a change at the strongest harmonic of a motion, when a correction is changed
+to begin and end at rest. A change at a harmonic that the motion does not contain has the cost 1."""
 
 WEAKEST = 0.02
-"""Minimum gain (singular value) of the frequency response H from which the inverse of H is
-computed. This minimum limits the command at frequencies at which the plate hardly follows."""
+"""Minimum gain (singular value) of the frequency response H. Smaller values are replaced by this
+minimum before H is inverted. This limits the command at frequencies at which the plate hardly
+follows."""
 
 SLOW_HZ = 5.0
 """Frequency below which accelerations are computed from positions [Hz], because at such frequencies
@@ -112,7 +114,7 @@ class Response:
         """Return the command for which the plate performs the motion of a cycle.
 
         Only harmonics up to the highest known frequency are corrected. The command begins and ends
-        at rest at home. For this, the correction is changed as little as possible, mainly at
+        at rest at home. To achieve this, the correction is changed as little as possible, mainly at
         frequencies at which the plate responds weakly.
         """
         count = int(self.frequency[-1] * cycle.period * (1 + 1e-9))
@@ -209,8 +211,8 @@ def pose_harmonics(cycle: PlateCycle, count: int) -> np.ndarray:
 def fit_harmonics(t: np.ndarray, values: np.ndarray, period: float, count: int) -> np.ndarray:
     """Return amplitudes (count, m) of samples (n, m) at times t (n,) [s] of a periodic motion.
 
-    A constant and the harmonics are fitted by least squares. The times can have unequal distances,
-    and need not cover whole periods.
+    A constant and the harmonics are fitted by least squares. The intervals between the times can
+    differ, and the times need not cover whole periods.
 
     Raises
     ------
@@ -238,7 +240,8 @@ def plate_amplitudes(
     t : (n,)
         Times since a cycle's start [s].
     q, qdd : (n, 4)
-        Travel [m] and acceleration [m/s2]. The four sensors may disagree slightly.
+        Travel [m] and acceleration [m/s2]. The four sensors may contradict each other slightly,
+        because of measurement errors.
     """
     nothing = np.zeros_like(q)
     pose, _, _ = plate_state(rig, q, nothing, nothing, tolerance=np.inf)
@@ -297,7 +300,8 @@ def excitation(
         Root mean square of the acceleration [m/s2]. For theta, it is the acceleration of the
         plate's corners.
     rng : numpy.random.Generator
-        Generator for the phases. With equal phases, the motion would have one high peak.
+        Generator for the phases. The phases are random, because a motion with equal phases would
+        have one high peak.
     """
     frequency = np.arange(count + 1) / period
     rate = 2 * np.pi * np.maximum(frequency, frequency[1])[:, None]

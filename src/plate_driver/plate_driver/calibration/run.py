@@ -1,4 +1,4 @@
-"""A running calibration: plays its experiments and stores the response."""
+"""Execution of a calibration, which plays the experiments and stores the response."""
 
 from __future__ import annotations
 
@@ -16,12 +16,12 @@ from .calibration import Calibration, Experiment, check_writable, save_response
 __all__ = ["CalibrationRun"]
 
 PLAYS_MARGIN = 2.0
-"""If an experiment takes longer than this multiple of its duration, it fails."""
+"""An experiment fails if it takes longer than this multiple of its planned duration."""
 
 
 class CalibrationRun:
-    """Plays the experiments of a calibration one after the other, and keeps the result of the last
-    calibration.
+    """Execution of calibrations. The object plays the experiments of a calibration one after the
+    other, and stores the result of the last calibration.
 
     Parameters
     ----------
@@ -29,7 +29,7 @@ class CalibrationRun:
     latch : Latch
     clocks : Clocks
     log : callable
-        Logs a text. The second argument states whether it is an error.
+        Function that logs a text. Its second argument states whether the text is an error.
 
     Attributes
     ----------
@@ -92,7 +92,8 @@ class CalibrationRun:
             self._experiment = self._experiment.with_sample(measured)
 
     def step(self, transport: TransportThread, now: float) -> None:
-        """Continue at `now` [s]: start the next experiment, or store the response."""
+        """Continue the calibration at `now` [s]. Start the next experiment when the current one is
+        done, and store the response at the end."""
         experiment = self._experiment
         assert experiment is not None
         try:
@@ -110,7 +111,7 @@ class CalibrationRun:
             self.fail(str(error), now)
 
     def fail(self, reason: str, now: float) -> None:
-        """End a running calibration without a response. `reason` becomes its result."""
+        """End a running calibration and discard its measurements. `reason` becomes its result."""
         if self._experiment is not None:
             self._end(f"failed: {reason}", now, failed=True)
 

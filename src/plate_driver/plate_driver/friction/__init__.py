@@ -1,6 +1,7 @@
-"""Friction of the parts, measured by known pushes of the plate and the camera.
+"""Measurement of the parts' friction. The plate makes known pushes, and the camera measures the
+displacements of the parts.
 
-`FrictionMeasurement` is the procedure and `FrictionResult` its result. `make_push` computes the
+`FrictionMeasurement` is the procedure, and `FrictionResult` is its result. `make_push` computes the
 motion of a push, and `slip` computes the slip of a part during the push.
 """
 

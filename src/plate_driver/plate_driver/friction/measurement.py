@@ -3,15 +3,15 @@
 1. *Search.* The acceleration of the pushes increases until every part slides. The pushes alternate
    between +x and -x.
 2. *Distance.* Stronger pushes follow, forward and back along x, then along y. The slip decreases
-   with mu, so each push gives mu of each part at its place. A least-squares fit over all these
-   pushes gives the mean mu of the part.
+   with increasing mu, so each push determines the local mu of each part. A least-squares fit over
+   all these pushes gives the mean mu of the part.
 3. *Onset.* The acceleration of the pushes increases in small steps, from below to above the
-   acceleration at which parts begin to slide. The step at which a part begins to slide gives its
-   ratio of static to dynamic friction.
+   acceleration at which parts begin to slide. The step at which a part begins to slide determines
+   its ratio of static to dynamic friction.
 
-The inputs are detected parts. The outputs are the next push and finally the friction. The
-directions of the pushes alternate, so that parts come back. This module uses neither ROS nor a
-clock.
+The inputs are detected parts. The outputs are the next push and, at the end, the friction. The
+directions of the pushes alternate, so that the parts return to their places. This module uses
+neither ROS nor a clock.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ FIRST_G = 0.08
 
 SLOW_G = 0.01
 """Acceleration of slow motions until the first slip is known [g]. It is small, because parts must
-not slide in slow motions: their friction would be overestimated."""
+not slide in slow motions. Otherwise their friction would be overestimated."""
 
 SEARCH_FACTOR = 1.25
 """Ratio of the accelerations of two successive pushes in the search stage."""
@@ -41,12 +41,13 @@ ONSET_FACTOR = 1.05
 """Ratio of the accelerations of two successive pushes in the onset stage."""
 
 SLOW_FRACTION = 0.5
-"""Acceleration of slow motions, as a fraction of the maximum acceleration at which no part slid."""
+"""Acceleration of later slow motions, as a fraction of the maximum acceleration at which no part
+has slid."""
 
 ABOVE = 1.7
-"""Acceleration of distance pushes, as a multiple of the mean mu g. At this acceleration, the closed
-form (push.py) is valid for parts with up to 40 % less friction, and parts with a static ratio of up
-to 1.5 slide."""
+"""Acceleration of distance pushes, as a multiple of the mean mu g. At this acceleration, the
+equation for the slip s in push.py is valid for parts with up to 40 % less friction. Parts whose
+ratio of static to dynamic friction is at most 1.5 slide."""
 
 MIN_ABOVE = 1.2
 """Minimum acceleration of distance pushes, as a multiple of mu g of each part."""
@@ -64,25 +65,26 @@ BEGAN_M = 6e-5
 """Minimum slip that shows the onset [m]."""
 
 NOISE_FACTOR = 5.0
-"""Minimum slip that counts as more than noise, in standard errors of a displacement."""
+"""Minimum slip that is distinguished from noise [standard errors of a displacement]."""
 
 FLOOR_M = 1e-5
-"""Minimum standard error of a displacement [m]. It accounts for errors of the camera that do not
-average out."""
+"""Minimum standard error of a displacement [m]. This minimum represents errors of the camera that
+an average over images does not reduce."""
 
 MIN_SIGNAL = 20.0
 """Minimum ratio of the slip to its standard error in distance pushes. With this ratio, the error of
 mu is 5 %."""
 
 TRAVEL_M = 0.03
-"""Total displacement of parts by distance pushes, if there is enough clearance [m]. Over this
-displacement, the friction is averaged, because it varies over a few centimetres."""
+"""Total displacement of parts by distance pushes, if there is enough clearance [m]. The measurement
+averages the friction over this displacement, because friction varies over a few centimetres."""
 
 MAX_STEPS = 6
 """Maximum number of distance pushes in one direction."""
 
 STEP_CLEARANCE_M = 0.006
-"""Clearance that each part needs to every edge, in addition to its safe distance [m]."""
+"""Required distance of each part from every edge, in addition to the safe distance `wall_m` of
+`EdgeMargin` [m]."""
 
 MIN_GAP_M = 0.004
 """Minimum gap between two parts at the start of the measurement [m]."""
@@ -99,13 +101,14 @@ this multiple of the median mu g of the parts that have slid. At least half of t
 slid."""
 
 HERE_M = 0.005
-"""Radius around a part's place within which measured values count as local friction [m]."""
+"""Radius around a part [m]. Values that were measured inside this radius are used as its local
+friction."""
 
 RANGE = 2.4
 """Ratio of the maximum mu to the minimum mu that one push can measure."""
 
 CURVE = 80
-"""Number of values of mu in the range of a push (`RANGE`) for which the slip is tabulated."""
+"""Number of values of mu in the table of the slip. They cover the range `RANGE` of a push."""
 
 AGREE = 0.05
 SURE = 3.0
@@ -124,14 +127,14 @@ class Stage(Enum):
 
 @dataclass(frozen=True)
 class Rest:
-    """Places of the parts while the plate rests.
+    """Positions of the parts while the plate rests.
 
     Attributes
     ----------
     place : dict of str to (2,)
         Mean centres in the images [m, plate_home].
     error : float
-        Standard error of a coordinate [m], as the root mean square over the parts.
+        Standard error of a coordinate [m]: the root mean square over the parts.
     """
 
     place: Mapping[str, np.ndarray]
@@ -165,11 +168,11 @@ class Trial:
     lag : dict of str to float
         Slip of each part in the direction opposite to the push [m].
     place : dict of str to (2,)
-        Mean of each part's positions before and after the push [m].
+        Mean of the positions of each part before and after the push [m].
     error : float
-        Standard error of a lag [m].
+        Standard error of a value in `lag` [m].
     curve : (2, n)
-        Values of mu in ascending order, and the lag for each value [m].
+        Values of mu in ascending order, and the slip for each value [m].
     """
 
     push: Push
@@ -180,7 +183,7 @@ class Trial:
     curve: np.ndarray
 
     def lag_at(self, mu: float) -> float:
-        """Return the lag of a part with this mu [m]."""
+        """Return the slip of a part with this mu [m]."""
         return float(np.interp(mu, *self.curve))
 
     def local(self, name: str) -> tuple[float, float]:
@@ -203,7 +206,8 @@ class PartFriction:
     mu, error : float
         Mean coefficient of dynamic friction along the part's path, and its standard error.
     static_ratio : float
-        Ratio of static to dynamic friction. NaN if the onset was not observed.
+        Ratio of static to dynamic friction. NaN if the measurement did not observe the start of
+        sliding.
     """
 
     id: str
@@ -224,11 +228,11 @@ class FrictionResult:
         Mean mu over the parts, and its standard error.
     between_parts, over_plate : float
         Standard deviation of mu between the parts, and standard deviation along one part's path on
-        the plate. Both are fractions of the mean mu. The contribution of the camera's noise is
-        subtracted.
+        the plate. Both values are fractions of the mean mu. The contribution of the camera's noise
+        is subtracted.
     static_ratio, static_error : float
-        Mean ratio of static to dynamic friction over the parts, and its standard error. Both are
-        NaN if no onset was observed.
+        Mean ratio of static to dynamic friction over the parts, and its standard error. Both values
+        are NaN if no part was observed to begin sliding.
     notes : tuple of str
         Further remarks for the user.
     """
@@ -371,7 +375,7 @@ class FrictionMeasurement:
         ------
         PlateError
             If too many parts are lost, or if parts move in the wrong direction, come too near to
-            each other or do not slide.
+            each other, or do not slide.
         """
         assert self.push is not None
         push = played or self.push
@@ -414,7 +418,7 @@ class FrictionMeasurement:
     # Stages
 
     def _searched(self) -> FrictionMeasurement:
-        """Return the measurement after a search push. Its next push is another search push, or the
+        """Return the measurement after a search push. The next push is another search push, or the
         first push of the next stage."""
         trial, gravity = self.trials[-1], self.rig.friction.gravity
         guess = dict(self.guess)
@@ -554,7 +558,7 @@ class FrictionMeasurement:
 
     def _held_and_slid(self, name: str) -> tuple[Trial | None, Trial | None]:
         """Return the last onset push in which a part did not slide, and the first onset push in
-        which it slid. None replaces a push that does not exist."""
+        which it slid. If there is no such push, the value is None."""
         held = None
         for trial in self._of(name, Stage.ONSET):
             if trial.lag[name] > _visible(trial):
@@ -563,11 +567,10 @@ class FrictionMeasurement:
         return held, None
 
     def _static_ratio(self, name: str) -> float:
-        """Return the ratio of static to dynamic friction of a part. The result is NaN if no onset
-        was observed.
-
-        If the part did not slide in a push, its mu_s g exceeds the push's acceleration. This is
-        certain only if the part would have slid visibly without static friction.
+        """Return the ratio of static to dynamic friction of a part. The result is NaN if the start
+        of sliding was not observed. If a part did not slide in a push, mu_s g of the part exceeds
+        the push's acceleration. This conclusion is used only if the part would have slid visibly
+        with mu_s = mu.
         """
         held, slid = self._held_and_slid(name)
         if slid is None:
@@ -584,7 +587,7 @@ class FrictionMeasurement:
 
     @property
     def result(self) -> FrictionResult:
-        """Result of the measurement. It is available at the end of the measurement."""
+        """Result of the measurement. The result is available at the end of the measurement."""
         parts, along, weights = [], [], []
         for name in self.rest.place:
             mu, error = self._dynamic(name)
@@ -670,13 +673,13 @@ def rig_mu(rig: Rig, result: FrictionResult) -> float:
 
 
 def _visible(trial: Trial) -> float:
-    """Return the minimum lag [m] that shows that a part has slid."""
+    """Return the minimum measured slip [m] that shows that a part has slid."""
     return max(BEGAN_M, NOISE_FACTOR * trial.error)
 
 
 def _check_slip(trial: Trial, name: str, gravity: float) -> None:
-    """Refuse a slip that exceeds the maximum of the push's curve, because it does not determine
-    mu."""
+    """Raise an error if a slip exceeds the maximum of the push's curve, because such a slip does
+    not determine mu."""
     longest = float(np.max(trial.curve[1]))
     if trial.lag[name] > longest + NOISE_FACTOR * trial.error:
         accel = trial.push.accel
@@ -688,7 +691,7 @@ def _check_slip(trial: Trial, name: str, gravity: float) -> None:
 
 
 def _check_slips(trial: Trial, gravity: float) -> None:
-    """Refuse slips of a distance push that do not determine mu."""
+    """Raise an error if the slips of a distance push do not determine mu."""
     for name, lag in trial.lag.items():
         _check_slip(trial, name, gravity)
         if lag <= NOISE_FACTOR * trial.error:
@@ -707,7 +710,7 @@ def _curve(push: Push, gravity: float) -> np.ndarray:
 
 
 def _check_gaps(rig: Rig, rest: Rest, least: float) -> None:
-    """Refuse parts with a gap of less than `least` [m] between them."""
+    """Raise an error if the gap between two parts is less than `least` [m]."""
     names = list(rest.place)
     for i, one in enumerate(names):
         for other in names[i + 1 :]:

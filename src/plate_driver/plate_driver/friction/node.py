@@ -35,11 +35,12 @@ from .measurement import FrictionMeasurement, FrictionResult, Rest, rig_mu
 from .push import Push
 
 SETTLE_S = 0.4
-"""Minimum time from the end of a push to the stamp of an image for the measurement [s]. A stamp may
-be later than the exposure by up to this time."""
+"""Minimum time from the end of a push to the stamp of an image that is used [s]. The stamp of an
+image may be later than its exposure by up to this time."""
 
 LATE_S = 5.0
-"""Maximum delay of the start of a push, if cycle starts are reported [s]."""
+"""Maximum time from the expected end of a push until the transport reports the start of the push
+[s]. The limit applies only if the transport reports cycle starts."""
 
 SAME_S = 1e-6
 """The sent and the reported cycle count as the same cycle if their periods differ by at most this
@@ -54,13 +55,14 @@ MAX_WAIT_S = 5.0
 STILL_CALLS = 250
 """Maximum number of consecutive calls of `watch` during which the node's time does not change. 250
 calls take 5 s of wall time. After more calls, the measurement fails. Simulated time stops if the
-simulator is not active or has ended. In lockstep it always stops: the simulator waits for a cycle,
-which the driver refuses during a measurement, or which the planner does not request before the
-first goal. Calls are counted, because this process may have been suspended."""
+simulator is not active or has ended. In lockstep, simulated time always stops during a measurement,
+because the simulator waits for a cycle. The driver refuses cycles during a measurement, and the
+planner requests none before the first goal. The limit is a number of calls and not a wall time,
+because this process may have been suspended."""
 
 
 class FrictionServer:
-    """Measures friction with the driver's transport, one push after the other.
+    """Measurement of friction with the driver's transport, one push after the other.
 
     The driver calls `configure` when it is configured, `watch` every 20 ms while it is active, and
     `fail` when the motors are no longer ready.
@@ -175,7 +177,7 @@ class FrictionServer:
     # Work
 
     def _on_parts(self, msg: PartsMsg) -> None:
-        """Keep the parts of a new image that was taken after the end of the push.
+        """Store the parts of a new image if the image was taken after the end of the push.
 
         The time of an image is its stamp, because an image may arrive much later on a busy
         computer. In lockstep, the same image arrives several times.
@@ -203,7 +205,7 @@ class FrictionServer:
             self._after_ns = nanoseconds(msg.header.stamp) + round(1e9 * length_s)
 
     def watch(self, now: float) -> None:
-        """Continue at `now` [s, playback]."""
+        """Continue the measurement at `now` [s, playback clock]."""
         try:
             # The number of stops also shows a stop after which the motors were enabled again.
             if self._latch.number != self._stops:

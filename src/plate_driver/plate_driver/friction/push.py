@@ -1,17 +1,18 @@
 """One push of the plate along x or y for measuring friction, and the slip of a part in this push.
 
-The plate accelerates from rest with a over the distance A, then brakes with k a, and returns home
-so slowly that no part slides. A part on the plate sticks while a <= mu_s g. Otherwise it slips by
-Coulomb's law (docs/model.md, Friction (1)). Let r = mu g/a. While the plate accelerates, the part
-slips by (1 - r) A. At the end of the acceleration, the velocities of plate and part differ by w =
-(a - mu g) t, with A = a t^2/2. This difference decreases at the rate mu g + k a, during which the
-part slips by another w^2/(2 (mu g + k a)) = A (1 - r)^2/(r + k). If k a <= mu g, the part then
-sticks, and the slip of the whole push is
+The plate accelerates from rest with the acceleration a over the distance A. Then it brakes with the
+deceleration k a. Finally it returns home so slowly that no part slides. A part on the plate sticks
+while a <= mu_s g. Otherwise it slips by Coulomb's law (docs/model.md, Friction (1)). Let r = mu
+g/a. While the plate accelerates, the part slips by (1 - r) A. At the end of the acceleration, after
+the time t with A = a t^2/2, the velocities of plate and part differ by w = (a - mu g) t. This
+difference decreases at the rate mu g + k a, during which the part slips by another w^2/(2 (mu g + k
+a)) = A (1 - r)^2/(r + k). If k a <= mu g, the part then sticks, and the slip of the whole push is
 
     s = A (1 - r) (1 + k)/(r + k)
 
-Therefore the smallest a with a slip gives static friction, and s gives dynamic friction. `slip`
-integrates the same law over the commanded motion with its ramps, which is valid for all a.
+Therefore the smallest a that causes a slip determines static friction, and s determines dynamic
+friction. The function `slip` integrates the same law over the commanded motion with its ramps. Its
+result is valid for all a.
 """
 
 from __future__ import annotations
@@ -24,12 +25,12 @@ from plate_core import PlateCycle, Rig
 from plate_core.motion import usage
 
 BRAKE = 0.4
-"""Ratio k of the deceleration to the acceleration. With this ratio, the closed form is valid for k
-a <= mu g, that is, up to 2.5 times the acceleration mu g."""
+"""Ratio k of the deceleration to the acceleration. The equation for s is valid for k a <= mu g.
+With this ratio, this means accelerations of up to 2.5 mu g."""
 
 RAMP = 0.12
 """Duration of the first ramp of the acceleration, as a fraction of the whole duration of the
-acceleration. The motors can follow such a ramp."""
+acceleration. The ramp is so slow that the motors can follow it."""
 
 STROKE_USED = 0.8
 """Maximum fraction of the motors' stroke that a push uses."""
@@ -121,8 +122,8 @@ def max_accel(rig: Rig, slow: float) -> float:
 
 
 def slip(push: Push, mu: np.ndarray, hold: np.ndarray | float, gravity: float) -> np.ndarray:
-    """Return the slips (m,) of parts in a push [m]. They are positive against the direction of the
-    push.
+    """Return the slips (m,) of parts in a push [m]. A slip is positive if it is opposite to the
+    direction of the push.
 
     Parameters
     ----------
@@ -131,7 +132,7 @@ def slip(push: Push, mu: np.ndarray, hold: np.ndarray | float, gravity: float) -
         Coefficient of dynamic friction.
     hold : (m,) or float
         Maximum acceleration at which a part at rest on the plate does not slide, mu_s g [m/s2].
-        Values below mu g count as mu g.
+        Values below mu g are replaced by mu g.
     gravity : float
         Gravitational acceleration [m/s2].
     """

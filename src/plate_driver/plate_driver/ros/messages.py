@@ -1,4 +1,4 @@
-"""Conversion of the driver's messages."""
+"""Conversion between the driver's ROS messages and its own types."""
 
 from __future__ import annotations
 
@@ -39,10 +39,9 @@ def motor_state_to_msg(
     velocity: Sequence[float] = (),
     acceleration: Sequence[float] = (),
 ) -> JointState:
-    """Convert the state of the motors to a message of motor_states. Each argument is (4,) or empty.
-
-    The travel is in [m] and the speed in [m/s]. The acceleration [m/s2] is in `effort`, because
-    JointState has no field for it.
+    """Convert the state of the motors to a message of motor_states. Each argument has one value per
+    motor (4,) or is empty. The travel is in [m] and the speed in [m/s]. The message contains the
+    acceleration [m/s2] in its field `effort`, because JointState has no field for accelerations.
     """
     msg = JointState(name=[motor.name for motor in rig.motors])
     msg.header.stamp = to_time(stamp_ns)

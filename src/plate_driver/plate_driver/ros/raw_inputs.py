@@ -19,15 +19,15 @@ from ..raw_cycle import HEAD_BYTES, POINT_BYTES
 from ..setpoints import MAX_KNOTS
 
 CLOSE_S = 0.05
-"""Maximum time until the thread that waits for cycles ends after `close` [s]."""
+"""Maximum time after `close` until the thread that waits for cycles ends [s]."""
 
 BUSY_S = 0.002
 """Time between two checks whether the executor has processed a cycle, while too many cycles wait
 [s]."""
 
 MAX_WAITING = 5
-"""Maximum number of messages that wait for the executor. If messages arrive too fast, this limit
-leaves time for other work."""
+"""Maximum number of messages that wait for the executor. This limit leaves the executor time for
+other work if messages arrive too fast."""
 
 STATUS_BYTES = 100_000
 """Maximum size of a task_status [bytes]. The planner never sends a longer message."""
@@ -58,7 +58,7 @@ class RawInputs:
     Parameters
     ----------
     node : Node
-        Its executor calls `on_cycle`.
+        Node whose executor calls `on_cycle`.
     on_cycle, on_task : callable
         Callbacks for the messages.
     """

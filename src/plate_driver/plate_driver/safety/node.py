@@ -44,24 +44,24 @@ ACKNOWLEDGED_S = 0.5
 
 END_S = 10.0
 """Maximum time to wait for the end of the spinning thread and the service threads [s]. It is long,
-because a thread on a busy machine may not run for half a second, and a thread that still runs when
-the interpreter ends would crash the process."""
+because on a busy machine a thread may not run for half a second. A thread that still runs when the
+interpreter ends would crash the process."""
 
 STILL_S = 1.0
 """Maximum stall of the driver [s]. After a longer stall, the driver refuses calls of enable and
 home that may have waited."""
 
 THREADS = 128
-"""Maximum number of threads, which is the maximum number of calls that are processed at the same
-time. Further calls wait. Threads are created on demand."""
+"""Maximum number of threads. Each thread processes one call at a time. Further calls wait. A thread
+is created only when a call needs it."""
 
 
 ENABLING = "enabling: driver_status reports when the motors are ready"
 SILENT = "the device has not answered yet"
-"""Replies to an enable and a home that are still in progress at the time of the reply."""
+"""Replies to a call of enable or home whose execution takes longer than the reply can wait."""
 
 LATE = "the driver was stalled: call again"
-"""Reply to an enable or home that may have waited during a stall."""
+"""Reply to a call of enable or home that may have waited while the driver was stalled."""
 
 
 class SafetyNode:
@@ -69,8 +69,8 @@ class SafetyNode:
     traffic.
 
     The node's DDS participant receives nothing else, the calls run in separate threads, and the
-    node uses the steady clock. Each call returns within 0.5 s with the state at that time.
-    driver_status reports later changes.
+    node uses the steady clock. Each call returns within 0.5 s, and the reply contains the state at
+    that time. The topic driver_status reports later changes.
 
     Parameters
     ----------

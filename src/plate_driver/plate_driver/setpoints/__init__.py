@@ -1,8 +1,8 @@
 """Conversion of plate cycles to motor setpoints. Cycles are faded in and out if needed, and kept
 within the rig's limits, including the motors' temperature.
 
-`prepare` converts one cycle to a `MotorTable`. In the running driver, `Guard` calls `prepare` and
-collects statistics.
+`prepare` converts one cycle to a `MotorTable`. In the running driver, the class `Guard` calls
+`prepare` and collects statistics.
 """
 
 from .guard import Guard, Statistics

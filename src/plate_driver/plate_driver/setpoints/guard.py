@@ -1,8 +1,9 @@
 """Conversion of accepted cycles to motor tables in the running driver, without ROS. The guard also
 refuses cycles, detects that cycles no longer arrive, and collects statistics.
 
-Guards are immutable: each event returns a new guard, and the time is an argument. If a simulated
-clock is set back, the simulator was restarted. In this case, earlier tables are ignored.
+A guard is immutable. For each event there is a method that returns a new guard, and the time is an
+argument. If a simulated clock is set back, the simulator was restarted. In this case, the guard
+ignores earlier tables.
 """
 
 from __future__ import annotations
@@ -25,13 +26,14 @@ the earlier table. The solver stores the same number of cycles.
 """
 
 EXPERIMENT_CYCLES = 9
-"""Number of plays of a calibration cycle. It is one more than the calibration needs. All plays
-together last less than 10 s."""
+"""Number of plays of a calibration cycle. The number is one more than the calibration needs. All
+plays together last less than 10 s."""
 
 
 @dataclass(frozen=True)
 class Statistics:
-    """Counts since the start, and extremes and problems since the last report.
+    """Statistics of the cycles: counts since the start, and extreme values and problems since the
+    last report.
 
     Attributes
     ----------
@@ -44,12 +46,12 @@ class Statistics:
     factor : float
         Minimum scaling factor of a cycle.
     late : float
-        Maximum delay of a table [s]: time since the previous table was sent, minus the period of
-        the previous table's cycle.
+        Maximum delay of a table [s]. The delay is the time since the previous table was sent, minus
+        the period of the previous table's cycle.
     since : int
         Value of `cycles` at the last report.
     problems : tuple of str
-        Problems since the last report. Each problem is listed once.
+        Problems since the last report. The list contains each problem only once.
     """
 
     cycles: int = 0
@@ -82,7 +84,7 @@ class Statistics:
         return replace(self, problems=(*self.problems, problem))
 
     def reported(self) -> Statistics:
-        """Reset the extremes and problems for the next report."""
+        """Reset the extreme values and problems for the next report."""
         return replace(self, worst=0.0, factor=1.0, late=0.0, since=self.cycles, problems=())
 
     def values(self, period_s: float) -> dict[str, str]:
@@ -111,13 +113,13 @@ class Guard:
     rig : Rig
     hold_cycles, repeats : int
         `hold_cycles` is the number of plays of a cycle from rest to rest if no new cycle arrives.
-        `repeats` is described in `with_fades`.
+        `repeats` is the argument of `with_fades`.
     correction : callable or None
         Correction by a calibration. None if the rig is not calibrated.
     hold_s : float
         Maximum time for which the motors repeat a table [s].
     last_ns : int or None
-        Stamp of the last accepted cycle. None before the first one.
+        Stamp of the last accepted cycle. None before the first accepted cycle.
     table : MotorTable or None
         Last sent table. None if the plate rests.
     sent : tuple of PlateCycle
@@ -167,8 +169,8 @@ class Guard:
     def commanded(self, cycle: PlateCycle, stamp_ns: int, now: float) -> tuple[Guard, Fit]:
         """Return the guard with a cycle's table, without a check of the order of stamps.
 
-        If the last table has ended or the clock was set back, the plate rests: no earlier table
-        can be continued.
+        If the last table has ended or the clock was set back, the plate rests. In this case the new
+        cycle cannot continue an earlier table.
 
         Raises
         ------
@@ -194,7 +196,8 @@ class Guard:
         return replace(guard, lasts_s=lasts_s), fit
 
     def lasting(self, until: float) -> Guard:
-        """Return the guard whose table must not be sent after `until` [s, steady clock]."""
+        """Return the guard with the latest time `until` at which its table may be sent [s, steady
+        clock]."""
         assert self.table is not None
         return replace(self, table=replace(self.table, until=until))
 
@@ -234,9 +237,9 @@ class Guard:
     def over(self, now: float, times: float = 1.0) -> bool:
         """Return whether cycles no longer arrive.
 
-        True if `times` times `lasts_s` has passed since the last table was sent, or if the clock
-        was set back. A simulated time of 0 is ignored, because it means that no time was received
-        yet.
+        The result is True if the product of `times` and `lasts_s` has passed since the last table
+        was sent, or if the clock was set back. A simulated time of 0 is ignored, because it means
+        that no time was received yet.
         """
         if self.table is None:
             return False

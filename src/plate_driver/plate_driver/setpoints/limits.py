@@ -18,15 +18,15 @@ from plate_core.motion import (
 )
 
 TARGET = 0.999
-"""Target usage of the worst limit by a scaled cycle [-]. It is below 1 because of errors of the
-search and of rounding."""
+"""Target usage of the worst limit by a scaled cycle [-]. The value is below 1 because of the errors
+of the search and of rounding."""
 
 CLOSE_ENOUGH = 0.99
-"""Usage of the worst limit by the scaled cycle at which the search ends [-]."""
+"""Minimum usage of the worst limit at which the search for a scaling factor ends [-]."""
 
 ROUNDS = 60
-"""Maximum number of scaling factors that are tried. Most cycles need one or two. Poses of 1e100 m
-need about ten."""
+"""Maximum number of scaling factors that are tried. Most cycles need one or two factors. Even poses
+of 1e100 m need only about ten."""
 
 ROUNDING = 3e-6
 """Accepted relative violation of a limit. Computed peaks are up to 1e-6 too high, and the solvers
@@ -71,7 +71,7 @@ class Fit:
 def fit(rig: Rig, cycle: PlateCycle, thermal_load: np.ndarray | float = 1.0) -> Fit:
     """Scale a whole cycle down until it exceeds no limit of the rig.
 
-    The cycle is scaled and not clipped: friction forces depend on the direction of the surface's
+    The cycle is scaled and not clipped. Friction forces depend on the direction of the surface's
     motion, and clipping the peaks would change this direction.
 
     Parameters
@@ -102,9 +102,10 @@ def _scaled(
 ) -> Fit:
     """Find the largest factor with which the cycle is within the limits.
 
-    Peaks are not exactly proportional to the factor, because rotation adds a quadratic term. The
-    search finds the root of log(worst/TARGET) as a function of log(factor), between a factor that
-    is too large and one that fits. It uses secant steps, and bisection in every third trial.
+    The peaks are not exactly proportional to the factor, because rotation adds a quadratic term.
+    The search finds the root of log(worst/TARGET) as a function of log(factor), between a factor
+    that is too large and a factor that fits. The search uses secant steps, and bisection in every
+    third trial.
     """
     large, large_worst = 1.0, requested.overall
     small: Fit | None = None
@@ -173,7 +174,7 @@ def check_setpoints(
 ) -> None:
     """Refuse motor setpoints that exceed the rig's limits or have wrong end states.
 
-    This is the last check before setpoints are sent to the motors. It does not depend on the
+    This is the last check before setpoints are sent to the motors. The check is independent of the
     computation of the setpoints.
 
     Parameters

@@ -1,7 +1,7 @@
-"""Conversion of a plate cycle to the motor table that is sent. A periodic motion that does not
-start at rest is faded in and out. The motion is scaled to the rig's limits, and corrected if the
-rig is calibrated. `plate_core.motion` converts the plate's states at the knots to travel, speed and
-acceleration of the motors."""
+"""Conversion of a plate cycle to a motor table, which the driver sends to the motors. A periodic
+motion that does not start at rest is faded in and out. The motion is scaled down to the rig's
+limits if necessary, and corrected if the rig is calibrated. `plate_core.motion` converts the
+plate's states at the knots to travel, speed and acceleration of the motors."""
 
 from __future__ import annotations
 
@@ -21,7 +21,8 @@ PERIOD_S = (0.01, 10.0)
 0.1 to 100 Hz."""
 
 MAX_KNOTS = 2000
-"""Maximum number of knots of one cycle. To process more knots would take longer than the cycle."""
+"""Maximum number of knots of one cycle. Processing more knots would take longer than the cycle
+itself."""
 
 RESTART_NS = 1_000_000_000
 """A stamp that is older than the last stamp by this time shows a restart of the simulator or the
@@ -38,8 +39,8 @@ Correction = Callable[[PlateCycle], PlateCycle]
 
 @dataclass(frozen=True)
 class MotorTable:
-    """Motor setpoints of a cycle. They end at rest at home. They begin at rest at home, or in the
-    final state of another table's cycle.
+    """Motor setpoints of a cycle. The motion begins at rest at home, or in the final state of
+    another table's cycle. It ends at rest at home.
 
     A table with a tail is played once. At the end of its cycle, the next table starts if it begins
     in exactly the final state of the cycle. Otherwise the tail brings the plate to rest. A table
@@ -78,7 +79,8 @@ class MotorTable:
 
     @property
     def times(self) -> np.ndarray:
-        """Times (k + 1,) of the knots [s]. With a tail, the end of the cycle occurs twice."""
+        """Times (k + 1,) of the knots [s]. If the table has a tail, the end time of the cycle
+        occurs twice."""
         return self.cycle.knots[0]
 
     @property
@@ -97,12 +99,12 @@ class MotorTable:
         return replace(self, cycle=self.cycle.tail, q=self.q[k:], qd=self.qd[k:], qdd=self.qdd[k:])
 
     def check_age(self, now: float) -> None:
-        """Check that the table is not too old to be sent at `now` [s, steady clock].
+        """Check that the table may still be sent at `now` [s, steady clock].
 
         Raises
         ------
         CycleError
-            If the table is too old.
+            If the table is too old to be sent.
         """
         if now > self.until:
             raise CycleError(f"its motor table was {now - self.until:.2f} s too late for sending")
@@ -136,9 +138,10 @@ def prepare(
     thermal_load : (4,) or float
         Allowed thermal load of the motors, see `usage`.
     correction : callable, optional
-        Correction by a calibration. Both the requested motion and the command are kept within the
-        limits. If a cycle ends in motion, its correction would depend on the next cycle, which is
-        unknown. Therefore such a cycle is played with its tail as one motion from rest to rest.
+        Correction by a calibration. The function keeps both the requested motion and the corrected
+        command within the limits. If a cycle ends in motion, its correction would depend on the
+        next cycle, which is unknown. Therefore such a cycle is played with its tail as one motion
+        from rest to rest.
     before : sequence of PlateCycle, optional
         The cycles that may be playing, the oldest first. A cycle that begins in motion may continue
         any of these cycles. Default: the plate rests.
@@ -146,8 +149,8 @@ def prepare(
     Raises
     ------
     CycleError
-        If the plate cannot execute the cycle. This is also the case if the cycle begins in motion,
-        and either exceeds a limit or does not continue a cycle of `before`.
+        If the plate cannot execute the cycle. An error is also raised if the cycle begins in
+        motion, and either exceeds a limit or does not continue a cycle of `before`.
     """
     if len(cycle.knots[0]) > MAX_KNOTS:
         count = len(cycle.knots[0])
@@ -191,7 +194,8 @@ def prepare(
 def _continued(
     cycle: PlateCycle, before: Sequence[PlateCycle], correction: Correction | None
 ) -> PlateCycle:
-    """Return the newest cycle of `before` that a cycle in motion continues.
+    """Return the newest cycle of `before` whose end state is the first state of a cycle that begins
+    in motion.
 
     Raises
     ------
@@ -255,8 +259,8 @@ def _corrected(
 def check_order(last_ns: int | None, stamp_ns: int) -> None:
     """Refuse a cycle whose image is older than the image of the last accepted cycle.
 
-    The same stamp is accepted again, because the sender may not have received the result. A step
-    back of more than a second is caused by a restart and not by a late message.
+    The same stamp is accepted again, because the sender may not have received the result. A larger
+    step back, of more than a second, is accepted. A restart causes such a step, not a late message.
 
     Raises
     ------

@@ -1,6 +1,6 @@
 """Conversion of successive motor tables to one continuous stream of setpoints, for devices that
-receive setpoints instead of whole tables. Inputs are motor tables. Outputs are knots in the wire
-format, at most `MAX_S` apart."""
+receive setpoints instead of whole tables. Inputs are motor tables. The outputs are knots in the
+format of the serial protocol. Their times are at most `MAX_S` apart."""
 
 from __future__ import annotations
 
@@ -19,16 +19,16 @@ MAX_S = 0.04
 """Maximum time between setpoints of a stream [s]. Devices accept up to 50 ms."""
 
 TICKS = 2**32
-"""Modulus of the times on the wire [TICK_S]."""
+"""Number at which the times in the serial protocol wrap around to 0 [TICK_S]."""
 
 REST_TICKS = 1_000_000
-"""Time from the end of a cycle, where the motors are at home with zero speed, to zero acceleration
-[TICK_S]. It is 10 ms. The quintic between these two states does not exceed the acceleration at the
-end of the cycle."""
+"""At the end of a cycle, the motors are at home with zero speed, but their acceleration may not be
+zero. In this time, the acceleration decreases to zero [TICK_S]. It is 10 ms. The quintic for this
+motion does not exceed the acceleration at the end of the cycle."""
 
 MIN_TICKS = 20_000_000
 """Minimum duration of a stream [TICK_S]. It is 0.2 s. Devices refuse a shorter stream, because they
-could not brake in this time. Therefore a shorter stream is extended by rest."""
+could not brake in this time. Therefore setpoints at rest extend a shorter stream."""
 
 
 @dataclass(frozen=True)
@@ -36,8 +36,8 @@ class SetpointStream:
     """Stream of setpoints of successive cycles.
 
     At the end of a cycle, the stream continues with the newest cycle, if this cycle begins in the
-    final state of the current cycle. Otherwise the stream continues with the tail. This is decided
-    when the first setpoint after the end is sent.
+    final state of the current cycle. Otherwise the stream continues with the tail. This choice is
+    made when the first setpoint after the end is sent.
 
     Attributes
     ----------
@@ -92,8 +92,8 @@ class SetpointStream:
         return self.rest > 0
 
     def followed_by(self, table: MotorTable, repeats: int) -> SetpointStream:
-        """Return the stream that continues with another table. A stream that has ended is not
-        continued.
+        """Return the stream that continues with another table. If this stream has ended, the new
+        table has no effect.
 
         Raises
         ------
@@ -153,7 +153,7 @@ def knots(table: MotorTable) -> tuple[Knot, ...]:
 
 def densest(table: MotorTable, repeats: int, window_s: float) -> int:
     """Return the maximum number of setpoints within `window_s` [s] of a stream. The stream plays a
-    table `repeats` times, with its tail or the rest at its end."""
+    table `repeats` times, followed by its tail or by setpoints at rest."""
     window = round(window_s / TICK_S)
     parts = [np.array([knot.ticks for knot in refined(part)]) for part in _parts(table)]
     if table.tail is None:

@@ -1,6 +1,6 @@
 """Thermal model of the motors: a first-order I2t model (squared current over time), with the force
 in place of the current. The input is the mean square force of each table. The outputs are the
-temperature rise and the load that is still allowed."""
+temperature rise and the load that the motors can still carry."""
 
 from __future__ import annotations
 
@@ -11,8 +11,8 @@ import numpy as np
 from plate_core import Rig
 
 AMBIENT_C = 25.0
-"""Assumed ambient temperature [deg C]. It is used only for display, because the limits depend only
-on the temperature rise."""
+"""Assumed ambient temperature [deg C]. This value is used only for display, because the limits
+depend only on the temperature rise."""
 
 
 @dataclass(frozen=True)
@@ -46,7 +46,8 @@ class ThermalState:
         return replace(self, load=load)
 
     def allowed_load(self, rig: Rig, duration: float) -> np.ndarray:
-        """Return the load (4,) that is allowed for `duration` [s] from now on. It is at least 1."""
+        """Return the load (4,) that is allowed for `duration` [s] from now on. The result is at
+        least 1."""
         decay = np.exp(-duration / rig.limits.thermal_time_s)
         return np.asarray(np.maximum(1.0, (1 - self.rise * decay) / (1 - decay)))
 

@@ -1,6 +1,6 @@
 """Transports that send motor tables to the motors: the interface `Transport` and its
 implementations `sim` and `serial`. Another package can add a transport, which is constructed from a
-`TransportContext`: see docs/transports.md.
+`TransportContext`. docs/transports.md explains this.
 """
 
 from .line import upload_s

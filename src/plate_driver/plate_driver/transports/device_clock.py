@@ -2,10 +2,10 @@
 inputs are pulses and telemetry with their times. The outputs are the offset and clock faults.
 
 For a pulse, the device reads its clock after the heartbeat was sent and before the pulse arrived.
-For telemetry, the device reads its clock before the telemetry arrived. These times bound host time
-minus device time. The distance between the bounds grows at the rate `DRIFT`. If the bounds cross,
-the device clock is wrong, because delays on the line cannot cause this. The module reads no clock:
-all times are arguments.
+For telemetry, the device reads its clock before the telemetry arrived. Therefore the times of a
+message are bounds of the offset, which is host time minus device time. The distance between the
+bounds grows with time, at the rate `DRIFT`. If the bounds cross, the device clock is wrong, because
+delays on the line cannot cause this. The module reads no clock: all times are arguments.
 """
 
 from __future__ import annotations
@@ -18,11 +18,11 @@ __all__ = ["DRIFT", "DeviceClock"]
 
 DRIFT = 2e-3
 """Maximum relative rate error between the device's and the host's clock [s/s]. A quartz is accurate
-to 1e-4, and the operating system may slew the host's clock by 5e-4. A larger error could exceed
-motion limits by more than 2e-3."""
+to 1e-4, and the operating system may slew the host's clock by 5e-4. With a larger error, a motion
+could exceed its limits by more than the fraction 2e-3."""
 
 TICK_S = 1e-3
-"""Period of the device's tick [s]. The device time in a message may be the time of the last
+"""Period of the device's tick [s]. The device time in a message can be rounded down to the last
 tick."""
 
 REJECTED_S = 2.0
@@ -30,13 +30,13 @@ REJECTED_S = 2.0
 
 STRIKES = 5
 """Number of errors within `REJECTED_S` plus 20 round trips after which the clock counts as broken.
-A clock that runs too fast or backwards causes an error. A clock that was set causes only one error.
-A slow or stopped clock causes no error, because it cannot cause motion beyond a limit, and because
-a simulated device without processor time also has a slow clock."""
+A clock that runs too fast or backwards causes repeated errors. A clock that was set once causes
+only one error. A slow or stopped clock causes no error, because it cannot cause motion beyond a
+limit. A simulated device without processor time also has a slow clock."""
 
 PULSE_AGE_S = 5.0
-"""Maximum age of the last pulse [s]. If the last pulse is older, the estimate of the clock is
-rejected, because two correct clocks may differ by 20 ms after this time."""
+"""Maximum age of the last pulse [s]. If the last pulse is older, the estimated offset is rejected,
+because two correct clocks may differ by 20 ms after this time."""
 
 
 @dataclass(frozen=True)
@@ -79,8 +79,8 @@ class DeviceClock:
 
     @property
     def offset_s(self) -> float:
-        """Host time minus device time [s], accurate to half the shortest round trip. 0 if not
-        known."""
+        """Host time minus device time [s]. The error is at most half the shortest round-trip time.
+        0 if the offset is not known."""
         return (self.earliest + self.latest) / 2 if self.known else 0.0
 
     def host_time(self, device_us: int) -> float:
@@ -131,11 +131,9 @@ class DeviceClock:
         return now - self.wrong_at < REJECTED_S
 
     def rejection(self, now: float) -> str:
-        """Return the reason why device times are rejected at `now` [s]. Return "" if they are
-        accepted.
-
-        The times of a slow clock are accepted, because each pulse that shows its error also gives
-        the correct offset.
+        """Return the reason why device times are rejected at `now` [s]. Return "" if device times
+        are accepted. The times of a slow clock are accepted, because each pulse that reveals the
+        error also provides the correct offset.
         """
         if self.strikes and now - self.strikes[-1] < REJECTED_S:
             return self.problem

@@ -1,6 +1,7 @@
-"""Model of a serial line: baud rate, round-trip time and fraction of lost bytes. The inputs are
-heartbeats and their pulses. The round-trip time is smoothed as in RFC 6298. The outputs are
-timeouts, the heartbeat interval, and the number of copies and the length of messages."""
+"""Model of a serial line: baud rate, round-trip time and fraction of lost bytes. The inputs are the
+heartbeats of the host and the device's replies to them (pulses). The round-trip time is smoothed as
+in RFC 6298. The outputs are timeouts, the heartbeat interval, the number of copies of each message,
+and the length of messages."""
 
 from __future__ import annotations
 
@@ -32,37 +33,39 @@ ANSWER_S = 0.03
 time to check a whole table."""
 
 UNKNOWN_S = 0.25
-"""Round trip that is assumed until a round trip is measured [s]."""
+"""Round-trip time that is assumed until it is measured for the first time [s]."""
 
 MAX_ROUND_S = 0.5
-"""Upper limit of the round-trip estimate [s]. A stall of the host can make measured values
-larger."""
+"""Upper limit of the estimated round-trip time [s]. A stall of the host can increase measured
+values beyond this limit."""
 
 HEARTBEAT_S, QUICK_HEARTBEAT_S = 0.025, 0.01
 """Heartbeat interval on a good line and on a lossy line [s]. The device's watchdog (0.25 s)
-requires that one of 10 heartbeats arrives on a good line, or one of 25 on a lossy line. If 5 % of
-the bytes are lost, 40 % of the heartbeats arrive complete. In this case, 10 successive heartbeats
-are lost every 13 s, but 25 successive heartbeats only once in hours."""
+requires that at least one of 10 heartbeats arrives on a good line, or one of 25 on a lossy line. If
+5 % of the bytes are lost, 40 % of the heartbeats arrive complete. In this case, a loss of 10
+successive heartbeats occurs every 13 s, but a loss of 25 successive heartbeats only once in
+hours."""
 
 HEARTBEAT_FRACTION = 0.2
-"""Maximum fraction of the line's capacity for quick heartbeats."""
+"""Maximum fraction of the line's capacity that heartbeats on a lossy line may use."""
 
 LOSSY = 0.9
 """Minimum fraction of answered heartbeats on a line that does not count as lossy."""
 
 MEMORY = 1 / 32
-"""Weight of the newest heartbeat in the exponential average of the answered fraction."""
+"""Weight of the newest heartbeat in the exponential average of the fraction of answered
+heartbeats."""
 
 ROUNDING_S = 1e-6
-"""A negative round trip counts as 0 if its magnitude is at most this value [s]."""
+"""A negative round-trip time is treated as 0 if its magnitude is at most this value [s]."""
 
 MAX_FRAME_S = 0.02
-"""Maximum transmission time of a message of knots [s]. A stop and heartbeats wait until the message
-is sent."""
+"""Maximum transmission time of a message that contains knots of a table [s]. Stops and heartbeats
+must wait for the end of such a message."""
 
 UNANSWERED = 0.05
-"""Maximum probability that all copies of a command are lost. A lost command causes a delay of one
-round trip."""
+"""Maximum probability that all copies of a command are lost. The loss of all copies causes a delay
+of one round trip."""
 
 TELEMETRY_S = 0.01
 """Interval between two telemetry messages [s]."""
@@ -76,7 +79,7 @@ MAX_PATIENCE_S = 3.0
 """Maximum time without telemetry, independent of the loss rate [s]."""
 
 MAX_COPIES = 8
-"""Maximum number of copies of a message sent at once on a very lossy line."""
+"""Maximum number of copies of a message that are sent together on a very lossy line."""
 
 
 def frame_bytes(message: Message) -> int:
@@ -98,8 +101,8 @@ ANSWER_BYTES = frame_bytes(Acknowledgement(0, Status.DONE))
 TELEMETRY_BYTES = HEADER.size + LAYOUTS[Telemetry].size + FRAME_BYTES
 
 FULL_BYTES = frame_bytes(_full(KNOTS_PER_MESSAGE))
-"""Length of the longest message of knots [bytes]. The unit of a device's window is one such
-message."""
+"""Length of the longest message that contains knots of a table [bytes]. The device states its
+receive window as a number of such messages."""
 
 
 def upload_s(pieces: int, baud: float) -> float:
@@ -120,15 +123,15 @@ class LineModel:
     Attributes
     ----------
     baud : float
-        Speed of the line [bit/s]. Infinity means no transmission time.
+        Speed of the line [bit/s]. Infinity: transmission takes no time.
     trip_s, deviation_s : float or None
         Smoothed round trip, and its mean deviation (RFC 6298) [s]. `trip_s` is None until a round
         trip is measured.
     answered : float
         Recent fraction of answered heartbeats (exponential average).
     beats : tuple of (int, float)
-        Unanswered heartbeats. Each has its host time [ns], and the time after which it counts as
-        lost [s].
+        Unanswered heartbeats. For each heartbeat, its host time [ns], and the time after which it
+        counts as lost [s].
     free_at : float
         Time at which all sent bytes will have left the host [s].
     """
@@ -160,7 +163,7 @@ class LineModel:
 
     @property
     def lossy(self) -> bool:
-        """Whether the line loses bytes so often that messages are sent in several copies."""
+        """Whether the line loses so many bytes that messages are sent in several copies."""
         return self.answered < LOSSY
 
     @property
@@ -176,14 +179,14 @@ class LineModel:
         return float(max(self.answered, 1e-6) ** (size / ROUND_BYTES))
 
     def copies(self, size: int) -> int:
-        """Return the number of copies of a frame with which about one copy arrives on average."""
+        """Return the number of copies of a frame of which one arrives on average."""
         if not self.lossy:
             return 1
         return min(MAX_COPIES, max(1, ceil(1 / self.arriving(size) - 0.25)))
 
     def command_copies(self, size: int) -> int:
-        """Return the number of copies of a command with which the command is answered with a
-        probability of at least 1 - `UNANSWERED`."""
+        """Return the number of copies of a command that is needed for an answer with a probability
+        of at least 1 - `UNANSWERED`."""
         if not self.lossy:
             return 1
         none = log1p(-self.arriving(size + ANSWER_BYTES))
@@ -191,8 +194,7 @@ class LineModel:
 
     @property
     def telemetry_timeout_s(self) -> float:
-        """Time without telemetry after which losses on the line no longer explain the absence
-        [s]."""
+        """Time without telemetry that losses on the line cannot explain [s]."""
         lost = log1p(-self.arriving(TELEMETRY_BYTES)) if self.lossy else float("-inf")
         return min(MAX_PATIENCE_S, TELEMETRY_S * log(MISS_PROBABILITY) / lost)
 

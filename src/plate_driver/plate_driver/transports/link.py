@@ -1,6 +1,6 @@
-"""Host side of the serial protocol (docs/protocol.md) as an immutable state machine. Inputs are
-requests (tables, stop, enable, home), received packets and the time. Outputs are the packets to
-send and the device's reported state. The module uses neither a port nor a clock."""
+"""Host side of the serial protocol (docs/protocol.md) as an immutable state machine. The inputs are
+requests (tables, stop, enable, home), received packets and the time. The outputs are the packets to
+send and the state that the device reports. The module uses neither a port nor a clock."""
 
 from __future__ import annotations
 
@@ -41,30 +41,32 @@ from .transport import Condition, Report
 SILENCE_S = 1.0
 """Maximum time without a message, in addition to a round trip [s]. After a longer time, the device
 counts as disconnected and the link is restarted. The device itself brakes after a quarter of this
-time. The time is long, because a restart of the link stops the motors: a very lossy line must not
-appear disconnected. If 5 % of the bytes are lost, one in seven of the about 200 messages in this
-time arrives complete."""
+time. The time is long, because a restart of the link stops the motors. A very lossy line must
+therefore not appear disconnected. If 5 % of the bytes are lost, one in seven of the about 200
+messages in this time arrives complete."""
 
 GREETING_S = 5.0
-"""Maximum time without an answer to Hello [s]."""
+"""Maximum time without an answer to the message Hello, which starts a session [s]."""
 
 GREETING_TRIES = 30
-"""Number of Hellos that are sent at intervals of `ANSWER_S`."""
+"""Number of first Hello messages, which are sent at intervals of `ANSWER_S`."""
 
 LATER_GREETING_S = 0.1
-"""Interval between all later Hellos [s]."""
+"""Interval between all later Hello messages [s]."""
 
 GIVE_UP_S = 5.0
-"""Maximum time without an answer to a command, in addition to twenty round trips [s]. For knots
-there is no maximum time while the device sends messages, because lost knots only delay a table."""
+"""Maximum time without an answer to a command, in addition to twenty round trips [s]. Messages with
+knots have no maximum time while the device sends messages, because lost knots only delay a
+table."""
 
 QUEUE_S = 0.008
-"""More bytes are sent only if the transmission of the queued bytes takes at most this time [s]. It
-is longer than the time to the next poll (5 ms), and so short that a stop does not wait long for
-earlier bytes."""
+"""More bytes are sent only if the transmission of the queued bytes takes at most this time [s].
+This time is longer than the poll period (5 ms), so that the line stays busy. It is so short that a
+stop does not wait long for earlier bytes."""
 
 KNOTS_ANSWER_S = 0.01
-"""Maximum time in which the device answers knots, in addition to the round trip [s]."""
+"""Maximum time in which the device answers a message with knots, in addition to the round trip
+[s]."""
 
 MAX_ROUND_TRIP_S = 1.0
 """Pulses with a longer round trip are not used for the line model [s]."""
@@ -77,17 +79,17 @@ MOVABLE = (State.READY, State.PLAYING)
 """States in which the device accepts a table."""
 
 LATER = (Status.INCOMPLETE, Status.TOO_LONG)
-"""Answers of the device to setpoints of a stream that arrived before their predecessors, or while
-its buffer was full."""
+"""Answers of the device to setpoints that must be sent again later. These setpoints arrived before
+their predecessors, or while the device's buffer was full."""
 
 
 LATE_IN_MOTION = "a cycle in motion came too late: the plate comes to rest"
-"""Refusal of a table that does not begin in the state of the motors."""
+"""Message about a refused table that does not begin in the present state of the motors."""
 
 
 @dataclass(frozen=True)
 class Pending:
-    """A command that is not answered yet.
+    """A command that the device has not answered yet.
 
     Attributes
     ----------
@@ -96,7 +98,7 @@ class Pending:
     first_at : float
         Time at which the command was first sent [s].
     sent_at : float
-        Time at which its last copy has left the host [s].
+        Time at which the last copy of the command has left the host [s].
     tries : int
         Number of times that the command was sent.
     """
@@ -148,14 +150,14 @@ class Link:
         Last telemetry. None after a command that changes the reported state, until the next
         telemetry arrives.
     trouble : DriveTrouble or None
-        Last drive fault that the device reported since the motors were enabled. None if there was
-        none.
+        Last drive fault that the device reported since the motors were enabled. None if the device
+        has reported no such fault.
     clock : DeviceClock
         Estimated offset between the clocks of host and device.
     heartbeat_at : float
         Time of the last heartbeat [s].
     answer : Answer or None
-        Result of the last Stop, Enable or Home. None if there is none yet.
+        Result of the last Stop, Enable or Home. None before the first result.
     flight : tuple of (float, int)
         Knots in transit to the device: their arrival times [s] and lengths [bytes].
     failed : Report or None
@@ -220,15 +222,14 @@ class Link:
         splice_ticks: int = 0,
         follows: int = 0,
     ) -> Link:
-        """Return the link that sends a table. The device plays it `repeats` times unless another
-        table arrives.
+        """Return the link that sends a table. The device plays the table `repeats` times unless
+        another table arrives.
 
         The tail of the table begins at `splice_ticks` [TICK_S]. 0 means no tail. If the table
-        continues the table `follows` in motion, it is sent only when `follows` plays.
+        continues the table `follows` in motion, it is sent only while `follows` plays.
 
-        A running upload is completed before the next upload, because otherwise a planner with a
-        high rate would interrupt every upload. If several tables wait, only the newest table is
-        kept.
+        A running upload is completed before the next upload starts. Otherwise a planner with a high
+        rate would interrupt every upload. If several tables wait, only the newest table is kept.
         """
         begin = Begin(table, len(knots), table_crc(knots), splice_ticks)
         parts = _parts(table, 0, knots, self.line.knots_per_message)
@@ -247,8 +248,8 @@ class Link:
         return self._requested(*_parts(table, first, knots, self.line.knots_per_message))
 
     def stopping(self, now: bool = False) -> Link:
-        """Return the link that requests a stop. The device brakes. If `now` is True, it switches
-        off the current immediately instead.
+        """Return the link that requests a stop. The device brakes. If `now` is True, the device
+        switches off the current immediately instead of braking.
 
         All other commands except Hello and Trigger are dropped, including an Enable. If a stop is
         already in transit, it is sent again immediately. A stop with `now` is not replaced by a
@@ -267,7 +268,7 @@ class Link:
         return self._ordered(Enable(stop))
 
     def homing(self) -> Link:
-        """Return the link that requests a new search for home. The device must be off."""
+        """Return the link that requests a new search for home. The motors must be off."""
         return self._ordered(Home())
 
     def _failing(self, reason: DriverReason, text: str) -> Link:
@@ -421,8 +422,9 @@ class Link:
     def _copies(self, message: Message, abreast: int = 1) -> int:
         """Return the number of copies of a command.
 
-        Unanswered knots of a table are repeated continuously, so the copies are divided by the
-        number `abreast` of messages that are sent together.
+        Unanswered knots of a table are repeated continuously. Therefore fewer copies are needed at
+        once, and their number is divided by the number `abreast` of messages that are sent
+        together.
         """
         size = frame_bytes(message)
         if not isinstance(message, Knots):
@@ -466,7 +468,8 @@ class Link:
         return now - pending.sent_at < wait
 
     def _split(self, now: float) -> Link:
-        """Return the link with unanswered messages of knots split into messages of one knot each.
+        """Return the link in which each unanswered message with several knots is replaced by
+        messages with one knot each.
 
         On a line that corrupts bytes, long messages rarely arrive complete.
         """
@@ -489,8 +492,8 @@ class Link:
         return replace(self, queue=tuple(queue), sequence=sequence)
 
     def _stops(self, now: float) -> list[Pending]:
-        """Return the stop that must be sent now, if any. A stop does not wait until the line is
-        free."""
+        """Return the stop that must be sent now, if any. A stop is sent even if the line is
+        busy."""
         stops = [p for p in self.queue if isinstance(p.message, Stop)]
         return [p for p in stops if not self._in_flight(p, now)]
 

@@ -1,6 +1,7 @@
 """Transport to a motor controller on a serial port (docs/protocol.md). The inputs are motor tables
-and the orders stop, enable and home. The outputs are sensor values and the reported state. Tables
-are uploaded as a whole, or streamed as setpoints. If the link fails, the port is reopened."""
+and the orders stop, enable and home. The outputs are sensor values and the reported state. A table
+is uploaded as a whole, or sent as a stream of setpoints. If the link fails, the port is
+reopened."""
 
 from __future__ import annotations
 
@@ -44,21 +45,22 @@ from .transport import Condition, Measured, Order, Report, TransportContext
 BAUD = 921_600
 
 PIECES = 64
-"""Number of pieces of a typical table. The speed of the line is checked for a table of this
-size."""
+"""Number of pieces of a typical table. The driver checks whether the line is fast enough for a
+table of this size."""
 
 REOPEN_S = (0.1, 0.2, 0.4, 0.8)
 """Delays between attempts to reopen the port [s]. The last delay is repeated."""
 
 SENT_KEPT = 8
-"""Number of sent tables that are stored, because they may still play or wait."""
+"""Number of sent tables that are stored, because the device may still play them or keep them
+waiting."""
 
 NEAR = ((1e-6,), (1e-3,), (0.1,))
 """Maximum rounding errors of travel [m], speed [m/s] and acceleration [m/s2] in a state."""
 
 LEAD_S = 0.3
 """Time by which setpoints of a stream are sent before the device plays them [s]. The device brakes
-if this time falls to 0.1 s."""
+if its setpoints end in less than 0.1 s."""
 
 QUIET_S = 0.5
 """Maximum time without a message, in addition to a round trip [s]. After a longer time, the device
@@ -68,15 +70,15 @@ STOP_ANSWER_S = 0.5
 """Maximum time until the device answers a stop, in addition to four round trips [s]."""
 
 HOME_ANSWER_S = 1.0
-"""Maximum time until the device answers a home, in addition to four round trips [s]."""
+"""Maximum time until the device answers a home command, in addition to four round trips [s]."""
 
 READY_S = 8.0
-"""Maximum time until the motors are ready, in addition to four round trips [s]. It consists of 5 s
-for the search for home, 0.5 s for the motion to home, and a margin."""
+"""Maximum time from an enable command until the motors are ready, in addition to four round trips
+[s]. It consists of 5 s for the search for home, 0.5 s for the motion to home, and a margin."""
 
 ROUNDING = 1e-5
-"""Maximum relative difference between two limits that count as equal. The device sends its limits
-in single precision."""
+"""Relative difference up to which a limit of the device counts as equal to the rig's limit. The
+device sends its limits in single precision."""
 
 READ_BYTES = 65_536
 """Maximum number of bytes per read. The device sends fewer bytes in half a second at 921,600
@@ -103,17 +105,17 @@ REASONS = {
     Fault.STOPPED: DriverReason.EARLIER_STOP,
 }
 """Reason of each fault. If there are several faults, the first fault in this order determines the
-reason. An unknown home is not in the list: the next enable finds home, so no person must check the
-rig."""
+reason. An unknown home position is not in the list, because the next enable searches for it and no
+person must check the rig."""
 
 OF_DRIVES = Fault.HARDWARE | Fault.SUPPLY | Fault.FOLLOWING
-"""Faults that the report of a drive describes further."""
+"""Faults for which the report of a drive contains more details."""
 
 REFUSED = {
     Status.WRONG_STOP: "wrong stop: another stop has come since; call enable again",
     Status.WRONG_STATE: "wrong state: the device brakes, or has a fault that persists",
 }
-"""Text for refused enable and home commands."""
+"""Texts for refused enable and home commands, by the device's answer."""
 
 
 A_PORT = "allowed: the device of a serial port, such as /dev/ttyACM0"
@@ -125,7 +127,7 @@ PORT_ERRORS = {
     errno.EBUSY: "is used by another program",
     errno.ENOTTY: f"is a device, but no serial port, {A_PORT}",
 }
-"""Text for known errors when a port is opened."""
+"""Texts for known errors when a port is opened, by error number."""
 
 
 class Port(Protocol):
@@ -171,7 +173,7 @@ def open_port(name: str, baud: int = BAUD) -> Port:
 
 
 def check_line(baud: int, longest_upload_s: float) -> None:
-    """Refuse a line on which the upload of a cycle takes too long."""
+    """Raise an error if the upload of a cycle takes too long on a line with this speed."""
     seconds = upload_s(PIECES, baud)
     if seconds > longest_upload_s:
         raise PlateError(
@@ -207,17 +209,18 @@ class SerialTransport:
     Parameters
     ----------
     make_port : callable
-        Function that opens the port. It is called again after a failure.
+        Function that opens the port. The function is called again after a failure.
     clock : callable
-        Returns a time that never decreases [s].
+        Function that returns a time that never decreases [s].
     seed : int
-        First session number. It must differ between runs.
+        First session number. The number must differ between runs.
     streams : bool
-        Whether setpoints are streamed. If False, each cycle is uploaded as a whole.
+        Whether cycles are sent as a stream of setpoints. If False, each cycle is uploaded as a
+        whole.
     baud : float
         Speed of the line [bit/s].
     limits : Limits, optional
-        Limits of the rig. A device with different limits is not enabled.
+        Limits of the rig. The transport does not enable a device with different limits.
     trigger : Trigger, optional
         Message that sets when the device triggers the camera. Default: never.
     """
@@ -710,7 +713,7 @@ def wired(table: MotorTable, before: Mapping[int, MotorTable]) -> tuple[tuple[Kn
     continues.
 
     The splice time [TICK_S] is 0 if the table has no tail. The third value is the number of the
-    table that this table continues in motion. It is 0 if this table begins at rest.
+    table that this table continues in motion. This number is 0 if this table begins at rest.
 
     If the first knot equals the splice knot of a table in `before` up to rounding, it is replaced
     by the splice knot, so that both are bitwise equal. If there are several such tables, the latest
