@@ -29,7 +29,7 @@ from plate_planner import Planner
 from tasks.runs import summed
 
 MAX_RUNS = 100_000
-"""Maximum number of runs per call. This number of runs would take weeks."""
+"""Maximum number of runs per call. A larger number of runs would take weeks."""
 
 
 @piped()
@@ -115,9 +115,9 @@ def _run(setup: Setup, rig: Rig, code: bytes) -> dict[str, object]:
 def _marks(
     scenario: Scenario, rig: Rig, code: bytes, settings: dict[str, str]
 ) -> dict[str, str | dict[str, str]]:
-    """Return all facts on which the result of a run depends, except its seed. They are the `marks`
-    of `Rows`: digests of the code, scenario, rig and planner's file, the settings, and facts about
-    the computer."""
+    """Return all facts on which the result of a run depends, except its seed. These facts are the
+    `marks` of `Rows`. They consist of digests of the code, scenario, rig and planner's file, of the
+    settings, and of facts about the computer."""
     with np.printoptions(threshold=sys.maxsize, precision=17):
         parts = {"scenario": repr(replace(scenario, file="")), "rig": repr(rig)}
     marks = {name: hashlib.sha256(text.encode()).hexdigest()[:16] for name, text in parts.items()}

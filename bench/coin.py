@@ -91,8 +91,8 @@ def polar(track: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
 
 def slopes(values: np.ndarray) -> np.ndarray:
-    """Return the mean angular and radial speeds over intervals of `MEAN` seconds. The first
-    interval is omitted."""
+    """Return the mean angular and radial speeds over intervals of `MEAN` seconds. The result omits
+    the first interval."""
     return np.diff(values[MEAN * FREQUENCY :: MEAN * FREQUENCY]) / MEAN
 
 

@@ -32,8 +32,8 @@ numpydoc_show_class_members = False  # autodoc does
 
 
 def write_api() -> None:
-    """Write an API page for each package. It lists the names in `__all__` of each subpackage, and
-    the further names in `__all__` of the package itself."""
+    """Write an API page for each package. The page lists the names in `__all__` of each subpackage,
+    and the further names in `__all__` of the package itself."""
     API.mkdir(exist_ok=True)
     for package in sorted((ROOT / "src").glob("plate_*/plate_*")):
         lines, shown = [title(package.name, "=")], set()

@@ -1,4 +1,5 @@
-"""Example of a planner of your own. It sorts black parts to the left, and all others to the right.
+"""Example of a planner of your own. This planner sorts black parts to the left, and all other parts
+to the right.
 
 To evaluate it in the bench, over many seeds and without ROS:
 
@@ -24,8 +25,8 @@ parts can have any y [half widths]."""
 
 
 class OwnPlanner:
-    """Control law of the planner. It returns the requested forces for the parts at the start of a
-    cycle. The bench needs only this class."""
+    """Control law of the planner. The class returns the requested forces for the parts at the start
+    of a cycle. The bench needs only this class."""
 
     def __init__(self, rig: Rig) -> None:
         self._rig, self._seen_at = rig, -np.inf

@@ -6,7 +6,7 @@ import numpy as np
 from scipy.optimize import linear_sum_assignment
 
 OUT_OF_REACH = 1e3
-"""Cost of a pair whose distance exceeds the allowed one. The cost of other pairs is distance /
+"""Cost of a pair whose distance exceeds the maximum `reach`. The cost of other pairs is distance /
 `reach`."""
 
 

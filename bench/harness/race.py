@@ -19,7 +19,8 @@ fewer times is unreliable."""
 
 cpu_time = time.process_time
 """Clock of all measurements [s]: CPU time of all threads of this process. On an idle computer it
-equals the wall time of a single thread. It does not include the CPU time of other programs."""
+equals the wall time of a single thread. The clock does not include the CPU time of other
+programs."""
 
 
 def timed(call: Callable[..., Any], *arguments: Any, **named: Any) -> tuple[Any, float]:

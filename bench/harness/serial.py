@@ -26,8 +26,8 @@ from plate_sim import PlateMotion
 from plate_sim.device import DeviceLimits, Emulator, FaultSchedule, Segment
 
 ANSWER_S = 0.05
-"""Time from an image until the next cycle reaches the driver [s]. It contains the computation of
-detector, planner and solver, plus a margin."""
+"""Time from an image until the next cycle reaches the driver [s]. This time covers the computation
+of detector, planner and solver, plus a margin."""
 
 POLL_TICKS = 2
 """Period at which the driver polls its port [ticks of 1 ms]."""
@@ -36,8 +36,8 @@ MIN_S = 0.02
 """Minimum length of a segment [s]. No image is taken at the end of a shorter segment."""
 
 LOOK_S = 1.0
-"""Time from the report of a stop until the operator enables the motors again [s]. It stands for a
-check of the rig."""
+"""Time from the report of a stop until the operator enables the motors again [s]. This delay
+represents a check of the rig."""
 
 SETTLE_S = 3.0
 """Maximum time until a plate without a new cycle is at rest [s]."""
@@ -127,7 +127,7 @@ class SerialLine:
     event : str
         Single fault during the run: `disconnect`, `reset` or `brown_out`. Empty: no such fault.
     at : float
-        Time of this fault [s]. It can be within a cycle.
+        Time of this fault [s]. The fault can occur within a cycle.
     """
 
     def __init__(
@@ -234,14 +234,15 @@ class Verdict:
     Attributes
     ----------
     stroke, speed, force : float
-        Fractions for the motors.
+        Maximum travel, speed and force of the motors, as fractions of the limits.
     accel : float
-        Fraction for the motors and the plate's corners.
+        Maximum acceleration of the motors and the plate's corners, as a fraction of the limit.
     jump : float
         Maximum deviation of the step between two setpoints from the step computed with Hermite's
         rule [m].
     travel : float
-        Actual travel of the motors as a fraction of the stroke, also without current.
+        Maximum actual travel of the motors as a fraction of the stroke, including times without
+        current.
     """
 
     stroke: float = 0.0

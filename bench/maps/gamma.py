@@ -41,8 +41,8 @@ LEVEL = 0.3
 def motions(rig: Rig, parts: int, count: int) -> list[tuple[PlateCycle, np.ndarray, float]]:
     """Return a motion, the parts' positions (M, 2) [m] and the size [mu m g] of random requests.
 
-    Each motion meets its request on average. It is then scaled to a shaking ratio of 1. The size of
-    a request is the root mean square of its components.
+    Each motion meets its request on average. The motion is then scaled to a shaking ratio of 1. The
+    size of a request is the root mean square of its components.
     """
     limits = replace(rig.limits, stroke_m=FREE_M, speed=FREE_MPS)
     free = replace(rig, limits=limits)
@@ -93,8 +93,8 @@ def first_order(rig: Rig, cycle: PlateCycle, position: np.ndarray) -> float:
 
 
 def least_gamma(rig: Rig, cases: list[tuple[PlateCycle, np.ndarray, float]]) -> float:
-    """Return the shaking ratio above which the error of the averaged forces is below `LEVEL`. It is
-    the median over the cases, by the theory of `first_order`."""
+    """Return the shaking ratio above which the error of the averaged forces is below `LEVEL`. This
+    ratio is the median over the cases, by the theory of `first_order`."""
     return (
         float(np.median([first_order(rig, c, p) / requested for c, p, requested in cases])) / LEVEL
     )

@@ -113,9 +113,9 @@ def score(found: np.ndarray, photograph: Photograph, shown: np.ndarray | None = 
 def angle_errors(found: np.ndarray, parts: np.ndarray, directed: bool) -> list[float]:
     """Return the errors of the angles of detected parts (k,) [deg].
 
-    The zero of a class's angle is arbitrary. So the mean error of each class with at least two
-    detected parts is subtracted. If the detector does not distinguish the two ends of a part
-    (`directed` is False), errors are modulo 180 degrees.
+    The direction of angle 0 is arbitrary for each class. Therefore the mean error of the class is
+    subtracted. Classes with fewer than two detected parts are omitted. If the detector does not
+    distinguish the two ends of a part (`directed` is False), errors are modulo 180 degrees.
     """
     errors: list[float] = []
     for label in set(parts["label"]):

@@ -23,8 +23,8 @@ FOUND = np.dtype(
         ("label", "U32"),
     ]
 )
-"""One detected part: centre and radius of the disc with the same area [px]; angle, NaN if there is
-none; class, empty if there is none."""
+"""Data of a detected part: centre and radius of a disc with the same area [px], angle (NaN if
+unknown), and class (empty if unknown)."""
 
 Finder = Callable[[np.ndarray], np.ndarray]
 """Function from an image (H, W, 3) uint8 to (n,) FOUND."""

@@ -22,8 +22,8 @@ FOLDER = ROOT / "out/photographs"
 """Folder of downloaded files and of figures."""
 
 HALVES = ("tuning", "held_out")
-"""Names of the two halves of the photographs. One half is for tuning; the other is used only once,
-at the end."""
+"""Names of the two halves of the photographs. The first half is for tuning. The second half is used
+only once, at the end."""
 
 TRUTH = np.dtype(
     [
@@ -36,9 +36,10 @@ TRUTH = np.dtype(
         ("touching", "?"),
     ]
 )
-"""One part: centre of its area with filled holes, radius of the disc with the same area [px];
-angle, NaN if it has none; order of its rotational symmetry, 0 for a disc and for a part seen too
-much from the side; class; whether it touches another part."""
+"""Data of a marked part: centre of its area with filled holes, radius of the disc with the same
+area [px], angle (NaN if undefined), order of its rotational symmetry, class, and whether it touches
+another part. The order of symmetry is 0 for a disc, and for a part that is seen too much from the
+side."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -145,7 +145,7 @@ def drives(rows: list[Row]) -> Drawn:
 
 
 def rigs(rows: list[Row]) -> Drawn:
-    """Return the chart of success, time and error on small and weak rigs. It also shows the
+    """Return the chart of success, time and error on small and weak rigs. The chart also shows the
     predictions of `feasible`."""
     names, panels = tuple(by(rows, "rig"))[::-1], Panels()
     y = Axis("", names=names)

@@ -1,4 +1,4 @@
-"""One page with all charts and their rows. It needs no network and no other file."""
+"""One page with all charts and their rows. The page needs no network and no other file."""
 
 from __future__ import annotations
 

@@ -22,8 +22,8 @@ limits."""
 INK = "#222222"
 
 FIELD = ("#ffffd9", "#7fcdbb", "#2c7fb8")
-"""Colours of a field from low to high. Black and coloured lines are visible on all these
-colours."""
+"""Colours for the values of a field, from the lowest to the highest value. Black and coloured lines
+are visible on all these colours."""
 
 SYMBOLS = {
     "o": "circle", "s": "square", "D": "diamond", "^": "triangle-up", "v": "triangle-down",
@@ -198,7 +198,7 @@ class Rule(NamedTuple):
 
 
 class Panel:
-    """One pair of axes with its content."""
+    """One panel: a pair of axes with all drawn elements."""
 
     def __init__(self, title: str, x: Axis, y: Axis, better: str) -> None:
         self.title, self.x, self.y, self.better = title, x, y, better

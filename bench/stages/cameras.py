@@ -115,9 +115,9 @@ class Kind:
 
 @dataclass(frozen=True)
 class Scene:
-    """One layout: the rig that the detector gets, images of the bare plate (only for typed parts),
-    images, true positions (M, 2) [m] and angles (M,) [rad, plate_home], and types of the parts
-    (M,), empty for discs."""
+    """Data of one scene: the rig that the detector gets, images of the bare plate (only for typed
+    parts), and images of the parts. Also the true positions (M, 2) [m], angles (M,) [rad,
+    plate_home] and types (M,) of the parts. There are no types for discs."""
 
     rig: Rig
     bare: list[np.ndarray]

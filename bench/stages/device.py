@@ -15,13 +15,13 @@ from plate_sim.device import TICK_US, DeviceLimits, Emulator, PseudoTerminal
 PERIOD_S = 0.2
 
 MAX_BEHIND_US = 100_000
-"""Maximum time that the device simulates at once to catch up with real time [us]. It falls behind
-if its process gets no CPU time."""
+"""Maximum time that the device simulates at once to catch up with real time [us]. The device falls
+behind if its process gets no CPU time."""
 
 
 def shaking(knots: int, amplitude: float) -> MotorTable:
-    """Return the table of a cycle with the length `PERIOD_S` that starts at rest. Its amplitude is
-    given [m]."""
+    """Return the table of a cycle that starts at rest. The cycle has the length `PERIOD_S`, a
+    number of knots, and an amplitude [m]."""
     t = np.arange(knots) * PERIOD_S / knots
     wave = np.sin(np.pi * t / PERIOD_S) ** 4
     phase = 8 * np.pi * t / PERIOD_S

@@ -1,7 +1,7 @@
 """Average friction over a cycle: time and error of several methods.
 
-The reference is scipy's quad with a tolerance of 1e-10. It integrates separately between the times
-of nearly zero slip.
+The reference is scipy's quad with a tolerance of 1e-10. The reference integrates separately between
+the times of nearly zero slip.
 """
 
 from __future__ import annotations
@@ -30,7 +30,8 @@ ForceMap = Callable[[np.ndarray], np.ndarray]
 """Function from positions (M, 2) [m] to forces (M, 2) [mu m g]."""
 
 NUMBER, PERIOD = 2, 0.05
-"""Number of harmonics and period [s] of the motions. They have 2 x 2 x 3 = 12 parameters."""
+"""Number of harmonics and period [s] of the motions. Such a motion has 2 x 2 x 3 = 12
+parameters."""
 
 
 def measure(quick: bool) -> Result:

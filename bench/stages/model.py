@@ -2,8 +2,8 @@
 
 There are scenes with separate parts, with touching parts, with a rotating plate, and with a
 suspended plate. For each number of parts the cost of a plate cycle and the error at its end are
-measured. The reference simulates parts as points. It computes the exact times at which a part
-begins to slide or to stick.
+measured. The reference simulates parts as points. The reference computes the exact times at which a
+part begins to slide or to stick.
 """
 
 from __future__ import annotations

@@ -163,7 +163,7 @@ class Peer:
     rig : Rig
     parts : int
     own : bool
-        Whether scipy uses its finite differences. Otherwise it gets the project's derivatives.
+        Whether scipy uses its finite differences. Otherwise scipy uses the project's derivatives.
     restarts : int
     """
 

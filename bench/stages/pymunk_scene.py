@@ -7,7 +7,7 @@ import numpy as np
 from plate_core import PlateCycle
 
 MASS = 0.02
-"""Mass of a part [kg]. It has no effect on the motion."""
+"""Mass of a part [kg]. The mass has no effect on the motion."""
 
 
 class PymunkScene:

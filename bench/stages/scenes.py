@@ -29,7 +29,7 @@ MU, GRAVITY = 0.25, 9.81
 MU_G = MU * GRAVITY
 
 RADIUS = 0.008
-"""Radius of the parts [m]. They never touch each other."""
+"""Radius of the parts [m]. The parts never touch each other."""
 
 SPEED = 0.1
 """Standard deviation of the initial velocities, in scenes in which they differ [m/s]."""
@@ -124,8 +124,8 @@ required gaps."""
 
 
 def scatter(rig: Rig, parts: int, rng: np.random.Generator) -> np.ndarray:
-    """Return random positions (M, 2) [m]. Their distances from each other are at least 40 mm, and
-    from the edges 15 % of the plate's size."""
+    """Return random positions (M, 2) [m]. The distance between two parts is at least 40 mm. The
+    distance from the edges is at least 15 % of the plate's size."""
     room = 0.85 * rig.plate.half
     while True:
         before = rng.bit_generator.state

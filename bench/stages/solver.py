@@ -34,12 +34,13 @@ RESTARTS = 20
 """Number of restarts of every method."""
 
 SAMPLES = 1024
-"""Number of samples in scipy's final steps. They resolve most short minima of the slip speed."""
+"""Number of samples in scipy's final steps. These samples resolve most short minima of the slip
+speed."""
 
 JUDGE_SAMPLES = 6007
-"""Number of samples per cycle from which the error of each solution is computed. It is not a
-multiple of any method's number of samples, so errors between the samples of a method are visible
-too."""
+"""Number of samples per cycle from which the error of each solution is computed. This number is not
+a multiple of any method's number of samples. Therefore errors between the samples of a method are
+visible too."""
 
 OURS, PEER, ROTATIONS = METHODS = "SinusoidSolver", "scipy lm", "RotationSolver"
 """Methods. scipy is least_squares(method='lm') with the project's Jacobian on the same samples,

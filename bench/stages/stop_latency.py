@@ -43,8 +43,8 @@ def serve(link: str, ready: Event, done: Event, stops: Any) -> None:
     """Run the device. For each new Stop frame, put two times [s] into `stops`: the time of the poll
     that received the frame, and the time of the previous poll.
 
-    The frame has arrived between these two times. Their difference grows if this process gets no
-    CPU time.
+    The frame has arrived between these two times. The interval between the two times grows if this
+    process gets no CPU time.
     """
     reader, last, last_poll = Reader(), -1, time.monotonic()
     for data in device(link, ready, done):

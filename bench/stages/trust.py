@@ -27,8 +27,8 @@ from tasks.runs import runs_of, summed
 
 Method = tuple[str, float | None, Callable[[PlateCycle, float, float], float]]
 """One simulation method: name, time step [ms] or None, and a function. The function returns the
-drift [m] of a part. Its arguments are a motion of the plate, the pull of gravity along the plate
-[mu g], and a time [s]."""
+drift [m] of a part. The function's arguments are a motion of the plate, the pull of gravity along
+the plate [mu g], and a time [s]."""
 
 CREEP_S = 10
 """Time in which a part should not move relative to the plate [s]."""
@@ -38,8 +38,9 @@ RIDES = {
     "still, tilt pulls 0.9 mu g": (0.0, 0.9),
     "0.45 mu g each": (0.45, 0.45),
 }
-"""For each scene, the peak acceleration of the plate and the pull by its tilt [mu g]. Their sum is
-below 1, so friction holds the part and its true drift is 0."""
+"""For each scene, the peak acceleration of the plate and the pull by its tilt [mu g]. The sum of
+acceleration and pull is below 1 mu g. Therefore friction holds the part, and the true drift of the
+part is 0."""
 
 HOME = np.zeros((1, 2))
 """Initial position of the part [m]."""

@@ -20,7 +20,7 @@ from plate_sim import Disturbances
 
 RECIPE, FILL, CYCLE_S, SEED = "feed", 15, 2.0, 61_000
 """Recipe, number of parts on the plate, robot's cycle [s] and seed. One part in ten is grey, which
-represents a part with the wrong face up. It must leave through the chute."""
+represents a part with the wrong face up. Such a part must leave through the chute."""
 
 WORLD = Disturbances(
     pick_failure=0.05,

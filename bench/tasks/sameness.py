@@ -1,9 +1,9 @@
 """Bit-identical runs with the same seed: effect of load and of other processors.
 
-Every variation runs in new processes. It is compared with a run without load. In this run, BLAS and
-numpy use their code for AVX2 (`ALIKE`). To represent another processor, the libraries are forced to
-use the code that they would choose on it. The code of the project's kernels depends only on the
-actual processor. The measurement has about 1000 runs.
+Every variation runs in new processes. Each variation is compared with a run without load. In this
+run, BLAS and numpy use their code for AVX2 (`ALIKE`). To represent another processor, the libraries
+are forced to use the code that they would choose on it. The code of the project's kernels depends
+only on the actual processor. The measurement has about 1000 runs.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ SCENARIOS = ("sort_10", "follow_2", "assemble_8", "align_6")
 SEEDS = range(9000, 9020)
 
 PIECES = ("simulator", "camera", "vision", "planner", "solver")
-"""Stages, in the order in which a cycle passes them."""
+"""Names of the loop's stages, in the order of their execution."""
 
 BUSY = 4
 """Number of extra processes that only use CPU time, in a run under load."""

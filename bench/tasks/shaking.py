@@ -13,17 +13,17 @@ evaluation.
 There are two kinds of shakes:
 
 - Vibrated: the simulated plate moves in its plane as strongly as the rig allows, slowly in one
-  direction and fast in the other. Its velocity is a Fejer kernel. A shake conveys and then stirs.
-  Conveying moves the centre of the parts towards the centre of the pick window, along x, then along
-  y. Stirring rotates the plate about two centres on its long axis, one after the other (a blinking
-  vortex, which mixes well), in a random direction for each shake. A part that leaves over an edge
-  costs only the time until the next drop, because commercial feeders have a border. No vibration in
-  the plane spreads resting parts, because the field of mean friction forces has no divergence for
-  any centre of rotation.
+  direction and fast in the other. The plate's velocity over time is a Fejer kernel. A shake conveys
+  and then stirs. Conveying moves the centre of the parts towards the centre of the pick window,
+  along x, then along y. Stirring rotates the plate about two centres on its long axis, one after
+  the other (a blinking vortex, which mixes well), in a random direction for each shake. A part that
+  leaves over an edge costs only the time until the next drop, because commercial feeders have a
+  border. No vibration in the plane spreads resting parts, because the field of mean friction forces
+  has no divergence for any centre of rotation.
 - Thrown: idealised vertical shakes, better than the shakes of any existing feeder. A shake takes
-  0.6 s with settling. It gives all parts new random positions and angles, uniformly distributed.
-  The circumscribed discs of the parts do not overlap. Unlike the vibrated baseline, these shakes
-  spread the parts.
+  0.6 s with settling. Each shake gives all parts new random positions and angles, uniformly
+  distributed. The circumscribed discs of the parts do not overlap. Unlike the vibrated baseline,
+  these shakes spread the parts.
 
 The vibrated baseline was tuned with 20 discs, a clearance of 6 mm, a robot cycle of 2 s and seeds 0
 to 9, for 60 s each. The candidates were 3 times of stirring, 3 fractions of the conveyed distance
@@ -117,7 +117,7 @@ class Shaker:
     cycle_s : float
         Cycle time of the robot [s].
     is_thrown : bool
-        Whether the baseline is the thrown one, with idealised shakes.
+        Whether the baseline is the thrown baseline, with idealised shakes.
     """
 
     def __init__(self, setup: Setup, cycle_s: float, is_thrown: bool) -> None:

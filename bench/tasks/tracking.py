@@ -31,12 +31,13 @@ RADIUS_M = 0.05
 """Radius of the circles [m]."""
 
 SPAN_S = 6.0
-"""Duration of a run [s]. It is extended to at least 0.08 laps, or reduced to at most two laps."""
+"""Duration of a run [s]. A run is extended to at least 0.08 laps, or shortened to at most two
+laps."""
 
 MAX_RMS_M, MAX_DELAY = 6e-3, 1.05
-"""Limits for a speed that counts as reached. The first is the maximum error, a hundredth of the
-plate's length [m]. The second is the maximum ratio of the actual time to the time at this speed.
-All runs must also succeed."""
+"""Limits for a speed that counts as reached. The first limit is the maximum error, a hundredth of
+the plate's length [m]. The second limit is the maximum ratio of the actual time to the time at this
+speed. All runs must also succeed."""
 
 
 def measure(quick: bool) -> Result:

@@ -1,7 +1,7 @@
 """Agent that searches each cycle's motion with CMA-ES.
 
 The agent searches for the 18 numbers of the action `motion`, and evaluates candidates in a
-simulator of the nominal rig. It needs `pip install cma`. Run it in this folder:
+simulator of the nominal rig. The agent needs `pip install cma`. Run it in this folder:
 
     python -m plate_gym.bench --agent cma_es:CmaEs --task Sort4-v1 --seeds 0:20
 """
@@ -36,8 +36,8 @@ IDLE_S = 0.1
 
 
 class CmaEs:
-    """Agent that tries about a hundred motions per decision. It returns the motion after which the
-    parts have the lowest cost: remaining distance plus cost near edges."""
+    """Agent that tries about a hundred motions per decision. The agent returns the motion after
+    which the parts have the lowest cost: remaining distance plus cost near edges."""
 
     action, observation = "motion", "parts"
 

@@ -1,4 +1,5 @@
-"""Learned agent. It evaluates the small network that train.py has trained, and needs only numpy.
+"""Learned agent. The agent evaluates the small network that train.py has trained. It needs only
+numpy.
 
 Run it in this folder:
 

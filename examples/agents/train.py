@@ -114,9 +114,9 @@ def slide_back(
 ) -> None:  # fmt: skip
     """Propagate derivatives back through `slide`.
 
-    `by_state` contains the derivatives with respect to the state after the cycle. It is overwritten
-    with the derivatives with respect to the state before the cycle. The derivatives with respect to
-    pose and twist are added to `by_pose` and `by_twist`.
+    `by_state` contains the derivatives with respect to the state after the cycle. The function
+    overwrites `by_state` with the derivatives with respect to the state before the cycle. The
+    derivatives with respect to pose and twist are added to `by_pose` and `by_twist`.
     """
     x, y, u, v = by_state
     for i in range(len(pose) - 1, -1, -1):

@@ -1,4 +1,5 @@
-"""Build the example as an ament_python package. Its entry point registers the transport."""
+"""Build the example as an ament_python package. The entry point of the package registers the
+transport."""
 
 from setuptools import setup
 

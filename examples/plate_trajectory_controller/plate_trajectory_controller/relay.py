@@ -126,8 +126,8 @@ class Relay:
         return Report(Condition.READY)
 
     def send(self, table: MotorTable, repeats: int) -> None:
-        """Store a table. It is sent when the current table has ended. Raises CycleError if the
-        motors are not ready, or the table begins in motion."""
+        """Store a table. The relay sends the table when the current table has ended. Raises
+        CycleError if the motors are not ready, or the table begins in motion."""
         if self.report().condition is not Condition.READY:
             raise CycleError(f"plate_cycle: the motors are {self.report().condition.value}")
         if not table.cycle.starts_at_rest:

@@ -1,4 +1,5 @@
-"""Launch file of the closed loop in simulation. It starts the nodes of config/graph.yaml.
+"""Launch file of the closed loop in simulation. The launch file starts the nodes of
+config/graph.yaml.
 
 ros2 launch plate_bringup closed_loop.launch.py scenario:=sort_10 method:=sinusoids
 ros2 launch plate_bringup closed_loop.launch.py transport:=serial  # a simulated motor controller

@@ -1,5 +1,5 @@
-"""Launch file of the closed loop on hardware. It starts the nodes of config/graph.yaml without the
-simulator.
+"""Launch file of the closed loop on hardware. The launch file starts the nodes of config/graph.yaml
+without the simulator.
 
 ros2 launch plate_bringup hardware.launch.py rig_file:=my_rig.yaml port:=/dev/ttyUSB0 \\
     camera:=/dev/v4l/by-id/NAME

@@ -1,5 +1,5 @@
-"""Actions of the launch files. They start the nodes of config/graph.yaml and, if requested, a
-recorder."""
+"""Actions of the launch files. These actions start the nodes of config/graph.yaml and, if
+requested, a recorder."""
 
 from __future__ import annotations
 
@@ -107,8 +107,8 @@ def check_words(hardware: bool, words: Sequence[str], file: str) -> None:
     """Check the arguments of the command line, if the command line starts this launch file
     directly.
 
-    If another launch file includes this one, unknown arguments are not errors. They can belong to
-    the other file.
+    If another launch file includes this one, unknown arguments are not errors. Unknown arguments
+    can belong to the other file.
 
     Parameters
     ----------
@@ -138,8 +138,8 @@ def check_words(hardware: bool, words: Sequence[str], file: str) -> None:
 
 
 def _names(file: str, before: str, word: str) -> bool:
-    """Return whether a word of the command line names a launch file. This is the path of the file,
-    or the file's name after the name of this package."""
+    """Return whether a word of the command line names a launch file. The word can be the path of a
+    launch file, or a file's name after the name of this package."""
     if Path(word).name != Path(file).name:
         return False
     return before == PACKAGE or (Path(word).exists() and Path(word).samefile(file))
@@ -154,7 +154,7 @@ def namespace_of(pushed: str, own: str) -> str:
     pushed : str
         Namespace that actions PushRosNamespace of outer launch files set.
     own : str
-        Argument `namespace`. It is relative to `pushed`, unless it begins with a slash.
+        Argument `namespace`. This namespace is relative to `pushed`, unless it begins with a slash.
     """
     return (own if own.startswith("/") else f"{pushed}/{own}").strip("/").replace("//", "/")
 
@@ -252,8 +252,8 @@ def rigs_in(parameters: Sequence[Any], space: str, names: Sequence[str]) -> list
 
 class _Loader(yaml.BaseLoader):
     """Loader of parameter files that reads all scalars as text, because rcl accepts values that
-    PyYAML refuses, such as an impossible date. It refuses aliases, as rcl does. With nested
-    aliases, a small file could expand to an enormous number of sections."""
+    PyYAML refuses, such as an impossible date. The loader refuses YAML aliases, as rcl does. With
+    nested aliases, a small file could expand to an enormous number of sections."""
 
     def compose_node(self, parent: Any, index: Any) -> Any:
         if self.check_event(yaml.AliasEvent):

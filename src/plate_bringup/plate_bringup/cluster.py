@@ -1,8 +1,8 @@
 """Parallel runs on several computers. A Dask scheduler distributes the runs to its workers.
 
 `Cluster` has the interface of a pool of processes. A worker receives runs only if it produces
-bit-identical results. Its code, libraries and processor must therefore agree with those of this
-process.
+bit-identical results. Therefore the code, libraries and processor of the worker must agree with
+those of this process.
 """
 
 from __future__ import annotations

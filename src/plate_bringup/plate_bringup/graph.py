@@ -119,7 +119,7 @@ def _node(fields: Fields) -> GraphNode:
 
 @dataclass(frozen=True)
 class RunOptions:
-    """Options of a run. They determine the nodes and their parameters.
+    """Options of a run. These options determine the nodes and their parameters.
 
     Attributes
     ----------

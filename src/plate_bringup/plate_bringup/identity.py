@@ -92,8 +92,8 @@ def machine() -> dict[str, str]:
 
 def _processor(alike: bool) -> str:
     """Return the model of the processor. If `alike` is True and the processor has the features
-    `REQUIRED`, return these features instead. In this case the results do not depend on the
-    model."""
+    `REQUIRED`, return these features instead. Results on a processor with these features do not
+    depend on its model."""
     lines = [line.partition(":") for line in Path("/proc/cpuinfo").read_text().splitlines()]
     about = {name.strip(): value.strip() for name, _, value in reversed(lines)}
     if alike and set(REQUIRED) <= set(about.get("flags", "").split()):

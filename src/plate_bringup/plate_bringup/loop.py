@@ -1,4 +1,4 @@
-"""Closed loop without ROS. It runs the same code as the nodes, in one process.
+"""Closed loop without ROS. This module runs the same code as the nodes, in one process.
 
 Image k is taken at the start of cycle k. The cycle that is computed from image k is executed as
 cycle k + 1. The nodes behave in the same way. With a free-running camera, images are taken at any

@@ -1,5 +1,5 @@
-"""Program that runs all nodes of the loop in one process and one executor. This is useful on small
-computers and for debugging."""
+"""Program that runs all nodes of the loop in one process and one executor. The program is useful on
+small computers and for debugging."""
 
 from __future__ import annotations
 

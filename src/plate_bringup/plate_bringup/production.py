@@ -61,12 +61,13 @@ class Act(Enum):
 class Robot:
     """Robot that picks one part per cycle of the length C.
 
-    The times are measured from a grip. At 0, the robot detects whether it holds the part. Until
-    0.15 C, the robot hides a region of the camera image. Then it reports to the feeder whether it
-    has the part. At 0.6 C, the robot requests the next part. If the reply arrives before 0.85 C,
-    the robot enters the image at 0.85 C and grips at C. Otherwise the robot waits outside the
-    image. It then enters the image when the reply arrives, and grips 0.15 C later. Only this delay
-    counts as waiting time. A failed grip takes as long as a successful grip.
+    All following times are measured from the last grip. At 0, the robot detects whether it holds
+    the part. Until 0.15 C, the robot hides a region of the camera image. Then the robot reports to
+    the feeder whether it has the part. At 0.6 C, the robot requests the next part. If the reply
+    arrives before 0.85 C, the robot enters the image at 0.85 C and grips at C. If the reply arrives
+    later, the robot waits outside the image. It enters the image when the reply arrives, and grips
+    0.15 C later. Only this delay counts as waiting time. A failed grip takes as long as a
+    successful grip.
 
     Attributes
     ----------
@@ -194,7 +195,7 @@ class Production:
     lost, discharged : int
         Numbers of parts that left the plate. A part that leaves over an edge without the chute is
         lost. A part that leaves over the edge with the chute is lost if its class is requested.
-        Otherwise it is discharged.
+        A part of another class that leaves over this edge is discharged.
     error_mm, error_deg : (median, 95th percentile, maximum)
         Errors of the reported positions and angles of the parts at the grip.
     cpu : float
@@ -350,8 +351,8 @@ def check_robot(task: FeedTask, cycle_s: float) -> None:
 def filled(recipe: Scenario, fill: int) -> Scenario:
     """Return the recipe with a hopper that keeps `fill` parts on the plate.
 
-    At the start, the plate contains one part of the first requested class. It also contains the
-    recipe's parts of all classes that are not requested.
+    At the start, the plate contains one part of the first requested class. The plate also contains
+    the recipe's parts of all classes that are not requested.
 
     Raises
     ------

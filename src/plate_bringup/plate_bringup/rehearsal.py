@@ -46,8 +46,8 @@ REHEARSED = SortTask, FollowTask, AssembleTask
 """Kinds of tasks in which parts can be modelled as points."""
 
 ENDLESS_S = 1e5
-"""Time limit of the task in a rehearsal [s]. It is long, because the rehearsal measures the
-required time."""
+"""Time limit of the task in a rehearsal [s]. This limit is long, because the rehearsal measures the
+time that the task needs."""
 
 NOTHING_SEEN = np.zeros((0, 0))
 """Empty image, which `Predicted` returns because it has no camera."""
@@ -138,7 +138,7 @@ def rehearse_task(rig: Rig, scenario: Scenario, rehearsals: int = REHEARSALS) ->
 
 class Predicted:
     """Simplified `Scene`. The cycle map of the solver computes the motion of the parts. The parts
-    start at rest. Their positions are known without error.
+    start at rest. The planner gets the exact positions of the parts.
 
     Parameters
     ----------

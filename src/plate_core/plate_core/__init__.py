@@ -1,6 +1,6 @@
 """Code that two or more stages share: rig data, plate motions, tasks, messages, serial protocol.
 
-This package exports the most common names. Its modules `rig`, `motion`, `tasks`, `ros`,
+This package exports the most common names. The modules `rig`, `motion`, `tasks`, `ros`,
 `serial_protocol`, `colours`, `driver_status`, `status` and `yaml_fields` export further names.
 """
 

@@ -33,8 +33,8 @@ treated as a stamp from before the step. Therefore the plate rests until the clo
 times, but at most for `KEPT_S`."""
 
 MAX_STEPS = 20
-"""Maximum number of steps in `KEPT_S`. With more steps, the clock is not usable. In this case each
-stamp is treated as `KEPT_S` older than it seems."""
+"""Maximum number of steps in `KEPT_S`. With more steps, the clock is not usable. If the clock is
+not usable, each stamp is treated as `KEPT_S` older than it seems."""
 
 
 class Step(NamedTuple):
@@ -62,8 +62,8 @@ class ClockSteps:
     Attributes
     ----------
     offset_ns : int or None
-        Last difference between the clock and the steady clock [ns]. It is None before the first
-        reading.
+        Last difference between the clock and the steady clock [ns]. None before the first reading
+        of the clocks.
     steps : tuple of Step
         The newest steps, at most `MAX_STEPS` + 1, in order of time.
     """

@@ -54,7 +54,8 @@ def part_colour(label: str) -> Colour:
 
 
 def class_colour(label: str) -> Colour:
-    """Return the colour of a class. It is used for the trails, targets and names of its parts."""
+    """Return the colour of a class. The colour is used for the trails, targets and names of the
+    class's parts."""
     return _CLASSES.get(label) or _OTHERS[sum(label.encode()) % len(_OTHERS)]
 
 

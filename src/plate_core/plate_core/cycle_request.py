@@ -1,8 +1,8 @@
 """The planner's request for the next cycle: a mean force or a target for each part.
 
 The solver computes a cycle from a `CycleRequest`. The request contains the parts and `Forces` or
-`Targets`. It also contains the predicted state of the parts and the plate at the start of the
-cycle, if this state is known.
+`Targets`. If the planner knows the state of the parts and the plate at the start of the cycle, the
+request also contains this state.
 """
 
 from __future__ import annotations
@@ -100,18 +100,18 @@ class CycleRequest:
         The M parts for which forces or targets are requested.
     forces : Forces
         Requested forces, if `targets` is None. If `targets` is given, the solver ignores the
-        forces. In this case the forces point towards the targets and are only displayed (markers,
-        the page, recordings).
+        forces. Forces of a request with targets point towards these targets, and are only displayed
+        (markers, the page, recordings).
     targets : Targets or None
         Requested targets. None if forces are requested.
     start : (M, 4) or None
-        Position and velocity of each part at the start of the cycle [m, m/s]. None if unknown. In
-        this case `parts` is the state in an image, and the solver predicts the state at the start
-        of the cycle.
+        Position and velocity of each part at the start of the cycle [m, m/s]. None if unknown. If
+        `start` is None, `parts` is the state in an image, and the solver predicts the state at the
+        start of the cycle.
     plate : (3, 3) or None
         Pose, twist and acceleration of the plate at the start of the cycle, in the form of
-        `PlateCycle.state`. None if this state is uncertain. In this case the cycle starts at rest
-        at home.
+        `PlateCycle.state`. None if this state is uncertain. If `plate` is None, the cycle starts at
+        rest at home.
     """
 
     parts: Parts

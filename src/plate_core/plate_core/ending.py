@@ -1,11 +1,11 @@
 """Process exit: a time limit for destroying ROS nodes, and an exit without a traceback when the
 reader closes a pipe.
 
-The Fast DDS version in the wheels can block forever in `DomainParticipant::set_listener`. This
-happens if the process discovers another participant while it destroys its own participant. The
-cause is an overflow of the default timeout. rclpy holds Python's global interpreter lock during
-this call, so that Python's signal handlers, threads and timers do not run. Therefore `ends` uses a
-POSIX timer that calls `_exit`.
+The Fast DDS version in the wheels can block forever in `DomainParticipant::set_listener`. The call
+blocks if the process discovers another participant while it destroys its own participant. The cause
+is an overflow of the default timeout. rclpy holds Python's global interpreter lock during this
+call, so that Python's signal handlers, threads and timers do not run. Therefore `ends` uses a POSIX
+timer that calls `_exit`.
 """
 
 from __future__ import annotations
@@ -27,7 +27,8 @@ SIGEV_THREAD = 2
 
 
 class _Event(ctypes.Structure):
-    """`struct sigevent` of 64-bit Linux. It calls `function` with `value` in a new thread."""
+    """`struct sigevent` of 64-bit Linux. This structure requests that a timer calls `function` with
+    `value` in a new thread."""
 
     _fields_ = (
         ("value", ctypes.c_int64),

@@ -27,8 +27,8 @@ __all__ = [
 ]
 
 INPUT_TIMEOUT_S = 1.5
-"""Default input timeout [s]. The timeout is three times the longest usual cycle. It is short enough
-to end a task within 2 s after a fault."""
+"""Default input timeout [s]. The timeout is three times the longest usual cycle. A task with this
+timeout ends within 2 s after a fault."""
 
 LATENCY_S = 0.2
 """Maximum computation time of vision, planner and solver on a slow computer [s]."""

@@ -149,7 +149,7 @@ class StartReporter:
     Parameters
     ----------
     playback : Playback
-        Playback of the driver. Its guard records inconsistent telemetry.
+        Playback of the driver. The guard of this object records inconsistent telemetry.
     now : float
         Time on the host's steady clock [s].
     """

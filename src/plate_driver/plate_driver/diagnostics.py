@@ -1,5 +1,5 @@
-"""Content of the driver's diagnostics. It is computed from the states of the driver's other
-objects."""
+"""Content of the driver's diagnostics. This module computes the content from the states of the
+driver's other objects."""
 
 from __future__ import annotations
 
@@ -47,11 +47,13 @@ class DriverDiagnostics:
         self._retries = 0  # number of messages repeated between the last two diagnostics
 
     def begin(self, now: float) -> None:
-        """Restart the measurement of the time without cycles at `now` [s, playback]."""
+        """Restart the measurement of the time without cycles, at the time `now` on the playback
+        clock [s]."""
         self._ready_since = now
 
     def record_ready(self, ready: bool, now: float) -> None:
-        """Record at `now` [s, playback] whether cycles are accepted or a calibration runs."""
+        """Record whether cycles are accepted or a calibration runs, at the time `now` on the
+        playback clock [s]."""
         # `min`: the clock may have been set back.
         self._ready_since = min(self._ready_since, now) if ready else now
 
@@ -71,7 +73,7 @@ class DriverDiagnostics:
         return health(status, statistics, self._retries, quiet_s, task_runs, lasting, unplayed)
 
     def values(self, status: DriverStatus, transport: TransportThread | None) -> dict[str, str]:
-        """Return the values by name."""
+        """Return the values of the diagnostics, by name."""
         values = self._playback.guard.values(self._period_s, self._clocks.playback_s())
         values["state"] = status.text
         if self._calibration.text:

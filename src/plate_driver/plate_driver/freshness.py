@@ -107,8 +107,8 @@ class Freshness:
     def ended(self, stamp_ns: int) -> Freshness:
         """Record that a task has ended or that no task runs.
 
-        `stamp_ns` is the image stamp of the planner's last request. It is ignored if it is 0 (no
-        request yet) or less than `RESTART_NS` older than the last recorded stamp.
+        `stamp_ns` is the image stamp of the planner's last request. The stamp is ignored if it is 0
+        (no request yet) or less than `RESTART_NS` older than the last recorded stamp.
         """
         old = not stamp_ns or 0 < self.ended_ns - stamp_ns < RESTART_NS
         return self if old else replace(self, ended_ns=stamp_ns)

@@ -1,5 +1,5 @@
-"""Intake of plate cycles. It decides which received cycles are sent to the motors and which are
-refused."""
+"""Intake of plate cycles. The intake decides which received cycles are sent to the motors and which
+are refused."""
 
 from __future__ import annotations
 
@@ -35,8 +35,8 @@ class CycleIntake:
     status : callable
         Function that returns the state of the motors.
     decode : callable
-        Function that converts a serialized plate_cycle to the cycle and its stamp [ns]. It raises a
-        PlateError if the message or the cycle is invalid.
+        Function that converts a serialized plate_cycle to the cycle and its stamp [ns]. The
+        function raises a PlateError if the message or the cycle is invalid.
     second_publisher : callable
         Function that returns an error message if several nodes publish plate_cycle, otherwise an
         empty text.

@@ -1,6 +1,6 @@
-"""Driver node. It receives plate cycles, converts them to motor tables within the rig's limits, and
-sends the tables to a transport. If cycles are missing, invalid or too old, the plate comes to
-rest.
+"""Driver node. The driver receives plate cycles, converts them to motor tables within the rig's
+limits, and sends the tables to a transport. If cycles are missing, invalid or too old, the plate
+comes to rest.
 
 The node itself only connects topics, services, timers and parameters with other objects.
 `CycleIntake` accepts or refuses cycles, `Playback` sends their tables, and `TransportOwner` opens
@@ -110,11 +110,11 @@ class DriverNode(SafeLifecycleNode[Options]):
     """Lifecycle node `driver`: keeps plate cycles within the limits and sends them to the motors.
 
     The node subscribes to plate_cycle and task_status. After the end of a task, it refuses the
-    cycles of the task. It always publishes driver_status and diagnostics. While active, it also
-    publishes motor_setpoints and motor_states, and cycle_started if the motors play whole cycles.
-    Services: enable (switches on the motors' current), emergency_stop, cut_power, home, calibrate,
-    measure_friction and write_friction. For the services measure_friction and write_friction, the
-    node subscribes to parts and publishes friction.
+    cycles of the task. The node always publishes driver_status and diagnostics. While active, it
+    also publishes motor_setpoints and motor_states, and cycle_started if the motors play whole
+    cycles. Services: enable (switches on the motors' current), emergency_stop, cut_power, home,
+    calibrate, measure_friction and write_friction. For the services measure_friction and
+    write_friction, the node subscribes to parts and publishes friction.
 
     emergency_stop, cut_power, enable, home and driver_status must work under any message load and
     in every lifecycle state. Therefore a separate node (`driver_safety`) with its own participant

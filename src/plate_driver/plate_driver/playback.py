@@ -68,7 +68,7 @@ class Playback:
         return replace(guard, hold_s=transport.hold_s)
 
     def send(self, transport: TransportThread, guard: Guard, number: int) -> None:
-        """Send the table of `guard`, and store `guard`.
+        """Send the table that the guard contains, and store the guard for the next cycle.
 
         Parameters
         ----------
@@ -92,8 +92,9 @@ class Playback:
     def send_push(
         self, transport: TransportThread, cycle: PlateCycle, stamp_ns: int, now: float
     ) -> float:
-        """Play a motion from rest to rest once, corrected by the calibrated response. Return the
-        factor that scales the motion down to the rig's limits.
+        """Play a motion from rest to rest once. If the plate is calibrated, the command is
+        corrected by the measured response. Return the factor that scales the motion down to the
+        rig's limits.
 
         Raises
         ------

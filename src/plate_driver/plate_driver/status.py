@@ -20,8 +20,8 @@ PERSONS = (DriverReason.EMERGENCY_STOP, DriverReason.POWER_CUT)
 LOOK = "look at the rig, then call enable"
 OFF = "disabled: the motors are off; call enable"
 UNCERTAIN = "error: the last stop was not acknowledged; cut the power by hand"
-"""Text of the status after a stop that the device has not acknowledged. It remains until a message
-of the device arrives again."""
+"""Text of the status after a stop that the device has not acknowledged. This text remains until a
+message of the device arrives again."""
 
 UNANSWERED = "the device does not answer: cut the power by hand"
 """Reply to a stop that the device has not acknowledged."""

@@ -26,11 +26,12 @@ REST_S = 3.0
 
 
 class TransportOwner:
-    """Owner of the driver's transport. It opens and closes the transport, and stops the motors.
+    """Owner of the driver's transport. The owner opens and closes the transport, and stops the
+    motors.
 
     `stop` may be called from any thread and in any lifecycle state. If `stop` opens a temporary
-    transport, this transport is closed when the stop is complete (successful or failed). It is also
-    closed when `open` or `close` is called.
+    transport, this transport is closed when the stop is complete (successful or failed). The
+    temporary transport is also closed when `open` or `close` is called.
 
     Parameters
     ----------

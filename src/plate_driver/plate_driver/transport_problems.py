@@ -1,5 +1,5 @@
 """Record of the problems that the transport reports. The record determines which problems are
-logged. It also detects that the motors no longer play sent cycles."""
+logged. The record also shows when the motors no longer play sent cycles."""
 
 from __future__ import annotations
 

@@ -239,8 +239,8 @@ class Graph(Services):
         return "\n".join([*lines, *(f"  {name}: {text}" for name, text in sorted(nodes.items()))])
 
     def _silent(self, reports: dict[str, Report]) -> list[str]:
-        """Return the nodes that have a publisher of diagnostics but have not published yet. Such
-        nodes are starting or do not respond."""
+        """Return the nodes that have a publisher of diagnostics but have not published yet. A node
+        without diagnostics is starting or does not respond."""
         topic = self.node.resolve_topic_name("diagnostics")
         there = {each.node_name for each in self.node.get_publishers_info_by_topic(topic)}
         return sorted(there & set(self._seen()) - reports.keys())

@@ -58,7 +58,7 @@ PORTS_PER_DOMAIN = 250
 """Number of UDP ports of a ROS domain."""
 
 DOMAINS = range(102)
-"""Domains whose ports are below the ephemeral range."""
+"""ROS domains whose UDP ports are below the range of ephemeral ports."""
 
 
 def start_ros(namespace: str) -> None:

@@ -36,8 +36,8 @@ class PlateCycle:
 
     The spline interpolates pose, twist and acceleration at every knot, so its acceleration is
     continuous. The motion ends in its initial state, at rest at home, or in another state. If the
-    motion ends in another state, the cycle has a tail. This is a motion to rest, which is played if
-    no following cycle begins in the final state.
+    motion ends in another state, the cycle has a tail. The tail is a motion to rest, which is
+    played if no following cycle begins in the final state.
 
     Attributes
     ----------
@@ -365,7 +365,7 @@ def quintic_pieces(
 def evaluate_pieces(times: np.ndarray, pieces: np.ndarray, t: np.ndarray, order: int) -> np.ndarray:
     """Value or derivative (n, 3) of a piecewise polynomial at times t (n,).
 
-    scipy's PPoly gives bitwise equal results. It is not used here, because every node would then
+    scipy's PPoly gives bitwise equal results. PPoly is not used here, because every node would then
     load large parts of scipy.
 
     Parameters

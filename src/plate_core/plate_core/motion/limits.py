@@ -27,15 +27,15 @@ difference between the upper bound and the peak to 1/64."""
 MAX_PIECES = 4000
 """Maximum number of parts that are examined, in addition to the motion's pieces. If more parts are
 needed, the search ends and returns its present upper bound, which is higher than the peak. Only
-motions far beyond all limits need more parts. Other motions need about 20."""
+motions far beyond all limits need more parts. Most motions need about 20 parts."""
 
 GAUSS_U, GAUSS_WEIGHT = np.polynomial.legendre.leggauss(6)
 """Nodes and weights of Gauss-Legendre quadrature with 6 nodes. This quadrature is exact for
 polynomials up to degree 11, and therefore for the square of a quintic."""
 
 Curve = Callable[[np.ndarray, np.ndarray], np.ndarray]
-"""Function that returns values (n, j). Its arguments are the indices (n,) of pieces, and times (n,)
-since the starts of these pieces [s]."""
+"""Function that returns values (n, j). The arguments of the function are the indices (n,) of
+pieces, and times (n,) since the starts of these pieces [s]."""
 
 
 @dataclass(frozen=True)
@@ -77,7 +77,8 @@ def usage(rig: Rig, cycle: PlateCycle, thermal_load: np.ndarray | float = 1.0) -
     Parameters
     ----------
     thermal_load : (4,) or float
-        Allowed `CycleUsage.thermal_load` [-]. It can exceed 1 while the motors are cold.
+        Allowed `CycleUsage.thermal_load` [-]. The allowed load can exceed 1 while the motors are
+        cold.
     """
     limits, parts = rig.limits, cycle.parts
     steps = np.concatenate([np.diff(part.times) for part in parts])
@@ -162,10 +163,11 @@ def _corner_peak(rig: Rig, pose: np.ndarray, steps: np.ndarray) -> float:
     coefficients of k pieces of the plate's pose. `steps` (k,) contains the lengths of the pieces
     [s].
 
-    Let r be a corner of the plate, S = R r, w = theta', and J the rotation by 90 degrees. The
-    corner has the acceleration A = a + w' J S - w^2 S. If abs is the magnitude, the second
-    derivative of A is bounded by abs(A'') <= abs(a'') + abs(r) (abs(w''') + 4 abs(w w'') + 3 w'^2 +
-    6 w^2 abs(w') + w^4).
+    Let r be a corner in the plate's frame, R the rotation by theta, S = R r, w = theta', a the
+    acceleration of the plate's centre, and J the rotation by 90 degrees. The corner has the
+    acceleration A = a + w' J S - w^2 S. If abs is the magnitude, the second derivative of A is
+    bounded by abs(A'') <= abs(a'') + abs(r) (abs(w''') + 4 abs(w w'') + 3 w'^2 + 6 w^2 abs(w') +
+    w^4).
     """
     orders = [derivative(pose, order) for order in range(5)]
     w, w1, w2, w3 = (_largest(order[:, :, 2:], steps)[:, 0] for order in orders[1:])

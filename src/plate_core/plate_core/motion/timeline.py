@@ -14,8 +14,8 @@ from dataclasses import dataclass
 from .cycle import PlateCycle
 
 HANDOVER_S = 4e-3
-"""Time from the publication of a cycle until the device can play it [s]. It contains two messages
-between nodes and the computation of the driver."""
+"""Time from the publication of a cycle until the device can play it [s]. This time covers two
+messages between nodes and the computation of the driver."""
 
 HOLD_CYCLES = 1
 """Default number of plays (executions) of a cycle without a tail, if no other cycle follows. A

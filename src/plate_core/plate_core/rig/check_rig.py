@@ -27,8 +27,8 @@ EXAMPLE_M = 0.005
 about this height."""
 
 FREQUENCIES_HZ = (5.0, 10.0, 20.0, 40.0)
-"""Frequencies in the table of the report [Hz]. They cover the range of the solvers' cycles,
-`consistency.CYCLE_HZ`."""
+"""Frequencies in the table of the report [Hz]. These frequencies cover the range of the solvers'
+cycles, `consistency.CYCLE_HZ`."""
 
 
 class Shake(NamedTuple):

@@ -47,7 +47,7 @@ ODRIVE_SPEED = 32.767
 
 OUTSIDE, BESIDE = 0.5, 0.1
 """Maximum distance of a motor's point from the plate (on a bracket), and the distance above which a
-warning is given. Both are fractions of the plate's longer side."""
+warning is given. Both distances are fractions of the plate's longer side."""
 
 WORST_FIT, GOOD_FIT = 0.15, 0.03
 """Maximum misfit of the image corners, and the misfit above which a warning is given. The misfit is
@@ -66,8 +66,8 @@ HEIGHT_ERROR = 0.1
 height_m`, and the height computed from the lens and the corners."""
 
 PART_SHARE = (0.5, 0.15)
-"""Maximum radius of a part, and the radius above which a warning is given. Both are fractions of
-half the plate's shorter side. Larger parts cannot move."""
+"""Maximum radius of a part, and the radius above which a warning is given. Both radii are fractions
+of half the plate's shorter side. Larger parts cannot move."""
 
 
 class Doubt(NamedTuple):

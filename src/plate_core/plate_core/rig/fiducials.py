@@ -17,7 +17,8 @@ LEAST, MOST = 4, 16
 consistency of their positions."""
 
 NAME = re.compile(r"marker_(0|[1-9]\d{0,3})")
-"""Keys of the markers in a rig file. They contain the numbers of the markers in the dictionary."""
+"""Keys of the markers in a rig file. The values of these keys are the numbers of the markers in the
+dictionary."""
 
 
 @dataclass(frozen=True)

@@ -13,8 +13,8 @@ from ..errors import RigError
 from .rig import Rig
 
 CORNER_PX = 1.0
-"""Assumed error of a corner's coordinates in the image [px]. It is typical of corners that a user
-clicks by hand."""
+"""Assumed error of a corner's coordinates in the image [px]. This error is typical of corners that
+a user clicks by hand."""
 
 PLACE_ERROR = 0.1
 """Maximum error of the camera's position due to corner errors of `CORNER_PX`, as a fraction of its
@@ -42,8 +42,8 @@ def to_home(pose: np.ndarray, point: np.ndarray) -> np.ndarray:
 
 
 def to_plate(pose: np.ndarray, point: np.ndarray) -> np.ndarray:
-    """Express points of plate_home in the frame of the moving plate. This is the inverse of
-    `to_home`."""
+    """Express points of plate_home in the frame of the moving plate. This function is the inverse
+    of `to_home`."""
     cos, sin = np.cos(pose[2]), np.sin(pose[2])
     rotation = np.array([[cos, -sin], [sin, cos]])
     return (np.asarray(point) - pose[:2]) @ rotation
@@ -177,9 +177,9 @@ def camera_place(rig: Rig) -> np.ndarray | None:
     - Only the camera's height z is known (`camera: height_m`). The principal point is assumed to be
       in the middle of the image. Let p be the point of the plate that is visible at the principal
       point, and let the third row of the homography be (h, 1), with h in 1/m. Points x with h x + 1
-      = 0 have depth zero in the camera frame. They are on a line with the distance D = (h p + 1) /
-      norm(h) from p. A camera that is tilted by theta from straight above has D = z (tan theta +
-      cot theta) = 2 z / sin(2 theta), and is above p - z tan(theta) h / norm(h). Without
+      = 0 have depth zero in the camera frame. These points form a line with the distance D = (h p +
+      1) / norm(h) from p. A camera that is tilted by theta from straight above has D = z (tan theta
+      + cot theta) = 2 z / sin(2 theta), and is above p - z tan(theta) h / norm(h). Without
       perspective, h = 0 and the camera is above p. Tilts of more than 45 degrees are treated as 45
       degrees.
     - Neither lens nor height is known. Square pixels and the same principal point are assumed. A

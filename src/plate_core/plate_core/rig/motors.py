@@ -89,9 +89,9 @@ def _support(row: np.ndarray, half: np.ndarray, turn: np.ndarray) -> np.ndarray:
 def reach(motors: Sequence[Motor], load: np.ndarray, half: np.ndarray, limits: Limits) -> Reach:
     """Return the maximum acceleration that the motors can continuously give any point of the plate.
 
-    It is the minimum of two limits. The peak force determines one limit. The continuous force
-    determines the other limit, for motions whose peak force is `PEAK_OVER_RMS` times the root mean
-    square force. `load` and `half` are the same as in `force_per_accel`.
+    The result is the minimum of two limits. The peak force determines one limit. The continuous
+    force determines the other limit, for motions whose peak force is `PEAK_OVER_RMS` times the root
+    mean square force. `load` and `half` are the same as in `force_per_accel`.
     """
     most = force_per_accel(load, half)
     motor = motors[int(np.argmax(most))].name

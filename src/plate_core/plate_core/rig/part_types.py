@@ -62,8 +62,8 @@ LONGEST = 32
 """Maximum length of a name [characters]."""
 
 TAKEN = ("black", "grey", *NAMELESS)
-"""Reserved names. They are the classes of round parts on rigs without types, and the classes of
-objects that match no type."""
+"""Reserved names. These names are the classes of round parts on rigs without types, and the classes
+of objects that match no type."""
 
 CENTRED = 0.03
 """Tolerance of a hole's centre and of the corners of a symmetric outline, as a fraction of the

@@ -53,9 +53,9 @@ class Friction:
 
 @dataclass(frozen=True)
 class PartFacts:
-    """Data of the parts that have no type in `types`. They are identical discs with this mass [kg],
-    radius [m] and height above the plate [m]. The height is 0 if the discs are flat, or if the
-    height is unknown."""
+    """Data of the parts that have no type in `types`. All these parts are identical discs with this
+    mass [kg], radius [m] and height above the plate [m]. The height is 0 if the discs are flat, or
+    if the height is unknown."""
 
     mass_kg: float = measured("mass_kg", 1e-6, 10, "Mass of a part.")
     radius_m: float = measured("radius_m", 1e-4, 1, "Radius of a part.")

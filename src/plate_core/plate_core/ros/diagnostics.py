@@ -39,7 +39,7 @@ class Report(NamedTuple):
 def msg_to_reports(msg: DiagnosticArray) -> Iterator[Report]:
     """Yield the reports in a diagnostics message.
 
-    Other packages often name a status `node: component`. In this case the node's name is the part
+    Other packages often name a status `node: component`. The name of the node is then the text
     before the colon. A status with an unknown level is skipped.
     """
     for status in msg.status:
@@ -57,7 +57,8 @@ class Diagnostics:
     ----------
     node : Node
     find : callable
-        Function of the time [s, steady clock]. It returns the level and the reason for the level.
+        Function of the time [s, steady clock]. The function returns the level and the reason for
+        the level.
     values : callable
         Function that returns the values to publish, by name.
     hardware_id : callable

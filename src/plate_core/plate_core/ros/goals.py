@@ -86,7 +86,7 @@ def scenario_to_goal(scenario: Scenario) -> tuple[str, Any]:
 
 
 def goal_to_scenario(goal: Any) -> Scenario:
-    """Return the scenario of a goal. Its name is the kind of its task.
+    """Return the scenario of a goal. The name of the scenario is the kind of its task.
 
     Raises
     ------

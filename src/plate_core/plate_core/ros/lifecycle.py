@@ -62,10 +62,10 @@ Options = TypeVar("Options", bound=NodeOptions)
 class SafeLifecycleNode(RclpyLifecycleNode, Generic[Options]):
     """A lifecycle node that always calls `rest` before it stops being active.
 
-    A subclass creates its objects in `configure`, by the methods `managed_...` or by `keep`. It
-    implements `begin`, `rest`, `release` and `retune` if it needs them. Managed objects work only
-    while the node is active and are destroyed at clean-up. `run_node` calls `start_nodes`, which
-    configures and activates the node unless its parameter `autostart` is false.
+    A subclass creates its objects in `configure`, by the methods `managed_...` or by `keep`. A
+    subclass implements `begin`, `rest`, `release` and `retune` if necessary. Managed objects work
+    only while the node is active and are destroyed at clean-up. `run_node` calls `start_nodes`,
+    which configures and activates the node unless its parameter `autostart` is false.
 
     Parameters
     ----------
@@ -112,8 +112,8 @@ class SafeLifecycleNode(RclpyLifecycleNode, Generic[Options]):
         """Apply `options` after a live parameter has changed. This method is called only while the
         node is configured.
 
-        Raise a `PlateError` if the options are inconsistent. In this case the previous options are
-        kept.
+        Raise a `PlateError` if the options are inconsistent. After this error, the previous options
+        remain in use.
         """
 
     # Methods by which a subclass creates objects
@@ -123,8 +123,8 @@ class SafeLifecycleNode(RclpyLifecycleNode, Generic[Options]):
         self._kept += [(destroy, thing) for thing in things]
 
     def managed_publisher(self, kind: type, topic: str, qos: QoSProfile) -> Any:
-        """Return a publisher that publishes only while the node is active. It puts the value of the
-        parameter `frame_prefix` before the names of this project's frames."""
+        """Return a publisher that publishes only while the node is active. The publisher puts the
+        value of the parameter `frame_prefix` before the names of this project's frames."""
         publisher = self.create_lifecycle_publisher(kind, topic, qos)
         prefix, publish = self.options.frame_prefix, publisher.publish
 
@@ -224,7 +224,7 @@ class SafeLifecycleNode(RclpyLifecycleNode, Generic[Options]):
         the node and, after an error, the reason.
 
         Call this method in the constructor. The parameters are the same as in `Diagnostics`, except
-        `hardware_id`. It is a text, not a function. Default: the name of the rig.
+        `hardware_id`. This argument is a text, not a function. Default: the name of the rig.
         """
 
         def idle() -> Finding:
@@ -387,7 +387,8 @@ def start_nodes(*nodes: SafeLifecycleNode[Any]) -> None:
     Raises
     ------
     Exception
-        The exception of the transition that failed. It is a `PlateError` for wrong input.
+        The exception of the transition that failed. For wrong input, the exception is a
+        `PlateError`.
     """
     own = [node for node in nodes if node.options.autostart]
     for trigger in ("trigger_configure", "trigger_activate"):

@@ -1,7 +1,8 @@
-"""Main functions of all node programs. They start, spin and cleanly stop one or several nodes.
+"""Main functions of all node programs. These functions start, spin and cleanly stop one or several
+nodes.
 
 `run_node` runs one node, `run_nodes` several in one process. Both functions handle signals, wrong
-parameters and the end of the parent process. They destroy the nodes within a time limit.
+parameters and the end of the parent process. Both functions destroy the nodes within a time limit.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""Markers for RViz and Foxglove, in metres in plate_home. They are only for display."""
+"""Markers for RViz and Foxglove, in metres in plate_home. The markers are only for display."""
 
 from __future__ import annotations
 

@@ -117,8 +117,8 @@ def _refuse_unknown(node: Node, known: Sequence[str], moved: Mapping[str, str]) 
 
     Such a parameter is misspelled or belongs to an earlier version. For parameters of earlier
     versions, `moved` maps the name to the description of the replacement. If such a parameter
-    occurs only in a wildcard section of a parameter file, it may be for other nodes. In this case
-    it is not refused, and only a warning is logged.
+    occurs only in a wildcard section of a parameter file, it may be for other nodes. The parameter
+    is then not refused, and only a warning is logged.
     """
     names = [
         name

@@ -36,8 +36,8 @@ NEWEST = QoSProfile(
     reliability=ReliabilityPolicy.RELIABLE,
     durability=DurabilityPolicy.VOLATILE,
 )
-"""Profile for messages whose processing takes long. A slow receiver processes only the newest
-message."""
+"""Profile for messages that take a receiver a long time to process. A slow receiver processes only
+the newest message."""
 
 LATCHED = QoSProfile(
     history=HistoryPolicy.KEEP_LAST,

@@ -73,7 +73,7 @@ def usage(start: str, node: Any, options: type | None) -> str:
     start : str
         Command that starts the program.
     node : class
-        Node class. Its docstring describes the node, its topics and its services.
+        Node class. The docstring of the class describes the node, its topics and its services.
     options : class, optional
         Dataclass of the parameters, as for `declare`.
     """

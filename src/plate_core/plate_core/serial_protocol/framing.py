@@ -15,7 +15,7 @@ byte."""
 
 CRC_BYTES = 4
 END = 0
-"""The byte that ends a frame. It occurs nowhere else in a frame."""
+"""The byte that ends a frame. This byte occurs nowhere else in a frame."""
 
 
 def frame(packet: bytes) -> bytes:
@@ -66,8 +66,8 @@ def unframe(encoded: bytes) -> bytes:
 
 @dataclass(frozen=True)
 class Reader:
-    """Decoder that splits a stream of bytes into packets. It can receive the stream in pieces of
-    any size.
+    """Decoder that splits a stream of bytes into packets. The decoder can receive the stream in
+    pieces of any size.
 
     Attributes
     ----------

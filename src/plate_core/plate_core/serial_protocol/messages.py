@@ -29,8 +29,8 @@ KNOTS_PER_MESSAGE = 4
 """Maximum number of knots in one packet."""
 
 MAX_PULSE_MS = 8
-"""Maximum pulse length of the camera's trigger line [ms]. This is shorter than the shortest table,
-so that the line is low again before the next pulse."""
+"""Maximum pulse length of the camera's trigger line [ms]. A pulse must be shorter than the shortest
+table, so that the line is low again before the next pulse."""
 
 HEADER = struct.Struct("<BH")
 
@@ -137,8 +137,8 @@ class Heartbeat:
 
 @dataclass(frozen=True)
 class Enable:
-    """Host: enable the motors, because a person has checked the rig. This ends the stop with the
-    number `stop`. The device finds home if necessary, and holds the plate at home.
+    """Host: enable the motors, because a person has checked the rig. The command ends the stop with
+    the number `stop`. The device finds home if necessary, and holds the plate at home.
 
     `stop` is the number of the stop in the telemetry. An Enable with another number is refused.
     """

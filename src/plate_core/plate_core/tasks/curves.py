@@ -18,7 +18,8 @@ FEWEST_CHORDS, MAX_CHORDS = 12, 4000
 def circle_points(
     centre: tuple[float, float], radius: float, start: float, leftwards: bool
 ) -> np.ndarray:
-    """Return the corners (n, 2) [m] of a polygon on a circle. The first corner is not repeated.
+    """Return the corners (n, 2) [m] of a polygon on a circle. The result does not repeat the first
+    corner at its end.
 
     Parameters
     ----------

@@ -31,7 +31,7 @@ WHOLE = 1e-6
 """Tolerance of the sum of fractions, which must be 1."""
 
 FULL = ((-math.inf, -math.inf), (math.inf, math.inf))
-"""Default pick window. It is infinite, and `pick_window` limits it to the plate."""
+"""Default pick window. This window is infinite, and `pick_window` limits it to the plate."""
 
 
 def read_feed(fields: Fields, parts: Sequence[PartGroup]) -> FeedTask:
@@ -141,9 +141,9 @@ def _space_problem(pick: Pick, clearance_m: float, rig: Rig) -> str:
     """Return the reason why the window is too small for `pick.ready` parts. Return "" if it may be
     large enough.
 
-    The estimate replaces each part by a disc. This is the largest disc about the part's centre
-    inside its outline, enlarged by half the clearance. These discs must not overlap, and their
-    centres must be inside the window.
+    The estimate replaces each part by a disc. The disc is the largest disc about the part's centre
+    inside the part's outline, enlarged by half the clearance. These discs must not overlap, and
+    their centres must be inside the window.
     """
     from shapely import Point, Polygon
 
@@ -241,7 +241,7 @@ def as_picked(parts: Parts, pick: Pick, rig: Rig) -> np.ndarray:
 
 def free_gap(parts: Parts, rig: Rig) -> np.ndarray:
     """Return the distance (M,) [m] between the edge of each part and the nearest edge of another
-    part. It is at most 0 if parts overlap, and infinite if there is no other part."""
+    part. The distance is at most 0 if parts overlap, and infinite if there is no other part."""
     types = [rig.part_type(part_class(name)) for name in parts.ids]
     count, reach = len(parts), np.array([kind.reach_m for kind in types])
     if count < 2:

@@ -1,6 +1,6 @@
-"""Calibration procedure. It plays a known motion along each of x, y and theta, and computes the
-plate's frequency response from the motors' sensors. Its inputs are sensor samples. Its outputs are
-the cycles to play and a `Response`, which is stored in a .npz file."""
+"""Calibration procedure. The calibration plays a known motion along each of x, y and theta, and
+computes the plate's frequency response from the motors' sensors. The inputs are sensor samples. The
+outputs are the cycles to play and a `Response`, which is stored in a .npz file."""
 
 from __future__ import annotations
 
@@ -102,8 +102,8 @@ class Calibration:
 
     @property
     def cycle(self) -> PlateCycle | None:
-        """The cycle to play now. It is played `settle` times until the motion is periodic, then
-        `measure` times for the measurement. None after the last experiment."""
+        """The cycle to play now. The cycle is played `settle` times until the motion is periodic,
+        then `measure` times for the measurement. None after the last experiment."""
         done = len(self.measured)
         return self.cycles[done] if done < len(self.cycles) else None
 

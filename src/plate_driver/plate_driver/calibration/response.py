@@ -1,11 +1,11 @@
 """Frequency response of the plate, and correction of commands by its inverse.
 
-A plate on flexures amplifies, delays and couples the commanded motions of x, y and theta. Its
-response to a command of frequency f is the complex 3 x 3 matrix H(f). H is computed from the
-accelerations that the motors' sensors measure while known cycles are repeated. The command for a
-requested motion is H^-1 times this motion. Later measurements correct H by Broyden's update, which
-changes only the excited components. The errors decrease with each update, even for motions that
-were not measured.
+A plate on flexures amplifies, delays and couples the commanded motions of x, y and theta. The
+response of the plate to a command of frequency f is the complex 3 x 3 matrix H(f). H is computed
+from the accelerations that the motors' sensors measure while known cycles are repeated. The command
+for a requested motion is H^-1 times this motion. Later measurements correct H by Broyden's update,
+which changes only the excited components. The errors decrease with each update, even for motions
+that were not measured.
 
 Amplitudes are complex, (k, 3): a(t) = sum over k of Re(A_k exp(2 pi i f_k t)) [m/s2, m/s2, rad/s2].
 """
@@ -155,7 +155,8 @@ class Response:
         commanded, measured : (n, 3)
             Amplitudes at `frequency`.
         trust : float
-            Fraction of the correction that is applied. It should be less than 1 for noisy sensors.
+            Fraction of the correction that is applied. The fraction should be less than 1 for noisy
+            sensors.
         """
         requested, got = commanded * self._scale, measured * self._scale
         power = np.sum(np.abs(requested) ** 2, axis=1)
@@ -297,7 +298,7 @@ def excitation(
     axis : int
         0: x, 1: y, 2: theta.
     accel : float
-        Root mean square of the acceleration [m/s2]. For theta, it is the acceleration of the
+        Root mean square of the acceleration [m/s2]. For theta, `accel` is the acceleration of the
         plate's corners.
     rng : numpy.random.Generator
         Generator for the phases. The phases are random, because a motion with equal phases would

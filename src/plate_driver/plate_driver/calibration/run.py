@@ -29,7 +29,8 @@ class CalibrationRun:
     latch : Latch
     clocks : Clocks
     log : callable
-        Function that logs a text. Its second argument states whether the text is an error.
+        Function that logs a text. The second argument of the function states whether the text is an
+        error.
 
     Attributes
     ----------

@@ -31,8 +31,8 @@ FIRST_G = 0.08
 """Acceleration of the first push [g]."""
 
 SLOW_G = 0.01
-"""Acceleration of slow motions until the first slip is known [g]. It is small, because parts must
-not slide in slow motions. Otherwise their friction would be overestimated."""
+"""Acceleration of slow motions until the first slip is known [g]. The acceleration is small,
+because parts must not slide in slow motions. If they did, their friction would be overestimated."""
 
 SEARCH_FACTOR = 1.25
 """Ratio of the accelerations of two successive pushes in the search stage."""
@@ -108,7 +108,8 @@ RANGE = 2.4
 """Ratio of the maximum mu to the minimum mu that one push can measure."""
 
 CURVE = 80
-"""Number of values of mu in the table of the slip. They cover the range `RANGE` of a push."""
+"""Number of values of mu in the table of the slip. These values cover the range `RANGE` of a
+push."""
 
 AGREE = 0.05
 SURE = 3.0

@@ -70,8 +70,8 @@ class FrictionServer:
     Parameters
     ----------
     driver : SafeLifecycleNode
-        Node that owns the services, the topic and the subscriptions. Its parameter `rig_file` names
-        the file that `write_friction` changes.
+        Node that owns the services, the topic and the subscriptions. The node's parameter
+        `rig_file` names the file that `write_friction` changes.
     playback : Playback
     transports : TransportOwner
     intake : CycleIntake
@@ -205,7 +205,7 @@ class FrictionServer:
             self._after_ns = nanoseconds(msg.header.stamp) + round(1e9 * length_s)
 
     def watch(self, now: float) -> None:
-        """Continue the measurement at `now` [s, playback clock]."""
+        """Continue the measurement at the time `now` on the playback clock [s]."""
         try:
             # The number of stops also shows a stop after which the motors were enabled again.
             if self._latch.number != self._stops:

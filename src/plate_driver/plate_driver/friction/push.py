@@ -1,18 +1,19 @@
 """One push of the plate along x or y for measuring friction, and the slip of a part in this push.
 
-The plate accelerates from rest with the acceleration a over the distance A. Then it brakes with the
-deceleration k a. Finally it returns home so slowly that no part slides. A part on the plate sticks
-while a <= mu_s g. Otherwise it slips by Coulomb's law (docs/model.md, Friction (1)). Let r = mu
-g/a. While the plate accelerates, the part slips by (1 - r) A. At the end of the acceleration, after
-the time t with A = a t^2/2, the velocities of plate and part differ by w = (a - mu g) t. This
-difference decreases at the rate mu g + k a, during which the part slips by another w^2/(2 (mu g + k
-a)) = A (1 - r)^2/(r + k). If k a <= mu g, the part then sticks, and the slip of the whole push is
+The plate accelerates from rest with the acceleration a over the distance A. Then the plate brakes
+with the deceleration k a. Finally the plate returns home so slowly that no part slides. A part on
+the plate sticks while a <= mu_s g. At larger accelerations, the part slips by Coulomb's law
+(docs/model.md, Friction (1)). Let r = mu g/a. While the plate accelerates, the part slips by (1 -
+r) A. At the end of the acceleration, after the time t with A = a t^2/2, the velocities of plate and
+part differ by w = (a - mu g) t. This difference decreases at the rate mu g + k a, during which the
+part slips by another w^2/(2 (mu g + k a)) = A (1 - r)^2/(r + k). If k a <= mu g, the part then
+sticks, and the slip of the whole push is
 
     s = A (1 - r) (1 + k)/(r + k)
 
 Therefore the smallest a that causes a slip determines static friction, and s determines dynamic
-friction. The function `slip` integrates the same law over the commanded motion with its ramps. Its
-result is valid for all a.
+friction. The function `slip` integrates the same law over the commanded motion with its ramps. The
+result of `slip` is valid for all a.
 """
 
 from __future__ import annotations
@@ -65,7 +66,7 @@ class Push:
     accel : float
         Maximum acceleration [m/s2].
     cycle : PlateCycle
-        Motion from rest at home to the end of the push. Its tail is the slow return.
+        Motion from rest at home to the end of the push. The tail of this cycle is the slow return.
     """
 
     axis: int

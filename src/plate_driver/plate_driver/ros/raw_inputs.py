@@ -37,11 +37,12 @@ STALLED_S = 0.05
 
 SETTLE_S = 0.01
 """Time for which the process waits after a stall, so that it receives all waiting messages [s].
-Without this wait, the end of a task could be processed after a later cycle."""
+Without this wait, a cycle could be processed before an earlier message that reports the end of its
+task."""
 
 Process = Callable[[bytes, int, bytes], None]
-"""Callback for a message. Its arguments are the first bytes of the serialized message, its length
-[bytes], and a key that identifies the publisher."""
+"""Callback for a message. The arguments of the callback are the first bytes of the serialized
+message, the length of the message [bytes], and a key that identifies the publisher."""
 
 
 class RawInput(NamedTuple):

@@ -43,9 +43,9 @@ ACKNOWLEDGED_S = 0.5
 """Maximum time to wait for the acknowledgement of the last messages [s]."""
 
 END_S = 10.0
-"""Maximum time to wait for the end of the spinning thread and the service threads [s]. It is long,
-because on a busy machine a thread may not run for half a second. A thread that still runs when the
-interpreter ends would crash the process."""
+"""Maximum time to wait for the end of the spinning thread and the service threads [s]. This time is
+long, because on a busy machine a thread may not run for half a second. A thread that still runs
+when the interpreter ends would crash the process."""
 
 STILL_S = 1.0
 """Maximum stall of the driver [s]. After a longer stall, the driver refuses calls of enable and

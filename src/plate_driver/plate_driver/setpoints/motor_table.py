@@ -40,7 +40,7 @@ Correction = Callable[[PlateCycle], PlateCycle]
 @dataclass(frozen=True)
 class MotorTable:
     """Motor setpoints of a cycle. The motion begins at rest at home, or in the final state of
-    another table's cycle. It ends at rest at home.
+    another table's cycle. The motion ends at rest at home.
 
     A table with a tail is played once. At the end of its cycle, the next table starts if it begins
     in exactly the final state of the cycle. Otherwise the tail brings the plate to rest. A table
@@ -244,8 +244,8 @@ def unspliced(cycle: PlateCycle) -> PlateCycle:
 def _corrected(
     rig: Rig, fitted: Fit, correction: Correction, thermal_load: np.ndarray | float
 ) -> tuple[PlateCycle, Fit]:
-    """Return the corrected command, and the requested motion of the plate. Both are scaled down
-    until the command is also within the limits."""
+    """Return the corrected command, and the requested motion of the plate. Both motions are scaled
+    down until the command is also within the limits."""
     # Forces are not checked, because they depend on the actual motion and not on the command.
     moving = replace(rig.limits, force=np.inf, continuous_force=np.inf)
     shorter = fit(replace(rig, limits=moving, suspension=None), correction(fitted.cycle))
@@ -320,7 +320,8 @@ def reversed_in_time(cycle: PlateCycle) -> PlateCycle:
 def _faded_in(cycle: PlateCycle) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
     """Return the knots of s(t/T) times the pose: times (n + 1,), and pose, twist, accel (n + 1, 3).
 
-    s(u) = 10 u^3 - 15 u^4 + 6 u^5 rises from 0 to 1. Its first two derivatives are 0 at both ends.
+    s(u) = 10 u^3 - 15 u^4 + 6 u^5 rises from 0 to 1. The first two derivatives of s are 0 at both
+    ends.
     """
     pieces = -(-MIN_KNOTS // (len(cycle.times) - 1))  # the quotient is rounded up
     steps = np.arange(pieces) / pieces

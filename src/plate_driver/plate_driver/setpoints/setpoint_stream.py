@@ -1,6 +1,6 @@
 """Conversion of successive motor tables to one continuous stream of setpoints, for devices that
 receive setpoints instead of whole tables. Inputs are motor tables. The outputs are knots in the
-format of the serial protocol. Their times are at most `MAX_S` apart."""
+format of the serial protocol. The times of two successive knots differ by at most `MAX_S`."""
 
 from __future__ import annotations
 
@@ -167,7 +167,7 @@ def densest(table: MotorTable, repeats: int, window_s: float) -> int:
 
 
 def _parts(table: MotorTable) -> tuple[MotorTable, ...]:
-    """Return a table and, if it has one, its tail."""
+    """Return the table, followed by its tail if the table has a tail."""
     return (table,) if table.tail is None else (table, table.tail)
 
 

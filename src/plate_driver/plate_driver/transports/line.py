@@ -179,7 +179,8 @@ class LineModel:
         return float(max(self.answered, 1e-6) ** (size / ROUND_BYTES))
 
     def copies(self, size: int) -> int:
-        """Return the number of copies of a frame of which one arrives on average."""
+        """Return the number of copies that must be sent so that one copy of a frame arrives on
+        average."""
         if not self.lossy:
             return 1
         return min(MAX_COPIES, max(1, ceil(1 / self.arriving(size) - 0.25)))

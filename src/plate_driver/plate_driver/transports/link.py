@@ -61,8 +61,8 @@ table."""
 
 QUEUE_S = 0.008
 """More bytes are sent only if the transmission of the queued bytes takes at most this time [s].
-This time is longer than the poll period (5 ms), so that the line stays busy. It is so short that a
-stop does not wait long for earlier bytes."""
+This time is longer than the poll period (5 ms), so that the line stays busy. The time is also so
+short that a stop does not wait long for earlier bytes."""
 
 KNOTS_ANSWER_S = 0.01
 """Maximum time in which the device answers a message with knots, in addition to the round trip

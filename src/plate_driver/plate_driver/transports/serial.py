@@ -74,7 +74,8 @@ HOME_ANSWER_S = 1.0
 
 READY_S = 8.0
 """Maximum time from an enable command until the motors are ready, in addition to four round trips
-[s]. It consists of 5 s for the search for home, 0.5 s for the motion to home, and a margin."""
+[s]. The value consists of 5 s for the search for home, 0.5 s for the motion to home, and a
+margin."""
 
 ROUNDING = 1e-5
 """Relative difference up to which a limit of the device counts as equal to the rig's limit. The
