@@ -1,8 +1,8 @@
-"""The running or last task, and the state of the parts, which is also estimated without a task.
-This module does not use ROS.
+"""Runs the task of the planner. The state of the parts is also estimated while no task runs. This
+module does not use ROS.
 
 `TaskRunner` passes each event (image, cycle start, cycle, targets, order) to the pure functions of
-`Planner` and keeps the state that they return. If no task runs, it updates only the estimator.
+`Planner` and stores the state that they return. If there is no task, it updates only the estimator.
 """
 
 from __future__ import annotations
@@ -20,7 +20,8 @@ from .supervision import Failure, Overlooked, Phase, Progress, Reason, TaskState
 __all__ = ["Run", "TaskRunner"]
 
 BY_PERSON = (Reason.STOPPED, Reason.CANCELED, Reason.PREEMPTED)
-"""Reasons why a user ends a task. Such an end is not a failure."""
+"""Reasons for the end of a task that a user has requested. An end with such a reason is not a
+failure."""
 
 
 @dataclass
@@ -80,10 +81,10 @@ class TaskRunner:
     Attributes
     ----------
     run : Run or None
-        The running task, or the last task if none runs. None if there was no task, or after
-        `forget`.
+        Running task, or the last task if no task runs. None if there was no task yet, or after a
+        call of `forget`.
     overlooked : Overlooked
-        Objects in the images that vision does not publish as parts.
+        Objects in the images that the detector does not publish as parts.
     """
 
     def __init__(self, rig: Rig, options: PlannerOptions) -> None:
@@ -103,11 +104,11 @@ class TaskRunner:
         return self.run if self.run is not None and self.run.running else None
 
     def seen_without_task(self, stamp: float) -> bool:
-        """Whether the last image before the task has this stamp [s]."""
+        """Whether the last image before the task has the stamp `stamp` [s]."""
         return stamp == self._idle.stamp
 
     def begin(self, planner: Planner, goal: Any, now: float) -> None:
-        """Begin a task at `now` [s, steady clock]. `goal` is its goal handle."""
+        """Begin a task at the time `now` [s, steady clock]. `goal` is the task's goal handle."""
         state = planner.start(planner.initial(self.estimator))
         self.run, self._others_reported = Run(planner, state, now, goal), False
 
@@ -119,7 +120,7 @@ class TaskRunner:
         return run is not None
 
     def forget(self) -> None:
-        """Forget the last task, but keep the estimated state of the parts."""
+        """Delete the last task, but keep the estimated state of the parts."""
         self._idle, self.run = self.estimator, None
 
     def set_options(self, options: PlannerOptions) -> None:
@@ -130,8 +131,8 @@ class TaskRunner:
     # Events
 
     def record_image(self, things: tuple[OverlookedThing, ...], parts: Parts) -> str:
-        """Record the objects of an image that vision does not publish as parts. Return a warning if
-        there are objects that do not belong to the task, but at most once per task. Otherwise
+        """Record the objects of an image that the detector does not publish as parts. If there are
+        objects that do not belong to the task, return a warning, at most once per task. Otherwise
         return ""."""
         self.overlooked.add(things, parts)
         text = "" if self._others_reported else self.others()
@@ -139,23 +140,23 @@ class TaskRunner:
         return text
 
     def see(self, parts: Parts, stamp: float) -> None:
-        """Record the parts of an image with this stamp [s], without computing a request."""
+        """Record the parts of an image with the stamp `stamp` [s]. Do not compute a request."""
         if self.run is None:
             self._idle = self._idle.update(parts, stamp)
         else:
             self.run.state = self.run.planner.see(self.run.state, parts, stamp)
 
     def record_start(self, cycle: PlateCycle, begin: float, triggered: bool) -> None:
-        """Record that the plate began a cycle at `begin` [s, the time of the stamps]. `triggered`
-        states whether images are taken at cycle starts."""
+        """Record that the plate began a cycle at the time `begin` [s, in the time of the image
+        stamps]. `triggered` states whether images are taken at cycle starts."""
         if self.run is None:
             self._idle = self._idle.started(cycle, begin, triggered)
         else:
             self.run.state = self.run.planner.started(self.run.state, cycle, begin, triggered)
 
     def record_cycle(self, cycle: PlateCycle, arrival: float, requested: float) -> None:
-        """Record a cycle from the solver that arrived at `arrival` [s, the time of the stamps].
-        `requested` [s] is the stamp of the request for this cycle."""
+        """Record a cycle from the solver that arrived at the time `arrival` [s, in the time of the
+        image stamps]. `requested` [s] is the stamp of the request from which this cycle results."""
         if self.run is None:
             self._idle = self._idle.record_cycle(cycle, arrival, requested)
         else:
@@ -166,7 +167,8 @@ class TaskRunner:
     # Results
 
     def plan(self, run: Run, parts: Parts, stamp: float) -> CycleRequest:
-        """Return the request for an image that was taken at the start of a cycle."""
+        """Record an image that was taken at the start of a cycle, and return the request for the
+        next cycle."""
         run.state, request, run.progress = run.planner.plan(run.state, parts, stamp)
         return request
 
@@ -176,7 +178,8 @@ class TaskRunner:
         return request
 
     def retarget(self, targets: tuple[PartTarget, ...]) -> tuple[str, ...]:
-        """Change targets of a running `move` task. Return the reasons for refused targets.
+        """Change targets of parts in the running `move` task. Return the reasons why targets were
+        refused.
 
         Raises
         ------
@@ -195,7 +198,7 @@ class TaskRunner:
         Raises
         ------
         PlateError
-            If no `feed` task runs, or if the order does not fit.
+            No `feed` task runs, or the order is infeasible.
         """
         run = self.run
         if run is None:
@@ -204,13 +207,13 @@ class TaskRunner:
 
     @property
     def targets(self) -> tuple[PartTarget, ...]:
-        """Targets of a running `move` task. Empty if no such task runs."""
+        """Targets of the parts in the running `move` task. Empty if no `move` task runs."""
         task = None if self.running is None else self.running.planner.scenario.task
         return task.targets if isinstance(task, MoveTask) else ()
 
     def others(self) -> str:
-        """Return a text on objects that do not belong to the task. Return "" if there are none, or
-        if no task moves parts."""
+        """Return a text about objects on the plate that do not belong to the task. Return "" if
+        there are no such objects, or if no task moves parts."""
         run = self.run
         if run is None or not run.task.active:
             return ""

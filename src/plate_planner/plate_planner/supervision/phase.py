@@ -1,7 +1,8 @@
-"""State machine of a task: its phase, and the time and the reason of its end.
+"""State machine of a task. Its state contains the phase of the task, and the time and the reason of
+the task's end.
 
-Done, stuck, lost part and aborted are final phases. Only a new start leaves a final phase. All
-functions are pure: they take a state and return the new state.
+The phases done, stuck, lost part and aborted are final. Only a new start ends a final phase. All
+functions are pure. They receive a state as an argument, and return the new state.
 """
 
 from __future__ import annotations
@@ -17,7 +18,7 @@ from plate_core import Parts, part_class
 from plate_core.tasks import Scenario
 
 TIME_TOLERANCE_S = 1e-6
-"""Times that differ by less than this value count as equal [s], because stamps are rounded to
+"""Tolerance of the comparison of times [s]. It is necessary because stamps are rounded to
 nanoseconds."""
 
 
@@ -25,8 +26,8 @@ LOOK = "look at the topic detections_image"
 """Advice for the user if parts are not detected."""
 
 STILL_S = 3.0
-"""If the distance to the goal has decreased within this time, the task counts as still making
-progress [s]."""
+"""If the distance to the goal has decreased within the last interval of this length, the task is
+still making progress [s]."""
 
 
 class Phase(StrEnum):
@@ -41,12 +42,12 @@ class Phase(StrEnum):
 
     @property
     def is_failure(self) -> bool:
-        """Whether the task ended without success."""
+        """Whether this phase is the end of a task without success."""
         return self in (Phase.STUCK, Phase.LOST, Phase.ABORTED)
 
     @property
     def is_end(self) -> bool:
-        """Whether the task has ended, with or without success."""
+        """Whether this phase is the end of a task, with or without success."""
         return self is Phase.DONE or self.is_failure
 
 
@@ -84,24 +85,24 @@ class Failure(NamedTuple):
 
 @dataclass(frozen=True)
 class TaskLimits:
-    """Time limits of a task. Times are differences of stamps [s]: stamps of images if images are
-    taken at cycle starts, otherwise stamps of cycle starts.
+    """Time limits of a task. Times are measured as differences of stamps [s]. If images are taken
+    at cycle starts, these are the stamps of images, otherwise the stamps of cycle starts.
 
     Attributes
     ----------
     time_limit_s : float
         Maximum duration of the task.
     hold_s : float
-        Time for which the goal must be met until the task is done.
+        Duration for which the goal must be met until the task is done.
     start_timeout_s : float
-        Maximum time from `start` until all parts are detected.
+        Maximum time from the start of the task until all parts are detected.
     unseen_timeout_s : float
         Time without a detection after which a part counts as lost.
     stuck_timeout_s : float
         Time without progress towards the goal after which the task counts as stuck.
     nearer_m : float
-        Minimum decrease of the distance to the goal that counts as progress [m]. The distance is
-        the sum over the parts.
+        Minimum decrease of the distance to the goal that counts as progress [m]. This distance is
+        summed over the parts.
     """
 
     time_limit_s: float
@@ -114,28 +115,32 @@ class TaskLimits:
 
 @dataclass(frozen=True)
 class TaskState:
-    """State of the supervision. Times are stamps [s]. Times are None if the event has not happened.
+    """State of a task's supervision. Times are stamps [s]. A time is None if its event has not
+    happened.
 
     Attributes
     ----------
     phase : Phase
     reason : Reason
-        Why the task ended.
+        Reason why the task ended.
     detail : str
-        Description of the end: the result if the task is done, otherwise the cause and a remedy.
+        Text about the end of the task. It contains the result if the task is done, otherwise the
+        cause and a remedy.
     waiting_since : float or None
         Stamp of the first image after the call of `start`.
     began : float or None
-        Start of the task: stamp of the second image that shows the same complete set of parts.
+        Start of the task. It is the stamp of the second image that shows the same complete set of
+        parts.
     ended : float or None
         Stamp of the image at which the task ended.
     missing_since : tuple of (str, float)
-        Parts that are not detected, each with the time since which it has not been detected.
+        Names of the parts that are not detected. For each part, the time since which it has not
+        been detected.
     met_since : float or None
-        Time since which the detected parts have met the goal.
+        Time since which the detected parts have met the goal without interruption.
     nearest_m, nearest_at : float
-        Minimum distance to the goal so far [m], and its time [s]. The distance is the sum over the
-        parts.
+        Minimum distance to the goal so far [m], and the time at which it was reached [s]. The
+        distance is summed over the parts.
     """
 
     phase: Phase = Phase.IDLE
@@ -151,13 +156,13 @@ class TaskState:
 
     @property
     def active(self) -> bool:
-        """Whether the task moves parts now."""
+        """Whether the task runs and has begun to move parts."""
         return self.phase is Phase.RUNNING and self.began is not None
 
     @property
     def text(self) -> str:
-        """Description of the phase. At the end, it contains the time and the reason: `done after
-        14.1 s: 10 of 10 parts ...`."""
+        """Text about the phase. When the task has ended, the text contains the duration and the
+        reason, for example `done after 14.1 s: 10 of 10 parts ...`."""
         if not self.phase.is_end:
             return self.phase.value
         time = ""
@@ -166,24 +171,25 @@ class TaskState:
         return f"{self.phase.value}{time}" + (f": {self.detail}" if self.detail else "")
 
     def held(self, t: float, limits: TaskLimits) -> bool:
-        """Whether the goal has been met for `hold_s`.
+        """Whether the goal has been met for the time `hold_s` in `limits`.
 
-        If so, the plate must come to rest, and then an image must show all parts.
+        The task is then done after the plate has come to rest and an image shows all parts.
         """
         met = self.active and self.met_since is not None
         return met and t - (self.met_since or 0.0) >= limits.hold_s - TIME_TOLERANCE_S
 
     def elapsed(self, t: float) -> float:
-        """Time from the start of the task to `t` or to its end [s]. It is 0 if a clock was set
-        back."""
+        """Return the time from the start of the task to the time t, or to its end if the task has
+        ended [s]. The result is 0 if a clock was set back."""
         if self.began is None:
             return 0.0
         return max(0.0, (t if self.ended is None else self.ended) - self.began)
 
 
 def missing_parts(scenario: Scenario, known: tuple[str, ...], parts: Parts) -> tuple[str, ...]:
-    """Return the missing parts of the scenario. A part is named by its id if the id is in `known`,
-    otherwise by its class."""
+    """Return names of the scenario's parts that are missing. If the ids of missing parts are in
+    `known`, the names are these ids. Otherwise, the name contains the class and the number of
+    missing parts."""
     there = Counter(part_class(i) for i in parts.ids)
     names: list[str] = []
     for label, wanted in Counter(scenario.labels).items():
@@ -208,9 +214,10 @@ def begin(
     limits: TaskLimits,
     others: str = "",
 ) -> TaskState:
-    """Begin a requested task when two images show the same complete set of parts.
+    """Return the state after an image, before the task has begun. The task begins when two images
+    show the same complete set of parts.
 
-    A single image is not sufficient, because vision may mistake a reflection for a part.
+    A single image is not sufficient, because the detector may mistake a reflection for a part.
 
     Parameters
     ----------
@@ -220,10 +227,11 @@ def begin(
     missing : tuple of str
         Names of the parts of the scenario that are not detected.
     again : bool
-        Whether the parts are the same as in the last image that showed all parts.
+        Whether the image shows the same parts as the last image that showed all parts.
     limits : TaskLimits
     others : str
-        Text on other objects on the plate, which may be missing parts. Empty if there are none.
+        Text about other objects on the plate, which may be missing parts. Empty if there are no
+        such objects.
     """
     if state.phase is not Phase.RUNNING or state.began is not None:
         return state
@@ -240,14 +248,14 @@ def begin(
 
 
 STOP = Failure(Reason.STOPPED, "stopped")
-"""Failure for a stop by the service."""
+"""Failure of a task that the service `stop` has ended."""
 
 
 def stopped(state: TaskState, t: float | None, why: Failure = STOP) -> TaskState:
-    """Return the state after a stop.
+    """Return the state of a task after it was stopped.
 
-    A running task is aborted at stamp t [s]. t is None if there was no image. If no task runs, the
-    phase becomes idle.
+    If the task runs, it is aborted at the stamp t [s]. t is None if no image has arrived yet. If
+    the task does not run, its phase becomes idle.
     """
     if state.phase is not Phase.RUNNING:
         return TaskState()
@@ -267,22 +275,23 @@ class Findings:
     to_go_m : float
         Distance to the goal [m], summed over the parts.
     problem : str
-        Reason why the task cannot continue. Empty if it can.
+        Reason why the task cannot continue. Empty if it can continue.
     detail : callable
-        Function that returns a text on the part farthest from its goal, with its requested drift
-        and a remedy.
+        Function that returns a text about the part that is farthest from its goal. The text
+        contains the requested drift of this part and a remedy.
     outcome : str
-        Text on the result, if the task is done now.
+        Text about the result, which is used if the task is done now.
     loss : callable
         Function that returns the failure for a missing part. Its argument is the name of the part.
     all_seen : bool
-        Whether the image shows all parts. The positions of parts that it does not show are
-        predictions.
+        Whether the image shows all parts. For parts that it does not show, predicted positions are
+        used.
     at_rest : bool
         Whether the plate and the parts were at rest when the image was taken. If the plate moves, a
         part may leave the plate after the image.
     unanswered : str
-        Text on the number of cycles without a result. Empty if there were few.
+        Text about the number of cycles without a new result of the solver. Empty if there were few
+        such cycles.
     """
 
     missing: tuple[str, ...]
@@ -298,7 +307,7 @@ class Findings:
 
 
 def evaluate(state: TaskState, t: float, findings: Findings, limits: TaskLimits) -> TaskState:
-    """Return the state of a running task after an image with stamp t [s]."""
+    """Return the state of a running task after an image with the stamp t [s]."""
     if not state.active:
         return state
     before = dict(state.missing_since)

@@ -1,5 +1,5 @@
-"""Progress of a task, which is computed once per image or cycle. It is published in task_status,
-action feedback and diagnostics."""
+"""Progress of a task. The progress is computed once per image or cycle. It is published in
+task_status, in action feedback and in diagnostics."""
 
 from __future__ import annotations
 
@@ -17,33 +17,34 @@ class Progress:
     ----------
     phase : Phase
     text : str
-        Description of the phase, with a text on the running task. At the end, it contains the time,
-        the result or the reason, and a remedy.
+        Text about the phase and the running task. When the task has ended, the text contains the
+        duration, the result or the reason of the end, and a remedy.
     time_s : float
-        Time from the start of the task until now or until its end [s].
+        Time from the start of the task until now, or until its end if it has ended [s].
     parts_total, parts_seen, parts_sorted : int
-        `parts_total` is the larger of two numbers: the parts in the scenario, and the parts that
-        the task counts. `parts_seen` is the number of parts on the plate in this image.
-        `parts_sorted` is the number of parts at their goals.
+        `parts_total` is the number of parts in the scenario, or the number of parts that the task
+        counts if this number is larger. `parts_seen` is the number of parts on the plate in this
+        image. `parts_sorted` is the number of parts at their goals.
     to_go_m : float
-        Distance to the goal, summed over parts [m]. For a path-following task, it is the maximum
-        remaining path length.
+        Distance to the goal, summed over the parts [m]. For a path-following task, the maximum
+        remaining path length [m].
     rms_error_m : float
         Root mean square error [m]. For a path-following task, the errors are the distances of the
-        parts from their references, in all images. For assembling and posing tasks, they are the
-        distances from the targets in this image.
+        parts from their references, in all images so far. For assembling and posing tasks, the
+        errors are the distances of the parts from their targets, in this image.
     max_error_m : float
-        Maximum of the distances whose root mean square is `rms_error_m` [m].
+        Maximum of the errors whose root mean square is `rms_error_m` [m].
     turn_error : float
-        Maximum angle error in this image, for a posing task [rad].
+        Maximum error of a part's angle in this image, for a posing task [rad].
     speed_scaling : float
-        Speed of the references relative to full speed, for a path-following task [-].
+        Present speed of the references divided by the speed of their paths, for a path-following
+        task [-].
     pace : float
         Mean of `speed_scaling` since the references began to move, for a path-following task [-].
     period_s : float
         Length of a cycle [s].
     image_age_s : float
-        Assumed age of images at their stamps [s].
+        Assumed time from the exposure of an image to the time in its stamp [s].
     """
 
     phase: Phase
@@ -67,7 +68,7 @@ class Progress:
         return self.phase.is_end
 
     def values(self) -> dict[str, str]:
-        """Return the values as texts for diagnostics."""
+        """Convert the values to texts for the diagnostics."""
         return {
             "parts_sorted": str(self.parts_sorted),
             "parts_seen": str(self.parts_seen),

@@ -1,5 +1,5 @@
-"""Rules of the tasks. They compute drifts or targets for the parts. `TaskRules` is the interface,
-and `rules_for` returns the rules of a task.
+"""Rules of the tasks. The rules compute drifts or targets for the parts. `TaskRules` is the
+interface, and `rules_for` returns the rules of a task.
 
 A new task needs three things: one file here with a subclass of `TaskRules`, a case in `rules_for`,
 and a field of `TaskOptions` if it has options. Its keys in a scenario file are defined in

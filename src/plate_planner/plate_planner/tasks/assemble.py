@@ -17,14 +17,14 @@ from .task import BAND, Assessment, Situation, TaskRules
 
 @dataclass(frozen=True)
 class Assembler(TaskRules):
-    """Rules of an assembling task on one rig. The rules have no memory."""
+    """Rules of an assembling task on one rig. These rules store no data between images."""
 
     task: AssembleTask
     rig: Rig
 
     @property
     def hold_s(self) -> float:
-        """Time for which all places must be filled [s]."""
+        """Time for which all places must contain a part until the task is done [s]."""
         return self.task.hold_s
 
     def assess(self, memory: None, now: Situation) -> tuple[None, Assessment]:
@@ -45,21 +45,22 @@ class Assembler(TaskRules):
         )
 
     def distance(self, parts: Parts) -> np.ndarray:
-        """Return the distance of each part (M,) from its place [m]; NaN for a part without a
-        place."""
+        """Return the distance of each part from its assigned place (M,) [m]. The distance is NaN
+        for a part without a place."""
         aim, placed = self._aim(parts)
         return np.where(placed, np.hypot(*(parts.position - aim).T), np.nan)
 
     def request(self, parts: Parts) -> Targets:
-        """Return the targets of M parts. A part without a place is only kept on the plate."""
+        """Return the targets of M parts. For a part without a place, the only target is to stay on
+        the plate."""
         aim, placed = self._aim(parts)
         band, rows = BAND * self.task.tolerance_m, placed[:, None] & [True, True]
         weight = np.where(rows, distance_weight(aim - parts.position), 0.0)
         return Targets(aim - band, aim + band, weight, GAP * self.rig.parts.radius_m)
 
     def _aim(self, parts: Parts) -> tuple[np.ndarray, np.ndarray]:
-        """Return the place of each part (M, 2) [m], and whether it has one (M,). If a part has no
-        place, its position is returned."""
+        """Return the assigned place of each part (M, 2) [m], and whether the part has a place (M,).
+        For a part without a place, the present position is returned instead."""
         place = np.array(self.task.place)
         row = assign(self.task.labels, place, parts)
         placed = row >= 0

@@ -1,7 +1,7 @@
 """Intervals of drift that tasks request, and the mean forces that produce these drifts.
 
 A drift is the mean velocity of a part over a cycle. The inputs are the parts with their present
-drifts. The outputs are intervals of drifts and forces.
+drifts. The outputs are intervals of drifts, and intervals of mean forces.
 """
 
 from __future__ import annotations
@@ -13,7 +13,7 @@ import numpy as np
 from plate_core import Parts, Rig, Targets, part_class
 
 APPROACH = 1.5
-"""Requested drift towards a target, per metre of distance [1/s]."""
+"""Requested drift towards a target, divided by the distance from the target [1/s]."""
 
 MAX_DRIFT = 0.05
 """Maximum drift towards a target [m/s]. A plate cannot move many parts faster at the same time."""
@@ -29,7 +29,8 @@ class DriftInterval:
 
     @classmethod
     def towards(cls, position: np.ndarray, targets: Targets) -> DriftInterval:
-        """Return the drift of parts at (M, 2) [m] towards their targets.
+        """Return the requested drift towards the targets, for parts at the positions `position` (M,
+        2) [m].
 
         v = APPROACH (target - position), limited to `MAX_DRIFT`. If a target does not restrict an
         axis, any drift up to `MAX_DRIFT` along this axis is accepted.
@@ -46,23 +47,25 @@ class DriftInterval:
 
     @property
     def centre(self) -> np.ndarray:
-        """Middle of the interval (M, 2) [m/s]."""
+        """Mean of `low` and `high` (M, 2) [m/s]."""
         return (self.low + self.high) / 2
 
     def less(self, bias: np.ndarray) -> DriftInterval:
-        """Return the interval minus a drift bias (M, 2) [m/s]."""
+        """Return the interval, from which the drift bias `bias` (M, 2) [m/s] is subtracted."""
         return DriftInterval(self.low - bias, self.high - bias)
 
     def force(self, parts: Parts, rig: Rig, period: float) -> tuple[np.ndarray, np.ndarray]:
-        """Return the mean force over a cycle that changes the present drift to the requested drift.
+        """Return the mean force over one cycle that changes the present drift v of each part to the
+        requested drift.
 
-        F = m (v_requested - v)/T. The solver computes v + F T/m with the same v. Therefore an error
-        of the measured v cancels, unless F is limited to mu m g.
+        The force is F = m (v_requested - v)/T, limited to mu m g. The solver computes the resulting
+        drift v + F T/m with the same v. Therefore, an error of the measured v has no effect, unless
+        F is limited.
 
         Parameters
         ----------
         parts : Parts
-            M parts with their present drift.
+            M parts with their present drifts v.
         rig : Rig
         period : float
             Length of a cycle, T [s].

@@ -1,15 +1,16 @@
-"""Rules of a feeding task. Parts are made ready for a robot: they are isolated and rotated to the
-requested angles. Parts are added and removed during the task.
+"""Rules of a feeding task. Parts are made ready for a robot. A ready part has enough distance from
+other parts, and the requested angle. Parts are added and removed during the task.
 
 As in `move`, each cycle minimises the sum of squared weighted distances to targets. Ready parts
-stay ready. The parts with the shortest remaining motion move to their windows and angles. Unwanted
-parts move over the edge into the chute. All parts keep the gripper's clearance from each other, so
-that heaps dissolve. When enough parts are ready, the plate rests and the robot can pick.
+stay ready. The parts with the shortest remaining motion move to their pick windows and rotate to
+their angles. Unwanted parts move over the edge into the chute. All parts move apart until there is
+enough space for the gripper between them, so that heaps dissolve. When enough parts are ready, the
+plate rests and the robot can pick.
 
-The targets of wanted parts are the same whether or not unwanted parts leave. Only the unwanted part
-nearest to the chute has the full weight of a wanted part. A wall keeps wanted parts away from the
-chute's edge, as from all edges. A stronger restraint would also stop the unwanted parts between
-them, and no part would leave.
+The targets of wanted parts do not depend on whether unwanted parts leave. Only the unwanted part
+nearest to the chute has the full weight of a wanted part. A soft limit (wall) keeps wanted parts
+away from the chute's edge, as from all edges. With a stronger limit, the unwanted parts between the
+wanted parts would stop too, and no part would leave.
 """
 
 from __future__ import annotations
@@ -38,63 +39,63 @@ from .targets import FULL_DISTANCE_M, distance_weight
 from .task import BAND, Assessment, Situation, TaskRules
 
 STILL_M = 1e-3
-"""Maximum displacement of a ready part since the last image, while the plate is at rest [m]."""
+"""While the plate is at rest, a part is ready only if it has moved by at most this distance since
+the last image [m]."""
 
 MARGIN_M = 4e-3
-"""Margin of the targets inside the window [m]."""
+"""Distance of the targets from the border of the pick window, inside the window [m]."""
 
 KEPT = 0.8
-"""Half width of the angle interval in which a ready part has no error, as a fraction of the pick's
-tolerance."""
+"""Half width of the angle interval in which a ready part is not rotated, as a fraction of the
+pick's angle tolerance."""
 
 GAP_MARGIN_M = 2e-3
-"""Margin added to the gripper's clearance [m]."""
+"""Distance that is added to the gripper's clearance for the gap between parts [m]."""
 
 STOCK = 0.03
-"""Weight of the distance to the window or to the chute, for parts that are not needed yet. The
-weight of all other parts is 1 [-]. With a larger value, many such parts would push the other parts
-against the wall, and no part would move."""
+"""Weight of the distance to the pick window or to the chute, for parts that need not move there
+yet. All other parts have the weight 1 [-]. With a larger value, many such parts would push the
+other parts against the edge, and no part would move."""
 
 MANY_UNWANTED = 5
-"""If the plate has at least this number of unwanted parts, all of them move to the chute, even if
+"""If at least this number of unwanted parts are on the plate, they move to the chute, even if
 enough other parts are ready."""
 
 PURGED = 6.0
-"""Weight of the distance to the chute during a purge, for the part nearest to the chute. The weight
-of all other parts is 1 [-]."""
+"""Weight of the distance to the chute during a purge, for the part nearest to the chute. All other
+parts have the weight 1 [-]."""
 
 NEAREST_M = 1e-3
-"""Minimum distance in the weight of a part that must get ready at an angle [m]. The weight is
-inversely proportional to the distance of the part, so that the nearest part gets ready first. Parts
-without a requested angle have no such weight, because they would hinder each other in
-simulations."""
+"""Lower limit of the distance d from which the weight of a part with a requested angle is computed
+[m]. The weight is proportional to 1/d, so that the nearest part gets ready first. Parts without a
+requested angle have no such weight, because with it they hindered each other in simulations."""
 
 CHANGE_M = 0.02
-"""Another part replaces a part that moves to its window only if its distance is shorter by at least
-this value [m]."""
+"""A part that moves to its pick window is replaced by another part only if the other part's
+distance is shorter by at least this value [m]."""
 
 RENAMED_M = 0.02
-"""A new part and a vanished part of its class count as the same part if their distance is at most
-this value [m]."""
+"""If a part vanishes and a new part of the same class appears within this distance, both count as
+the same part [m]."""
 
 BEYOND_M = 0.01
-"""Minimum distance of targets beyond the chute's edge [m]."""
+"""Minimum distance of the targets of unwanted parts outside the chute's edge [m]."""
 
 FAR_M = 0.1
-"""Maximum distance of targets beyond the chute's edge [m]."""
+"""Maximum distance of the targets of unwanted parts outside the chute's edge [m]."""
 
 NEAR_EDGE = 1.5
-"""A vanished part counts as having left over an edge if its last position was within this distance
-of the edge, in units of the part's reach."""
+"""A vanished part counts as having left the plate over an edge if it was last detected within this
+distance of the edge, in units of the part's reach."""
 
 NEAR_CHUTE = 4.0
-"""A vanished part counts as having left over the chute's edge if its last position was within this
-distance of the edge, in units of the part's reach."""
+"""A vanished part counts as having left the plate over the chute's edge if it was last detected
+within this distance of this edge, in units of the part's reach."""
 
 
 @dataclass(frozen=True)
 class FeedReport:
-    """Report of the task for one image.
+    """Report of a feed task for one image.
 
     Attributes
     ----------
@@ -108,8 +109,8 @@ class FeedReport:
     seen : mapping of str to int
         Number of parts on the plate, by class.
     discharged, lost : int
-        `discharged` is the number of unwanted parts that left over the chute's edge. `lost` is the
-        number of all other parts that left.
+        `discharged` is the number of unwanted parts that left the plate over the chute's edge.
+        `lost` is the number of all other parts that left the plate.
     """
 
     stamp: float = -np.inf
@@ -123,19 +124,20 @@ class FeedReport:
 
 @dataclass(frozen=True)
 class FeedMemory:
-    """Memory of the feeding rules between images.
+    """Data that the rules of a feed task store between images.
 
     Attributes
     ----------
     rest_from : float
-        Start of the plate's rest [s]. Infinite while the plate moves.
+        Time since which the plate has been at rest, or from which it will be at rest [s]. Infinite
+        while motion is requested.
     place : mapping of str to (x, y)
-        Positions of parts at the last image [m, plate_home]. If the last image was ignored, the
-        ready parts are omitted, because the robot may have taken them.
+        Positions of the parts at the last image [m, plate_home]. If the last image was ignored, the
+        parts that were ready are omitted, because the robot may have taken them.
     chosen : tuple of str
-        Parts that move to their windows.
+        Ids of the parts that move to their pick windows.
     clearing : bool
-        Whether unwanted parts are on their way to the chute.
+        Whether unwanted parts are moving to the chute.
     report : FeedReport
     """
 
@@ -169,7 +171,7 @@ class Feeder(TaskRules):
         return True
 
     def check(self, scenario: Scenario) -> None:
-        """Accept any recipe, because `check_scenario` has already checked it for this rig."""
+        """Do nothing, because `check_scenario` has already checked the recipe for this rig."""
 
     def assess(self, memory: FeedMemory | None, now: Situation) -> tuple[FeedMemory, Assessment]:
         """Evaluate one image and return the request, see `TaskRules.assess`."""
@@ -214,7 +216,8 @@ class Feeder(TaskRules):
         )
 
     def keeps_last(self, memory: FeedMemory | None) -> bool:
-        """Whether the image is ignored, because the robot hides parts and all parts are at rest."""
+        """Whether the next image is ignored, because a robot may hide parts and all parts are at
+        rest."""
         report = FeedReport() if memory is None else memory.report
         return (
             self.task.order.hidden and self._mode is FeedMode.REST is report.mode and report.at_rest
@@ -229,8 +232,8 @@ class Feeder(TaskRules):
         return self.task.order.picks or self.task.picks
 
     def _report(self, memory: FeedMemory, now: Situation, rest_from: float) -> FeedReport:
-        """Return the report of this image. It adds the parts that left since the last report to its
-        counts. The plate rests from `rest_from` [s] on."""
+        """Return the report for an image. Parts that have left the plate since the last report are
+        added to the counts. The plate rests from the time `rest_from` [s] on."""
         seen, before = now.seen, memory.report
         hidden = [i for i, name in enumerate(now.parts.ids) if name not in seen.ids]
         every = _join(
@@ -270,13 +273,13 @@ class Feeder(TaskRules):
         return None if self.task.chute is None else (self.task.chute.x, self.task.chute.y)
 
     def _is_wanted(self, name: str) -> bool:
-        """Whether a part must stay on the plate."""
+        """Whether a part is wanted, so that it must stay on the plate."""
         labels = [pick.label for pick in self._picks]
         return self._mode is not FeedMode.PURGE and part_class(name) in labels
 
     def _left_over(self, name: str, place: np.ndarray) -> tuple[int, int] | None:
-        """Return the side over which a part with the last position `place` (2,) [m] left the plate.
-        Return None if it did not leave the plate."""
+        """Return the side over which a vanished part has left the plate, or None if it has not left
+        the plate. `place` (2,) [m] is the last position of the part."""
         reach = self.rig.part_type(part_class(name)).reach_m
         away = self.rig.plate.half - np.abs(place)
         axis = int(np.argmin(away))
@@ -286,8 +289,8 @@ class Feeder(TaskRules):
         return side if away[axis] <= near * reach else None
 
     def _clearing(self, memory: FeedMemory, parts: Parts, near: np.ndarray) -> bool:
-        """Whether the unwanted parts must move to the chute now, because there are many of them or
-        because no other part can get ready."""
+        """Whether the unwanted parts must move to the chute now. They must move if there are many
+        unwanted parts, or if no other part can get ready."""
         # The order is to rest. In this case parts are not counted, because vision may detect the
         # robot as a part.
         if self._chute is None or self._mode is FeedMode.REST:
@@ -308,9 +311,9 @@ class Feeder(TaskRules):
     ) -> tuple[Targets | None, tuple[str, ...]]:
         """Return the targets of M parts, and the ids of the parts that must get ready.
 
-        `near` (picks, M) states which parts are ready for each pick. `gap` (M,) is the free gap
-        around each part [m]. The targets are None if enough parts are ready and no parts must move
-        to the chute.
+        `near` (picks, M) states which parts are ready for each pick. `gap` (M,) is the free
+        distance around each part [m]. The targets are None if enough parts are ready and no
+        unwanted parts must move to the chute.
         """
         aims, chosen = Aims.none(parts, self.rig), []
         purging = self._mode is FeedMode.PURGE
@@ -334,12 +337,13 @@ class Feeder(TaskRules):
 
     @property
     def _keep(self) -> float:
-        """Minimum gap between parts [m]."""
+        """Minimum distance between the edges of two parts [m]."""
         return self.task.clearance_m + GAP_MARGIN_M
 
     def _aim(self, aims: Aims, parts: Parts, pick: Pick, near: np.ndarray) -> np.ndarray:
-        """Set the window and the angle of a pick as targets for the parts of its class. `near` (M,)
-        states which parts are ready. Return a mask (M,) of the parts of this class."""
+        """Set the window and the angle of a pick as targets for the parts of the pick's class.
+        `near` (M,) states which parts are ready. Return a mask (M,) that is True for the parts of
+        this class."""
         mine = np.array([part_class(name) == pick.label for name in parts.ids], dtype=bool)
         low, high = pick_window(pick, self.rig)
         low, high = behind_wall(low, high, pick.label, self.rig)
@@ -355,8 +359,8 @@ class Feeder(TaskRules):
         return mine
 
     def _aim_at_chute(self, aims: Aims, unwanted: np.ndarray) -> None:
-        """Set targets beyond the chute's edge for the unwanted parts (n,). The nearest part has the
-        largest weight."""
+        """Set targets outside the chute's edge for the parts with the indices `unwanted` (n,). The
+        part nearest to the chute gets the largest weight."""
         out, half = np.array(self._chute, float), self.rig.plate.half
         for axis in np.flatnonzero(out):
             ends = out[axis] * (half[axis] + np.array([BEYOND_M, FAR_M]))
@@ -370,7 +374,7 @@ class Feeder(TaskRules):
 
 @dataclass
 class Aims:
-    """Targets of M parts. The rules fill them in step by step.
+    """Targets of M parts. The object is mutable, and the rules set its values in several steps.
 
     Attributes
     ----------
@@ -379,17 +383,17 @@ class Aims:
     low, high : (M, 2)
         Target intervals [m, plate_home].
     weight : (M,)
-        Weight of the distance to the target, relative to the full weight [-].
+        Weight of the distance from the target, divided by the full weight [-].
     full : (M,) bool
-        Whether the part has at least the full weight.
+        Whether each part has at least the full weight.
     angle, turn, slack : (M,)
-        Angle of each part, requested rotation, and tolerance of the rotation [rad].
+        Present angle of each part, requested rotation, and tolerance of the rotation [rad].
     angled : (M,) bool
-        Whether an angle is requested.
+        Whether an angle is requested for each part.
     leaving : (M,) bool
-        Whether the part must move to the chute.
+        Whether each part must move to the chute.
     reach : (M,)
-        Maximum distance of the part's edge from its centre [m].
+        Maximum distance of the contour from the centre, for each part [m].
     """
 
     position: np.ndarray
@@ -418,17 +422,19 @@ class Aims:
 
     @property
     def left(self) -> np.ndarray:
-        """Distance of each part from its target (M,) [m], plus the arc length of its remaining
-        rotation at its edge."""
+        """Remaining motion of each part (M,) [m]. It is the distance from the target, plus the arc
+        length of the remaining rotation at the part's edge."""
         distance = np.hypot(*(self.position - np.clip(self.position, self.low, self.high)).T)
         return np.asarray(distance + self.reach * np.maximum(np.abs(self.turn) - self.slack, 0))
 
     def targets(self, gap_m: float) -> Targets:
-        """Return the targets of the parts, with a minimum gap [m] between parts.
+        """Return the targets of the parts for the request to the solver. `gap_m` is the minimum
+        distance between the edges of two parts [m].
 
-        Weights are computed separately for parts that leave and for all other parts. They scale the
-        longest distance of a part with full weight to `FULL_DISTANCE_M`. If a part must get ready
-        at an angle, its own distance is scaled to this value.
+        Weights are computed separately for parts that leave and for all other parts. In each group,
+        the weights scale the longest distance of a part with full weight to `FULL_DISTANCE_M`. If a
+        part must get ready at an angle, the weight scales the distance of this part to
+        `FULL_DISTANCE_M`.
         """
         left = self.left
         counts, offset = np.zeros(len(left)), np.column_stack([left, 0 * left])
@@ -447,15 +453,15 @@ class Aims:
 
 
 def _is_among(parts: Parts, name: str, place: tuple[float, float]) -> bool:
-    """Whether one of the parts has the class of `name` and is at the place (x, y). If so, it is the
-    same part with a new id."""
+    """Whether one of the parts has the same class as the vanished part `name` and is close to its
+    last place (x, y). In this case, both are the same part, which has got a new id."""
     same = [part_class(each) == part_class(name) for each in parts.ids]
     away = np.hypot(*(parts.position - place).T)
     return bool(np.any(away[np.array(same, dtype=bool)] <= RENAMED_M))
 
 
 def _join(one: Parts, other: Parts) -> Parts:
-    """Return the parts of both groups."""
+    """Concatenate two groups of parts."""
     return Parts.make(
         (*one.ids, *other.ids),
         np.vstack([one.position, other.position]),

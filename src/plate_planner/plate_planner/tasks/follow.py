@@ -1,16 +1,21 @@
 """Rules of a path-following task. Once per cycle, a PD controller computes the drift of each part.
 
-The request for image k takes effect in cycle k+1. Therefore the controller uses the error that is
-predicted for the start of cycle k+1. It requests the mean drift over this cycle:
+The request for image k takes effect in cycle k+1. Therefore, the controller uses the error that is
+predicted for the start of cycle k+1. Let T be the length of a cycle, t the time of image k, x_ref
+the reference position and x_pred the predicted position at t + T. The controller requests the mean
+drift over cycle k+1:
 
     v_des = (x_ref(t + 2T) - x_ref(t + T))/T + kp (x_ref(t + T) - x_pred)/T
 
-kp = 1 corrects the whole predicted error in one cycle. If one of the last results began n cycles
-late, kp is divided by 1 + n: the plate may repeat a cycle n times before the next result begins,
-and all repetitions together must correct the error once. The solver changes the drift of a part
-from the present drift to the requested drift. This is the D term, with a gain of 1. The drift bias
-is the observed difference between the motion of the parts and the model. The prediction includes
-the bias, and the planner subtracts the bias from the request.
+With kp = 1, the whole predicted error is corrected in one cycle. If one of the solver's last
+results began n cycles late, kp is divided by 1 + n. The reason is that the plate may repeat a cycle
+n times before the next result begins, and all repetitions together must correct the error only
+once.
+
+The solver changes the drift of a part from the present drift to the requested drift. This change is
+the D term of the controller, with a gain of 1. The drift bias is the observed difference between
+the motion of the parts and the model. The prediction includes the bias, and the planner subtracts
+the bias from the request.
 """
 
 from __future__ import annotations
@@ -31,45 +36,47 @@ from .targets import UNMATCHED, match_targets, matched_rows, rematch_targets, st
 from .task import Assessment, Situation, TaskRules
 
 EDGE = (0.70, 0.85)
-"""Start and end of a zone near each edge [fraction of the half side]. In this zone, parts without a
-path are moved inwards, with a speed that increases towards the edge."""
+"""Start and end of a zone near each edge of the plate, as fractions of the half side. In this zone,
+parts without a path move inwards, with a speed that increases towards the edge."""
 
 LACKING = 0.1
-"""Maximum shortfall of drift in a cycle, as a fraction of the path's speed. If the shortfall is
-larger, the references slow down."""
+"""Maximum difference between the requested and the predicted drift in a cycle (shortfall), as a
+fraction of the path's speed. If the shortfall is larger, the references slow down."""
 
 SLOW_DOWN = 0.7
-"""Factor on the speed scaling after a cycle whose shortfall of drift exceeds `LACKING` [-]."""
+"""Factor by which the speed scaling of the references decreases after a cycle whose shortfall
+exceeds `LACKING` [-]."""
 
 LEAST = 0.05
-"""Minimum speed scaling due to a shortfall of drift [-]. A shortfall may persist while the
-references stand still, so without this minimum the task could get stuck. Position errors have no
-such minimum, because they decrease while the references stand still."""
+"""A shortfall of drift does not reduce the speed scaling of the references below this value [-].
+Without this minimum, the task could get stuck, because a shortfall may persist while the references
+stand still. For position errors there is no such minimum, because they decrease while the
+references stand still."""
 
 NEGLIGIBLE = 0.3e-3
-"""Shortfall of drift that is always accepted [m/s]. Solver and filter cause a shortfall of about
-0.2 mm/s, which must not slow down a slow path."""
+"""A shortfall of drift up to this value never slows down the references [m/s]. Solver and filter
+cause a shortfall of about 0.2 mm/s, which must not slow down a slow path."""
 
 SLOW_START = 0.1
-"""Speed scaling at the start, and until the image latency is known [-]. With an unknown latency,
+"""Speed scaling of the references until the image latency is known [-]. With an unknown latency,
 errors increase with the speed."""
 
 SPEED_UP = 0.1
-"""Maximum increase of the speed scaling per cycle [-]. The increase is slower than the decrease."""
+"""Maximum increase of the references' speed scaling per cycle [-]. The decrease can be faster."""
 
 TURN = 0.12
-"""Maximum acceleration of references at corners, starts and ends of paths [mu g]. The references
-slow down before these points."""
+"""Maximum acceleration of the references at corners, starts and ends of paths [mu g]. The
+references slow down before these points so that the acceleration is not exceeded."""
 
 CLOSE = 4
-"""Number of samples per cycle of the paths ahead."""
+"""Number of points per cycle at which the paths ahead are checked for corners."""
 
 
 BIAS_MAX = 1.0
-"""Maximum drift bias along and across the path, as a fraction of the path's speed."""
+"""Maximum drift bias of a part along and across its path, as a fraction of the path's speed."""
 
 SPEED_RATIO_MAX = 3.0
-"""Maximum requested drift, as a multiple of the path's speed."""
+"""Maximum requested drift of a part, divided by the speed of its path."""
 
 SLOW_FROM = 0.15
 """If the error of a part exceeds this fraction of max_error_m, the references slow down."""
@@ -78,22 +85,25 @@ SLOW_TO = 0.5
 """If the error of a part exceeds this fraction of max_error_m, the references stop."""
 
 LEAD_TO_M = 1e-3
-"""Minimum tolerance for parts at the starts of their paths [m]. The tolerance is the error at
-`SLOW_FROM` if this is larger, because the references can start at full speed with this error."""
+"""Minimum tolerance with which the parts must reach the starts of their paths [m]. If the error at
+`SLOW_FROM` is larger, it is the tolerance, because with this error the references can start at full
+speed."""
 
 KEPT_MPS = (0.08, 0.08, 0.04, 0.02, 0.02, 0.01)
-"""Speeds that one, two, three, four, five, and six or more parts reached on circles [m/s]. Sources:
-docs/results.md, (f), and the scenario follow_8."""
+"""Speeds that one, two, three, four, five, and six or more parts reached on circles [m/s]. The
+values were measured in docs/results.md, section (f), and in the scenario follow_8."""
 
 REACHED = 0.3
-"""Fraction of the bound a T/16 that two parts reached at shaking ratios of 3 and 5 [-]."""
+"""Fraction of the speed bound a T/16 that two parts reached in simulations with shaking ratios of 3
+and 5 [-]. See `Follower._bound`."""
 
 PERIOD_S = 0.1
-"""Length T of a cycle for a small number of parts [s]. The bound a T/16 is computed with this
+"""Length T of a cycle for a small number of parts [s]. The speed bound a T/16 is computed with this
 length."""
 
 SLOWED = 0.95
-"""If the mean pace is below this value [-], the text of the result states it."""
+"""If the mean speed of the references is below this fraction of the speed of their paths, the text
+of the result states this fraction [-]."""
 
 
 @dataclass(frozen=True)
@@ -105,7 +115,7 @@ class FollowOptions:
     kp : float
         Fraction of the predicted position error that is corrected in one cycle [-].
     observer_gain : float
-        Gain of the drift bias observer: weight of the newest prediction error [-].
+        Gain of the drift bias observer [-]. It is the weight of the newest prediction error.
     """
 
     kp: float = 0.8
@@ -126,7 +136,8 @@ def pd_drift(
     kp: float,
     speed_max: np.ndarray,
 ) -> np.ndarray:
-    """Return the requested mean drift over the cycle in which the request takes effect.
+    """Return the requested mean drift of the parts over the cycle in which the request takes
+    effect.
 
     Parameters
     ----------
@@ -137,9 +148,9 @@ def pd_drift(
     period : float
         Length of a cycle [s].
     kp : float
-        Fraction of the error to correct [-].
+        Fraction of the error that is corrected in the cycle [-].
     speed_max : (M,)
-        Maximum magnitude of the result [m/s].
+        Maximum magnitude of the requested drift [m/s].
 
     Returns
     -------
@@ -153,30 +164,33 @@ def pd_drift(
 
 @dataclass(frozen=True)
 class FollowMemory:
-    """Memory of the path-following rules between images.
+    """Data that the rules of a path-following task store between images.
 
     Attributes
     ----------
     match : tuple of str
         Id of the part of each path.
     began : float
-        Time at which the references leave their first corners [s].
+        Time at which the references leave the first corners of their paths [s].
     anchor, progress : float
-        `anchor` is a time [s]. `progress` is the path time of the references at this time [s at
-        full speed].
+        `anchor` is a time [s]. `progress` is the path time of the references at the time `anchor`:
+        the time that they would have needed at full speed [s].
     scaling : (float, float)
-        Speed scaling before and after `anchor`: path time per time [-]. 1 is full speed.
+        Speed scaling of the references before and after the time `anchor` [-]. It is the increase
+        of path time per time. 1 is full speed.
     leading : bool
-        Whether parts are still moving to the starts of their paths. In this case the references
-        wait.
+        Whether parts are still moving to the starts of their paths. In this case, the references do
+        not move.
     lead_s : float
         Duration of the motion to the starts of the paths [s].
     square_sum, samples : float, int
-        Sum of squared distances from the references [m2], and number of distances.
+        Sum of the squared distances of the parts from their references [m2], and the number of
+        these distances.
     max_error_m : float
         Maximum distance of a part from its reference so far [m].
     fixed : bool
-        Whether another program sets `anchor`, `progress` and `scaling`. Images do not change them.
+        Whether another program sets `anchor`, `progress` and `scaling`. In this case, images do not
+        change them.
     """
 
     match: tuple[str, ...] = ()
@@ -193,18 +207,18 @@ class FollowMemory:
 
     @property
     def rms_error_m(self) -> float:
-        """Root mean square distance from the references so far [m]."""
+        """Root mean square distance of the parts from their references so far [m]."""
         return float(np.sqrt(self.square_sum / self.samples)) if self.samples else 0.0
 
     def path_time(self, t: float) -> float:
-        """Return the path time of the references at time t [s]. The path time is the time at full
-        speed [s]."""
+        """Return the path time of the references at the time t [s]. The path time is the time that
+        the references would have needed at full speed [s]."""
         since = t - self.anchor
         return self.progress + since * self.scaling[0 if since < 0 else 1]
 
     def pace(self, t: float) -> float:
-        """Return the mean speed of the references until t [s], relative to the speed of their
-        paths."""
+        """Return the mean speed of the references until the time t [s], divided by the speed of
+        their paths."""
         return self.path_time(t) / (t - self.began) if t > self.began else 1.0
 
 
@@ -218,19 +232,19 @@ class Follower(TaskRules):
 
     @property
     def hold_s(self) -> float:
-        """Time for which the goal must be met [s]. 0, because the task is done when the references
-        reach the ends of their paths."""
+        """Time for which the goal must be met [s]. The value is 0, because the task is done when
+        the references reach the ends of their paths."""
         return 0.0
 
     @property
     def nearer_m(self) -> float:
-        """Minimum decrease of the distance that counts as progress [m]. 0, because references have
-        no noise."""
+        """Minimum decrease of the distance that counts as progress [m]. The value is 0, because the
+        references have no noise."""
         return 0.0
 
     @property
     def bias_gain(self) -> float:
-        """Gain of the drift bias observer: `FollowOptions.observer_gain` [-]."""
+        """Gain of the drift bias observer [-]. It is the option `observer_gain`."""
         return self.options.observer_gain
 
     @cached_property
@@ -270,8 +284,8 @@ class Follower(TaskRules):
         )
 
     def _begun(self, memory: FollowMemory | None, now: Situation) -> FollowMemory:
-        """Begin the task. It is begun again at each image while parts move to the starts of their
-        paths, and until the length of a cycle is known."""
+        """Return the memory at the beginning of the task. The task begins again at each image while
+        parts move to the starts of their paths, and until the length of a cycle is known."""
         early = memory is None or now.stamp < memory.began - now.period / 2
         if memory is not None and not memory.leading and not (early and now.motion_known):
             return memory
@@ -289,8 +303,8 @@ class Follower(TaskRules):
         return replace(again, leading=leading, lead_s=led)
 
     def _lead(self, memory: FollowMemory, now: Situation) -> Assessment:
-        """Return the assessment while parts move to the starts of their paths. The rules are those
-        of an assembling task."""
+        """Return the assessment of an image while parts move to the starts of their paths. This
+        motion uses the rules of an assembling task."""
         found = self._leader.assess(None, now)[1]
         return replace(
             found,
@@ -319,8 +333,8 @@ class Follower(TaskRules):
             )
 
     def warnings(self) -> tuple[str, ...]:
-        """Return a warning if paths are faster than the speeds that parts reached (`KEPT_MPS`), or
-        faster than any motion of the plate allows."""
+        """Return a warning if paths are faster than the speeds that parts reached in measurements
+        (`KEPT_MPS`), or faster than any motion of the plate allows."""
         count, fastest = len(self.paths), float(np.max(self._speeds))
         kept = min(KEPT_MPS[min(count, len(KEPT_MPS)) - 1], REACHED * self._bound)
         if fastest <= kept:
@@ -337,18 +351,19 @@ class Follower(TaskRules):
 
     @property
     def _bound(self) -> float:
-        """Maximum mean speed of a part [m/s], a T/16. No motion of the plate moves a part
-        faster."""
+        """Upper bound a T/16 of the mean speed of a part [m/s]. a is the maximum acceleration of
+        the plate, and T the length of a cycle. No motion of the plate moves a part faster."""
         return self.rig.gamma * self.rig.friction.accel * PERIOD_S / 16
 
     def begin(self, parts: Parts, start: float) -> FollowMemory:
-        """Match parts to paths. The references start at `start` [s]."""
+        """Assign parts to paths. The references start to move at the time `start` [s]."""
         memory = FollowMemory(began=start, anchor=start)
         target = self.reference(memory, start)
         return replace(memory, match=match_targets(self._labels, target, parts))
 
     def measure(self, memory: FollowMemory, now: Situation) -> FollowMemory:
-        """Update the match, the error statistics and the speed scaling with an image."""
+        """Return the memory after an image. The assignment of parts to paths, the error statistics
+        and the speed scaling are updated."""
         reference = self.reference(memory, now.stamp)
         match = rematch_targets(
             memory.match, self._labels, reference, now.parts, self.task.max_error_m
@@ -375,18 +390,20 @@ class Follower(TaskRules):
         return replace(measured, anchor=now.start, progress=time, scaling=(before, after))
 
     def _scaling(self, before: float, worst: float, lacking: float) -> float:
-        """Return the next speed scaling for an error [m] and a shortfall of drift [path's speed].
+        """Return the next speed scaling of the references. `worst` is the maximum error of a part
+        [m]. `lacking` is the maximum shortfall of drift, as a fraction of the path's speed.
 
         Let e be the error divided by `max_error_m`. The scaling is (SLOW_TO - e) / (SLOW_TO -
-        SLOW_FROM), limited to 0 to 1. Its change from the scaling `before` is also limited.
+        SLOW_FROM), limited to 0 to 1. The change from the previous scaling `before` is also
+        limited.
         """
         factor = (SLOW_TO - worst / self.task.max_error_m) / (SLOW_TO - SLOW_FROM)
         most = max(before * SLOW_DOWN, LEAST) if lacking > LACKING else before + SPEED_UP
         return float(np.clip(factor, 0, min(1.0, most)))
 
     def _ahead(self, time: float, period: float) -> float:
-        """Return the maximum speed scaling at a path time [s]. With this scaling, no corner ahead
-        requires an acceleration above `TURN`.
+        """Return the maximum speed scaling of the references at the path time `time` [s]. With this
+        scaling, no corner ahead requires an acceleration above `TURN`.
 
         With the scaling s, the path time p advances by dp = s dt. Let a be the maximum deceleration
         of a part and v the speed of the path. Then s ds/dp = a/v. Therefore s^2 may be larger by 2
@@ -404,13 +421,13 @@ class Follower(TaskRules):
         return float(np.sqrt(np.min(slow**2 + 2 * accel / fastest * away)))
 
     def reference(self, memory: FollowMemory, t: float) -> np.ndarray:
-        """Return the reference position of each path (P, 2) [m, plate_home] at time t [s]."""
+        """Return the reference position on each path (P, 2) [m, plate_home] at the time t [s]."""
         time = memory.path_time(t)
         return np.array([path.position(time) for path in self.paths])
 
     def to_go(self, memory: FollowMemory, t: float) -> float:
-        """Return the maximum remaining path length [m]: the remaining path time multiplied by the
-        maximum speed."""
+        """Return the maximum remaining path length [m]. The remaining length of a path is its
+        remaining path time multiplied by its maximum speed."""
         time = memory.path_time(t)
         return max(max(path.duration - time, 0) * path.speed for path in self.paths)
 
@@ -427,8 +444,8 @@ class Follower(TaskRules):
         return memory.path_time(t) >= max(path.duration for path in self.paths) - 1e-6
 
     def problem(self, memory: FollowMemory, parts: Parts, t: float) -> str:
-        """Return a text on the part that is farthest from its path, with a remedy. The text is
-        empty if all errors are allowed."""
+        """Return a text about the part that is farthest from its reference, with a remedy. The text
+        is empty if no error exceeds `max_error_m`."""
         error = self.errors(memory, parts, t)
         if not len(error) or np.max(error) <= self.task.max_error_m:
             return ""
@@ -441,7 +458,8 @@ class Follower(TaskRules):
         )
 
     def outcome(self, memory: FollowMemory, t: float) -> str:
-        """Return a summary of errors and pace until time t [s]."""
+        """Return a text that summarises the errors of the parts and the mean speed of the
+        references until the time t [s]."""
         text = (
             f"error {1e3 * memory.rms_error_m:.2f} mm RMS, maximum {1e3 * memory.max_error_m:.2f}"
         )
@@ -468,7 +486,8 @@ class Follower(TaskRules):
         return axes
 
     def bias_limit(self, memory: FollowMemory | None, parts: Parts, period: float) -> np.ndarray:
-        """Return the maximum drift bias (M,) [m/s]. The bias is 0 for parts without a path."""
+        """Return the maximum drift bias of each part (M,) [m/s]. It is 0 for parts without a
+        path."""
         limit = np.zeros(len(parts))
         if memory is not None:
             path, part = matched_rows(memory.match, parts)
@@ -476,7 +495,8 @@ class Follower(TaskRules):
         return limit
 
     def _request(self, memory: FollowMemory, now: Situation) -> DriftInterval:
-        """Return the requested drifts. Parts without a path are only kept on the plate."""
+        """Return the requested drift of each part. For parts without a path, the only request is to
+        stay on the plate."""
         speed, half = float(np.max(self._speeds)), self.rig.plate.half
         intervals = [
             stay_within(now.parts.position[:, k], half[k], *EDGE, speed, 2 * speed)
@@ -510,5 +530,5 @@ class Follower(TaskRules):
 
 
 def _not_seen(memory: FollowMemory, parts: Parts) -> tuple[str, ...]:
-    """Return the ids of matched parts that are not in `parts`."""
+    """Return the ids of parts that are assigned to paths but not contained in `parts`."""
     return tuple(i for i in memory.match if i not in parts.ids and i != UNMATCHED)

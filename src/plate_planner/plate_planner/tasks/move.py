@@ -1,9 +1,9 @@
 """Rules of a moving task. Parts have individual targets, which may change while the task runs.
 
 As in `pose`, each cycle minimises the sum of squared weighted distances to the targets. A part
-without a target should stay at its home: its position at the start of the task or at its first
-detection. When the remaining distances of the other parts are short, the weight of such a part is
-relatively small, so that it moves aside for the other parts.
+without a target should stay at its home. Its home is its position at the start of the task or at
+its first detection. When the remaining distances of the other parts become short, the relative
+weight of a part without a target decreases. The part then moves aside for the other parts.
 """
 
 from __future__ import annotations
@@ -22,15 +22,15 @@ from .targets import GAP, distance_weight
 from .task import BAND, Assessment, Situation, TaskRules
 
 HOME = 2.0
-"""Weight of a part without a target, relative to the weight of parts with a target [-]. With this
-weight, the part stays in place while the distances of the other parts are long."""
+"""Weight of a part without a target, divided by the weight of parts with a target [-]. With this
+weight, the part stays at its home while the distances of the other parts are long."""
 
 MAX_HOME_WEIGHT = 0.2
-"""Maximum weight of a part without a target [-]. It lets the part move aside when the distances of
-the other parts are short."""
+"""Maximum weight of a part without a target [-]. With this maximum, the part moves aside when the
+distances of the other parts are short."""
 
 HOME_BAND_M = 5e-3
-"""Deviation of a part from its home that counts as no error [m]."""
+"""A part without a target has no error while it is within this distance of its home [m]."""
 
 
 @dataclass(frozen=True)
@@ -48,15 +48,15 @@ class RemainingMotion:
     Attributes
     ----------
     requested : (M,) bool
-        Whether the part has a target.
+        Whether each part has a target.
     aim : (M, 2)
-        Target of the part, or its home if it has no target [m, plate_home].
+        Target of each part, or the home of a part without a target [m, plate_home].
     distance : (M,)
-        Distance of the part from `aim` [m].
+        Distance of each part from `aim` [m].
     missing : (M,)
-        Remaining rotation [rad]. 0 if no angle is requested.
+        Remaining rotation of each part [rad]. 0 if no angle is requested.
     turned : (M,) bool
-        Whether an angle is requested.
+        Whether an angle is requested for each part.
     """
 
     requested: np.ndarray
@@ -75,7 +75,7 @@ class Mover(TaskRules):
 
     @property
     def hold_s(self) -> float:
-        """Time for which all parts must be at their targets [s]."""
+        """Time for which all parts must be at their targets until the task is done [s]."""
         return self.task.hold_s
 
     @property
@@ -135,7 +135,7 @@ class Mover(TaskRules):
         return RemainingMotion(row >= 0, aim, np.hypot(*(aim - parts.position).T), missing, turned)
 
     def request(self, parts: Parts, remaining: RemainingMotion) -> Targets:
-        """Return the targets of M parts."""
+        """Return the targets of M parts for the request to the solver."""
         reach = np.array([part.reach_m for part in self._types(parts)])
         left = np.maximum(remaining.distance, reach * np.abs(remaining.missing))
         left = np.where(remaining.requested, left, 0.0)
@@ -152,7 +152,7 @@ class Mover(TaskRules):
         )
 
     def _in_the_way(self, parts: Parts, remaining: RemainingMotion, there: np.ndarray) -> list[str]:
-        """Return texts on parts that occupy targets of other parts."""
+        """Return a text for each part that occupies the target of another part."""
         reach = np.array([part.reach_m for part in self._types(parts)])
         texts = []
         for k in np.flatnonzero(remaining.requested & ~there):

@@ -2,8 +2,8 @@
 function of time.
 
 The input is a `PathTask` with corners, laps, and speeds at fractions of the length. Between two
-entries of the speed profile, the speed is linear in the arc length. Therefore time and arc length
-are related in closed form.
+entries of the speed profile, the speed is a linear function of the arc length. Therefore, the arc
+length at a given time can be computed by a formula, without integration.
 """
 
 from __future__ import annotations
@@ -20,8 +20,9 @@ from plate_core.tasks import PathTask
 class PolygonPath:
     """Polygonal path that begins at its first corner.
 
-    Between two entries of the speed profile, the speed v changes linearly with the arc length s:
-    dv/ds = k. Therefore v = v_0 exp(k t) and s = s_0 + (v - v_0)/k.
+    Between two entries of the speed profile, the speed v is a linear function of the arc length s,
+    with the constant slope dv/ds = k. At a time t after the first of these entries, where v = v_0
+    and s = s_0, this gives v = v_0 exp(k t) and s = s_0 + (v - v_0)/k.
 
     Attributes
     ----------
@@ -32,10 +33,10 @@ class PolygonPath:
     speed : float
         Maximum speed along the path [m/s].
     laps : float
-        Number of laps; 1 for an open path.
+        Number of laps. 1 for an open path.
     profile : (k, 3)
-        Arc length [m], speed [m/s] and time since the lap began [s] at the entries of the speed
-        profile.
+        Each row is an entry of the speed profile: arc length [m], speed [m/s], and time since the
+        start of the lap [s].
     """
 
     corner: np.ndarray
@@ -46,7 +47,7 @@ class PolygonPath:
 
     @classmethod
     def from_task(cls, task: PathTask) -> PolygonPath:
-        """Build the path of a scenario."""
+        """Create a path from the task of a scenario."""
         corner = np.array(task.waypoint, dtype=float)
         if task.closed:
             corner = np.vstack([corner, corner[:1]])
@@ -74,8 +75,8 @@ class PolygonPath:
         return np.stack([np.interp(along, self.arc, axis) for axis in self.corner.T], axis=-1)
 
     def heading(self, t: np.ndarray | float) -> np.ndarray:
-        """Return the direction (..., 2) of the edge on which the reference is located at times t
-        (...) [s]."""
+        """Return the direction of the path (..., 2) at the reference positions of the times t (...)
+        [s]."""
         edge = np.searchsorted(self.arc, self._along(t), side="right") - 1
         edge = np.clip(edge, 0, len(self.arc) - 2)
         return np.asarray((np.diff(self.corner, axis=0) / np.diff(self.arc)[:, None])[edge])
@@ -92,8 +93,8 @@ class PolygonPath:
         return float(t[i] + (along - s[i]) / _log_mean(v[i], there))
 
     def _along(self, t: np.ndarray | float) -> np.ndarray:
-        """Return the arc length within the lap (...) [m]. The end of a lap counts as the start of
-        the next lap."""
+        """Return the arc length from the start of the lap to the reference position (...) [m]. The
+        end of a lap counts as the start of the next lap."""
         since = np.clip(np.asarray(t, dtype=float), 0, self.duration)
         if self.laps != 1:
             since = np.mod(since, self._lap_time)
@@ -105,21 +106,21 @@ class PolygonPath:
 
 
 def _profile(pairs: tuple[tuple[float, float], ...], length: float) -> np.ndarray:
-    """Return arc length [m], speed [m/s] and time [s], (k, 3), at the entries (fraction of the
-    length, speed) of the profile."""
+    """Return the array `PolygonPath.profile` (k, 3). `pairs` contains the entries of the profile:
+    fraction of the length, and speed [m/s]."""
     fraction, speed = np.array(pairs).T
     step = length * np.diff(fraction) / _log_mean(speed[:-1], speed[1:])
     return np.column_stack([length * fraction, speed, np.append(0.0, np.cumsum(step))])
 
 
 def _log_mean(a: np.ndarray, b: np.ndarray) -> np.ndarray:
-    """Return the mean speed on a segment. The speed changes from a to b linearly with the arc
-    length, so the mean is (b - a)/log(b/a)."""
+    """Return the mean speed on a segment of a path, (b - a)/log(b/a). On the segment, the speed is
+    a linear function of the arc length, from a to b."""
     ratio = np.log(np.asarray(b) / a)
     return np.asarray(a * _expm1_over(ratio))
 
 
 def _expm1_over(x: np.ndarray) -> np.ndarray:
-    """Return (exp(x) - 1)/x, which is 1 at 0."""
+    """Return (exp(x) - 1)/x. The result is 1 for x = 0."""
     small = np.abs(x) < 1e-12
     return np.asarray(np.where(small, 1.0, np.expm1(x) / np.where(small, 1.0, x)))

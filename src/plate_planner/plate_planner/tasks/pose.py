@@ -1,8 +1,8 @@
-"""Rules of a posing task: parts move to places and rotate to angles.
+"""Rules of a posing task, in which parts move to places and rotate to angles.
 
 As in `assemble`, each cycle minimises the sum of squared weighted distances to the places. A
-rotation counts as the arc length at the part's edge. A part with a rotational symmetry rotates to
-the nearest equivalent angle.
+rotation counts as a distance, namely the arc length at the edge of the part. A part with a
+rotational symmetry rotates to the nearest equivalent angle.
 """
 
 from __future__ import annotations
@@ -18,8 +18,8 @@ from .targets import GAP, UNMATCHED, distance_weight, match_by_cost, matched_row
 from .task import BAND, Assessment, Situation, TaskRules
 
 STAY = 1.0
-"""Minimum weight of a part that must stay at its position [-]. Errors at edges have the weight
-1."""
+"""Minimum weight of a part that must stay at its position [-]. For comparison, the distance by
+which a part is too close to an edge has the weight 1."""
 
 
 @dataclass(frozen=True)
@@ -29,7 +29,7 @@ class PoseMemory:
     Attributes
     ----------
     match : tuple of str
-        Id of the part of each pose.
+        Id of the part that is assigned to each pose.
     place : (P, 2)
         Position of each pose [m, plate_home]. NaN accepts any position.
     """
@@ -47,7 +47,7 @@ class Poser(TaskRules):
 
     @property
     def hold_s(self) -> float:
-        """Time for which all parts must be in their poses [s]."""
+        """Time for which all parts must be in their poses until the task is done [s]."""
         return self.task.hold_s
 
     def assess(
@@ -78,8 +78,8 @@ class Poser(TaskRules):
         )
 
     def begin(self, parts: Parts) -> PoseMemory:
-        """Assign a part of its class to each pose. The assignment minimises the sum of squared
-        distances and arc lengths."""
+        """Assign a part of the correct class to each pose. The assignment minimises the sum of the
+        squared distances and the squared arc lengths."""
         poses = self.task.poses
         place = np.array([(np.nan, np.nan) if p.place is None else p.place for p in poses])
         offset = place[:, None] - parts.position
@@ -92,8 +92,8 @@ class Poser(TaskRules):
         return PoseMemory(match, place)
 
     def errors(self, memory: PoseMemory, parts: Parts) -> tuple[np.ndarray, np.ndarray]:
-        """Return two arrays (M,): the distance of each part from its place [m], and its remaining
-        rotation [rad]. Both values are 0 for a part without a pose."""
+        """Return two arrays (M,). They contain the distance of each part from its place [m], and
+        the remaining rotation of each part [rad]. Both values are 0 for a part without a pose."""
         distance, angle = np.zeros(len(parts)), np.zeros(len(parts))
         pose, part = matched_rows(memory.match, parts)
         away = np.hypot(*(memory.place[pose] - parts.position[part]).T)
@@ -103,15 +103,15 @@ class Poser(TaskRules):
         return distance, angle
 
     def count(self, memory: PoseMemory, parts: Parts) -> int:
-        """Return the number of parts in their poses."""
+        """Return the number of parts that have reached their poses."""
         distance, angle = self.errors(memory, parts)
         there = distance <= self.task.tolerance_m
         there &= np.abs(angle) <= self.task.tolerance_rad
         return int(np.count_nonzero(there[matched_rows(memory.match, parts)[1]]))
 
     def problem(self, memory: PoseMemory, parts: Parts) -> str:
-        """Return a text on the part farthest from the position at which it must stay. The text is
-        empty if all such parts are within the tolerance."""
+        """Return a text about the part that is farthest from the position at which it must stay.
+        The text is empty if all such parts are within the tolerance."""
         distance, _ = self.errors(memory, parts)
         pose, part = matched_rows(memory.match, parts)
         stays = np.array([self.task.poses[row].place is None for row in pose], dtype=bool)
@@ -128,7 +128,8 @@ class Poser(TaskRules):
         )
 
     def request(self, memory: PoseMemory, parts: Parts) -> Targets:
-        """Return the targets of M parts. A part without a pose is only kept on the plate."""
+        """Return the targets of M parts for the request to the solver. For a part without a pose,
+        the only target is to stay on the plate."""
         _, missing = self.errors(memory, parts)
         aim, weight = parts.position.copy(), np.zeros((len(parts), 2))
         turned = np.zeros(len(parts))
@@ -155,7 +156,7 @@ class Poser(TaskRules):
         return self.rig.part_type(label).reach_m
 
     def _missing(self, pose: Pose, angle: np.ndarray) -> np.ndarray:
-        """Return the rotation [rad] from angles (...) [rad] to the nearest equivalent angle of the
-        pose."""
+        """Return the rotations (...) [rad] from the angles `angle` (...) [rad] of parts to the
+        nearest angle that is equivalent to the angle of the pose."""
         period = 2 * np.pi / max(self.rig.part_type(pose.label).symmetry, 1)
         return np.asarray((pose.angle - angle + period / 2) % period - period / 2)

@@ -1,9 +1,9 @@
-"""Rules of a sorting task: each part moves to the region of its class.
+"""Rules of a sorting task, in which each part moves to the region of its class.
 
-The targets are intervals. A part may be anywhere in its region, and coordinates that the region
-does not restrict are free. The solver therefore has as much freedom as possible, which it needs if
-there are many parts. Parts that cross the plate in opposite directions pass each other in two
-lanes.
+The targets are intervals. A part may be anywhere in its region. If the region does not restrict a
+coordinate, the part may have any value of this coordinate. The solver therefore has as much freedom
+as possible, which it needs if there are many parts. Parts that cross the plate in opposite
+directions pass each other in two lanes, like traffic. The parts together then move in a swirl.
 """
 
 from __future__ import annotations
@@ -22,39 +22,39 @@ from .targets import CROWD, GAP, assign, distance_weight
 from .task import Assessment, Situation, TaskRules
 
 MARGIN = 0.03
-"""Distance of the targets beyond the goal line, as a fraction of the plate's half length or
-width."""
+"""Distance of the targets behind the goal line of a side, as a fraction of the plate's half length
+or width."""
 
 END = 0.85
-"""Outer end of the area that counts for the capacity of a side or corner, as a fraction of the
-plate's half length or width."""
+"""Outer end of the area in which the parts of a side or corner must have space, as a fraction of
+the plate's half length or width."""
 
 LANE = 0.1
-"""Weight of the distance from a lane, for a part with at least `LANE_M` to go along x [-]. For
-shorter distances, the weight is proportional to the distance."""
+"""Weight of the distance from a lane, for a part whose remaining distance along x is at least
+`LANE_M` [-]. If this remaining distance is shorter, the weight is proportional to it."""
 
 CROWDED_LANE = 0.3
-"""Weight of the distance from a lane if there are more than `CROWD` parts, for a part with at least
-`LANE_M` to go along x [-]. For shorter distances, the weight is proportional to the distance."""
+"""Weight that replaces `LANE` if there are more than `CROWD` parts [-]."""
 
 LANE_M = 0.1
-"""Distance along x from which the lane has its full weight [m]."""
+"""Remaining distance of a part along x from which on its lane has the full weight [m]."""
 
 LANE_AT = 0.25
 """Inner edge of the lanes, as a fraction of the plate's half width."""
 
 SWITCH = 0.3
-"""Mean displacement of the parts to the wrong side at which the swirl reverses its direction, as a
-fraction of the plate's half width."""
+"""If the parts are on average farther than this on the wrong side of their lanes, the swirl
+reverses its direction. The unit is the plate's half width."""
 
 SLOT_SPACING = 3.5
-"""Distance between neighbouring slots [part radii]."""
+"""Distance between neighbouring slots (places for parts) in a bin [part radii]."""
 
 SLOT_CLEAR = 1.25
-"""Distance of the slots from the sides of the bin [part radii]."""
+"""Minimum distance of the slots from the sides of the bin [part radii]."""
 
 GRID_TRIES = 4
-"""Number of shifts of the grid of slots along each axis. The shift with the most slots is used."""
+"""Number of shifts of the grid of slots that are tried along each axis. The shift that gives the
+most slots is used."""
 
 
 @dataclass(frozen=True)
@@ -66,7 +66,7 @@ class Sorter(TaskRules):
 
     @property
     def hold_s(self) -> float:
-        """Time for which all parts must be in their regions [s]."""
+        """Time for which all parts must be in their regions until the task is done [s]."""
         return self.task.hold_s
 
     def check(self, scenario: Scenario) -> None:
@@ -105,7 +105,7 @@ class Sorter(TaskRules):
                 )
 
     def _room(self, label: str, region: Side) -> int:
-        """Return the capacity of a side or corner for parts of a class. The parts are placed in a
+        """Return the number of parts of a class that have space in a side or corner region, in a
         square pattern."""
         half, wide = self.rig.plate.half, 2 * self.rig.parts.radius_m
         goal = self.task.goal_fraction
@@ -116,7 +116,7 @@ class Sorter(TaskRules):
         return int(np.prod(np.maximum(1 + np.floor(span / wide + 1e-9), 0)))
 
     def assess(self, memory: float | None, now: Situation) -> tuple[float, Assessment]:
-        """Evaluate one image and return the request, see `TaskRules.assess`. The memory is the
+        """Evaluate one image and return the request, see `TaskRules.assess`. `memory` is the
         direction of the swirl."""
         to_go = self.to_go(now.parts)
         count, total = int(np.sum(to_go == 0)), int(np.sum(~np.isnan(to_go)))
@@ -133,13 +133,13 @@ class Sorter(TaskRules):
         )
 
     def to_go(self, parts: Parts) -> np.ndarray:
-        """Return the distance of each part (M,) from its region [m]. It is 0 inside the region, and
-        NaN for a class without a region."""
+        """Return the distance of each part from its region (M,) [m]. The distance is 0 inside the
+        region, and NaN for a class without a region."""
         return self.distances(parts.ids, parts.position)
 
     def distances(self, ids: tuple[str, ...], position: np.ndarray) -> np.ndarray:
-        """Return the distances (..., M) of parts from their regions [m], as in `to_go`, for one or
-        several sets of positions (..., M, 2) [m]."""
+        """Return the distances (..., M) [m] of parts from their regions, for one or several sets of
+        positions (..., M, 2) [m]. Special values are the same as in `to_go`."""
         sign, goal = self._signs(ids), self.task.goal_fraction * self.rig.plate.half
         short = np.where(sign != 0, np.maximum(goal - position * sign, 0), 0)
         # A part on the goal line is not in its region yet.
@@ -152,10 +152,10 @@ class Sorter(TaskRules):
         return result
 
     def hand(self, before: float | None, parts: Parts) -> float:
-        """Return the direction of the swirl. It is 1 if parts that move to the right pass above
-        parts that move to the left, and -1 if they pass below. If the regions are opposite corners,
-        they determine the direction. Otherwise it changes only if the opposite direction fits the
-        present positions much better."""
+        """Return the direction of the swirl. The direction is 1 if parts that move to the right
+        pass above parts that move to the left, and -1 if they pass below. If the regions are
+        opposite corners, these corners determine the direction. Otherwise, the direction changes
+        only if the opposite direction suits the present positions much better."""
         sign = self._signs(parts.ids)
         if diagonal := _diagonal(sign):
             return diagonal
@@ -168,7 +168,8 @@ class Sorter(TaskRules):
         return before
 
     def request(self, parts: Parts, hand: float) -> Targets:
-        """Return the targets of M parts, for a direction of the swirl."""
+        """Return the targets of M parts for the request to the solver. `hand` is the direction of
+        the swirl."""
         sign, half = self._signs(parts.ids), self.rig.plate.half
         line = (self.task.goal_fraction + MARGIN) * half
         displacement = self._displacements(parts, sign)
@@ -202,20 +203,21 @@ class Sorter(TaskRules):
         return Targets(low, high, weight, GAP * self.rig.parts.radius_m)
 
     def _displacements(self, parts: Parts, sign: np.ndarray) -> np.ndarray:
-        """Return the distances (M, 2) [m] of the parts from their targets, which are `MARGIN`
-        beyond the goal lines. `sign` (M, 2) contains the signs of the sides."""
+        """Return the distances of the parts from their targets along x and y (M, 2) [m]. The
+        targets are behind the goal lines by `MARGIN`. `sign` (M, 2) contains the signs of the sides
+        of each part."""
         line = (self.task.goal_fraction + MARGIN) * self.rig.plate.half
         return np.where(sign != 0, np.maximum(line - parts.position * sign, 0), 0)
 
     def _signs(self, ids: tuple[str, ...]) -> np.ndarray:
-        """Return the signs (M, 2) of the parts' sides along x and y. A sign is 0 if the coordinate
-        is free."""
+        """Return for each part the signs of its side along x and y (M, 2). A sign is 0 if the
+        region does not restrict this coordinate."""
         sides = {k: v for k, v in self.task.regions.items() if isinstance(v, Side)}
         signs = [(s.x, s.y) if (s := sides.get(part_class(i))) else (0, 0) for i in ids]
         return np.array(signs, dtype=float).reshape(-1, 2)
 
     def _binned(self, ids: tuple[str, ...]) -> list[tuple[np.ndarray, shapely.Polygon, np.ndarray]]:
-        """Return for each bin the indices of its parts, its outline, and its slots (k, 2)."""
+        """Return for each bin the indices of its parts, its outline, and its slots (k, 2) [m]."""
         label = np.array([part_class(i) for i in ids])
         found = [(np.flatnonzero(label == name), *bin_) for name, bin_ in self._bins.items()]
         return [(rows, region, slot) for rows, region, slot in found if len(rows)]
@@ -227,8 +229,9 @@ class Sorter(TaskRules):
 
 
 def _diagonal(sign: np.ndarray) -> float:
-    """Return 1 if the regions of all parts are the bottom left and the top right corner, -1 for the
-    other two corners, and 0 for other regions. `sign` (M, 2) contains the signs of the sides."""
+    """Check whether the regions of all parts are two opposite corners. Return 1 for the bottom left
+    and the top right corner, -1 for the other two corners, and 0 for other regions. `sign` (M, 2)
+    contains the signs of the sides of each part."""
     side = np.prod(sign, axis=1)
     if not len(side) or np.ptp(sign[:, 0]) == 0 or np.ptp(side) != 0:
         return 0.0
@@ -236,17 +239,17 @@ def _diagonal(sign: np.ndarray) -> float:
 
 
 def slots(region: Bin, label: str, rig: Rig) -> np.ndarray:
-    """Return places (n, 2) [m] in a bin for parts of a class. The places are inside the wall that
-    keeps parts from the plate's edges. If the bin has no such places, the minimum distance from the
-    edges is used instead."""
+    """Return places (n, 2) [m] for parts of a class in a bin. The places have the distance `wall_m`
+    from the plate's edges. If the bin has no such places, the shorter distance `least_m` is
+    used."""
     margin = rig.edge_margin(label)
     behind = _grid(region, margin.wall_m, rig)
     return behind if len(behind) else _grid(region, margin.least_m, rig)
 
 
 def _grid(region: Bin, edge_m: float, rig: Rig) -> np.ndarray:
-    """Return places (n, 2) [m] in a bin on a square grid, at least `edge_m` from the plate's
-    edges."""
+    """Return places (n, 2) [m] in a bin. They form a square grid, at least `edge_m` from the
+    plate's edges."""
     outline = shapely.Polygon(region.corner)
     spacing, clear = SLOT_SPACING * rig.parts.radius_m, SLOT_CLEAR * rig.parts.radius_m
     room = (

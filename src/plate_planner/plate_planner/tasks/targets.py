@@ -1,8 +1,8 @@
 """Assignment of parts to targets, and the weights of the distances.
 
 The assignment minimises the sum of squared distances (scipy's linear_sum_assignment). Only parts of
-the correct class are assigned. `distance_weight` scales the longest distance to a fixed length, so
-that this distance dominates the squared errors.
+the correct class are assigned. The function `distance_weight` scales the longest distance to a
+fixed length, so that this distance dominates the sum of squared errors.
 """
 
 from __future__ import annotations
@@ -17,27 +17,27 @@ from plate_core import Parts, part_class
 from ..estimation import rows_of
 
 UNMATCHED = ""
-"""Id that is returned for a target without a part."""
+"""Value that is returned in place of an id for a target without a part."""
 
 WRONG_CLASS_M = 1e3
-"""Cost of a part of the wrong class [m]. This cost exceeds any sum of distances on a plate, so such
-a pair is never chosen."""
+"""Cost of the assignment of a part to a target of another class [m]. The cost exceeds any sum of
+distances on a plate, so such an assignment is never chosen."""
 
 FULL_DISTANCE_M = 0.006
-"""Weighted value of the longest distance of a part from its target [m]. With this value, the
-weighted distances are larger than errors at edges, and the parts with the longest distances move
-first."""
+"""Value of the longest distance of a part from its target after weighting [m]. With this value, the
+weighted distances are larger than the violations of the distance from the edges. The parts with the
+longest distances move first."""
 
 MIN_DISTANCE_M = 0.005
-"""Minimum of the longest distance in the computation of the weights [m]. If the longest distance is
-shorter, the weights do not increase further."""
+"""Lower limit of the longest distance from which the weights are computed [m]. If the longest
+distance is shorter than this limit, the weights do not increase further."""
 
 CROWD = 40
-"""Number of parts above which the plate rests between cycles and lanes have more weight. The value
-was tuned in simulations of `sort_50`: with rest between cycles, 8 runs take 46 to 69 s, median 54
-s. Without rest, 13 runs with the usual lanes take 32 to 92 s, median 56 s, and 9 runs with the
-lanes of a crowd take 40 to 75 s, median 52 s. Without rest, the median does not change, but some
-runs take longer."""
+"""If there are more parts than this number, the plate rests between cycles and lanes have more
+weight. The value was tuned in simulations of `sort_50`. With rest between cycles, 8 runs take 46 to
+69 s, median 54 s. Without rest and with the weight `LANE`, 13 runs take 32 to 92 s, median 56 s.
+Without rest and with the weight `CROWDED_LANE`, 9 runs take 40 to 75 s, median 52 s. Rest between
+cycles thus does not change the median much, but without rest some runs take longer."""
 
 GAP = 0.5
 """Minimum gap between the edges of two moving parts [radii of the rig's parts]."""
@@ -46,7 +46,8 @@ GAP = 0.5
 def match_targets(
     labels: Sequence[str], target: np.ndarray, parts: Parts, reach_m: float = np.inf
 ) -> tuple[str, ...]:
-    """Match parts to targets of their class with the minimum sum of squared distances.
+    """Assign parts to targets of their class. The assignment has the minimum sum of squared
+    distances.
 
     Parameters
     ----------
@@ -55,14 +56,14 @@ def match_targets(
     target : (P, 2)
         Target positions [m, plate_home].
     parts : Parts
-        Parts that can be assigned.
+        Parts that can be assigned to the targets.
     reach_m : float
-        Maximum distance of a matched pair [m].
+        Maximum distance of a part from its assigned target [m].
 
     Returns
     -------
     tuple of P ids
-        Id of the part of each target. UNMATCHED if the target has no part.
+        Id of the part that is assigned to each target. UNMATCHED if the target has no part.
     """
     target = np.reshape(target, (-1, 2))
     square = np.sum((target[:, None] - parts.position[None]) ** 2, axis=2)
@@ -72,8 +73,9 @@ def match_targets(
 def match_by_cost(
     labels: Sequence[str], cost: np.ndarray, parts: Parts, most: float = np.inf
 ) -> tuple[str, ...]:
-    """Match parts to P targets of their class with the minimum sum of costs (P, M) [m2]. Pairs that
-    cost more than `most` are not matched. The result has the same form as in `match_targets`."""
+    """Assign parts to P targets of their class. The assignment has the minimum sum of the costs
+    `square` (P, M) [m2]. If an assignment costs more than `most` [m2], the part is not assigned.
+    The result has the same form as in `match_targets`."""
     match = [UNMATCHED] * len(labels)
     if not len(parts) or not labels:
         return tuple(match)
@@ -92,10 +94,9 @@ def rematch_targets(
     parts: Parts,
     reach_m: float,
 ) -> tuple[str, ...]:
-    """For targets whose part is not detected, find an unmatched part of the same class close to the
-    target.
-
-    Vision assigns a new id to a part that was hidden for a long time.
+    """If the part of a target is not detected, assign an unassigned part of the same class that is
+    close to the target. This is necessary because the detector gives a new id to a part that was
+    hidden for a long time.
     """
     vacant = [k for k, part_id in enumerate(match) if part_id not in parts.ids]
     spare = [i for i, part_id in enumerate(parts.ids) if part_id not in match]
@@ -111,27 +112,29 @@ def rematch_targets(
 
 
 def matched_rows(match: tuple[str, ...], parts: Parts) -> tuple[np.ndarray, np.ndarray]:
-    """Return two arrays (K,): the indices of the targets whose parts are detected, and the indices
-    of these parts."""
+    """Return two arrays (K,). They contain the indices of the targets whose parts are detected, and
+    the indices of these parts."""
     row = rows_of(match, parts.ids)
     target = np.flatnonzero(row >= 0)
     return target, row[target]
 
 
 def assign(labels: tuple[str, ...], place: np.ndarray, parts: Parts) -> np.ndarray:
-    """Assign parts to places (P, 2) [m] of their class. The assignment minimises the sum of squared
-    distances.
+    """Assign parts to places (P, 2) [m] that are intended for their class. The assignment minimises
+    the sum of squared distances.
 
     Returns
     -------
     (M,) int
-        Index of the place of each part. It is -1 for a part without a place.
+        Index of the place that is assigned to each part. The index is -1 for a part without a
+        place.
     """
     return rows_of(parts.ids, match_targets(labels, place, parts))
 
 
 def distance_weight(offset: np.ndarray) -> float:
-    """Return the weight per metre for parts with distances (M, 2) [m] to their targets.
+    """Return the common weight [-] of the distances of parts from their targets. `offset` (M, 2)
+    [m] contains these distances along x and y.
 
     If d is the longest distance, the weight is FULL_DISTANCE_M / max(d, MIN_DISTANCE_M).
     """
@@ -141,7 +144,7 @@ def distance_weight(offset: np.ndarray) -> float:
 def stay_within(
     coordinate: np.ndarray, half: float, inner: float, outer: float, speed: float, wander: float
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Return drift intervals that keep parts away from the plate's edges.
+    """Return intervals of drift along one coordinate that keep parts away from the plate's edges.
 
     Let e be the proximity of a part to the edges (`nearness`), and s the sign of its coordinate.
     The interval is
@@ -160,9 +163,9 @@ def stay_within(
     inner, outer : float
         Start and end of the transition [fraction of `half`].
     speed : float
-        Requested inward drift at the edge [m/s].
+        Requested drift towards the middle at the edge [m/s].
     wander : float
-        Accepted drift in the middle of the plate [m/s].
+        Maximum accepted drift in the middle of the plate [m/s].
 
     Returns
     -------
@@ -178,6 +181,6 @@ def stay_within(
 def nearness(
     coordinate: np.ndarray, half: float | np.ndarray, inner: float, outer: float
 ) -> np.ndarray:
-    """Return the proximity to an edge: 0 up to `inner`, 1 from `outer` on, linear in between.
-    `inner` and `outer` are fractions of `half`."""
+    """Return the proximity of parts to an edge. It is 0 up to `inner`, 1 from `outer` on, and
+    linear in between. `inner` and `outer` are fractions of `half`."""
     return np.clip((np.abs(coordinate) / half - inner) / (outer - inner), 0, 1)

@@ -1,5 +1,6 @@
-"""Interface between the planner and the rules of a task. `Situation` is the input at each image or
-cycle, and `Assessment` is the output. `TaskRules` is the base class of all rules."""
+"""Interface between the planner and the rules of a task. `Situation` is the input of the rules at
+each image or cycle, and `Assessment` is their output. `TaskRules` is the base class of all
+rules."""
 
 from __future__ import annotations
 
@@ -18,19 +19,19 @@ SIGHT_M, SIGHT_RAD = 3e-4, 0.01
 evaluated with measured poses."""
 
 BAND = 0.3
-"""Half width of the target intervals of positions and angles, relative to the task's tolerance
+"""Half width of the target intervals of positions and angles, divided by the task's tolerance
 [-]."""
 
 NEARER_M = 0.002
-"""Minimum decrease of the distance to the goal that counts as progress [m]. The distance is the sum
-over the parts. This decrease is larger than the camera's noise."""
+"""Minimum decrease of the distance to the goal, summed over the parts, that counts as progress [m].
+The value is larger than the noise of the camera."""
 
 BIAS_GAIN = 0.3
 """Gain of the drift bias observer: weight of the newest prediction error [-]."""
 
 BIAS_M = 5e-3
-"""Maximum prediction error per cycle that counts as drift bias [m]. A larger error is caused by a
-push."""
+"""Maximum prediction error per cycle that counts as drift bias [m]. If the error is larger, it is
+assumed that something has pushed the part."""
 
 
 @dataclass(frozen=True)
@@ -40,36 +41,38 @@ class Situation:
     Attributes
     ----------
     parts : Parts
-        M parts on the plate, with their positions at the stamp.
+        M parts on the plate, with their positions at the time `stamp`.
     stamp : float
         Stamp of the image [s].
     start : float
-        Time at which the result takes effect [s].
+        Time at which the solver's result for this request begins [s].
     rests : float
-        Time at which the plate comes to rest [s], if no motion is requested from `start` on.
+        Time at which the plate comes to rest if no motion is requested from `start` on [s].
     period : float
         Length of a cycle [s].
     motion_known : bool
-        Whether the plate's cycles are known. If False, predictions assume that the parts follow the
-        last request.
+        Whether the executed cycles of the plate are known. If False, predictions assume that the
+        parts follow the last request.
     latency_known : bool
         Whether the image latency is known to within a few milliseconds.
     predicted : (M, 2)
         Predicted positions of the parts at `start` [m, plate_home].
     shortfall : (M,)
-        Requested drift minus predicted drift of the running cycle [m/s].
+        Magnitude of the difference between the requested and the predicted drift in the running
+        cycle [m/s].
     active : bool
         Whether the task has begun and has not ended.
     seen : Parts
-        Parts on the plate as the last image shows them.
+        Parts on the plate that the last image shows, at their measured positions.
     taken : float
         Time at which the last image was taken [s].
     kept : bool
-        Whether the last image was ignored: see `TaskRules.keeps_last`.
+        Whether the last image was ignored, see `TaskRules.keeps_last`.
     late : int
-        Maximum delay of the last results [cycles].
+        Maximum delay of the solver's last results [cycles].
     resting_since : float
-        Start of the plate's rest [s]. Infinite if the plate is not known to be at rest.
+        Time since which the plate has been at rest [s]. Infinite if it is not certain that the
+        plate is at rest.
     """
 
     parts: Parts
@@ -96,33 +99,34 @@ class Assessment:
     Attributes
     ----------
     request : DriftInterval or Targets or None
-        Request for the M parts: their drifts in the next cycle, or their targets. If None, the
-        plate rests.
+        Request for the M parts, either their drifts in the next cycle or their targets. If None,
+        the plate rests.
     goal_met : bool
         Whether the goal is met in this image.
     count : int
         Number of parts at their goals.
     total : int
-        Number of parts that the task counts. Tasks set it only if it may exceed the number of parts
-        in the scenario.
+        Number of parts that the task counts. Only tasks in which this number may exceed the number
+        of parts in the scenario set this value.
     distance : (M,)
         Distance of each part from its goal [m].
     to_go_m : float
         Distance to the goal [m], summed over the parts.
     problem : str
-        Reason why the task cannot continue. Empty if it can.
+        Reason why the task cannot continue. Empty if it can continue.
     missing : tuple of str, or None
-        Missing parts. If None, all parts of the scenario that are not detected count as missing.
+        Names of the missing parts. If None, all parts of the scenario that are not detected count
+        as missing.
     rms_error_m, max_error_m : float
-        Root mean square and maximum position error, as the task defines it [m].
+        Root mean square and maximum of the position errors, as the task defines them [m].
     turn_error : float
         Maximum angle error [rad].
     speed_scaling, pace : float
         Present and mean speed of the references, as a fraction of the speed of their paths [-].
     outcome : str
-        Text on the result, if the task is done now.
+        Text about the result, which is used if the task is done now.
     doing : str
-        Text on the running task.
+        Text about the running task.
     """
 
     request: DriftInterval | Targets | None = None
@@ -143,10 +147,11 @@ class Assessment:
 
 
 class TaskRules(Protocol):
-    """Rules of one task on one rig. The rules are pure: the memory is an argument and a result.
+    """Rules of one task on one rig. The methods are pure functions. The memory is an argument and a
+    result of `assess`.
 
-    A new task must implement `hold_s` and `assess`. For the other methods, the defaults are
-    suitable for most tasks.
+    A new task must implement `hold_s` and `assess`. The default implementations of the other
+    methods are suitable for most tasks.
     """
 
     @property
@@ -155,13 +160,14 @@ class TaskRules(Protocol):
         ...
 
     def assess(self, memory: Any, now: Situation) -> tuple[Any, Assessment]:
-        """Evaluate one image and return the request. The function is also called while the task is
-        inactive.
+        """Evaluate one image and return the request to the solver. This method is also called while
+        the task is not active.
 
         Parameters
         ----------
         memory
-            Memory that the last call returned. None at the first call after the start.
+            Memory that the last call has returned. None at the first call after the start of the
+            task.
         now : Situation
 
         Returns
@@ -174,17 +180,17 @@ class TaskRules(Protocol):
 
     @property
     def endless(self) -> bool:
-        """Whether the task runs until it is canceled. If so, it never ends as done or stuck."""
+        """Whether the task runs until it is canceled. Such a task never ends as done or stuck."""
         return False
 
     @property
     def open_ended(self) -> bool:
-        """Whether parts may be added and removed. If so, the task begins with any number of parts,
-        and no part counts as missing."""
+        """Whether parts may be added and removed during the task. Such a task begins with any
+        number of parts, and no part counts as missing."""
         return False
 
     def keeps_last(self, memory: Any) -> bool:
-        """Whether the planner ignores the image and keeps the last detected parts."""
+        """Whether the planner ignores the next image and uses the last detected parts again."""
         return False
 
     @property
@@ -197,7 +203,8 @@ class TaskRules(Protocol):
         return
 
     def warnings(self) -> tuple[str, ...]:
-        """Return warnings on requests that this rig will probably not achieve, with remedies."""
+        """Return warnings about requests that this rig will probably not achieve. Each warning
+        contains a remedy."""
         return ()
 
     @property
