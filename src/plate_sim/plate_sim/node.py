@@ -255,7 +255,8 @@ class SimulatorNode(SafeLifecycleNode[Options]):
 
     def __init__(self) -> None:
         super().__init__("simulator", Options)
-        self._next_seed: int | None = None  # seed of the next reset if the parameter was set
+        # seed of the next reset; None if the parameter `seed` was not set
+        self._next_seed: int | None = None
         self.add_post_set_parameters_callback(self._note_seed)
         self.report(
             self._find, self._values, "simulation", self._begin_report,
@@ -312,7 +313,8 @@ class SimulatorNode(SafeLifecycleNode[Options]):
         self._pulse_ns = 0  # time of the last trigger pulse [ns]
         self._due_ns = time.monotonic_ns()  # wall time at `_next_ns`
         self._start_shots(self._next_ns)
-        self._ahead: list[np.ndarray | None] = []  # the next image if it is already rendered
+        # the next image, if it was already rendered; otherwise empty
+        self._ahead: list[np.ndarray | None] = []
         if not self._driven:
             self._begin_cycle()
 
@@ -417,15 +419,16 @@ class SimulatorNode(SafeLifecycleNode[Options]):
         self._next_ns += period_ns
         self._due_ns += round(period_ns / options.rate)
         self._count["cycles"] += 1
-        # If no new table has arrived, the last table is repeated, or its tail is executed.
+        # `alone` is true if no new table has arrived. Then the simulator repeats the last table or
+        # executes its tail.
         tail_alone = before.waiting is None and cycle is before.cycle.tail
         alone = self._timeline.repeats > 0 or tail_alone
         self._count["held cycles"] += alone
         self._count["missed images"] += self._shot is None and not seen
         self._advance()
         if self._shot is None and not options.lockstep:
-            # Render the next image now, in the idle time. A real camera would not use time of this
-            # computer.
+            # Render the next image now, while the simulator is idle. A real camera would not use
+            # computing time here.
             self._ahead = [self._simulation.capture()]
         return seen
 
@@ -463,13 +466,14 @@ class SimulatorNode(SafeLifecycleNode[Options]):
         behind_ns = time.monotonic_ns() - self._due_ns
         now_ns = Clock(clock_type=ClockType.SYSTEM_TIME).now().nanoseconds
         late = behind_ns > (self._next_ns - self._time_ns) / self.options.rate
-        # The stamps are wrong if the system clock was set or the computer was suspended.
+        # The stamps of the simulator are wrong if the system clock was set or the computer was
+        # suspended.
         wrong = (
             abs(now_ns - behind_ns - self._next_ns) > MAX_CLOCK_ERROR_NS
             and not self._simulated_time
         )
         if late or wrong:
-            # During the delay, the plate and the parts did not move. The next cycle therefore
+            # During the delay, the simulated plate and parts did not move. Therefore the next cycle
             # begins now.
             self._due_ns += behind_ns
             if not self._simulated_time:
@@ -524,7 +528,7 @@ class SimulatorNode(SafeLifecycleNode[Options]):
         lockstep = self.options.lockstep
         self._record_input()
         if lockstep and nanoseconds(msg.header.stamp) != self._time_ns:
-            return  # the solver has repeated an old reply
+            return  # the table has an old stamp, because the solver has sent its last result again
         try:
             cycle = msg_to_motors(self._rig, msg)
             if cycle.moves and (second_publisher := self.second_publisher("motor_setpoints")):

@@ -1,4 +1,4 @@
-// Python bindings of the vision kernels: the module `_kernels`.
+// Python module `_kernels`: the bindings of all vision kernels.
 #include <plate/bind.hpp>
 
 namespace plate {

@@ -1,4 +1,4 @@
-// Kernels for remains, the objects on the plate other than parts: see remains.py.
+// C++ kernels of remains.py, which detects objects on the plate that are not parts.
 #pragma once
 #include <algorithm>
 #include <array>
@@ -10,11 +10,11 @@
 
 namespace plate {
 
-// Width [px] of the border around a part that belongs to the part. It is the part's blurred edge.
+// Width [px] of a part's blurred edge. Pixels within this distance of a part belong to the part.
 constexpr double CLEAR_PX = 2.5;
 
-// Set the pixels of a grid (h, w) to 0 where there are parts. `parts` (n,) are the silhouettes of
-// the parts at `places` (n, 2) [px].
+// Set the pixels of a grid `odd` (h, w) to 0 where there are parts. `parts` (n,) are the
+// silhouettes of the parts at `places` (n, 2) [px].
 inline void clear_parts(View<uint8_t, 2> odd, const std::array<int, 3>& grid,
                         View<const double, 2> places, const Silhouette* parts) {
     for (int k = 0; k < places.size(0); k++) {
@@ -44,9 +44,9 @@ inline void clear_parts(View<uint8_t, 2> odd, const std::array<int, 3>& grid,
     }
 }
 
-// Whether four neighbouring pixels of a grid outside the parts deviate from the plate by more than
-// a limit. Only pixels that are set in `counts` (h, w) are evaluated. `parts` (n,) are the
-// silhouettes of the parts at `places` (n, 2) [px].
+// Whether any four neighbouring pixels of a grid deviate from the bare plate by more than a limit.
+// Pixels of parts are ignored. Only pixels that are true in `counts` (h, w) are evaluated. `parts`
+// (n,) are the silhouettes of the parts at `places` (n, 2) [px].
 inline bool any_odd(View<const uint8_t, 3> image, View<const float, 2> lights, double limit,
                     View<const bool, 2> counts, const std::array<int, 3>& grid,
                     View<const double, 2> places, const Silhouette* parts) {

@@ -485,8 +485,8 @@ class Camera:
         layers = [_Layer(1, path, own, 1.0, turn)]
         size = np.ones(count) if scene.size is None else scene.size
         if lighting.shadows:
-            # All layers of a shadow have the same opacity. Where all layers overlap, they have the
-            # opacity of the shadow.
+            # A shadow is drawn as several layers with the same opacity. Where all layers overlap,
+            # their total opacity is the opacity of the shadow.
             opacity = 1 - (1 - lighting.shadows) ** (1 / PENUMBRA_STEPS)
             shift = np.tile(lighting.shadow_m * lighting.shadow_way, (count, 1))
             reach = size * [part.reach_m for part in scene.types]
@@ -498,7 +498,7 @@ class Camera:
             layers = [*shadows, *layers]
         first = len(layers) - 1
         if scene.growth is not None:
-            # The side face ends slightly inside the top face, see EDGE_PX.
+            # The drawn side face of a part ends slightly inside its top face (see EDGE_PX).
             rise = path.mean(axis=0) - scene.path.mean(axis=0)
             swell = (scene.growth - 1)[:, None]
             reach = size * [part.reach_m for part in scene.types]
@@ -532,8 +532,8 @@ class Camera:
         )  # fmt: skip
         kind = np.concatenate([layer.kind * count + np.arange(count) for layer in layers])
         if scene.growth is not None:
-            # A part hides the parts behind it, which are farther from the point below the camera.
-            # Therefore the farthest part is drawn first.
+            # A part hides parts that are farther from the point below the camera. Therefore the
+            # farthest part is drawn first.
             away = np.hypot(*(scene.path.mean(axis=0) - scene.low).T)
             rank = np.empty(count, int)
             rank[np.argsort(-away, kind="stable")] = np.arange(count)
@@ -580,7 +580,8 @@ class Camera:
         square = np.sum(slopes**2, axis=(1, 2))
         longest = np.sqrt(0.5 * (square + np.sqrt(np.maximum(square**2 - 4 * area**2, 0))))
         spread = np.linalg.norm(path - middle, axis=2).max(axis=0)
-        # The window is 10 % larger, because the scale varies across a part.
+        # The window of pixels around a part is 10 % larger than computed, because the image scale
+        # varies across the part.
         reach = 1.1 * longest * (radius + spread) + MARGIN_PX
         size = np.array([self._rig.camera.width_px, self._rig.camera.height_px])
         low = np.clip(seen - reach[:, None], 0, size).astype(int)

@@ -83,7 +83,8 @@ class _Node:
         if command != 0x40:
             self.objects[index, sub] = value
             if index == MODE:
-                self.objects[MODE + 1, 0] = value  # the mode changes at once
+                # the operation mode that the drive displays changes at once
+                self.objects[MODE + 1, 0] = value
             command, value = 0x60, 0
         elif (index, sub) in self.objects:
             command, value = 0x43, self.objects[index, sub]
@@ -96,7 +97,7 @@ class _Node:
         if not self.operational:
             return []
         data = struct.pack("<Hi", self.status, counts)
-        # Without bit 1 (enable voltage), the drive switches off.
+        # If bit 1 (enable voltage) of the controlword is 0, the drive switches off.
         kept = self.status if self.order & 2 else OFF
         self.status = NEXT.get((self.status, self.order), kept)
         self.target = self.goal
@@ -121,7 +122,7 @@ class SimulatedDrives:
         self.zeros = np.array(zeros)
         """Positions of the drives at home [counts]."""
         self._state = np.zeros((3, len(drives)))
-        # Setpoints at the start and at the end of the present bus cycle [m].
+        # Setpoints of the motors at the start and at the end of the present bus cycle [m].
         self._from = self._to = np.zeros(len(drives))
         self._into = 0.0
         self._now_ms = 0
@@ -308,7 +309,8 @@ class SetpointCheck:
         self._scale = np.array([drive.counts_per_m * drive.sign for drive in drives])
         self._zeros, self._targets = zeros, np.zeros(len(drives), int)
         self._most = np.array([limits.stroke_m, limits.speed, limits.accel])
-        self._led: list[np.ndarray] = []  # last three setpoints since the motors have current [m]
+        # last three setpoints [m]; empty while the motors have no current
+        self._led: list[np.ndarray] = []
         self.shares = np.zeros(3)
         """Maximum stroke, speed and acceleration of the setpoints, as fractions of the limits."""
 

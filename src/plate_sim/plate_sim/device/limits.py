@@ -56,8 +56,8 @@ class DeviceLimits:
         is no suspension, the plate is uniform.
         """
         inverse = np.linalg.pinv(rig.motor_levers.T)
-        # The values are rounded. Otherwise rounding errors of the inverse could decide whether a
-        # motion at a limit is allowed.
+        # The values are rounded to nine decimals. Without this, rounding errors of `inverse` could
+        # decide whether a motion exactly at a limit is allowed.
         load = np.round(inverse @ rig.plate_mass @ inverse.T, 9)
         limits = rig.limits
         return cls(

@@ -149,8 +149,8 @@ class DeviceNode(SafeLifecycleNode[Options]):
         if emulator.connected != self._terminal.plugged:
             (self._terminal.plug if emulator.connected else self._terminal.unplug)()
         ticks = due // TICK_US
-        # The bytes are stamped with the present time, not with the device's simulated time. The
-        # simulated time lags behind, and the host sent the bytes after it.
+        # The bytes from the host are stamped with the present time. The simulated time of the
+        # device lags behind, and the host sent the bytes after this time.
         emulator.to_device.sent(received, emulator.now + ticks * TICK_US * 1e-6)
         for _ in range(ticks):
             for segment in emulator.tick():

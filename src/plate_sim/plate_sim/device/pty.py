@@ -55,7 +55,8 @@ class PseudoTerminal:
             os.close(master)
             os.close(slave)
             raise PlateError(f"link is {str(self._link)!r}: {error}") from None
-        # Both ends stay open here. Otherwise the terminal would close when a host disconnects.
+        # This process keeps both ends of the terminal open. Otherwise the terminal would close when
+        # a host disconnects.
         self._ends = master, slave
 
     def unplug(self) -> None:
@@ -74,7 +75,7 @@ class PseudoTerminal:
             return b""
         try:
             return os.read(self._ends[0], READ_BYTES)
-        except OSError:  # no bytes are waiting
+        except OSError:  # the host has sent no bytes
             return b""
 
     def write(self, data: bytes) -> None:

@@ -30,7 +30,7 @@ class Line:
         self.faults = faults
         self._rng = rng
         self._way: list[tuple[float, bytes]] = []
-        self._free_at = float("-inf")  # arrival time of the last byte
+        self._free_at = float("-inf")  # time at which the last byte arrives at the receiver [s]
 
     def sent(self, data: bytes, now: float) -> None:
         """Send bytes at `now` [s]."""

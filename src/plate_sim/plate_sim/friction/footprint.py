@@ -259,8 +259,8 @@ def _corners(outline: tuple[np.ndarray, ...]) -> np.ndarray:
     for i, piece in enumerate(outline):
         side = np.roll(piece, -1, axis=0) - piece
         out = np.column_stack([side[:, 1], -side[:, 0]]) / np.linalg.norm(side, axis=1)[:, None]
-        # A side is hidden if three of its points are in another piece or on the edge of another
-        # piece.
+        # A side of a convex piece is hidden if three of its points are in another piece of the part
+        # or on the edge of another piece.
         ends = shapely.points(piece + np.array([1e-3, 0.5, 1 - 1e-3])[:, None, None] * side)
         hidden = np.zeros(len(piece), dtype=bool)
         for other in (*outline[:i], *outline[i + 1 :]):

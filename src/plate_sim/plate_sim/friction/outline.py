@@ -42,7 +42,8 @@ def _footprint(part: PartType) -> Footprint:
     holes = [np.array(hole) for hole in part.holes]
     place, area = _cells(part.polygon, holes)
     weight = area / area.sum()
-    # Scale the grid points to the moments of the part, so that mass and inertia are exact.
+    # Transform the grid points so that their first and second moments are those of the part. Then
+    # centre of mass and inertia are exact.
     place = place - weight @ place
     wanted, _, second = moments(part.polygon, holes)
     own = np.linalg.cholesky((weight[:, None] * place).T @ place)
@@ -102,7 +103,7 @@ def _triangles(outline: np.ndarray) -> list[list[int]]:
     rest, triangles = list(range(len(outline))), []
     while len(rest) > 3:
         ears = [k for k in range(len(rest)) if _is_ear(outline, rest, k)]
-        if not ears:  # all other corners are on a line
+        if not ears:  # all remaining corners are on a line
             break
         corners = [[rest[k - 1], rest[k], rest[(k + 1) % len(rest)]] for k in ears]
         best = int(np.argmax([_slimness(outline[corner]) for corner in corners]))

@@ -236,7 +236,8 @@ def later(derivatives: np.ndarray, offset: np.ndarray) -> np.ndarray:
     """Return the derivatives (m, DEGREE + 1, d) of polynomials at a time that is `offset` (m,) [s]
     later."""
     order = np.arange(DEGREE + 1)
-    # Derivative j contributes to the later derivative i with the power [i, j] of the offset.
+    # In the Taylor series, derivative j contributes to derivative i at the later time. power[i, j]
+    # is the exponent of `offset` in this contribution.
     power = order - order[:, None]
     scale = np.array([1 / factorial(p) for p in order])[np.maximum(power, 0)] * (power >= 0)
     return np.asarray((scale * offset[:, None, None] ** np.maximum(power, 0)) @ derivatives)

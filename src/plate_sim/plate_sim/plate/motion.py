@@ -72,7 +72,7 @@ class PlateMotion:
         """Return the part of a motion from `begin` to `end` [s]. Both times are within the
         motion."""
         times = motion.times
-        # If a knot is equal to an end up to rounding, remove the knot.
+        # If a knot is equal to `begin` or `end` up to rounding errors, omit the knot.
         first = int(np.searchsorted(times, begin + ROUNDING_S, "right")) - 1
         last = int(np.searchsorted(times, end - ROUNDING_S, "left"))
         knots = np.concatenate([[begin], times[first + 1 : last], [end]])

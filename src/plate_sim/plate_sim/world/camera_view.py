@@ -137,7 +137,8 @@ class CameraView:
         """Apply new disturbances. Afterwards the caller must call `set_types`."""
         before, self._disturbances, self._noise = self._disturbances, disturbances, noise
         if any(getattr(before, name) != getattr(disturbances, name) for name in NEEDS_NEW_CAMERA):
-            self.__dict__.pop("_camera", None)  # the images of the cached camera are outdated
+            # the cached renderer has the old settings, so create a new one
+            self.__dict__.pop("_camera", None)
         self._camera.noise = noise
 
     @cached_property
@@ -159,7 +160,8 @@ class CameraView:
         middle = begin + interval * rng.random()
         while True:
             jitter = world.stamp_jitter * rng.standard_normal()
-            # The jitter cannot change the order of the stamps.
+            # Each stamp is after the last stamp, because the jitter of a real camera does not
+            # change the order of the stamps.
             last = max(middle + world.latency + jitter, last + FINEST_STAMP_S)
             yield Shot(middle, last, middle + max(world.latency, shown / 2))
             middle += interval
@@ -274,7 +276,8 @@ class CameraView:
         views = [self.history.ago(first - t) for t in time]
         path, pose = (np.stack([getattr(v, n) for v in views]) for n in ("position", "pose"))
         middle, readout = views[count // 2], self._rig.camera.readout_s
-        # The history does not contain changes of the parts since the last cycle, but `state` does.
+        # Since the last cycle, parts may have been added or removed. `state` contains these
+        # changes, but the history does not.
         there = middle.on_plate if first >= time[count // 2] else state.on_plate
         if readout == 0:
             return path, middle.angle, there, pose

@@ -183,7 +183,7 @@ class Disturbances:
             raise PlateError(f"image_rate is {self.image_rate:g}, allowed: {allowed}")
         if not isinstance(self.blur, bool):
             raise PlateError(f"blur is {self.blur!r}, allowed: true or false")
-        self.ground  # the property checks the total tilt # noqa: B018
+        self.ground  # creating `ground` checks the total tilt # noqa: B018
 
     @cached_property
     def ground(self) -> Ground:

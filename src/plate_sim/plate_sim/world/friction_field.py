@@ -90,11 +90,12 @@ class FrictionField:
         """
         if self.share == 0:
             return np.asarray(mu * self.part)
-        # Imported here because the import takes 0.2 s and few runs need it.
+        # SciPy is imported here, because the import takes 0.2 s and few simulations need it.
         from scipy.special import erf
 
         place = to_plate(pose, position)
-        # `height` is a sum of many waves, and therefore normally distributed with variance 1. erf
-        # converts it to a value that is uniformly distributed from -1 to 1.
+        # `height` is a sum of many waves. Therefore its distribution is approximately normal, with
+        # variance 1. The function erf converts `height` to a value that is uniformly distributed
+        # from -1 to 1.
         height = np.sqrt(2 / len(self.phase)) * np.cos(place @ self.wave.T + self.phase).sum(1)
         return np.asarray(mu * self.part * (1 + self.share * erf(height / np.sqrt(2))))

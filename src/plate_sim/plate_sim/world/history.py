@@ -137,8 +137,8 @@ class History:
         position, velocity = _between(run.time, run.position, run.velocity, inside)
         angle, spin = _between(run.time, run.angle, run.spin, inside)
         pose, twist = passage.motion.pose(inside)[0], passage.motion.twist(inside)[0]
-        # A part that left the plate keeps the position at which it left. It left at the first
-        # sample with this position.
+        # In the samples, a part that left the plate stays at the position where it left the plate.
+        # The first sample with this position is the time at which the part left.
         left = ~passage.on_plate & np.all(position == run.position[-1], axis=1)
         return View(
             position + beyond * velocity, angle + beyond * spin, ~left, pose + beyond * twist

@@ -121,7 +121,8 @@ class Simulation:
 
     def _set_types(self) -> None:
         """Set shapes, friction and appearance of the current parts."""
-        self._even_limit: np.ndarray | None = None  # `_limit`, if it does not depend on the places
+        # cached result of `_limit`, if it does not depend on the positions of the parts
+        self._even_limit: np.ndarray | None = None
         types = [self._rig.part_type(part_class(name)) for name in self.state.ids]
         self._shapes = Shapes.of([footprint_of(part) for part in types])
         self._mu = np.array([part.mu for part in types], dtype=float)

@@ -128,7 +128,8 @@ def run_together(
     if here.shape != moved.shape[:2]:
         raise PlateError(f"on_plate has shape {here.shape[1:]}, allowed: ({len(ids)},)")
     steps = [equal_steps(motion.period, step) for motion in motions]
-    # Plates usually share one ground object. Comparing objects is faster than comparing values.
+    # Usually all plates refer to the same ground object. The effect of each object is computed
+    # once. Comparing object identities is faster than comparing values.
     effect = {key: g.effect(gravity) for key, g in {id(g): g for g in grounds}.items()}
     records = run_plates(
         motions, steps, shapes, moved, here, np.array(limits), [effect[id(g)] for g in grounds],

@@ -1,5 +1,5 @@
-// Parts that are clearly darker than the plate. Each part is measured by the fastest method that is
-// suitable: see dark.py.
+// C++ kernels of dark.py: measurement of round parts that are clearly darker than the plate.
+// Isolated parts are measured by a fast method, all other parts by a fit of the contour.
 #pragma once
 #include <algorithm>
 #include <cmath>
@@ -17,19 +17,21 @@ namespace plate {
 // affects the pixels of a window.
 constexpr double BLUR_PX = 1.5;
 
-// Maximum reach of a silhouette that counts as round, relative to its radius. The silhouette of a
-// flat part has this reach if the camera's line of sight to the part is 34 degrees from vertical.
+// A silhouette counts as round if the distance of its farthest point from the centre is below this
+// multiple of its radius. The silhouette of a flat part has this ratio if the camera's line of
+// sight to the part is 34 degrees from vertical.
 constexpr double ROUND = 1.2;
 
-// Maximum dark area [px2] in the outer ring of a window with a single part. Twice this area would
-// shift the centre of a part with a radius of 8 px by 0.05 px.
+// Maximum dark area [px2] in the outer ring of the pixel window around a single part. Twice this
+// area would shift the measured centre of a part with a radius of 8 px by 0.05 px.
 constexpr double RIM_DIRT_PX2 = 0.5;
 
-// Maximum misfit of a part that is measured by moments. With a larger misfit, the part is not
-// evenly dark.
+// Maximum misfit of a part that is measured by moments of the darkness. With a larger misfit, the
+// part is not evenly dark.
 constexpr double EVEN_MISFIT = 0.06;
 
-// Distances (n,) [px] of places (n, >= 2) [px] from the plate's edge; negative outside the plate.
+// Returns the distances (n,) [px] of image points (n, >= 2) [px] from the plate's edge. They are
+// negative outside the plate.
 inline std::vector<double> depths(View<const double, 2> edges, View<const double, 2> bows,
                                   View<const double, 2> places) {
     const int count = places.size(0);
@@ -40,8 +42,9 @@ inline std::vector<double> depths(View<const double, 2> edges, View<const double
 }
 
 // Measure discs (n,) at seeds (n, 2) [px]. `parts` (n,) are the silhouettes of parts at the seeds.
-// `alone` (n,) is set to true for discs that are measured by moments. `marks` (n, 2) is set to the
-// places of marks [px]. `noise` is the noise of the image, relative to the bare plate.
+// `alone` (n,) is set to true for discs that are measured by moments. `marks` (n, 2) receives the
+// positions of the marks on the discs [px]. `noise` is the standard deviation of the image noise,
+// as a fraction of the bare plate's brightness.
 inline void measure_dark(LitPlate plate, double noise, View<const double, 2> edges,
                          View<const double, 2> bows, View<const double, 2> seeds,
                          const Silhouette* parts, Disc* discs, View<double, 2> marks, bool* alone) {

@@ -1,9 +1,11 @@
-// Places, radii and darkness of round parts, fitted to their contours: see fit.py.
+// C++ kernels of fit.py, which fits position, radius and darkness of round parts to their contours
+// in the image.
 //
-// The darkness of a pixel is modelled as the part's darkness times its cover c(u) = 1/2 + 3/4 u -
-// 1/4 u^3, where u is the pixel's depth inside the contour divided by the half width of the edge,
-// -1 to 1. A damped Gauss-Newton step minimises the weighted squared errors of all pixels of a
-// window.
+// The model of a pixel's darkness is the part's darkness times the cover c(u) of the pixel:
+//     c(u) = 1/2 + 3/4 u - 1/4 u^3
+// u is the pixel's depth inside the contour divided by the half width of the edge, limited to -1 to
+// 1. The sum of the weighted squared errors of all pixels in a window is minimised by damped
+// Gauss-Newton steps.
 #pragma once
 #include <algorithm>
 #include <array>
@@ -17,64 +19,69 @@
 
 namespace plate {
 
-// Minimum, initial and maximum half width [px] of a disc's edge. Across the edge, the cover rises
-// from 0 to 1 as a cubic. Without blur the half width is 0.5 px. With a blur of 0.6 px (standard
-// deviation) it is 1.1 px.
+// Minimum, initial and maximum half width [px] of a disc's blurred edge. Across the edge, the cover
+// of the pixels rises from 0 to 1 as a cubic. Without blur the half width is 0.5 px. With a blur of
+// 0.6 px (standard deviation) it is 1.1 px.
 constexpr double EDGE_PX[] = {0.4, 0.8, 4.5};
 
-// EDGE_FRACTION is the maximum half width of the edge, as a fraction of the radius. If EDGE_PX[2]
-// is larger, EDGE_PX[2] is the maximum. MARGIN_FRACTION is the reach of a window beyond the
-// contour, as a fraction of the radius. If RIM_PX is larger, RIM_PX is the reach.
+// EDGE_FRACTION is the maximum half width of the edge, as a fraction of the disc's radius. If
+// EDGE_PX[2] is larger, EDGE_PX[2] is the maximum. MARGIN_FRACTION is the distance by which the
+// window extends beyond the contour, as a fraction of the radius. If RIM_PX is larger, RIM_PX is
+// this distance.
 constexpr double EDGE_FRACTION = 0.6, MARGIN_FRACTION = 0.3;
 
 inline double rim_of(const Silhouette& part) {
     return std::max(RIM_PX, MARGIN_FRACTION * part.radius_px);
 }
 
-// Maximum change of a place or radius [px] in one iteration. It is limited because the model is
-// valid only near the edge.
+// Maximum change of a disc's position or radius [px] in one iteration. The change is limited
+// because the linearised model is valid only near the edge.
 constexpr double MAX_STEP_PX = 1.0;
 
-// The fit of a disc ends if a step changes place and radius by less than this value [px]. The next
-// change would be about 0.001 px, which is a tenth of the error that the image's noise causes.
+// The fit of a disc ends if a step changes position and radius by less than this value [px]. The
+// next change would be about 0.001 px. This is a tenth of the error that the image noise causes.
 constexpr double SETTLED_PX = 0.01;
 
 constexpr int MAX_ITERATIONS = 25;
 
-// Damping, added to the diagonal of the normal equations both as an absolute value and relative to
-// the diagonal. With it, the equations are solvable even if a disc is almost completely hidden.
+// Damping of the normal equations. It is added to the diagonal twice: as an absolute value, and as
+// a fraction of the diagonal. With damping, the equations are solvable even if a disc is almost
+// completely hidden.
 constexpr double FIT_DAMPING = 1e-3;
 
-// A pixel inside a part has no weight if its darkness deviates by more than both limits from the
-// part's darkness, because it shows a mark, a highlight or a hole. ODD_FRACTION is a fraction of
-// the part's darkness, ODD_SIGMAS a number of standard deviations of the image's noise.
+// A pixel inside a part is ignored if its darkness deviates by more than two limits from the part's
+// darkness. Such a pixel shows a mark, a highlight or a hole. The limits are ODD_FRACTION times the
+// part's darkness, and ODD_SIGMAS standard deviations of the image noise.
 constexpr double ODD_FRACTION = 0.25, ODD_SIGMAS = 4.0;
 
 // Width [px] of the bands beside the blurred edge. Pixels in the edge and in these bands contribute
 // to the misfit.
 constexpr double CONTOUR_PX = 1.0;
 
-// Range of the side faces' darkness, relative to the darkness of the top. The range is limited
-// because the fit cannot determine the darkness of side faces that are hardly visible.
+// Permitted range of the darkness of a part's side faces, relative to the darkness of its top face.
+// The range is limited because the fit cannot determine the darkness of side faces that are hardly
+// visible.
 constexpr double SIDE_RANGE[] = {0.3, 3.0};
 
-// Maximum error of a pixel in the misfit, as a fraction of the darkness. It is limited so that a
-// local defect of the edge does not cause the rejection of a disc.
+// Larger pixel errors are limited to this fraction of the disc's darkness in the calculation of the
+// misfit. Therefore a local defect of the edge does not cause the rejection of a disc.
 constexpr double WORST_FRACTION = 0.4;
 
-// Unknowns of a disc: x, y, radius, half width of the edge [px], darkness of the top and of the
-// side faces. If the part has no height, both darknesses are equal and the last unknown is not
-// fitted.
+// Unknowns of a disc: x, y, radius, half width of the edge [px], darkness of the top face, and
+// darkness of the side faces. If the part has no height, the last unknown is equal to the darkness
+// of the top face and is not fitted.
 enum Unknown { X, Y, RADIUS, EDGE, TOP, SIDE, UNKNOWNS };
 constexpr int FLAT_UNKNOWNS = SIDE;
 using DiscFit = std::array<double, UNKNOWNS>;
 
-// The usable pixels around a disc, row by row. The arrays contain the pixels' places [px], the
-// darkness, the darkness without the neighbours' darkness, and the fraction of each pixel that no
-// neighbour covers.
+// The usable pixels around a disc, row by row:
+// - x, y: positions of the pixels [px]
+// - dark: darkness
+// - rest: darkness minus the darkness of neighbouring discs
+// - seen: fraction of the pixel that no neighbour covers
 struct DiscWindow {
     int size = 0, most;
-    double all = 0;  // number of all pixels in the window, usable or not
+    double all = 0;  // number of all pixels in the window, including unusable pixels
     std::vector<float> numbers;
 
     float* x() { return numbers.data(); }
@@ -105,8 +112,8 @@ struct DiscWindow {
         };
         float *xs = x(), *ys = y(), *levels = dark();
         for (int row = y0 - reach; row <= y0 + reach; row++) {
-            // The window is convex, so it contains all pixels between the first and the last one in
-            // a row.
+            // The window is convex. Therefore it contains all pixels between its first and its last
+            // pixel in a row.
             int first = x0 - reach, last = x0 + reach;
             while (first <= last && !is_inside(first, row)) first++;
             while (last > first && !is_inside(last, row)) last--;
@@ -126,7 +133,8 @@ struct DiscWindow {
     // Convert grey levels to darkness.
     void to_darkness(const float* light);
 
-    // Range (half open) of the pixels whose rows are within a distance [px] of y_px.
+    // Returns the index range (end excluded) of the pixels whose rows are within a distance [px] of
+    // y_px.
     std::array<int, 2> rows(double y_px, double distance) {
         const float *begin = y(), *end = begin + size;
         const auto first = std::lower_bound(begin, end, static_cast<float>(y_px - distance));
@@ -145,10 +153,12 @@ inline void DiscWindow::to_darkness(const float* light) {
     levels_to_darkness(x(), y(), light, size, dark());
 }
 
-// Numbers of a pixel that the fit sums up, directly or as products. First come the derivatives of
-// the disc's darkness with respect to the unknowns, then ERROR, the error of the darkness. The
-// others are 0 for pixels far from the contour. Near the contour, RIM is the visible fraction of
-// the pixel, SQUARE is RIM times the squared, limited error, and NEAR is 1.
+// Numbers of a pixel whose sums or products the fit needs. The first numbers are the derivatives of
+// the disc's darkness with respect to the unknowns. The others are:
+// - ERROR: error of the darkness
+// - SQUARE: RIM times the squared error, which is limited by WORST_FRACTION
+// - NEAR: 1 near the contour, else 0
+// - RIM: visible fraction of the pixel near the contour, else 0
 enum Number { ERROR = UNKNOWNS, SQUARE, NEAR, RIM, NUMBERS };
 
 // All numbers of `Number` for each pixel of a window. Each row of numbers is padded with zeros
@@ -168,12 +178,13 @@ struct PixelNumbers {
     }
 };
 
-// Sum of eight numbers.
+// Returns the sum of eight numbers.
 [[gnu::always_inline]] inline double total(const Eight& sum) {
     return ((sum[0] + sum[4]) + (sum[2] + sum[6])) + ((sum[1] + sum[5]) + (sum[3] + sum[7]));
 }
 
-// Sum up the lower half of the normal equations for the unknowns FIRST to LAST - 1.
+// Computes the rows FIRST to LAST - 1 of the normal equations, up to the diagonal, as sums over the
+// pixels.
 template <int FIRST, int LAST>
 [[gnu::always_inline]] inline void add_products(const PixelNumbers& pixels,
                                                 double (&normal)[UNKNOWNS][UNKNOWNS],
@@ -215,8 +226,8 @@ inline double first_darkness(DiscWindow& window, double x, double y, double radi
     return std::max<double>(*middle, MIN_DARKNESS);
 }
 
-// Fraction of a pixel that a disc covers, a cubic from 0 to 1. `u` is the depth inside the contour,
-// relative to the edge's half width, -1 to 1.
+// Returns the fraction of a pixel that a disc covers. u is the pixel's depth inside the contour
+// divided by the half width of the edge, from -1 to 1.
 [[gnu::always_inline]] inline float cover_at(float u) {
     return 0.5f + u * (0.75f - 0.25f * u * u);
 }
@@ -231,9 +242,10 @@ struct Contour {
           over(1 / std::max(lx * lx + ly * ly, 1e-9f)), radius(disc[RADIUS]),
           more(part.growth - 1), scale(1 / disc[EDGE]), growth(part.growth) {}
 
-    // Depth of a pixel inside the contour, relative to the edge's half width. The function also
-    // sets a vector (wx, wy) and its length `far` [px, disc's frame]. The vector points to the
-    // pixel. It starts at the nearest point of the line between the centres of base and top.
+    // Returns the depth of a pixel inside the contour, divided by the half width of the edge. The
+    // function also sets a vector (wx, wy) and its length `far` [px, disc's frame]. The vector
+    // points to the pixel. It begins at the nearest point of the line from the centre of the part's
+    // base to the centre of its top.
     template <bool LEANS>
     [[gnu::always_inline]] float depth(float x, float y, float& wx, float& wy, float& far) const {
         const float dx = x - cx, dy = y - cy;
@@ -247,7 +259,8 @@ struct Contour {
         far = std::sqrt(wx * wx + wy * wy);
         return (r - far) * scale;
     }
-    // Depth of a pixel inside the top's contour, relative to the edge's half width.
+    // Returns the depth of a pixel inside the contour of the part's top face, divided by the half
+    // width of the edge.
     [[gnu::always_inline]] float top_depth(float x, float y) const {
         const float dx = x - cx, dy = y - cy;
         const float wx = ax * dx + bx * dy - lx, wy = ay * dx + by * dy - ly;
@@ -258,15 +271,17 @@ struct Contour {
 
 [[gnu::always_inline]] inline float within(float u) { return std::min(std::max(u, -1.f), 1.f); }
 
-// The shadows from one lamp: displacement of each part's shadow (n, 2) [px, disc's frame], darkness
-// of the plate in the shadow, and half the width of the shadow's edge [px].
+// Shadows that one lamp causes. `cast` (n, 2) contains the displacement of each part's shadow [px,
+// disc's frame]. `darkness` is the darkness of the plate in a shadow. `edge_px` is the half width
+// of a shadow's blurred edge [px].
 struct Shadows {
     const double* cast = nullptr;
     double darkness = 0, edge_px = 1;
 
     bool any() const { return darkness > 0; }
 
-    // Contour of a disc's shadow, which is the disc swept along the shadow's displacement.
+    // Returns the contour of a disc's shadow. It is the contour of the disc while it moves along
+    // the shadow's displacement.
     Contour contour(const DiscFit& disc, const Silhouette& part, int k) const {
         DiscFit soft = disc;
         soft[EDGE] = edge_px;
@@ -277,11 +292,12 @@ struct Shadows {
     }
 };
 
-// Margin for rounding errors [px] when pixels beyond the reach of a disc are skipped.
+// Pixels that a disc does not reach are skipped. This margin [px] allows for rounding errors.
 constexpr double SAFE_PX = 0.1;
 
-// Subtract the neighbours' darkness from a window. Pixels in their shadows get less weight.
-// `stretch` (n,) contains `Silhouette::stretch` of each disc.
+// Subtract the darkness of neighbouring discs from the pixels of a window. Reduce the weight of
+// pixels that neighbours or their shadows cover. `stretch` (n,) contains `Silhouette::stretch` of
+// each disc.
 PLATE_WIDE inline void without_others(DiscWindow& window, const std::vector<DiscFit>& discs,
                                       const Silhouette* parts, const std::vector<double>& stretch,
                                       const Shadows& shadows, const std::vector<int>& neighbours) {
@@ -324,12 +340,13 @@ PLATE_WIDE inline void without_others(DiscWindow& window, const std::vector<Disc
     }
 }
 
-// Sum up the lower half of the normal equations of one disc. Set the misfit, the standard deviation
-// of the place, and the visible fraction of the contour in `out`.
+// Computes the normal equations of one disc (lower half) as sums over the pixels. Sets the misfit,
+// the standard deviation of the position, and the visible fraction of the contour in `out`.
 //
-// The misfit is the root mean square error at the contour, relative to the darkness. The square of
-// the noise is subtracted from the mean square. `noise` is a standard deviation, as darkness. If
-// SHADOW is true, the plate beside the disc is darker by `shade` within the contour `cast`.
+// The misfit is the root mean square error of the darkness at the contour, divided by the disc's
+// darkness. The squared noise is subtracted from the mean square error. `noise` is the standard
+// deviation of the image noise, in units of darkness. If SHADOW is true, the plate within the
+// shadow's contour `cast` is darker by `shade`.
 template <bool SHADOW, bool HIGH>
 [[gnu::always_inline]] inline void sum_up(DiscWindow& window, const DiscFit& disc, const Silhouette& part,
                               const Contour& cast, float shade, double noise,
@@ -361,7 +378,7 @@ template <bool SHADOW, bool HIGH>
             top = std::min(cover_at(within(contour.top_depth(x[i], y[i]))), cover);
             level = side + more * (top / std::max(cover, 1e-6f));
         }
-        // The disc hides the part of its shadow that is below it.
+        // `beside` is the part of the shadow that the disc does not hide.
         float beside = 0, under = 0;
         if constexpr (SHADOW) {
             float sx, sy, beyond;
@@ -405,12 +422,13 @@ template <bool SHADOW, bool HIGH>
     out.misfit = std::sqrt(std::max(square - noise * noise, 0.0)) / dark;
     const double whole = std::max(count, 1.0) * std::max(window.all, 1.0) / window.size;
     out.seen = window.size ? std::min(weights / whole, 1.0) : 0;
-    // Each coordinate is determined by half of the contour.
+    // Use the mean of the diagonal entries for x and y.
     const double slopes_xy = 0.5 * (normal[X][X] + normal[Y][Y]);
     out.scatter_px = std::sqrt(std::max(square, noise * noise) / std::max(slopes_xy, 1e-9));
 }
 
-// One function for each kind of disc, because PLATE_WIDE cannot be applied to a template.
+// The macro defines one function for each kind of disc, because PLATE_WIDE cannot be applied to a
+// template.
 #define PLATE_SUM_UP(name, SHADOW, HIGH)                                                         \
     PLATE_WIDE inline void name(DiscWindow& window, const DiscFit& disc,                         \
                                 const Silhouette& part, const Contour& cast, float shade,        \
@@ -425,7 +443,8 @@ PLATE_SUM_UP(sum_up_shadowed, true, false)
 PLATE_SUM_UP(sum_up_high_shadowed, true, true)
 #undef PLATE_SUM_UP
 
-// Apply one damped step to a disc by its normal equations; return the change [px].
+// Solve the damped normal equations of a disc, and apply the step. Return the maximum change of
+// position and radius [px].
 inline double improve(DiscFit& disc, double (&normal)[UNKNOWNS][UNKNOWNS],
                       double (&right)[UNKNOWNS], double first_radius) {
     for (int i = 0; i < UNKNOWNS; i++) {

@@ -1,4 +1,5 @@
-// Selection of the parts among measured discs, and the parts' properties: see judge.py.
+// C++ kernels of judge.py, which decides which measured discs are parts, and computes the
+// properties of these parts.
 #pragma once
 #include <algorithm>
 #include <cmath>
@@ -12,50 +13,54 @@
 
 namespace plate {
 
-// MAX_MISFIT is the maximum misfit of a part. The misfit is the part's deviation from its
-// silhouette at the contour. Drawn parts have misfits of 0.02 to 0.05. Parts with a height that is
-// not in the rig file have up to 0.2. NOISE_MISFIT times the ratio of the image's noise to the
-// part's contrast is added to the maximum. This term allows for the random part of the noise: the
-// misfit is computed without the expected noise, but the actual noise of the 50 pixels at a contour
-// differs from it.
+// MAX_MISFIT is the maximum misfit of a part. The misfit is the deviation of the image from the
+// part's expected silhouette, near the contour. In simulated images, parts have misfits of 0.02 to
+// 0.05. If a part has a height that is not in the rig file, its misfit can be 0.2. The limit is
+// larger in noisy images: NOISE_MISFIT times the ratio of image noise to the part's contrast is
+// added. The misfit is already computed without the expected noise. However, the actual noise of
+// about 50 pixels at a contour differs from the expected noise.
 constexpr double MAX_MISFIT = 0.2, NOISE_MISFIT = 0.5;
 
-// Maximum noise in the calculation of the maximum misfit, relative to the plate's brightness. If
-// the measured noise is larger, a texture of the plate is assumed to be its cause.
+// Maximum image noise that is used for the maximum misfit, as a fraction of the plate's brightness.
+// A larger measured noise is probably a texture of the plate.
 constexpr double WORST_NOISE = 0.12;
 
-// Maximum misfit that light, noise and the edges of pixels cause. The excess of the misfit over
-// this value is about the error of the place, in radii. For example, parts that are 10 mm high but
-// are assumed flat have a misfit of 0.18, and their places have errors of 0.15 to 0.2 radii.
+// Maximum misfit that light, noise and the pixel grid cause. If the misfit is larger, the
+// difference is about the position error of the part, in units of its radius. For example, parts
+// that are 10 mm high but are described as flat have a misfit of 0.18. Their position errors are
+// 0.15 to 0.2 radii.
 constexpr double GOOD_MISFIT = 0.06;
 
-// Minimum visible fraction of a part's contour. With a smaller fraction, the place is not reliable.
+// Minimum visible fraction of a part's contour. With a smaller fraction, the measured position is
+// not reliable.
 constexpr double MIN_SEEN = 0.3;
 
-// Minimum excess of a bright part's brightness over the plate's brightness, as a fraction of the
-// plate's brightness. A part that is about as bright as the plate differs from it in colour only.
+// A part counts as bright if its brightness exceeds the plate's brightness by at least this
+// fraction. A part that is about as bright as the plate differs from it only in colour.
 constexpr double EQUAL = 0.02;
 
-// Limits for the properties of a part: see `DetectorOptions`.
+// Limits for the properties of a part. `DetectorOptions` describes the fields.
 struct Limits {
     double noise, tolerance, class_threshold, margin_px;
 };
 
-// Properties of a part, as in `NUMBERS` of judge.py.
+// Properties of a part. `NUMBERS` in judge.py describes the fields.
 struct Judged {
     double x_px, y_px, radius_px, angle_rad, confidence, scatter_px, misfit;
 };
 
-// The parts among measured discs (n,): their indices (m,), their labels (m,) (0 black, 1 grey, 2
-// bright), and their properties (m,).
+// The discs that are parts: indices of the discs (m,), labels (m,) (0: black, 1: grey, 2: bright),
+// and properties (m,).
 struct Parts {
     std::vector<int64_t> rows, labels;
     std::vector<Judged> found;
 };
 
-// Select the parts among discs. Input: the discs' silhouettes (n,), the places of their marks (n,
-// 2) [px] (NaN without a mark), their brightness relative to the plate (n,), and their distance
-// from the plate's edge (n,) [px].
+// Select the discs (n,) that are parts. The inputs are:
+// - parts (n,): silhouettes of parts at the discs
+// - marks (n, 2): positions of the marks on the discs [px], NaN without a mark
+// - light (n,): brightness of the discs, relative to the plate
+// - depth (n,): distance of the discs from the plate's edge [px]
 inline Parts judge(const Disc* discs, const Silhouette* parts, View<const double, 2> marks,
                    const double* light, const double* depth, const Limits& limits) {
     Parts kept;

@@ -21,7 +21,7 @@ constexpr double MAX_RADIUS_PX = 1e4;
 
 bool is_radius(double radius) { return radius > 0 && radius <= MAX_RADIUS_PX; }
 
-// Silhouettes from rows of numbers.
+// Returns the rows of an array as silhouettes.
 const Silhouette* as_silhouettes(const In<double, 2>& rows, size_t count) {
     require(rows.shape(0) == count && rows.shape(1) == sizeof(Silhouette) / sizeof(double),
             "shape: silhouettes (n, 8)");
@@ -41,7 +41,7 @@ bool are_pairs(const Rows& places) {
 
 constexpr size_t DISC_NUMBERS = sizeof(Disc) / sizeof(double);
 
-// Discs from rows of numbers.
+// Returns the rows of an array as discs.
 Disc* as_discs(const Array<double, 2>& rows, size_t count) {
     require(rows.shape(0) == count && rows.shape(1) == DISC_NUMBERS, "shape: discs (n, 7)");
     return reinterpret_cast<Disc*>(rows.data());

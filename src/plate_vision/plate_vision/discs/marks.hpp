@@ -1,4 +1,5 @@
-// Marks: spots beside the centre of a part that show the part's angle; see marks.py.
+// C++ kernels of marks.py. A mark is a spot beside the centre of a part. Its position shows the
+// part's angle.
 #pragma once
 #include <algorithm>
 #include <cmath>
@@ -10,41 +11,44 @@
 
 namespace plate {
 
-// Radius of a mark [part radii].
+// Radius of a mark, in units of the part's radius.
 constexpr double MARK_RADIUS = 0.3;
 
-// Range of the distance between a mark's centre and the seed [part radii]. The nominal distance is
-// 0.5, and the range also allows for the position error of the seed.
+// Permitted range of the distance between a mark's centre and the seed, in units of the part's
+// radius. The seed is the estimated centre of the part. The nominal distance is 0.5. The range also
+// allows for the position error of the seed.
 constexpr double MARK_PLACE[] = {0.25, 0.75};
 
-// Range of a mark's area, relative to the area of a disc with `MARK_RADIUS`. Smaller spots are
-// noise, and larger spots are other objects.
+// Permitted range of a mark's area, relative to the area of a disc with `MARK_RADIUS`. Smaller
+// spots are noise, and larger spots are other objects.
 constexpr double MARK_AREA[] = {0.5, 1.6};
 
-// Maximum distance between a mark's centre and the pixels that belong to the mark [mark radii].
-// This distance includes the mark's blurred edge, but not the part's edge.
+// Maximum distance between a mark's centre and the pixels that belong to the mark, in units of the
+// mark's radius. This distance includes the mark's blurred edge, but not the part's edge.
 constexpr double MARK_REACH = 1.5;
 
-// Minimum contrast of a mark, relative to the part's darkness. The contrast of a grey mark on a
-// black part is 0.5. The contrast of a black mark on a grey part is 1.
+// Minimum difference between the brightness of a mark and of its part, relative to the part's
+// darkness. The contrast of a grey mark on a black part is 0.5. The contrast of a black mark on a
+// grey part is 1.
 constexpr double CONTRAST = 0.3;
 
 // Minimum contrast of a mark, relative to the standard deviation of the image's noise.
 constexpr double MARK_SIGMAS = 6;
 
-// Minimum deviation of a mark's pixel from the part's grey level, as a fraction of the mark's
-// contrast. It is five standard deviations of a noise of 2 grey levels. Smaller deviations count as
-// noise.
+// A pixel belongs to a mark if it deviates from the part's grey level by more than this fraction of
+// the mark's contrast. Smaller deviations count as noise. For a noise of 2 grey levels, this limit
+// is five standard deviations.
 constexpr double MARK_NOISE = 0.25;
 
-// Maximum brightness of a mark, relative to the bare plate. A brighter spot is a highlight.
+// Maximum brightness of a mark, relative to the bare plate. A brighter spot counts as a highlight.
 constexpr double SHINE = 0.85;
 
-// Number of iterations for the mark's centre. Each iteration computes the centroid of the pixels
-// around the previous centre.
+// Number of iterations that compute the mark's centre. Each iteration computes the centroid of the
+// pixels around the previous centre.
 constexpr int ROUNDS = 4;
 
-// The pixels that a round spot may cover: ranges of rows and columns, half open.
+// The rectangle of pixels that contains a round spot: ranges of rows and columns. The ends are
+// excluded.
 struct Box {
     int top, bottom, left, right;
 
@@ -55,7 +59,7 @@ struct Box {
           right(std::min(grey.size(1), static_cast<int>(x + reach) + 2)) {}
 };
 
-// Median of numbers. The function changes their order.
+// Returns the median of numbers. The function changes the order of the numbers.
 inline double median(std::vector<double>& numbers) {
     const auto middle = numbers.begin() + numbers.size() / 2;
     std::nth_element(numbers.begin(), middle, numbers.end());
@@ -63,8 +67,9 @@ inline double median(std::vector<double>& numbers) {
     return (*std::max_element(numbers.begin(), middle) + *middle) / 2;
 }
 
-// Find the places of marks (n, 2) [px]; NaN for a part without a mark. `level` (n, 2) is set to the
-// part's grey level and the mark's contrast. `noise` is relative to the bare plate.
+// Detect the marks on parts. `found` (n, 2) receives the positions of the marks [px], or NaN for a
+// part without a mark. `level` (n, 2) receives the part's grey level and the mark's contrast.
+// `noise` is the image noise as a fraction of the bare plate's brightness.
 inline void find_marks(const LitPlate& plate, View<const double, 2> seeds, const double* radii,
                        double noise, View<double, 2> found, View<double, 2> level) {
     std::vector<double> inner;
@@ -86,16 +91,16 @@ inline void find_marks(const LitPlate& plate, View<const double, 2> seeds, const
         const auto [darkest, lightest] = std::minmax_element(inner.begin(), inner.end());
         const double below = *darkest, above = *lightest;
         const double clear = MARK_SIGMAS * noise * empty;
-        // This check comes first because it is fast: it does not need the median.
+        // This check is fast, because it does not need the median. Therefore it is done first.
         if (above - below < std::max(CONTRAST * (empty - above), clear)) continue;
         const double part = median(inner);
         const double contrast = above - part > part - below ? above - part : below - part;
         if (std::abs(contrast) < std::max(CONTRAST * std::abs(empty - part), clear)) continue;
         double x = u, y = v, mass = 0;
         for (int turn = 0; turn < ROUNDS; turn++) {
-            // The first iteration uses all pixels within `core` [px] of the part's centre whose
-            // excess is above MARK_NOISE. The other iterations use only such pixels near the last
-            // centre.
+            // Only pixels whose `excess` is above MARK_NOISE are used. The first iteration uses
+            // such pixels within `core` [px] of the part's centre. The other iterations use such
+            // pixels near the last centre of the mark.
             const double reach = turn == 0 ? core : MARK_REACH * mark, at_x = x, at_y = y;
             const Box box(plate.grey, at_x, at_y, reach);
             x = y = 0, mass = 1e-9;
@@ -121,8 +126,8 @@ inline void find_marks(const LitPlate& plate, View<const double, 2> seeds, const
     }
 }
 
-// Replace the pixels of a mark around its place [px] by the grey level of its part. `level` is this
-// grey level and the contrast of the mark.
+// Paint over a mark at (x, y) [px] with the grey level of its part. `level` contains this grey
+// level and the contrast of the mark.
 inline void paint_mark(View<uint8_t, 2> grey, double x, double y, const double* level,
                        double radius) {
     const double reach = MARK_REACH * MARK_RADIUS * radius;
@@ -135,10 +140,10 @@ inline void paint_mark(View<uint8_t, 2> grey, double x, double y, const double* 
         }
 }
 
-// Find marks (n, 2) [px] on the tops of parts at seeds (n, 2) [px]. Return the image with the marks
-// painted over. The result is empty if there are no marks. Highlights (spots that are about as
-// bright as the plate, or brighter) are painted over too, but their places are NaN because they are
-// not marks.
+// Detect the marks on the top faces of parts at seeds (n, 2) [px]. `marks` (n, 2) receives the
+// positions of the marks [px]. Return the image with the marks painted over, or an empty result if
+// there are no marks. A highlight is a spot that is about as bright as the plate or brighter.
+// Highlights are painted over, too, but their positions are NaN because they are not marks.
 inline std::vector<uint8_t> without_marks(const LitPlate& plate, double noise,
                                           View<const double, 2> seeds, const Silhouette* parts,
                                           View<double, 2> marks) {

@@ -1,4 +1,5 @@
-// Centres, radii and darkness of round parts without neighbours: see dark.py.
+// Measurement of round parts without neighbours: centre, radius and darkness. dark.py describes the
+// method.
 #pragma once
 #include <algorithm>
 #include <cmath>
@@ -13,36 +14,39 @@
 
 namespace plate {
 
-// Width [px] of the evaluated window beyond a part's radius. It is the sum of 0.7 px for the
-// rounding of the window, 1 px for the seed's error, and 1.3 px for the blurred edge.
+// Distance [px] by which the evaluated window extends beyond a part's radius. It is the sum of 0.7
+// px for the rounding of the window's position, 1 px for the error of the estimated centre (seed),
+// and 1.3 px for the blurred edge.
 constexpr double RIM_PX = 3.0;
 
-// Width [px] of the ring around a part, without the outer ring of the window. The outer ring must
-// show bare plate.
+// Distance [px] from a part's contour at which the outer ring of the window begins. The outer ring
+// must show bare plate.
 constexpr double RIM_CLEAR_PX = 2.2;
 
-// Radius of the inner part of a disc [part radii]. The inner part does not contain the blurred
-// edge. The disc's darkness is the mean over the inner part, or the median if there may be a mark.
+// Radius of the inner area of a disc, in units of the part's radius. The inner area does not
+// contain the blurred edge. The disc's darkness is the mean over the inner area, or the median if
+// there may be a mark.
 constexpr double CORE = 0.6;
 
-// Minimum darkness of a pixel that contributes to the moments. It is 4 standard deviations of a
-// noise of 2 grey levels on a plate of 200. Without this minimum, the noise in the window's border
-// would increase the centre's error by half.
+// Minimum darkness of a pixel that contributes to the moments. If the noise is 2 grey levels and
+// the plate's brightness is 200, this minimum is 4 standard deviations. Without this minimum, the
+// noise at the border of the window would increase the error of the centre by half.
 constexpr double MIN_DARKENING = 0.04;
 
-// Minimum darkness of a part, also used as the minimum of divisors. A fitted disc that is less dark
-// is a shadow.
+// Minimum darkness of a part. A fitted disc that is less dark counts as a shadow. The value is also
+// the minimum of darknesses by which other values are divided.
 constexpr double MIN_DARKNESS = 0.05;
 
-// A measured disc: see `DISC` of measure.py.
+// A measured disc. `DISC` in measure.py describes the fields.
 struct Disc {
     double x_px, y_px, radius_px, darkness, misfit, scatter_px, seen;
 };
 
-// The round window around a seed, with the places of its pixels relative to the centre [px].
+// A round window of pixels around a seed. The positions of the pixels are relative to its centre
+// [px].
 struct RoundWindow {
-    // Sums over the pixels. Each term is the pixel's darkness times the pixel's factor for this
-    // sum.
+    // Sums over the pixels of the window. Each term is the pixel's darkness times the pixel's
+    // factor for this sum.
     enum Sum { MASS, RIGHT, DOWN, WIDE, RIM, FLAT, ASKEW, SUMS = 8 };
 
     struct Pixel {
@@ -84,12 +88,13 @@ PLATE_WIDE inline void darkness_at(const LitPlate& plate, const RoundWindow& win
     for (int i = 0; i < count; i++) dark[i] = 1 - here[i] / bare(light, left + x[i], top + y[i]);
 }
 
-// Step to which the radii [px] of windows are rounded, so that several discs use the same window.
+// The radii of windows are rounded to multiples of this step [px], so that several discs can use
+// the same window.
 constexpr double WINDOW_STEP_PX = 0.5;
 
-// Measure the discs (n,) that are `alone` in round windows at seeds (n, 2) [px]. `parts` (n,) are
-// the silhouettes of parts at the seeds. `dirt` (n,) is set to the dark area [px2] in the outer
-// ring of each window. Discs at the image's border are not measured.
+// Measure the discs that `alone` (n,) selects, in round windows at seeds (n, 2) [px]. `parts` (n,)
+// are the silhouettes of parts at the seeds. `dirt` (n,) receives the dark area [px2] in the outer
+// ring of each window. Discs at the border of the image are not measured.
 inline void measure_alone(const LitPlate& plate, View<const double, 2> seeds,
                           const Silhouette* parts, const bool* alone, Disc* discs, double* dirt) {
     std::map<int, RoundWindow> windows;
@@ -115,15 +120,15 @@ inline void measure_alone(const LitPlate& plate, View<const double, 2> seeds,
         const float mass = std::max(sum[RoundWindow::MASS], 1e-6f);
         const float right = sum[RoundWindow::RIGHT] / mass, down = sum[RoundWindow::DOWN] / mass;
         const float wide = sum[RoundWindow::WIDE] / mass - right * right - down * down;
-        // For an ellipse with half axes a and b, `flat` and `askew`, divided by `wide`, are (a^2 -
-        // b^2) / (a^2 + b^2) times the cosine and the sine of twice its direction. A deviation from
-        // the silhouette's values is caused by a shadow or another object.
+        // Consider an ellipse with the half axes a and b. `flat` / `wide` and `askew` / `wide` are
+        // (a^2 - b^2) / (a^2 + b^2) times the cosine and the sine of twice its direction. If the
+        // values differ from those of the silhouette, there is a shadow or another object.
         const float flat = sum[RoundWindow::FLAT] / mass - right * right + down * down;
         const float askew = sum[RoundWindow::ASKEW] / mass - 2 * right * down;
         const auto [expected_flat, expected_askew] = parts[k].flatness();
         const double oblong = length_of(flat / wide - expected_flat, askew / wide - expected_askew);
-        // The darkness is the mean over the inner part. The seed's error is so small that all
-        // pixels of the inner part are on the disc.
+        // The darkness is the mean over the inner area. The error of the seed is so small that all
+        // pixels of the inner area are on the disc.
         const float dark = std::max(inner / window.inner, static_cast<float>(MIN_DARKNESS));
         const double area = mass / (std::numbers::pi * dark);
         discs[k] = {x0 + static_cast<double>(right), y0 + static_cast<double>(down),
@@ -132,8 +137,8 @@ inline void measure_alone(const LitPlate& plate, View<const double, 2> seeds,
     }
 }
 
-// Set `near` (n,) to true for each of the centres (n, 2) [px] that is nearer than a distance to
-// another centre.
+// Set `near` (n,) to true for each of the centres (n, 2) [px] whose distance from another centre is
+// below `distance_px`.
 inline void crowded(View<const double, 2> centre, double distance_px, bool* near) {
     std::fill_n(near, centre.size(0), false);
     for (int i = 0; i < centre.size(0); i++)

@@ -1,4 +1,5 @@
-// First guesses of the parts' centres: see seeds.py.
+// C++ kernels of seeds.py, which estimates the centres of the parts in an image. The estimated
+// centres are called seeds.
 #pragma once
 #include <algorithm>
 #include <array>
@@ -13,32 +14,32 @@
 
 namespace plate {
 
-// Minimum gradient of the darkness [1/px] at an edge, by the Sobel operator. It is seven times the
-// gradient that noise causes.
+// Minimum gradient of the darkness [1/px] at an edge, computed by the Sobel operator. It is seven
+// times the gradient that noise causes.
 constexpr double MIN_SLOPE = 0.03;
 
-// Minimum number of votes for a part, relative to the votes of a whole contour. The first value
-// applies near another centre, the second value elsewhere. With the second value, the middle part
-// of seven packed parts is found, although only short sections of its contour are visible and
-// blurred.
+// In a Hough transform, the edges vote for the centres of parts. MIN_VOTES is the minimum number of
+// votes for a part, relative to the votes of a complete contour. The first value applies near
+// another centre, the second value elsewhere. With the second value, the middle part of seven
+// touching parts is detected, although only short, blurred sections of its contour are visible.
 constexpr double MIN_VOTES[] = {0.12, 0.02};
 
-// Minimum darkness by which a vote is divided. It prevents large votes for bright places.
+// Minimum darkness by which a vote is divided. This minimum prevents large votes for bright places.
 constexpr double MIN_TARGET = 0.1;
 
-// Minimum distance between two centres [part radii]. The first value always applies. The second
-// value applies to centres with fewer votes than MIN_VOTES[0]. Centres of touching parts have a
-// distance of 2. The middle between four parts in a square has a distance of 1.4 from their
-// centres.
+// Minimum distance between two centres, in units of the part's radius. The first value always
+// applies. The second value applies to centres with fewer votes than MIN_VOTES[0]. The centres of
+// touching parts have a distance of 2. The point in the middle of four parts in a square has a
+// distance of 1.4 from their centres.
 constexpr double SEPARATION[] = {1.3, 1.6};
 
-// A coarse grid of pixels: the place of its first pixel, and its step [px].
+// A coarse grid of pixels: position of its first pixel, and distance between its pixels [px].
 struct Grid {
     int x, y, step;
 };
 
-// Set `dark` (h, w) to 1 where a pixel of the grid is outside the plate or darker than the fraction
-// `threshold` of the bare plate's brightness. Set it to 0 elsewhere.
+// For each pixel of the grid, set `dark` (h, w) to 1 or 0. The value is 1 if the pixel is outside
+// the plate, or darker than `threshold` times the brightness of the bare plate.
 PLATE_WIDE inline void find_dark(const LitPlate& plate, double threshold, Grid grid,
                                  View<const bool, 2> outside, View<uint8_t, 2> dark) {
     float light[9];
@@ -64,13 +65,15 @@ PLATE_WIDE inline void find_dark(const LitPlate& plate, double threshold, Grid g
     }
 }
 
-// A blob: centre x, y; number of pixels; bounding box x0, x1, y0, y1, half open.
+// A blob of connected pixels: centre x, y, number of pixels, and bounding box x0, x1, y0, y1. The
+// ends x1 and y1 are excluded.
 struct Blob {
     double x, y, size, x0, x1, y0, y1;
 };
 
-// Find the connected blobs of true pixels in `core` (h, w). `number` (h, w) must be 0. It is set to
-// the number of each pixel's blob, from 1 on. All pixels of `core` are set to false.
+// Return the blobs of connected pixels that are true in `core` (h, w). Before the call, `number`
+// (h, w) must be 0. The function sets it to the number of each pixel's blob, from 1 on. The
+// function sets all pixels of `core` to false.
 inline std::vector<Blob> find_blobs(View<bool, 2> core, View<int32_t, 2> number) {
     const int height = core.size(0), width = core.size(1);
     struct Pixel {
@@ -111,11 +114,12 @@ inline std::vector<Blob> find_blobs(View<bool, 2> core, View<int32_t, 2> number)
     return found;
 }
 
-// Hough transform: each pixel at an edge votes for the place where a part must be if the edge
-// belongs to its silhouette. The first pixel of `votes` (h, w) is x0, y0 of the image.
+// Hough transform. Each pixel at an edge votes for the centre of the part to whose silhouette the
+// edge may belong. The first pixel of `votes` (h, w) is the pixel (x0, y0) of the image.
 //
-// The weight of a vote is the gradient at the edge, divided by the darkness at the place that gets
-// the vote. The sum of the votes of a whole contour is then its length [px], independent of blur.
+// The weight of a vote is the gradient at the edge, divided by the darkness at the centre for which
+// the pixel votes. With this weight, the sum of the votes of a complete contour is its length [px],
+// independent of blur.
 inline void vote(const LitPlate& plate, int x0, int y0, const Silhouette& part,
                  View<float, 2> votes) {
     const int height = plate.height(), width = plate.width();
@@ -145,7 +149,7 @@ inline void vote(const LitPlate& plate, int x0, int y0, const Silhouette& part,
     }
 }
 
-// Squared distance [px^2] of a point from the nearest of `count` centres [px].
+// Returns the squared distance [px^2] of a point from the nearest of `count` centres [px].
 inline double nearest(const double* centres, int count, double x, double y) {
     double least = std::numeric_limits<double>::infinity();
     for (int k = 0; k < count; k++) {
@@ -155,10 +159,11 @@ inline double nearest(const double* centres, int count, double x, double y) {
     return least;
 }
 
-// Centres x, y (n, 2) [px] in decreasing order of votes (h, w). The distances between centres are
-// above the limits in `SEPARATION`, up to the correction of a centre by less than a pixel. The
-// first pixel of `votes` is x0, y0 of the image. Centres are found only in grid cells where
-// `merged` (rows, columns of the grid) is true.
+// Returns the centres x, y (n, 2) [px] of parts, in decreasing order of their votes. The first
+// pixel of `votes` (h, w) is the pixel (x0, y0) of the image. Centres are searched only in grid
+// cells where `merged` (rows, columns of the grid) is true. The distances between pixels with a
+// maximum are above the limits in `SEPARATION`. Afterwards, each centre is corrected by less than a
+// pixel.
 inline std::vector<double> find_peaks(View<const float, 2> votes, int x0, int y0,
                                       View<const bool, 2> merged, const Grid& grid, double radius) {
     const double rim = 2 * std::numbers::pi * radius;
@@ -189,7 +194,7 @@ inline std::vector<double> find_peaks(View<const float, 2> votes, int x0, int y0
         if (count < MIN_VOTES[0] * rim &&
             nearest(found.data(), found.size() / 2, x + x0, y + y0) < far)
             continue;
-        // The centre is the weighted mean of those pixels of the peak that have more than half of
+        // The centre is the weighted mean of the pixels at the maximum that have more than half of
         // its votes.
         double weight = 0, sx = 0, sy = 0;
         for (int j = std::max(y - 1, 0); j < std::min(y + 2, rows); j++)

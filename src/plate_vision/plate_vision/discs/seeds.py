@@ -62,7 +62,8 @@ def find_seeds(
         Returns the silhouettes of a part at image points.
     """
     stride = max(1, int(radius_px / COARSE_RADIUS_PX))
-    # Pixels outside the plate count as dark, so that a part is not eroded from the plate's edge.
+    # Pixels outside the plate count as dark. Otherwise the erosion would remove pixels of parts at
+    # the plate's edge.
     outside = region.outside(stride)
     if outside.size == 0:
         return np.empty((0, 2)), np.empty(0, SILHOUETTE)
@@ -104,13 +105,15 @@ def seeds_of(
     size = blobs[:, 2] / (whole / stride**2)
     large = size > MAX_CORE
     single = (size >= MIN_CORE) & ~large
-    # The centre of a leaning part's blob is half way between its base and its top.
+    # In an oblique view, the centre of a part's blob is half-way between the centres of its base
+    # and its top.
     seeds = middle[single]
     if leans:
         seeds = seeds - 0.5 * to_image(parts[single], lean[single])
     if not np.any(large):
         return seeds, parts[single]
-    # Extend the boxes so that they contain the eroded pixels and the edges that vote.
+    # Extend the boxes of the blobs so that they contain the eroded pixels and the edges that vote
+    # in the Hough transform.
     pad = np.rint(longest(parts[large])).astype(int)[:, None] + stride
     low, size_px = np.repeat((x0, y0), 2), np.repeat(plate.grey.shape[::-1], 2)
     boxes = np.clip(blobs[large, 3:].astype(int) * stride + low + pad * (-1, 1, -1, 1), 0, size_px)
@@ -147,7 +150,7 @@ def _split(
         votes = np.zeros((y1 - y0, x1 - x0), np.float32)
         _kernels.vote(*plate.pixels, x0, y0, numbers(part), votes)
         votes = cv2.boxFilter(votes, -1, side, normalize=False, borderType=cv2.BORDER_CONSTANT)
-        # Boxes may overlap, so a part may be found in two of them.
+        # The boxes may overlap. Therefore ignore a part that was already detected in another box.
         for x, y in _kernels.find_peaks(votes, x0, y0, merged, grid, radius_px):
             if _kernels.nearest(found, x, y) > radius_px**2:
                 found = np.vstack([found, (x, y)])

@@ -70,7 +70,7 @@ class SeenDiscs:
         area = np.abs(a * d - b * c)  # sqrt(det J'J) [m2/px2]
         found = np.zeros(len(slopes), SILHOUETTE)
         xx, xy, yy = a * a + c * c + area, a * b + c * d, b * b + d * d + area
-        # S = N / sqrt(trace N), with N = J'J + sqrt(det(J'J)) 1
+        # S = N / sqrt(trace N), with N = J'J + sqrt(det(J'J)) I
         across = np.array([xx, xy, xy, yy]) / np.sqrt((xx + yy) * area)
         found["across"] = across.T.reshape(-1, 2, 2)
         found["radius_px"] = self.radius / np.sqrt(area)

@@ -1,5 +1,5 @@
-// Python arrays as arguments of the vision kernels. The functions check the shapes, so that no
-// kernel accesses memory outside an array.
+// Conversion and check of Python arrays that are arguments of the vision kernels. The shapes are
+// checked, so that no kernel accesses memory outside an array.
 #pragma once
 #include <array>
 #include <stdexcept>
@@ -30,14 +30,15 @@ inline LitPlate lit_plate(const In<uint8_t, 2>& grey, const In<float, 1>& light,
     return {view(grey), view(light), view(usable)};
 }
 
-// Throw an error if the edges of a region have wrong shapes: see region.py.
+// Throw an error if the arrays that describe the edges of a region have wrong shapes. region.py
+// describes these arrays.
 inline void require_edges(const In<double, 2>& edges, const In<double, 2>& bows) {
     require(edges.shape(1) == 3 && bows.shape(1) >= 3 &&
                 (bows.shape(0) == 0 || bows.shape(0) == edges.shape(0)),
             "shapes: edges (n, 3), bows (n, >= 3) or none");
 }
 
-// Throw an error unless there is a light (9,) for each channel of an image (h, w, c).
+// Throw an error unless `lights` contains nine numbers for each channel of an image (h, w, c).
 inline void require_lights(const In<uint8_t, 3>& image, const In<float, 2>& lights) {
     require(lights.shape(0) == image.shape(2) && lights.shape(1) == 9 && image.shape(0) > 0 &&
                 image.shape(1) > 0,

@@ -1,5 +1,5 @@
-// Deviation of pixels from the bare plate. They may be darker or brighter in any channel: see
-// contrast.py.
+// C++ kernels of contrast.py, which computes how much pixels deviate from the bare plate. Pixels
+// may be darker or brighter than the plate in any channel.
 #pragma once
 #include <algorithm>
 #include <array>
@@ -14,10 +14,10 @@
 
 namespace plate {
 
-// Deviation of a pixel from the bare plate, 0 to 1. It is the maximum over the channels. If the
-// pixel is darker than the plate, the difference is divided by the plate's level. If it is
-// brighter, the difference is divided by the maximum of the plate's level and its distance to
-// white.
+// Returns the deviation of a pixel from the bare plate, from 0 to 1. The deviation is the maximum
+// over the channels. If the pixel is darker than the plate, the difference is divided by the
+// plate's level. If the pixel is brighter, the difference is divided by the plate's level or by 255
+// minus this level, whichever is larger.
 inline float deviation(const uint8_t* pixel, int channels, View<const float, 2> lights, int x,
                        int y) {
     float most = 0;
@@ -39,16 +39,17 @@ inline void write_contrast(View<const uint8_t, 3> image, View<const float, 2> li
     }
 }
 
-// Set the pixels of a grid (h, w) to 1 where they deviate by more than a limit, and to 0 elsewhere.
-// The mean of each pixel and its three neighbours to the right and below is used, because the noise
-// of this mean is half as large.
+// Set each pixel of a grid (h, w) to 1 if it deviates from the bare plate by more than a limit, and
+// to 0 otherwise. The function uses the mean of each pixel and its three neighbours to the right
+// and below. The noise of this mean is half as large as the noise of a pixel.
 PLATE_WIDE inline void find_odd(View<const uint8_t, 3> image, View<const float, 2> lights,
                                 double limit, const std::array<int, 3>& grid,
                                 View<uint8_t, 2> out) {
     const int height = image.size(0), width = image.size(1), channels = image.size(2);
     const int columns = out.size(1), stride = channels * grid[2];
     const float low = 1 - limit, high = 1 + limit;
-    // The image's last column has no neighbour.
+    // `whole` is the number of columns that have a neighbour to the right. The last column of the
+    // image has no such neighbour.
     const int whole = grid[0] + (columns - 1) * grid[2] + 1 < width ? columns : columns - 1;
     std::vector<float> means(columns), places(columns);
     std::vector<int> found(columns);
@@ -77,9 +78,9 @@ PLATE_WIDE inline void find_odd(View<const uint8_t, 3> image, View<const float, 
     }
 }
 
-// Write the median brightness (n,) of discs at places (n, 2) [px] with radii (n,) [px] to `out`. It
-// is relative to the bare plate, averaged over the channels, and measured up to `inner` times the
-// radius.
+// Write the median brightness of discs to `out` (n,). The discs are at places (n, 2) [px] and have
+// radii (n,) [px]. The brightness is relative to the bare plate and averaged over the channels.
+// Only pixels within `inner` times the radius are used.
 inline void find_brightness(View<const uint8_t, 3> image, View<const float, 2> lights,
                             View<const double, 2> places, const double* radii, double inner,
                             double* out) {

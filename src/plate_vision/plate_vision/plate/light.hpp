@@ -1,4 +1,4 @@
-// The light on the plate: see light.py.
+// C++ kernels of light.py, which fits the brightness of the bare plate in an image.
 #pragma once
 #include <algorithm>
 #include <cstdint>
@@ -11,34 +11,35 @@
 
 namespace plate {
 
-// Percentile of the brightness that is used as the first guess of the plate's brightness. The guess
-// is correct if parts cover less than 3/4 of the plate.
+// Percentile of the pixels' brightness that is the first estimate of the plate's brightness. The
+// estimate is correct if parts cover less than 3/4 of the plate.
 constexpr double BRIGHT_PERCENTILE = 75;
 
-// Ranges of brightness that count as plate in the two fits. The first range is relative to the
-// first guess. It includes a shading of +-15 %, but excludes a part with 2/3 of the plate's
-// brightness. The second range is relative to the surface of the first fit. It also excludes the
-// parts' edges.
+// The brightness is fitted twice. Only pixels with a brightness in these ranges count as bare
+// plate. The first range is relative to the first estimate. It includes a shading of +-15 %, but
+// excludes a part with 2/3 of the plate's brightness. The second range is relative to the result of
+// the first fit. It also excludes the blurred edges of parts.
 constexpr std::pair<double, double> BRIGHT_RANGES[] = {{0.72, 1.3}, {0.92, 1.08}};
 
-// Value added to the diagonal of the normal equations. It makes the fit solvable for images that
-// are one pixel high or wide, and has no effect on other images.
+// Value that is added to the diagonal of the normal equations. With it, the fit is solvable for
+// images that are one pixel high or wide. It has no effect on other images.
 constexpr double RIDGE = 1e-9;
 
 // Minimum fraction of the sampled pixels that must show the bare plate.
 constexpr double MIN_FRACTION = 0.1;
 
-// Ratio between the standard deviation of a normal distribution and the lower quartile of its
-// absolute values.
+// Standard deviation of a normal distribution, divided by the lower quartile of the absolute
+// values.
 constexpr double SIGMA_OF_QUARTILE = 3.1383;
 
-// Minimum noise of an image [grey levels]. The rounding to grey levels causes this noise.
+// Minimum noise of an image [grey levels]. The rounding to whole grey levels causes this noise.
 constexpr double MIN_NOISE = 0.3;
 
-// Number of coefficients of a quadratic surface.
+// Number of coefficients of a quadratic function of two coordinates.
 constexpr int TERMS = 6;
 
-// An image, its light, and its usable pixels: see `LitPlate` of light.py.
+// An image, the brightness of the bare plate, and the usable pixels. `LitPlate` in light.py
+// describes the fields.
 struct LitPlate {
     View<const uint8_t, 2> grey;
     View<const float, 1> light;
@@ -48,14 +49,15 @@ struct LitPlate {
     int width() const { return grey.size(1); }
 };
 
-// Brightness of the bare plate [grey levels] at a pixel. `light` is the field of `LitPlate`.
+// Returns the brightness of the bare plate [grey levels] at a pixel. `light` is the field of
+// `LitPlate`.
 [[gnu::always_inline]] inline float bare(const float* light, float x_px, float y_px) {
     const float u = (x_px - light[6]) * light[8], v = (y_px - light[7]) * light[8];
     return u * (light[1] + light[3] * u) + (light[0] + v * (light[2] + light[5] * v)) +
            u * (light[4] * v);
 }
 
-// Solve positive definite equations. `right` is replaced by the solution.
+// Solves a positive definite system of linear equations. `right` is replaced by the solution.
 template <int SIZE>
 void solve(double (&normal)[SIZE][SIZE], double (&right)[SIZE]) {
     for (int i = 0; i < SIZE; i++)
@@ -70,15 +72,16 @@ void solve(double (&normal)[SIZE][SIZE], double (&right)[SIZE]) {
     }
 }
 
-// A pixel that is sampled for the light: the terms of the surface at this pixel, the grey level,
-// and padding.
+// A pixel that is used for the fit: the terms of the quadratic function at this pixel, the grey
+// level, and padding.
 struct LightSample {
     float terms[TERMS], value, none;
 };
 static_assert(sizeof(LightSample) == sizeof(Eight));
 
-// Sum up the normal equations over those samples whose value is `low` to `high` times the fitted
-// value. Return the number of these samples. The sums of eight terms are computed at once.
+// Compute the normal equations from those samples whose value is between `low` and `high` times the
+// fitted value. Return the number of these samples. Vector instructions compute eight sums
+// together.
 PLATE_WIDE inline int light_equations(const std::vector<LightSample>& samples,
                                       const std::vector<float>& fitted, double low, double high,
                                       double (&normal)[TERMS][TERMS], double (&right)[TERMS]) {
@@ -100,10 +103,10 @@ PLATE_WIDE inline int light_equations(const std::vector<LightSample>& samples,
     return kept;
 }
 
-// Fit a quadratic surface to those pixels `rows`, `columns` (n,) that show the bare plate. `design`
-// (TERMS, n) contains the terms of the surface at the pixels. Return the coefficients of the
-// surface, and the noise relative to the mean of the surface. The result is empty if there is no
-// bright plate.
+// Fit a quadratic function to the brightness of the pixels that show the bare plate. The pixels are
+// given by `rows` and `columns` (n,). `design` (TERMS, n) contains the terms of the function at the
+// pixels. Return the coefficients of the function, and the noise relative to the mean brightness.
+// If no bright plate is visible, return an empty result.
 inline std::vector<float> fit_light(View<const uint8_t, 2> grey, View<const int64_t, 1> rows,
                                     View<const int64_t, 1> columns, View<const float, 2> design,
                                     double min_grey) {
@@ -133,7 +136,7 @@ inline std::vector<float> fit_light(View<const uint8_t, 2> grey, View<const int6
         }
     }
     if (*std::min_element(fitted.begin(), fitted.end()) < 0.5 * min_grey) return {};
-    // The noise is computed from the lower quartile of the deviations, so that objects that cover
+    // The noise is computed from the lower quartile of the deviations. Therefore objects that cover
     // up to half of the plate have no effect.
     double level = 0;
     for (int i = 0; i < count; i++) {

@@ -1,4 +1,4 @@
-// The region of the plate in an image: see region.py.
+// C++ kernels of region.py, which describes the region of an image that shows the plate.
 #pragma once
 #include <algorithm>
 #include <limits>
@@ -8,16 +8,17 @@
 
 namespace plate {
 
-// Minimum distance of a usable pixel from the plate's edge [px]. Nearer pixels show both the plate
-// and its surround.
+// Minimum distance of a usable pixel from the plate's edge [px]. Pixels that are nearer to the edge
+// show both the plate and its surround.
 constexpr double SEAM_PX = 1;
 
-// Maximum distance from the middle of an edge at which the polynomial of a bent edge is evaluated
-// [half lengths of the edge]. At larger distances, the polynomial is continued by a constant.
+// A polynomial describes an edge that the lens bends. It is evaluated up to this distance from the
+// middle of the edge, in units of half the edge's length. Beyond this distance, its value is
+// constant.
 constexpr double BOW_REACH = 1.05;
 
-// Compute `Region.depth` (count,) of points: their distance from the nearest edge [px]. It is
-// negative outside the region.
+// Compute the distance of each point from the nearest edge of the region [px]. The distance is
+// negative outside the region. `Region.depth` describes the method.
 PLATE_WIDE inline void region_depth(View<const double, 2> edges, View<const double, 2> bows,
                                     const double* __restrict x, const double* __restrict y,
                                     int count, double* __restrict depth) {

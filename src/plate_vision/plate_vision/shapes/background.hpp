@@ -1,4 +1,4 @@
-// The background behind the parts of an image: see background.py.
+// C++ kernels of background.py, which models the bare plate behind the parts of an image.
 #pragma once
 #include <algorithm>
 #include <cmath>
@@ -9,9 +9,9 @@
 
 namespace plate {
 
-// Write the deviations (n,) [L] between the colours `lab` and `bare` (n, CHANNELS) to `out`,
-// clipped to 255. With three channels, the squared differences in a and b are multiplied by
-// `weight`.
+// Write the deviations (n,) between the colours `lab` and `bare` (n, CHANNELS) to `out`, clipped to
+// 255. The unit is that of L (lightness, 0 to 255). With three channels, the squared differences in
+// a and b are multiplied by `weight`.
 template <int CHANNELS>
 [[gnu::always_inline]] inline void deviation_of(const uint8_t* __restrict lab,
                                                 const uint8_t* __restrict bare, float weight,
@@ -38,18 +38,18 @@ PLATE_WIDE inline void deviation_of_colours(const uint8_t* lab, const uint8_t* b
     deviation_of<3>(lab, bare, weight, out, count);
 }
 
-// Offset of L (0 to 255). L plus this offset is proportional to the cube root of the light. The
-// offset corresponds to 16 for CIE's L (0 to 100).
+// L (0 to 255) plus this offset is proportional to the cube root of the luminance. The offset is
+// equivalent to 16 for the L of CIELAB, which is from 0 to 100.
 constexpr float LIGHTNESS_0 = 40.8f;
 
-// Part of an image: columns and rows from (x0, y0) to just before (x1, y1).
+// A rectangle in an image: columns x0 to x1 - 1, and rows y0 to y1 - 1.
 struct ImageBox {
     int x0, y0, x1, y1;
 };
 
-// Write one row of the bare plate's colours in another light to `out`. The light multiplies all
-// colours by a factor, and shifts a and b. Each of these three values is a quadratic function of
-// u = `first` + x * `step` with the coefficients of 1, u, u2 in one row of `along`.
+// Compute one image row of the bare plate under another light. The light multiplies all colours by
+// a factor, and shifts a and b. Each of these three values is a quadratic function of u = `first` +
+// x `step`. Each row of `along` contains the coefficients of 1, u and u^2 for one of these values.
 template <int CHANNELS>
 [[gnu::always_inline]] inline void relight_row(const uint8_t* __restrict bare,
                                                uint8_t* __restrict out, int count, float first,
@@ -80,10 +80,10 @@ PLATE_WIDE inline void relight_colours(const uint8_t* bare, uint8_t* out, int co
     relight_row<3>(bare, out, count, first, step, along);
 }
 
-// Write the colours of the bare plate (h, w, c) in another light to `out`, within a box. `surface`
-// (6, c) contains the coefficients of 1, u, v, u2, u v, v2 for the factor and for the shifts of a
-// and b. The first two numbers of `place` are the image point [px] where u = v = 0. The third
-// number is the reciprocal of the length [px] of one unit of u and v.
+// Compute the colours of the bare plate (h, w, c) under another light, within a box. `surface` (6,
+// c) contains the coefficients of 1, u, v, u^2, u v and v^2 for the factor and for the shifts of a
+// and b. (u, v) are scaled image coordinates. The first two numbers of `place` are the image point
+// [px] with u = v = 0. The third number converts pixels to units of u and v.
 inline void relight(View<const uint8_t, 3> bare, View<const float, 2> surface, const float* place,
                     const ImageBox& box, View<uint8_t, 3> out) {
     const int channels = bare.size(2);

@@ -1,4 +1,4 @@
-// Fits of part types to outlines: see catalogue.py.
+// C++ kernels of catalogue.py, which fits part types to measured outlines.
 #pragma once
 #include <algorithm>
 #include <array>
@@ -12,23 +12,25 @@
 
 namespace plate {
 
-// Number of angles at which spectra are compared.
+// Number of angles at which the spectra of two outlines are compared.
 constexpr int TURNS = 96;
 
 // Maximum number of candidate angles from which the fit of a type to an outline starts.
 constexpr int STARTS = 4;
 
-// Minimum correlation of the two spectra at a candidate angle, relative to the correlation at the
-// best angle.
+// Minimum correlation of the spectra at a candidate angle, relative to the correlation at the best
+// angle.
 constexpr double LIKELY = 0.4;
 
-// Number of Gauss-Newton steps.
+// Maximum number of Gauss-Newton steps of a fit.
 constexpr int FIT_STEPS = 5;
 
-// Maximum distance between outlines that agree [px]. If they agree, no other angle is tried.
+// Two outlines agree if their distance is below this value [px]. If a fit agrees with the measured
+// outline, no other angle is tried.
 constexpr double EXACT = 0.15;
 
-// Correlation of two spectra (HARMONICS,). One spectrum is rotated by each of the angles in turn.
+// Computes the correlation of two spectra (HARMONICS,) for each of the TURNS angles by which one
+// outline is rotated.
 PLATE_WIDE inline void correlate(const Complex* seen, const Complex* known,
                                  std::array<double, TURNS>& alike) {
     double turn_x[TURNS], turn_y[TURNS], wave_x[TURNS], wave_y[TURNS];
@@ -50,9 +52,10 @@ PLATE_WIDE inline void correlate(const Complex* seen, const Complex* known,
     }
 }
 
-// Candidate angles [rad] by which an outline is rotated relative to another one, determined from
-// their spectra (HARMONICS,). The most likely angle comes first. `symmetry` is the number of
-// directions in which the second outline looks the same.
+// Returns candidate angles [rad] by which the first outline may be rotated relative to the second
+// outline. The inputs are the spectra (HARMONICS,) of both outlines. The most likely angle is the
+// first. `symmetry` is the number of angles within a full turn at which the second outline is the
+// same, or 0 for a disc.
 inline std::vector<double> likely_turns(const Complex* seen, const Complex* known, int symmetry) {
     if (symmetry == 0) return {0};
     std::array<double, TURNS> alike, sector;
@@ -75,8 +78,8 @@ inline std::vector<double> likely_turns(const Complex* seen, const Complex* know
     return found;
 }
 
-// A part type (see `Template` of catalogue.py): edges (e, 5), samples (n, 4) of its contour with
-// outward unit vectors, and the centre and the spectrum of its outline.
+// The outline of a part type: edges (e, 5), contour points with outward unit vectors, as `samples`
+// (n, 4), centre, and spectrum. `Template` in catalogue.py describes the fields.
 struct TypeOutline {
     View<const double, 2> edges, samples;
     const double* centre;
@@ -91,7 +94,8 @@ struct SeenOutline {
     const Complex* spectrum;
 };
 
-// Fit a type to an outline, starting from each candidate angle: see `lay_on` of catalogue.py.
+// Fit a part type to a measured outline, from each candidate angle. `lay_on` in catalogue.py
+// describes the arguments.
 inline PoseFit lay_on(const TypeOutline& type, const SeenOutline& seen, double unit,
                       double hopeless) {
     constexpr double FAR = std::numeric_limits<double>::infinity();
@@ -114,7 +118,7 @@ inline PoseFit lay_on(const TypeOutline& type, const SeenOutline& seen, double u
             best.rest = std::min(best.rest, fit.rest);
             continue;
         }
-        // Add the distances in the other direction, from the type's contour to the outline.
+        // Also compute the distances from the type's contour points to the measured outline.
         c = std::cos(fit.angle), s = std::sin(fit.angle);
         for (int i = 0; i < count; i++) {
             const double x = samples(i, 0) + fit.swell * samples(i, 2);

@@ -24,7 +24,7 @@ void require_edges(const In<double, 2>& edges) {
     require(edges.shape(0) > 0 && edges.shape(1) == 5, "shape: edges (e, 5), e >= 1");
 }
 
-// Throw an error unless the numbers in `ends` rise and each ring has points.
+// Throw an error unless the numbers in `ends` increase, so that each ring has at least one point.
 void require_rings(const In<int64_t, 1>& ends, size_t points) {
     int64_t first = 0;
     for (size_t i = 0; i < ends.shape(0); first = ends(i), i++)
@@ -37,7 +37,7 @@ const Complex* as_spectrum(const In<std::complex<double>, 1>& spectrum) {
     return reinterpret_cast<const Complex*>(spectrum.data());
 }
 
-// Convert records that contain only numbers to rows of numbers.
+// Convert structs that contain only numbers to the rows of an array.
 template <class Record>
 auto rows_of(const std::vector<Record>& records) {
     constexpr size_t WIDE = sizeof(Record) / sizeof(double);

@@ -1,5 +1,6 @@
-// Outlines of patches with an accuracy of a fraction of a pixel, and fits of polygons to them: see
-// outlines.py.
+// C++ kernels of outlines.py. They measure the outlines of patches with an accuracy of a fraction
+// of a pixel, and fit polygons to these outlines. A patch is a connected area of the image that
+// deviates from the bare plate.
 #pragma once
 #include <algorithm>
 #include <array>
@@ -16,37 +17,36 @@
 
 namespace plate {
 
-// Number of harmonics of an outline's spectrum that are compared, starting with the 0th. A hexagon
-// differs from a disc in the 6th and 12th harmonic, and a square differs from it in the 4th, 8th,
-// 12th and 16th.
+// Number of harmonics of an outline's spectrum, from the 0th harmonic on. A hexagon differs from a
+// disc in the 6th and 12th harmonic, and a square differs from it in the 4th, 8th, 12th and 16th.
 constexpr int HARMONICS = 17;
 
-// REACH_PX is the range on both sides of a patch's contour in which the exact edge is searched
-// [px]. STEPS is the number of samples in this range.
+// The exact edge is searched within REACH_PX [px] on both sides of a patch's contour. STEPS is the
+// number of samples in this range.
 constexpr double REACH_PX = 2.5;
 constexpr int STEPS = 11;
 
 // Minimum difference between the first and the last sample across an edge, relative to the
-// difference between part and surround. Where parts touch, there is no edge, and the patch's
-// contour is used instead.
+// difference between part and surround. Where two parts touch, the difference is smaller, because
+// there is no edge. There, the contour of the patch is used instead.
 constexpr double MIN_STEP = 0.25;
 
-// Maximum squared error of a point in a sum of squares. It is relative to the squared unit of the
-// fit plus the square of a tenth of the part's reach. It limits the effect of outliers.
+// Maximum squared error of a point in a sum of squares. The unit is the sum of two squares: the
+// unit of the fit, and a tenth of the part's size. The maximum limits the effect of outliers.
 constexpr double CLIP = 16.0;
 
 // A fit has converged if a step changes its parameters by less than this value [units of the fit,
 // usually pixels].
 constexpr double STILL = 0.003;
 
-// Minimum RMS deviation of points from a type's outline that `turn_scatter` assumes [units of the
-// fit].
+// `turn_scatter` assumes at least this RMS deviation of the points from a type's outline [units of
+// the fit].
 constexpr double MIN_ERROR = 0.1;
 
-// Number of neighbouring points whose errors are correlated.
+// Assumed number of neighbouring points whose errors are correlated.
 constexpr double TOGETHER = 2.0;
 
-// Number of points that are processed together.
+// Number of points that are processed together by vector instructions.
 constexpr int POINTS = 8;
 
 struct Complex {
@@ -62,8 +62,9 @@ struct Complex {
 // similarity is 1 for the median colour of the patch and 0 for the median colour of its surround.
 // Write the patch's median colour to `colour` (c,).
 //
-// `mask`, `inner` and `around` (h + 2, w + 2) have a frame of one pixel. `mask` is 1 in the patch,
-// `inner` in the area that certainly belongs to it, and `around` in the area that may belong to it.
+// `mask`, `inner` and `around` (h + 2, w + 2) have a frame of one pixel. `mask` is 1 in the patch.
+// `inner` is 1 in the area that certainly belongs to the patch. `around` is 1 in the area that may
+// belong to it.
 inline void contrast(View<const uint8_t, 3> pixels, View<const uint8_t, 2> mask,
                      View<const uint8_t, 2> inner, View<const uint8_t, 2> around,
                      View<float, 2> field, double* colour) {
@@ -107,7 +108,7 @@ inline void contrast(View<const uint8_t, 3> pixels, View<const uint8_t, 2> mask,
     }
 }
 
-// Bilinear interpolation of a field (h, w).
+// Returns the value of a field (h, w) at a point, by bilinear interpolation.
 inline double sample(View<const float, 2> field, double x, double y) {
     x = std::min(std::max(x, 0.0), field.size(1) - 1.001);
     y = std::min(std::max(y, 0.0), field.size(0) - 1.001);
@@ -117,10 +118,10 @@ inline double sample(View<const float, 2> field, double x, double y) {
            v * ((1 - u) * field(j + 1, i) + u * field(j + 1, i + 1));
 }
 
-// Write evenly spaced points of an edge near a ring (k, 2) to `thinned` (count, 2). On the edge,
-// the field has the mean of its values inside and outside the ring. The ring consists of the
-// outermost pixels of a patch, or of the pixels around a hole. Its coordinates include a frame of
-// one pixel.
+// Locate the edge near a closed ring of pixels (k, 2). Write evenly spaced points of the edge to
+// `thinned` (count, 2). At the edge, the field has the mean of its values inside and outside the
+// ring. The ring consists of the outermost pixels of a patch, or of the pixels around a hole. The
+// coordinates of the ring include a frame of one pixel.
 inline void find_edge(View<const float, 2> field, View<const int32_t, 2> ring, bool hole,
                       View<double, 2> thinned) {
     struct Point {
@@ -143,7 +144,8 @@ inline void find_edge(View<const float, 2> field, View<const int32_t, 2> ring, b
         moved[i] = here;
         if (length == 0) continue;
         x /= length, y /= length;
-        // The edge of the patch is expected half-way between the centres of two pixels.
+        // The edge of the patch is expected half-way between the centre of the ring's pixel and the
+        // centre of its outer neighbour.
         const double step = 0.5 / std::max(std::abs(x), std::abs(y));
         const auto level = [&](double way) {
             return sample(field, here.x + way * x, here.y + way * y);
@@ -184,14 +186,15 @@ inline void find_edge(View<const float, 2> field, View<const int32_t, 2> ring, b
     }
 }
 
-// Properties of an outline: see `Outline` of outlines.py.
+// Properties of an outline. `Outline` in outlines.py describes them.
 struct OutlineMeasures {
     double area, x, y;
     std::array<Complex, HARMONICS> spectrum;
 };
 
-// Measure rings of points (n, 2). If the points of a ring have the wrong sense of rotation, their
-// order is reversed. `ends` (k,) are the end indices of the rings.
+// Compute the properties of an outline that consists of rings of points (n, 2). `ends` (k,)
+// contains the index after the last point of each ring. If the points of a ring have the wrong
+// sense of rotation, their order is reversed.
 inline OutlineMeasures measure_outline(View<double, 2> points, View<const int64_t, 1> ends) {
     double whole = 0, x = 0, y = 0;
     const double x0 = points(0, 0), y0 = points(0, 1);
@@ -227,7 +230,9 @@ inline OutlineMeasures measure_outline(View<double, 2> points, View<const int64_
             if (square == 0) continue;
             const double radius = std::sqrt(square);
             const Complex turn{mx / radius, -my / radius};
-            // The term is r^4 / 4 d(phi), where r^2 d(phi) is twice the area of the triangle.
+            // r is the distance of the edge's middle from the centre of the outline. phi is the
+            // polar angle. The term is r^4 / 4 d(phi). r^2 d(phi) is twice the area of the triangle
+            // between edge and centre.
             Complex term{0.25 * square * (ax * by - bx * ay), 0};
             for (Complex& wave : found.spectrum) {
                 wave += term;
@@ -239,7 +244,7 @@ inline OutlineMeasures measure_outline(View<double, 2> points, View<const int64_
     return found;
 }
 
-// Edges (e, 5) of rings of points (n, 2): see `Outline.edges`.
+// Returns the edges (e, 5) of rings of points (n, 2). `Outline.edges` describes the columns.
 inline std::vector<double> outline_edges(View<const double, 2> points,
                                          View<const int64_t, 1> ends) {
     std::vector<double> edges;
@@ -262,7 +267,7 @@ inline std::vector<double> outline_edges(View<const double, 2> points,
 struct Places {
     int size;
     std::vector<double> x, y;
-    // Signed distance, and the components of the unit vector in whose direction it increases.
+    // Signed distance of each point, and the components of its gradient, which is a unit vector.
     std::vector<double> distance, right, down;
 
     explicit Places(int count) : size(count) {
@@ -272,8 +277,8 @@ struct Places {
     int padded() const { return x.size(); }
 };
 
-// The nearest edge that was found so far for each point: its squared distance, its index, and the
-// vector from the edge to the point.
+// For each point, the nearest edge among the edges processed so far: squared distance, index of the
+// edge, and vector from the edge to the point.
 struct Nearest {
     double least[POINTS], edge[POINTS] = {}, right[POINTS] = {}, down[POINTS] = {};
 
@@ -314,8 +319,9 @@ PLATE_WIDE inline void edge_distances(View<const double, 2> edges, Places& place
                 const double vx = x[i] - x0, vy = y[i] - y0, across = ux * vy - uy * vx;
                 const double along = std::min(std::max(vx * ux + vy * uy, 0.0), length);
                 const double dx = vx - along * ux, dy = vy - along * uy;
-                // If two edges meet at the nearest point, the sign is determined by the edge whose
-                // line is farther from the point.
+                // If the nearest point is the common corner of two edges, the distances are equal.
+                // Then the small additional term selects the edge whose line is farther from the
+                // point. This edge gives the correct sign.
                 nearest.keep(i, dx * dx + dy * dy - 1e-6 * across * across, e, dx, dy);
             }
         }
@@ -324,7 +330,8 @@ PLATE_WIDE inline void edge_distances(View<const double, 2> edges, Places& place
             const double vx = x[i] - edge[0], vy = y[i] - edge[1];
             double ux = edge[2], uy = edge[3], side;
             if (edge[4] < 0) {
-                // The direction of the edge is perpendicular to the outward direction.
+                // (ux, uy) is the tangent of the circle, which is perpendicular to the outward
+                // direction.
                 const double size = std::max(std::sqrt(vx * vx + vy * vy), 1e-12);
                 ux = -vy / size, uy = vx / size;
                 side = size > -edge[4] ? 1 : -1;
@@ -363,17 +370,20 @@ PLATE_WIDE inline void rim_distances(View<const double, 2> edges, Places& places
     }
 }
 
-// Result of `fit_pose`: x, y [m], angle [rad]; mean signed distance of the points from the polygon,
-// positive outside [m]; root mean square residual [m].
+// Result of `fit_pose`:
+// - x, y [m], angle [rad]: pose of the polygon
+// - swell: growth, which is the mean signed distance of the points from the polygon, positive
+//   outside [m]
+// - rest: root mean square residual [m]
 struct PoseFit {
     double x, y, angle, swell, rest;
 };
 
-// Fit a polygon with edges (e, 5) to points (n, 2) by Gauss-Newton steps: see `fit_pose` of
-// outlines.py.
+// Fit a polygon with edges (e, 5) to points (n, 2) by Gauss-Newton steps. `fit_pose` in outlines.py
+// describes the arguments.
 //
-// The error of a point is its signed distance from the polygon minus the growth. The weight of a
-// point is min(1, unit / |error|) (Huber's weight).
+// The error of a point is its signed distance from the polygon minus the growth `swell`. The weight
+// of a point is min(1, unit / |error|) (Huber's weight).
 inline PoseFit fit_pose(View<const double, 2> edges, View<const double, 2> points,
                         const double* pose, double unit, bool turns, int steps, double hopeless,
                         double gate) {
@@ -426,7 +436,8 @@ inline PoseFit fit_pose(View<const double, 2> edges, View<const double, 2> point
     return {x, y, angle, swell, std::sqrt(rest / number)};
 }
 
-// Standard deviation of a fitted angle [rad]: see `angle_sd` of classes.py.
+// Returns the standard deviation of a fitted angle [rad]. `angle_sd` in classes.py describes the
+// method.
 inline double turn_scatter(View<const double, 2> edges, View<const double, 2> points,
                            const double* fit, double full, double unit, double gate) {
     const int count = points.size(0);

@@ -1,4 +1,5 @@
-// Search for a part at all positions and angles in a group: see groups.py.
+// C++ kernels of groups.py: search for a part at all positions and angles in a group. A group is a
+// patch of the image that shows several touching parts.
 #pragma once
 #include <algorithm>
 #include <cmath>
@@ -13,38 +14,42 @@
 
 namespace plate {
 
-// Maximum distance of a part's contour point from the group's contour at which the point counts as
-// on this contour [px].
+// A contour point of a part counts as on the group's contour if its distance from this contour is
+// below this value [px].
 constexpr double NEAR_PX = 1.3;
 
-// Maximum distance of a part's point from the group [px]. Points at smaller distances count as
-// inside the group.
+// A point of a part counts as inside the group if its distance from the group is at most this value
+// [px].
 constexpr double OUTSIDE_PX = 1.6;
 
-// Maximum fraction of a part that is outside the group.
+// Maximum fraction of a part's area that may be outside the group.
 constexpr double MAX_OUTSIDE = 0.06;
 
-// Value that replaces the number of contour points at an excluded place. It is lower than any
-// number of points.
+// Start value of the number of contour points at an excluded place. With it, the number remains
+// negative.
 constexpr int16_t BARRED = -30'000;
 
-// Number of places along a row that are processed together.
+// Number of places along a row of pixels that are processed together.
 constexpr int PLACES = 16;
 
-// Maximum width of a frame around the group [px].
+// Maximum width of the frame of pixels that is added around the group [px].
 constexpr double MAX_MARGIN = 1e4;
 
-// 1 if a point of a part is outside the free area, else 0.
+// Returns 1 if a point of a part is outside the free area, else 0. `free` is the depth of the point
+// in this area [px].
 inline int is_outside(double free) { return free < -OUTSIDE_PX; }
 
-// 1 if a point of a part's contour is on the group's contour, -1 if it is outside, else 0.
+// Returns 1 if a contour point of a part is on the group's contour, -1 if it is outside the group,
+// else 0. `border` is the depth of the point in the group [px].
 inline int is_on_rim(double border) {
     if (border < -OUTSIDE_PX) return -1;
     return border < NEAR_PX;
 }
 
-// Value of a field (h, w) at the pixel that is nearest to a point of a part at a pose. It is -99
-// outside the window. `to_px` is (2, 3).
+// Returns the value of a field (h, w) at the pixel that is nearest to a point of a part. The result
+// is -99 outside the field. `place` is the point in the part's frame, and `pose` is the pose of the
+// part. c and s are the cosine and sine of the part's angle. `to_px` (2, 3) converts positions to
+// pixels.
 inline double level(View<const float, 2> field, View<const double, 2> to_px, const double* place,
                     const double* pose, double c, double s) {
     const double u = pose[0] + c * place[0] - s * place[1];
@@ -60,9 +65,10 @@ struct Support {
     double seen, outside;
 };
 
-// Compute the support of a part. `seen` is the fraction of its contour points (n, 2) that are on
-// the group's contour, minus the fraction that are outside the group. `outside` is the fraction of
-// its inner points (m, 2) that are outside the free area.
+// Compute how well a part at a pose agrees with the group. `seen` is the fraction of the part's
+// contour points `rim` (n, 2) that are on the group's contour, minus the fraction outside the
+// group. `outside` is the fraction of the part's inner points (m, 2) that are outside the free
+// area.
 inline Support support(View<const float, 2> free, View<const float, 2> border,
                        View<const double, 2> to_px, View<const double, 2> rim,
                        View<const double, 2> inner, const double* pose) {
@@ -75,7 +81,7 @@ inline Support support(View<const float, 2> free, View<const float, 2> border,
     return {static_cast<double>(seen) / rim.size(0), static_cast<double>(out) / inner.size(0)};
 }
 
-// Maximum distance of points (n, 2) from a place (2,).
+// Returns the maximum distance of points (n, 2) from `place` (2,).
 inline double farthest(View<const double, 2> points, const double* place) {
     double most = 0;
     for (int k = 0; k < points.size(0); k++)
@@ -83,8 +89,9 @@ inline double farthest(View<const double, 2> points, const double* place) {
     return most;
 }
 
-// Rotate the points (n, 2) of a part about the part's pole. Write their offsets from the pole to
-// `offsets`, as differences of indices in a field with a frame.
+// Rotate the points (n, 2) of a part about the part's reference point, the pole. Write the offsets
+// of the points from the pole to `offsets`. An offset is a difference of indices in a field that is
+// `width` pixels wide.
 inline void find_offsets(View<const double, 2> points, View<const double, 2> to_px,
                          const double* pole, double angle, int margin, int width,
                          std::vector<int>& offsets) {
@@ -100,10 +107,10 @@ inline void find_offsets(View<const double, 2> points, View<const double, 2> to_
     }
 }
 
-// Place a part at each of `count` places in a row of the field. For each place, add the values of
-// the field at all points of the part to `total` (count,). `row` points to the first place.
-// `offsets` are the points' indices relative to the place. Elements after the end of `total` are
-// changed too, up to a multiple of PLACES.
+// For each of `count` places in a row of the field, move a part to this place and sum the values of
+// the field at all points of the part. The sum is added to `total` (count,). `row` points to the
+// first place. `offsets` contains the indices of the points relative to the place. Elements after
+// the end of `total` are also changed, up to a multiple of PLACES.
 PLATE_WIDE inline void add_rows(const int16_t* row, const std::vector<int>& offsets,
                                 int16_t* __restrict total, int count) {
     for (int first = 0; first < count; first += PLACES) {
@@ -117,16 +124,16 @@ PLATE_WIDE inline void add_rows(const int16_t* row, const std::vector<int>& offs
     }
 }
 
-// A place of a part: x, y [m], the best angle [rad], and `Support.seen` for this angle. The best
-// angle is the one with the largest `Support.seen`.
+// A possible place of a part: x, y [m], angle with the largest `Support.seen` [rad], and this
+// value.
 struct PlaceFound {
     double x, y, angle, seen;
 };
 
-// Return all places where a part may be: see groups.py.
+// Return all places where a part may be located. groups.py describes the search.
 //
-// A part at an angle is a set of pixel offsets, which is the same for all places. Therefore, the
-// pixels that the part covers are counted for a whole row of places at once.
+// At a given angle, the pixels of a part have the same offsets at all places. Therefore the pixels
+// are counted for a whole row of places together.
 inline std::vector<PlaceFound> search(View<const float, 2> free, View<const float, 2> border,
                                       View<const double, 2> to_px, View<const double, 2> rim,
                                       View<const double, 2> inner, const double* pole, double depth,
@@ -136,12 +143,13 @@ inline std::vector<PlaceFound> search(View<const float, 2> free, View<const floa
                                   length_of(to_px(1, 0), to_px(1, 1)));
     const double reach = scale * std::max(farthest(rim, pole), farthest(inner, pole));
     if (!(reach < MAX_MARGIN)) throw std::invalid_argument("the part is too large");
-    const int margin = 2 + static_cast<int>(reach);  // the frame is wide enough for a part at any place
+    // the frame around the field is wide enough for a part at any place
+    const int margin = 2 + static_cast<int>(reach);
     constexpr double FAR = -std::numeric_limits<double>::infinity();
     const int framed = width + 2 * margin;
     const size_t all = static_cast<size_t>(height + 2 * margin) * framed + PLACES;
     std::vector<int16_t> outside(all, is_outside(FAR)), on_rim(all, is_on_rim(FAR));
-    std::vector<int> begin(height, width), end(height);  // range of places in each row
+    std::vector<int> begin(height, width), end(height);  // range of possible places in each row
     for (int j = 0; j < height; j++)
         for (int i = 0; i < width; i++) {
             const int at = (margin + j) * framed + margin + i;

@@ -1,4 +1,5 @@
-// Segmentation of parts of any outline, size and colour: see segmentation.py.
+// C++ kernels of segmentation.py, which separates parts of any outline, size and colour from the
+// background. A connected area of the image that deviates from the background is called a patch.
 #pragma once
 #include <algorithm>
 #include <cstdint>
@@ -9,32 +10,33 @@
 
 namespace plate {
 
-// Minimum area of a part [px2]. A disc with a radius of 3 px has this area.
+// Minimum area of a part [px2]. A disc with a radius of 3 px has about this area.
 constexpr double MIN_AREA_PX2 = 30;
 
-// Minimum contrast of a part, relative to the maximum deviation of the background.
+// Minimum contrast of a part, relative to the maximum deviation of pixels that show the background.
 constexpr double STRONG = 1.2;
 
 // Minimum contrast of a part's second colour, relative to the contrast of its main colour.
 constexpr double WEAKER = 0.35;
 
-// Minimum contrast of a second colour, relative to the contrast of the main colour. This minimum
-// applies if one of them is brighter and the other one is darker than the plate. The halo of a
-// sharpened edge has less contrast.
+// Minimum contrast of a part's second colour, relative to the contrast of its main colour. This
+// minimum applies if one colour is brighter and the other colour is darker than the plate. Bright
+// halos, which image sharpening causes at edges, have less contrast.
 constexpr double BRIGHTER = 0.25;
 
-// Maximum slope of an even area, relative to the maximum slope of the patch.
+// An area of a patch counts as even if its brightness gradient is below this fraction of the
+// patch's maximum gradient.
 constexpr double EVEN = 0.3;
 
-// Minimum cover of a single pixel between two colours of a part [-]. A pixel with a smaller cover
-// does not belong to the part.
+// Minimum covered fraction of a pixel between two colours of a part. A pixel with a smaller
+// fraction does not belong to the part.
 constexpr double BRIDGE = 0.3;
 
-// Minimum step in L between two colours of a part, relative to the larger of their contrasts. It
-// applies if one colour is brighter and the other one is darker than the plate.
+// Minimum step in the lightness L between two colours of a part, relative to the larger of their
+// contrasts. It applies if one colour is brighter and the other colour is darker than the plate.
 constexpr double LEAP = 1.2;
 
-// Call `visit(i)` for each pixel that is not 0. Blocks without such pixels are skipped.
+// Call `visit(i)` for each pixel i that is not 0. Blocks of pixels that are all 0 are skipped.
 template <class T, class Visit>
 [[gnu::always_inline]] inline void each_set(const T* pixels, int count, Visit visit) {
     constexpr int BLOCK = 16;
@@ -50,8 +52,8 @@ template <class T, class Visit>
     }
 }
 
-// Call `visit(i, k)` for each pixel i of a patch k. Labels must be below `patches`. The label 0 is
-// outside of all patches.
+// Call `visit(i, k)` for each pixel i that belongs to a patch k. The label of a pixel is the number
+// of its patch, and must be below `patches`. Pixels outside of all patches have the label 0.
 template <class Visit>
 [[gnu::always_inline]] inline void each_labelled(const int32_t* labels, int count, int patches,
                                                  Visit visit) {
@@ -62,7 +64,7 @@ template <class Visit>
     });
 }
 
-// Histogram of 256 levels for each patch.
+// One histogram with 256 levels for each patch.
 struct Histograms {
     std::vector<int> counts;
 
@@ -70,9 +72,10 @@ struct Histograms {
     int* operator[](int patch) { return &counts[256 * static_cast<size_t>(patch)]; }
 };
 
-// Compute three values for each patch (count,). `contrast` is the median of the larger deviations,
-// or 0 if the patch is too small. `steepest` is the maximum slope. `bright` is true if more pixels
-// are brighter than the background than darker. Images are (h, w).
+// Compute three values for each patch (count,). `contrast` is the median of the larger deviations
+// from the background, or 0 if the patch is too small. `steepest` is the maximum brightness
+// gradient. `bright` is true if most pixels are brighter than the background. All images have the
+// shape (h, w).
 inline void find_contrasts(View<const int32_t, 2> labels, View<const uint8_t, 2> away,
                            View<const uint8_t, 2> brighter, View<const uint8_t, 2> slope,
                            View<float, 1> contrast, float* steepest, bool* bright) {
@@ -93,7 +96,7 @@ inline void find_contrasts(View<const int32_t, 2> labels, View<const uint8_t, 2>
         int total = 0, above = 0;
         for (int level = 1; level < 256; level++) total += histogram[level];
         if (total < MIN_AREA_PX2) continue;
-        // The larger deviations are those above half of the 90th percentile.
+        // Deviations above half of the 90th percentile count as larger deviations.
         int high = 255, middle = 255;
         for (int passed = 0; high > 0 && passed + histogram[high] < 0.1 * total; high--)
             passed += histogram[high];
@@ -112,8 +115,9 @@ struct PatchContrasts {
     const bool* bright;
 };
 
-// Write the fraction of each pixel that a part covers to `cover` (h, w). It is the deviation of the
-// pixel, relative to the deviation of the part around it, and 0 outside of parts.
+// Write the fraction of each pixel that a part covers to `cover` (h, w). The fraction is the
+// deviation of the pixel from the background, divided by the deviation of the part around the
+// pixel. It is 0 outside of parts.
 inline void find_cover(View<const uint8_t, 2> away, View<const uint8_t, 2> around,
                        View<const uint8_t, 2> brighter, View<const uint8_t, 2> slope,
                        View<const int32_t, 2> labels, const PatchContrasts& patches,
@@ -125,19 +129,20 @@ inline void find_cover(View<const uint8_t, 2> away, View<const uint8_t, 2> aroun
         const float full = std::min<float>(contrast, around.data[i]);
         const double strong = STRONG * limit.data[i];
         if (full <= strong) return;
-        // A highlight on a dark part may differ less from the plate than the part does.
+        // A highlight on a dark part may differ less from the plate than the rest of the part.
         const bool highlight = (brighter.data[i] > 0) != patches.bright[k] &&
                                here > std::max(BRIGHTER * contrast, strong);
-        // A second colour of the part may have less contrast, but it differs clearly from the
-        // background and is even.
+        // An area with a second colour of the part may have less contrast, but it differs clearly
+        // from the background and is even.
         const bool weaker = here > WEAKER * contrast && slope.data[i] < EVEN * patches.steepest[k];
         cover.data[i] = highlight || weaker ? 1 : std::min(here / full, 1.f);
     });
 }
 
-// Add the pixels between two colours of a part to a mask (h, w) and to the cover. `near` and `far`
-// are the mask after closing with a kernel of 3 x 3 and of 5 x 5 pixels. Pixels of `far` are added
-// if there is a step in lightness, and pixels of `near` are added if their cover is large enough.
+// Add the pixels between two colours of a part to the mask (h, w) and to the cover. `near` is the
+// mask after morphological closing with a kernel of 3 x 3 pixels, and `far` after closing with 5 x
+// 5 pixels. A pixel of `far` is added if there is a step in lightness. A pixel of `near` is added
+// if its covered fraction is large enough.
 inline void bridge(View<uint8_t, 2> mask, View<float, 2> cover, View<const uint8_t, 2> near,
                    View<const uint8_t, 2> far, View<const uint8_t, 2> step,
                    View<const uint8_t, 2> around) {

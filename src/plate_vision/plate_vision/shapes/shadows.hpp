@@ -1,5 +1,5 @@
-// Shadows: areas where the background is darker, but its chroma is unchanged. Their edges are soft.
-// See shadows.py.
+// C++ kernels of shadows.py, which detects shadows of parts. In a shadow, the background is darker,
+// but its chroma is unchanged. The edges of shadows are blurred.
 #pragma once
 #include <algorithm>
 #include <cmath>
@@ -15,28 +15,34 @@ namespace plate {
 // Minimum lightness L of a shadow, relative to the plate's lightness.
 constexpr double DARKEST = 0.45;
 
-// Minimum number of pixels in even areas of a part and of a shadow.
+// Minimum number of pixels in the even area of a part, and in the even area of a shadow.
 constexpr int MIN_UNIFORM = 12;
 
 // Maximum deviation of a shadow from the background, relative to the deviation of the part that
-// casts the shadow.
+// causes the shadow.
 constexpr double LIGHTER = 0.8;
 
-// The deviation of a patch's dark side is exceeded by this fraction of the patch's even pixels.
+// This fraction of a patch's even pixels deviates more from the background than the value that is
+// computed for its dark side.
 constexpr double DARKER = 0.3;
 
-// Range of the deviation in which a shadow's edge is evaluated, relative to the shadow's deviation.
+// Pixels belong to the edge of a shadow if their deviation is in this range, relative to the
+// deviation of the shadow.
 constexpr double HALFWAY[] = {0.3, 0.7};
 
 // Minimum number of pixels of a shadow's edge from which its slope is measured.
 constexpr int MIN_SEEN = 4;
 
-// Shadow candidates in an image. The first three arrays (h, w) contain values for each pixel:
-// `like` is whether it looks like a darker plate, `lit` whether it is also light enough for a
-// shadow, and `slope` is the slope of the lightness [L/px]. The other arrays (count,) contain
-// values for each patch: `steepest` and `largest` are the maximum slope and the maximum deviation
-// of its darker pixels, and `total` is its area. `balance` is the number of its pixels that are
-// brighter than the plate, minus the number of its pixels that look like a darker plate.
+// Shadow candidates in an image. Three arrays (h, w) contain a value for each pixel:
+// - like: whether the pixel has the colour of a darker plate
+// - lit: whether the pixel is also light enough for a shadow
+// - slope: gradient of the lightness [L/px]
+//
+// The other arrays (count,) contain a value for each patch:
+// - steepest, largest: maximum gradient and maximum deviation of the pixels that are darker than
+//   the plate
+// - total: area [px2]
+// - balance: number of pixels brighter than the plate, minus number of pixels in `like`
 struct ShadowEdges {
     int count;
     View<bool, 2> like, lit;
@@ -45,8 +51,9 @@ struct ShadowEdges {
     int64_t *total, *balance;
 };
 
-// Find shadow candidates in the colours `lab` of an image with the background `bare` (h, w, c). The
-// other images are (h, w). All results must be 0 before the call.
+// Detect shadow candidates in an image. `lab` contains its colours, and `bare` the colours of the
+// background (h, w, c). The other images have the shape (h, w). All results must be 0 before the
+// call.
 inline void find_shadow_edges(View<const uint8_t, 3> lab, View<const uint8_t, 3> bare,
                               double chroma, View<const uint8_t, 2> limit,
                               View<const int32_t, 2> labels, const ShadowEdges& found) {
@@ -69,7 +76,8 @@ inline void find_shadow_edges(View<const uint8_t, 3> lab, View<const uint8_t, 3>
                 0.5f * std::sqrt(static_cast<float>(across * across + along * along));
             found.slope(y, x) = slope;
             if (std::max({left, right, up, down}) <= plate + limit(y, x)) {
-                // Otherwise a neighbour is brighter than the plate: this is a highlight's edge.
+                // No neighbour is brighter than the plate, so the pixel is not at the edge of a
+                // highlight.
                 found.steepest[k] = std::max(found.steepest[k], slope);
                 found.largest[k] = std::max<float>(found.largest[k], plate - here);
             }
@@ -89,10 +97,11 @@ inline void find_shadow_edges(View<const uint8_t, 3> lab, View<const uint8_t, 3>
     }
 }
 
-// Compute three deviations for each patch (count,). `light` and `dark` are the deviations of its
-// light and its dark side. `bound` separates the two sides; it is 0 if there is only one side.
+// A patch may consist of a part (dark side) and its shadow (light side). For each patch (count,),
+// compute the deviation from the background of the light side and of the dark side, as `light` and
+// `dark`. `bound` is the deviation that separates the two sides, or 0 if there is only one side.
 //
-// The even pixels are separated by the method of Otsu (1979).
+// The pixels of even areas are separated by the method of Otsu (1979).
 inline void part_sides(View<const uint8_t, 2> away, View<const bool, 2> like,
                        View<const float, 2> slope, const float* steepest,
                        View<const int32_t, 2> labels, View<float, 1> bound, float* light,
@@ -130,16 +139,17 @@ inline void part_sides(View<const uint8_t, 2> away, View<const bool, 2> like,
         for (int64_t passed = 0; level > 0 && passed < DARKER * total; level--)
             passed += histogram[level];
         dark[k] = level;
-        // The light side is a shadow only if at least half of it looks like a darker plate.
+        // The light side is a shadow only if at least half of its pixels have the colour of a
+        // darker plate.
         int64_t under = 0, own = 0;
         for (int l = 0; l < static_cast<int>(bound(k)); l++) under += histogram[l], own += plain[l];
         if (2 * own < under) bound(k) = 0;
     }
 }
 
-// Compute two values for each patch. `fade` (count,) is the slope at the outer edge of its light
-// side [L/px], or 0 if this edge is not visible. `way` (count, 2) is the unit vector from its dark
-// side to its light side; it must be 0 before the call.
+// Compute two values for each patch. `fade` (count,) is the lightness gradient at the outer edge of
+// the light side [L/px], or 0 if this edge is not visible. `way` (count, 2) is the unit vector from
+// the dark side to the light side. Before the call, `way` must be 0.
 inline void find_fade(View<const uint8_t, 2> away, View<const uint8_t, 2> around,
                       View<const bool, 2> like, View<const float, 2> slope,
                       View<const int32_t, 2> labels, View<const float, 1> bound,

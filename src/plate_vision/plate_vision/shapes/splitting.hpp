@@ -1,4 +1,5 @@
-// Separation of touching parts: a patch is split at narrow places. See splitting.py.
+// C++ kernels of splitting.py, which separates touching parts: a patch of the image is split at
+// narrow places, called necks.
 #pragma once
 #include <algorithm>
 #include <cmath>
@@ -11,21 +12,22 @@
 
 namespace plate {
 
-// Minimum half width of an area that is separated from a wider area. THIN_PX is in pixels, THINNER
-// is relative to the half width of the wider area. An area that is below both minima, for example a
-// wire or an irregular edge, is not separated.
+// Minimum half width of an area that is separated from a wider area. THIN_PX is in pixels. THINNER
+// is relative to the half width of the wider area. An area below both minima, for example a wire or
+// an irregular edge, is not separated.
 constexpr double THIN_PX = 2.2, THINNER = 0.3;
 
 // Maximum number of necks that are kept for a patch.
 constexpr int MAX_NECKS = 200;
 
-// The numbers of two parts, from 1, and the width of the neck between them, relative to the width
-// of the narrower part.
+// The neck between two parts: numbers of the parts, from 1 on, and width of the neck relative to
+// the width of the narrower part.
 struct Neck {
     double one, other, width;
 };
 
-// Maximum number of different distances when pixels are sorted.
+// Pixels are sorted by their rounded distance. This is the maximum number of different rounded
+// distances.
 constexpr double MAX_STEPS = 1e6;
 
 struct Basins {
@@ -33,8 +35,9 @@ struct Basins {
     std::vector<Neck> necks;
 };
 
-// Pixels (h, w) with a depth above 0, sorted by counting sort in steps of 1 / `levels`. The deepest
-// pixels come first. Within a step, the pixels are in order of their rows.
+// Returns the indices of the pixels (h, w) with a depth above 0. The deepest pixels are first. A
+// counting sort with depths rounded to multiples of 1 / `levels` determines the order. Pixels with
+// the same rounded depth are in the order of their rows.
 inline std::vector<int> from_the_deepest(View<const float, 2> depth, int levels) {
     const int size = depth.size(0) * depth.size(1);
     std::vector<int> inside(size), steps;
@@ -57,16 +60,17 @@ inline std::vector<int> from_the_deepest(View<const float, 2> depth, int levels)
     return order;
 }
 
-// Watershed of a distance (h, w). Floods start at the peaks and spread downwards. The function sets
-// the labels (h, w), which must be 0 before. It returns the number of basins and the necks between
-// them.
+// Computes the watershed of the distance `depth` (h, w). A flood begins at each peak and spreads
+// downwards. The function sets `labels` (h, w), which must be 0 before the call, to the number of
+// each pixel's basin. It returns the number of basins and the necks between them.
 //
-// If two floods meet, they are merged, unless both of their peaks are far enough above the saddle.
+// Where two floods meet, there is a saddle. The floods are merged, unless both peaks are
+// sufficiently high above the saddle.
 inline Basins find_basins(View<const float, 2> depth, double neck, double least_drop, int levels,
                           View<int32_t, 2> labels) {
     const int height = depth.size(0), width = depth.size(1);
     struct Flood {
-        int parent;  // index of the flood with which this one was merged, or its own index
+        int parent;  // index of the flood into which this flood was merged, or its own index
         double peak;
     };
     struct Meeting {
