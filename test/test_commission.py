@@ -226,7 +226,7 @@ WRONG = [
     (in_fault, "motor_2: the drive is in fault (statusword 0218h): error code 2310h (current), "),
     (lambda bench: bench.drives[1].enter("enabled"), "motor_2: the drive has current"),
     (lambda bench: bench.network.send_message(0x80, b""), "bus: another master is on the bus"),
-    (twice, "motor_2: two drives have its node number"),
+    (twice, "motor_2: two drives have this node number"),
     (narrow, "607Dh are -75 to -65 mm, allowed: 20 mm or more (stroke_m"),
 ]
 
@@ -379,7 +379,7 @@ def test_while_a_drive_keeps_its_current_no_other_one_gets_any(bench, rig_file, 
     bench.moving(keep)
     assert bench.run(rig_file) == 1
     said = capsys.readouterr().out
-    assert "error: motor_1: the drive keeps its current" in said
+    assert "error: motor_1: the drive does not switch its current off" in said
     assert said.count("error: motor_1: the drive has current") == 3  # of the others' turns
     assert [drive.enables for drive in bench.drives] == [1, 0, 0, 0]
 

@@ -116,8 +116,8 @@ def test_a_bad_rig_file_is_refused_and_read_again_when_it_is_mended(name, tmp_pa
         assert managed.trigger("activate") == SUCCESS
         (result,) = managed.node.set_parameters([Parameter("rig_file", value="")])
         assert result.reason == (
-            f"parameter rig_file is read when {name} is configured, allowed: changes while the "
-            "node is not active"
+            f"parameter rig_file is only read when {name} is configured, allowed: changes while "
+            "the node is not active"
         )
         assert managed.trigger("deactivate") == SUCCESS
         (result,) = managed.node.set_parameters([Parameter("rig_file", value="none.yaml")])

@@ -158,5 +158,7 @@ class CycleRequest:
 def _state(plate: np.ndarray) -> np.ndarray:
     state = np.array(plate, float)
     if state.shape != (3, 3) or not np.all(np.isfinite(state)):
-        raise PlateError(f"plate is {state.tolist()}, allowed: (3, 3), finite")
+        raise PlateError(
+            f"plate is {state.tolist()}, allowed: 3 x 3 finite numbers (pose, twist, acceleration)"
+        )
     return state

@@ -597,5 +597,5 @@ def config_path(name: str) -> Path:
     """
     path = CONFIG / name
     if not path.exists():
-        raise PlateError(f"config file {name}: not in {CONFIG}")
+        raise PlateError(f"config file {name} does not exist in {CONFIG}")
     return path

@@ -372,7 +372,7 @@ def test_drives_that_do_not_fit_are_named(rig, impossible, text):
         ({"drive": "odrive"}, "motor_1: turns_per_m is missing"),
         ({"drive": "odrive", "turns_per_m": 25}, r"unknown key counts_per_m .*, allowed: .*"),
         ({"sign": True}, "motor_1: sign is True, allowed: 1 or -1"),
-        ({"drive": "bridge"}, "motor_1: node is 1, allowed: only with drive: cia402 or odrive"),
+        ({"drive": "bridge"}, "motor_1: node is 1, allowed: this key only with drive: cia402"),
     ],
 )
 def test_keys_of_a_drive_are_checked(spoilt, change, text):

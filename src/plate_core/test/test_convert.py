@@ -150,12 +150,12 @@ def test_angles_there_and_back():
 @pytest.mark.parametrize(
     ("name", "value", "message"),
     [
-        ("target_angle_max", -9.0, "black_1 has target_angle_min .*, allowed: minimum"),
-        ("target_x_min", np.nan, "black_1 has target_x_min nan and .*, allowed: minimum"),
-        ("target_y_max", -1.0, "black_1 has target_y_min .* -1, allowed: minimum"),
-        ("weight_x", -1.0, r"black_1 has weight_x -1, allowed: 0 to 1e\+09"),
-        ("weight_angle", -2.0, r"black_1 has weight_angle -2, allowed: 0 to 1e\+09"),
-        ("weight_y", np.inf, r"black_1 has weight_y inf, allowed: -1e\+09 to 1e\+09"),
+        ("target_angle_max", -9.0, "target_angle_min of black_1 is .*, allowed: minimum"),
+        ("target_x_min", np.nan, "target_x_min of black_1 is nan and .*, allowed: minimum"),
+        ("target_y_max", -1.0, "target_y_min of black_1 is .* -1, allowed: minimum"),
+        ("weight_x", -1.0, r"weight_x of black_1 is -1, allowed: 0 to 1e\+09"),
+        ("weight_angle", -2.0, r"weight_angle of black_1 is -2, allowed: 0 to 1e\+09"),
+        ("weight_y", np.inf, r"weight_y of black_1 is inf, allowed: -1e\+09 to 1e\+09"),
     ],
 )
 def test_wrong_targets(name, value, message):
@@ -243,7 +243,7 @@ def test_padded_image_rows():
         ("encoding", "mono16", "encoding is 'mono16', allowed: mono8, bgr8, rgb8"),
         ("width", 0, "size is 0 x 4, allowed: at least 1 x 1"),
         ("step", 3, "step is 3 bytes, allowed: at least 6"),
-        ("height", 5, "24 bytes of data, allowed: 30"),
+        ("height", 5, "data has 24 bytes, allowed: 30"),
     ],
 )
 def test_wrong_images(field, value, message):
@@ -264,8 +264,8 @@ def spoilt(change):
     [
         (lambda m: setattr(m, "joint_names", ["x", "y"]), r"joints are \['x', 'y'\], allowed: "),
         (lambda m: setattr(m, "points", m.points[:1]), "1 points, allowed: at least 2"),
-        (lambda m: setattr(m.points[2], "velocities", [1.0]), "point 2 has "),
-        (lambda m: setattr(m.points[2], "accelerations", []), "point 2 has "),
+        (lambda m: setattr(m.points[2], "velocities", [1.0]), "point 2 are "),
+        (lambda m: setattr(m.points[2], "accelerations", []), "point 2 are "),
         (lambda m: m.points.pop(), "motion is not closed"),
         (lambda m: m.points.reverse(), "knot times must be finite"),
         (lambda m: setattr(m.points[2], "positions", [0.0, float("nan"), 0.0]), "not finite"),
@@ -283,19 +283,19 @@ def test_wrong_cycles(change, message):
             lambda m: setattr(m.forces[2], "id", "black_1"),
             "ids are .*allowed: each part at most once",
         ),
-        (lambda m: setattr(m.forces[1], "x", float("nan")), "white_1 has x nan"),
-        (lambda m: setattr(m.forces[1], "vy", float("inf")), "white_1 has vy inf"),
+        (lambda m: setattr(m.forces[1], "x", float("nan")), "x of white_1 is nan"),
+        (lambda m: setattr(m.forces[1], "vy", float("inf")), "vy of white_1 is inf"),
         (
             lambda m: setattr(m.forces[1], "friction_limit", -1e200),
-            r"white_1 has friction_limit -1e.200, allowed: -1e.09 to 1e.09",
+            r"friction_limit of white_1 is -1e.200, allowed: -1e.09 to 1e.09",
         ),
         (
             lambda m: setattr(m.forces[1], "force_y_min", float("nan")),
-            "white_1 has force_y_min nan and force_y_max .*, allowed: minimum",
+            "force_y_min of white_1 is nan and force_y_max is .*, allowed: minimum",
         ),
         (
             lambda m: setattr(m.forces[2], "torque_max", -9.0),
-            "white_2 has torque_min .*-9, al",
+            "torque_min of white_2 is .*-9, al",
         ),
         (lambda m: setattr(m, "period_s", 0.0), "period_s is 0, allowed: above 0"),
         (

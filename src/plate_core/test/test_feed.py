@@ -65,7 +65,7 @@ def test_fractions_of_a_mix_may_be_rounded(tmp_path):
     ("old", "new", "message"),
     [
         ("class: black, ready", "class: red, ready", "class is 'red'"),
-        ("ready: 2", "ready: 16", "a sum of ready, now 16, .*15"),
+        ("ready: 2", "ready: 16", r"at most 15, .*now 16"),
         ("[[0.0, -0.1], [0.2, 0.1]]", "[[0.2, 0.1], [0.0, -0.1]]", "lower left corner, then"),
         ("[[0.0, -0.1], [0.2, 0.1]]", "[[0.0, 0.2], [-0.1, 0.1]]", "lower left corner, then"),
         ("[0.2, 0.1]", "[0.4, 0.1]", r"window of black is .*0.4"),
@@ -80,7 +80,11 @@ def test_fractions_of_a_mix_may_be_rounded(tmp_path):
         ("fill: 15", "fill: 10", "least is 12, allowed: at most fill, which is 10"),
         ("spread_m: 0.05", "spread_m: 0.05, mix: {black: 0.5}", "fractions of .*sum is 1"),
         ("spread_m: 0.05", "spread_m: 0.05, mix: {grey: 1}", "0 for each class of picks.*black"),
-        ("spread_m: 0.05", "spread_m: 0.05, mix: {blak: 1}", r"not 'blak' \(did you mean black"),
+        (
+            "spread_m: 0.05",
+            "spread_m: 0.05, mix: {blak: 1}",
+            r"'blak' is unknown \(did you mean black",
+        ),
         (
             "[[0.0, -0.1], [0.2, 0.1]]",
             "[[0, 0], [1e-3, 1e-3]]",
@@ -88,7 +92,11 @@ def test_fractions_of_a_mix_may_be_rounded(tmp_path):
         ),
         ("[-0.18, 0]", "[-0.38, 0]", "place_m is .-0.38, 0. m, allowed"),
         ("rate_ps: 10, ", "", "rate_ps"),
-        ("- {class: black, ready", "- {class: black}\n    - {class: black, ready", "each class on"),
+        (
+            "- {class: black, ready",
+            "- {class: black}\n    - {class: black, ready",
+            "each class at most once",
+        ),
     ],
 )
 def test_wrong_recipes_are_refused_by_name(tmp_path, old, new, message):

@@ -249,8 +249,8 @@ def test_what_configure_reads_changes_while_the_node_is_not_active(peer):
     result = peer.set("size", 6)
     assert not result.successful
     assert result.reason == (
-        "parameter size is read when echo is configured, allowed: changes while the node is not "
-        "active"
+        "parameter size is only read when echo is configured, allowed: changes while the node is "
+        "not active"
     )
     assert peer.set("gain", 0.5).successful
     assert peer.echo.options == Options(size=4, gain=0.5)
@@ -308,8 +308,8 @@ def test_a_parameter_that_it_does_not_have_is_named_and_the_nearest(peer):
 
 def test_the_clock_changes_while_the_node_is_not_active(peer):
     refused = (
-        "parameter use_sim_time changes the clock of echo, allowed: changes while the node is not "
-        "active"
+        "parameter use_sim_time changes the clock of echo, allowed: changes while the node is "
+        "not active"
     )
     clock, listens = peer.echo.get_clock(), peer.node.count_subscribers
 

@@ -132,7 +132,8 @@ def test_only_what_names_the_node_is_strict(make_node, capfd, tmp_path, monkeypa
         assert declare(node, Options).gain == 2.0
         (line,) = [line for line in capfd.readouterr().err.splitlines() if "WARN" in line]
         assert line.endswith(
-            "ignored parameters, set for all nodes but unknown to parametric: robot_name, tool"
+            "parametric ignores parameters that are set for all nodes but unknown to it: "
+            "robot_name, tool"
         )
     else:
         with pytest.raises(PlateError, match=r"^parameter robot_name is unknown to parametric,"):

@@ -47,7 +47,7 @@ def test_moments_of_a_polygon_agree_with_a_grid():
     ("text", "message"),
     [
         *(
-            (f"{name}: {{radius_m: 0.01}}", f"type '{name}', allowed: small letters")
+            (f"{name}: {{radius_m: 0.01}}", f"type is '{name}', allowed: lower-case letters")
             for name in (
                 "nut_3",
                 "Nut",
@@ -95,7 +95,7 @@ def test_moments_of_a_polygon_agree_with_a_grid():
         (
             "nut: {outline_m: [[0, 0], [0.02, 0], [0.02, 0.02], [0, 0.02]], holes_m: [[[1.0e-8, "
             "1.0e-8], [0.01999999, 1.0e-8], [0.01999999, 0.01999999], [1.0e-8, 0.01999999]]]}",
-            "holes_m is .*allowed: holes smaller than the part",
+            "holes_m is .*allowed: holes that leave some area",
         ),
         ("nut: {radius_m: 0.01, symmetry: 3}", "symmetry is 3, allowed: 0 for a disc"),
         ("nut: {radius_m: 0.01, colour: red}", "unknown key colour"),

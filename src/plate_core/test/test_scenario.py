@@ -144,7 +144,12 @@ def test_an_unknown_name_lists_the_available_ones():
 @pytest.mark.parametrize(
     ("text", "old", "new", "message"),
     [
-        (SORT, "class: black", "class: black_1", r"0\]: class is 'black_1', allowed: small"),
+        (
+            SORT,
+            "class: black",
+            "class: black_1",
+            r"0\]: class is 'black_1', allowed: lower-case letters",
+        ),
         (SORT, "count: 2", "cuont: 2", r"0\]: .*found cuont \(did you mean count\?\), al"),
         (SORT, ", count: 2", "", r"\[0\]: count or positions_m is missing, allowed: one"),
         (SORT, "hold_s: 0.5", "hold_s: 10", r"task: hold_s is 10, allowed: less than time_limit_s"),
@@ -162,14 +167,19 @@ def test_an_unknown_name_lists_the_available_ones():
         (SORT, "[[0.1, 0.0]]", "[0.1, 0.0]", r"positions_m is \[0.1, 0.0\], allowed: n x 2"),
         (FOLLOW, "closed: true", "closed: 1", r"closed is 1, allowed: true or false"),
         (FOLLOW, "[0.1, 0.1]]", "[0.1, 0.0]]", r"waypoints_m is .*different from the next"),
-        (FOLLOW, "[0.1, 0.1]]", "[0, 0]]", r"waypoints_m is .*different from the first"),
+        (FOLLOW, "[0.1, 0.1]]", "[0, 0]]", r"waypoints_m is .*differs from the first"),
         (FOLLOW, "- {class: black, w", "- {class: grey, w", r"class is 'grey', allowed: one of bl"),
         (CIRCLE, "laps: 2", "laps: 2, spline_m: []", r"circle and spline_m are given, allowed"),
-        (SPLINE, "[1, 0.03]", "[0.9, 0.03]", r"speed_mps is .*fractions increasing from 0 to 1"),
+        (SPLINE, "[1, 0.03]", "[0.9, 0.03]", r"speed_mps is .*fractions that increase from 0 to 1"),
         (SPLINE, "[0, 0.01]", "[0, 0]", r"speed_mps is .*speeds from 1e-05 to 10"),
-        (SPLINE, "[0, 0.01], ", "", r"speed_mps is .*fractions increasing from 0 to 1"),
-        (SPLINE, "[0, 0.01]", "[0.1, 0.01]", r"speed_mps is .*fractions increasing from 0 to 1"),
-        (SPLINE, "[1, 0.03]", "[0, 0.02], [1, 0.03]", r"speed_mps is .*fractions increasing from"),
+        (SPLINE, "[0, 0.01], ", "", r"speed_mps is .*fractions that increase from 0 to 1"),
+        (SPLINE, "[0, 0.01]", "[0.1, 0.01]", r"speed_mps is .*fractions that increase from 0 to 1"),
+        (
+            SPLINE,
+            "[1, 0.03]",
+            "[0, 0.02], [1, 0.03]",
+            r"speed_mps is .*fractions that increase from",
+        ),
         (SPLINE, ", [0.1, 0.1]]", "]", r"spline_m is .*at least three points"),
         (BINS, "top_left", "middle", r"regions: black is 'middle', allowed: one of left, .*"),
         (BINS, ", [0.15, 0.1]]", "]", r"grey: bin_m is .*at least three corners"),
@@ -346,7 +356,7 @@ def test_a_hundred_parts_in_all_are_allowed(rig):
     black, grey = scenario.parts
     whole = replace(scenario, parts=(replace(black, count=60), replace(grey, count=40)))
     check_scenario(whole, rig)
-    with pytest.raises(ScenarioError, match="parts: 101, allowed: at most 100 in all"):
+    with pytest.raises(ScenarioError, match="parts: their number is 101, allowed: at most 100"):
         check_scenario(replace(whole, parts=(black, replace(grey, count=99))), rig)
 
 

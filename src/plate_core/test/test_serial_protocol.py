@@ -258,7 +258,7 @@ def test_endless_frame_does_not_fill_memory():
         (b"\4\0\0\2", r"Stop.now is 2, allowed: \(0, 1\)"),
         (b"\6\0\0\0\0\x09", r"Trigger.pulse_ms is 9, allowed: \(0, 1, .*, 8\)"),
         (b"\x82\0\0\0\0\x0c", "Acknowledgement.status is 12"),
-        (b"\x11\0\0\0\0\0\0", "Knots has 4 bytes, allowed: 4 [+] 1 to 4 times 52"),
+        (b"\x11\0\0\0\0\0\0", "Knots has 4 bytes, allowed: 4 [+] n 52, n = 1 to 4"),
         (b"\x11\0\0" + bytes(4) + bytes(5 * 52), "Knots has 264 bytes"),
         (b"\x11\0\0" + bytes(52) + struct.pack("<f", float("nan")), "not finite"),
     ],
@@ -299,7 +299,7 @@ def test_sequence_numbers_wrap(sequence, step):
         ((Trouble.REFUSED, 0x60C2, 0x12), "the drive refuses object 60C2h during set-up "
          "(abort 00000012h, see its manual)"),
         ((Trouble.WRONG_DRIVE, 0x6061, 1),
-         "the drive does not fit: object 6061h is 1h (1), allowed: 8, cyclic synchronous position"),
+         "wrong drive: object 6061h is 1h (1), allowed: 8, cyclic synchronous position"),
         ((Trouble.EMERGENCY, 0x81, 0xFF07),
          "emergency FF07h, error register 81h (manufacturer specific, see its manual)"),
         ((Trouble.EMERGENCY, 0, 0x9000), "emergency 9000h, error register 00h"),

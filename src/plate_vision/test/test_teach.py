@@ -119,7 +119,7 @@ def test_what_cannot_be_learned_says_why(draw_types):
     small = Example(picture(draw_types, "coin_small", 8), name="small")
     with pytest.raises(TeachError, match=r"examples differ: in small the size differs by .* px"):
         learn_type("coin", [coins, small], HOME)
-    with pytest.raises(RigError, match=r"type 'Nut', allowed: small letters"):
+    with pytest.raises(RigError, match=r"type is 'Nut', allowed: lower-case letters"):
         learn_type("Nut", [nuts], HOME)
 
 
@@ -200,7 +200,7 @@ def test_a_file_of_types_is_read_as_it_was_written(tmp_path):
         assert part.symmetry == TYPES[name].symmetry
         assert part.mass_kg == TYPES[name].mass_kg
         assert np.abs(part.polygon - TYPES[name].polygon).max() < 2e-6
-    with pytest.raises(RigError, match="allowed: small letters"):
+    with pytest.raises(RigError, match="allowed: lower-case letters"):
         save_part_types(path, {"Nut": TYPES["nut"]})
     assert [*load_part_types(path)] == [*TYPES]
 
@@ -262,7 +262,7 @@ def test_a_file_of_types_is_not_lost_where_the_disk_is_full(tmp_path):
 
 @pytest.mark.parametrize("name", ["unknown", "group", "n" * 33])
 def test_names_that_nothing_would_be_called_by_are_refused(name, tmp_path):
-    with pytest.raises(RigError, match=f"type '{name}', allowed: small letters and digits"):
+    with pytest.raises(RigError, match=f"type is '{name}', allowed: lower-case letters, digits"):
         save_part_types(tmp_path / "parts.yaml", {name: TYPES["nut"]})
 
 

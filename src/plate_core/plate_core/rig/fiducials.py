@@ -63,7 +63,9 @@ def read_fiducials(fields: Fields) -> Fiducials:
     centres = fields.child("centre_m")
     names = centres.keys()
     if not LEAST <= len(names) <= MOST:
-        raise RigError(f"{centres.where}: {len(names)} markers, allowed: {LEAST} to {MOST}")
+        raise RigError(
+            f"{centres.where}: number of markers is {len(names)}, allowed: {LEAST} to {MOST}"
+        )
     if not all(NAME.fullmatch(name) for name in names):
         raise RigError(
             f"{centres.where}: keys are {', '.join(names)}, allowed: marker_0, marker_1, ..."
@@ -73,11 +75,13 @@ def read_fiducials(fields: Fields) -> Fiducials:
     if np.any(gap[~np.eye(len(places), dtype=bool)] < 1.2 * side):
         raise RigError(
             f"{centres.where}: two centres are {gap[gap > 0].min(initial=0):g} m apart, allowed: "
-            f"more than 1.2 times the side, {1.2 * side:g} m"
+            f"more than {1.2 * side:g} m (1.2 times the side of a marker)"
         )
     spread = np.linalg.svd(places - np.mean(places, axis=0), compute_uv=False)
     if spread[1] < side:
-        raise RigError(f"{centres.where}: all on one line, allowed: centres that span an area")
+        raise RigError(
+            f"{centres.where}: all centres are on one line, allowed: centres that span an area"
+        )
     fields.finish()
     return Fiducials(
         dictionary,

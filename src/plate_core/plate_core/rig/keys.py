@@ -42,38 +42,40 @@ MOTOR = Section(
             None, "needed with a drive",
         ),
         Key(
-            "counts_per_m", Number(1e3, 1e9), "Counts of the drive's position (6064h) per "
-            "metre.", None,
+            "counts_per_m", Number(1e3, 1e9), "Number of counts of the drive's position (object "
+            "6064h) per metre of travel.", None,
             "needed with cia402",
         ),
         Key(
-            "turns_per_m", Number(0.1, 1e4), "Turns of the drive per metre; for a linear "
-            "motor, pole pairs per metre.", None, "needed with odrive",
+            "turns_per_m", Number(0.1, 1e4), "Number of turns of the drive per metre of "
+            "travel. For a linear motor: number of pole pairs per metre.", None,
+            "needed with odrive",
         ),
         Key(
-            "sign", Sign(), "-1 if the drive counts against `direction`.", 1,
+            "sign", Sign(), "-1 if the drive's position decreases along `direction`, otherwise 1.",
+            1,
         ),
         Key(
-            "home", Choice(("here", "absolute")), "here: home is the plate's position at "
-            "the first enable. absolute: home is the drive's position 0.", "here",
+            "home", Choice(("here", "absolute")), "Home of the motor. here: the position "
+            "at the first enable. absolute: position 0 of the drive.", "here",
         ),
         Key(
-            "serial", Whole(1, 2**32 - 1), "Serial number of a cia402 drive (object 1018h:04), "
-            "which is then checked.", None, "any",
+            "serial", Whole(1, 2**32 - 1), "Serial number of a cia402 drive (object 1018h:04). "
+            "If it is given, a drive with another number is refused.", None, "any",
         ),
     ),
 )  # fmt: skip
 
 CAMERA = Section(
     "camera",
-    "Images, position of the plate in them, and lens.",
+    "The camera: its images, its lens, and the position of the plate in the images.",
     (
         Key("width_px", Whole(16, 16384), "Width of an image."),
         Key("height_px", Whole(16, 16384), "Height of an image."),
-        Key("exposure_s", Number(0, 0.1), "Exposure time."),
+        Key("exposure_s", Number(0, 0.1), "Exposure time of an image."),
         Key(
-            "readout_s", Number(0, 0.1), "Rolling shutter: delay of the last row's exposure after "
-            "the first row's.", 0.0,
+            "readout_s", Number(0, 0.1), "Delay between the exposures of the first and the last "
+            "row (rolling shutter).", 0.0,
         ),
         Key("colour", Flag(), "Whether images have colour.", False),
         Key(
@@ -85,11 +87,12 @@ CAMERA = Section(
             "controller triggers the camera.", None, "the camera is free-running",
         ),
         Key(
-            "trigger_pulse_s", Number(0.001, 0.008), "Length of the pulse, in whole ms.", 0.002,
+            "trigger_pulse_s", Number(0.001, 0.008), "Length of the trigger pulse: whole "
+            "milliseconds.", 0.002,
         ),
         Key(
-            "corners_px", Numbers((4, 2), -16384, 32768), "Image points of the plate's corners at "
-            "rest, with distortion: (-x,-y), (+x,-y), (+x,+y), (-x,+y).",
+            "corners_px", Numbers((4, 2), -16384, 32768), "Pixels of the plate's corners at rest, "
+            "in images with distortion: (-x,-y), (+x,-y), (+x,+y), (-x,+y).",
         ),
         Key(
             "focal_px", Numbers((2,), 1, 1e6), "Focal lengths fx, fy of K in camera_info.",
@@ -100,12 +103,12 @@ CAMERA = Section(
             None, "needed with `focal_px`",
         ),
         Key(
-            "distortion", Numbers((None,), -1e6, 1e6), "D in camera_info, in OpenCV's order: k1, "
-            "k2, p1, p2, k3, ...; equidistant: k1 to k4.", None, "zeros",
+            "distortion", Numbers((None,), -1e6, 1e6), "Distortion: D in camera_info, in OpenCV's "
+            "order: k1, k2, p1, p2, k3, ... (equidistant: k1 to k4).", None, "zeros",
         ),
         Key(
-            "distortion_model", Choice(tuple(MODELS)), "distortion_model in camera_info.",
-            "plumb_bob",
+            "distortion_model", Choice(tuple(MODELS)), "Distortion model: "
+            "distortion_model in camera_info.", "plumb_bob",
         ),
     ),
 )  # fmt: skip
@@ -119,27 +122,30 @@ DICTIONARIES = (
 
 FIDUCIALS = Section(
     "fiducials (optional)",
-    "Markers that define plate_home in the image; `corners_px` can then be inaccurate.",
+    "Markers on the plate. They define the frame plate_home in the image, so `corners_px` can be "
+    "inaccurate.",
     (
         Key("dictionary", Choice(DICTIONARIES), "OpenCV's name of a set of ArUco markers."),
-        Key("side_m", Number(0.001, 1), "Side length of the black square."),
+        Key("side_m", Number(0.001, 1), "Side length of a marker's black square."),
         Key(
             "centre_m", Table("for each of 4 to 16 markers [x, y], as marker_0: [0.1, 0.1]"),
-            "Centres of the markers on the plate. Their upper sides point towards +y.",
+            "Centres of the markers on the plate. The upper sides of the markers point towards +y.",
         ),
     ),
 )  # fmt: skip
 
 SUSPENSION = Section(
     "suspension (optional)",
-    "Flexures and motors. Without it, the plate moves exactly as commanded.",
+    "Dynamics of the flexures and the motors. Without this section, the plate moves exactly as "
+    "commanded.",
     (
         Key(
-            "frequency_hz", Numbers((3,), 0, 1e3), "Natural frequencies of x, y and theta, each "
-            "with the others fixed.", None, "or `stiffness`",
+            "frequency_hz", Numbers((3,), 0, 1e3), "Natural frequencies of the plate in x, y "
+            "and theta, each with the other two fixed.", None, "or `stiffness`",
         ),
         Key(
-            "damping_ratio", Numbers((3,), 0, 2), "Damping ratios of these oscillations.", None,
+            "damping_ratio", Numbers((3,), 0, 2), "Damping ratios of the oscillations in x, y "
+            "and theta.", None,
             "or `damping`",
         ),
         Key(
@@ -151,7 +157,8 @@ SUSPENSION = Section(
             "N m s/rad].", None, "or `damping_ratio`",
         ),
         Key(
-            "inertia_kgm2", Number(1e-9, 1e6), "Inertia of the plate about its centre of mass.",
+            "inertia_kgm2", Number(1e-9, 1e6), "Moment of inertia of the plate about its "
+            "centre of mass.",
             None, "that of a uniform plate",
         ),
         Key(
@@ -159,14 +166,15 @@ SUSPENSION = Section(
             "rest [x, y].", (0.0, 0.0),
         ),
         Key("feedforward", Table("mass, damping and stiffness, each from 0 to 2"), "Fractions "
-            "of these forces that the drive supplies in advance."),
+            "of the inertial, damping and spring forces that the drives supply as feed-forward."),
         Key(
-            "motor_gain", Numbers((4,), 0.1, 3), "Actual over commanded force of each motor.",
+            "motor_gain", Numbers((4,), 0.1, 3), "Actual force of each motor divided by the "
+            "commanded force.",
             (1.0, 1.0, 1.0, 1.0),
         ),
         Key(
-            "motor_bandwidth_hz", Number(1, 1e4), "Corner frequency of the motor forces (first "
-            "order).",
+            "motor_bandwidth_hz", Number(1, 1e4), "Corner frequency of the motors: their forces "
+            "follow the commands with a first-order lag.",
             float("inf"), "no lag",
         ),
         Key(

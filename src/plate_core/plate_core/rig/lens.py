@@ -137,8 +137,8 @@ class Lens:
         # This condition also refuses NaN.
         if not np.all(np.abs([*values, *self.focal_px, *self.centre_px]) <= BIGGEST):
             raise RigError(
-                f"lens: K has {self.focal_px + self.centre_px} for fx, fy, cx, cy, distortion is "
-                f"{values}, allowed: numbers from {-BIGGEST:g} to {BIGGEST:g}"
+                f"lens: fx, fy, cx and cy of K are {self.focal_px + self.centre_px}, and "
+                f"distortion is {values}, allowed: numbers from {-BIGGEST:g} to {BIGGEST:g}"
             )
         if min(self.focal_px) < MIN_FOCAL_PX:
             fx, fy = self.focal_px

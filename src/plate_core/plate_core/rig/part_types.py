@@ -83,7 +83,7 @@ PART_TYPE = Section(
         Key("radius_m", Number(1e-4, MAX_M), "Radius of a disc.", None, "or `outline_m`"),
         Key(
             "holes_m", Several(Numbers((None, 2), -MAX_M, MAX_M), MAX_HOLES), "Corners "
-            "[x, y] of each hole.", None, "no holes",
+            "[x, y] of each hole, in order.", None, "no holes",
         ),
         Key("mass_kg", Number(1e-6, 10), "Mass.", None, "that of `parts`"),
         Key("mu", Number(0.01, 2), "Friction coefficient.", None, "that of `friction`"),
@@ -96,13 +96,17 @@ PART_TYPE = Section(
             "hexagon, 0 for a disc.", None, "computed from the outline",
         ),
         Key(
-            "scatter_m", Number(0, MAX_M), "RMS deviation of parts from this outline.", 0.0,
+            "scatter_m", Number(0, MAX_M), "Root mean square deviation of real parts from this "
+            "outline.", 0.0,
         ),
         Key(
-            "height_m", Number(0, MAX_HEIGHT_M), "Height above the plate; 0: flat or unknown.",
+            "height_m", Number(0, MAX_HEIGHT_M), "Height above the plate. 0 means flat or unknown.",
             0.0,
         ),
-        Key("picture", Text(), "Name of a picture in the file's folder.", "", "none"),
+        Key(
+            "picture", Text(), "Picture of the part: name of a file in the same folder.", "",
+            "none",
+        ),
     ),
 )  # fmt: skip
 
@@ -204,10 +208,10 @@ def read_part_types(fields: Fields) -> Mapping[str, PartType]:
     for name in names:
         if not NAME.fullmatch(name) or len(name) > LONGEST or name in TAKEN:
             raise RigError(
-                f"{fields.where}: type {name!r}, allowed: small letters and digits, first a "
-                f"letter; words joined by _, a letter in each; at most {LONGEST} characters, "
-                f"such as nut or nut_m4; reserved: {', '.join(TAKEN)} (classes of parts without a "
-                "type)"
+                f"{fields.where}: name of a type is {name!r}, allowed: lower-case letters, digits "
+                "and _, such as nut or nut_m4; a letter first, and a letter in each word after _; "
+                f"at most {LONGEST} characters; reserved are {', '.join(TAKEN)} (classes of parts "
+                "without a type)"
             )
         types[name] = _part_type(name, fields.child(name))
     return types
@@ -226,13 +230,14 @@ def _part_type(name: str, fields: Fields) -> PartType:
         body = outline = _ordered(fields, "outline_m", outline)
     holes = [_ordered(fields, "holes_m", hole) for hole in holes]
     if not Polygon(body, holes).is_valid:
-        raise fields.fail("holes_m", "holes completely inside the part that do not overlap")
+        raise fields.fail("holes_m", "holes that are completely inside the part and do not overlap")
     area, centre, _ = moments(body, holes)
     if area < MIN_M2:
-        raise fields.fail("holes_m", "holes smaller than the part")
+        raise fields.fail("holes_m", "holes that leave some area of the part")
     if radius and np.hypot(*centre) > CENTRED * radius:
         raise fields.fail(
-            "holes_m", "for a disc, holes around its centre; for other holes write `outline_m`"
+            "holes_m",
+            "for a disc, holes that balance around its centre; for other holes use outline_m",
         )
     if not radius:
         outline, holes = outline - centre, [hole - centre for hole in holes]
@@ -266,11 +271,11 @@ def _ordered(fields: Fields, key: str, corner: np.ndarray) -> np.ndarray:
     corners are not a valid polygon."""
     if not 3 <= len(corner) <= MAX_CORNERS or not is_simple(corner):
         raise fields.fail(
-            key, f"3 to {MAX_CORNERS} corners, in order, of a polygon whose edges do not cross"
+            key, f"3 to {MAX_CORNERS} corners in order around a polygon whose edges do not cross"
         )
     area = moments(corner)[0]
     if abs(area) < MIN_M2:
-        raise fields.fail(key, f"a polygon of at least {MIN_M2:g} m2")
+        raise fields.fail(key, f"a polygon with an area of at least {MIN_M2:g} m2")
     return corner if area > 0 else corner[::-1]
 
 

@@ -142,7 +142,8 @@ def _motors(fields: Fields) -> tuple[Motor, ...]:
     expected = ("motor_1", "motor_2", "motor_3", "motor_4")
     if names != expected:
         raise RigError(
-            f"{fields.where}: got {', '.join(names)}, allowed: {', '.join(expected)}, in this order"
+            f"{fields.where}: keys are {', '.join(names)}, allowed: {', '.join(expected)} in this "
+            "order"
         )
     motors = []
     for name in names:
@@ -163,7 +164,7 @@ def _drive(fields: Fields) -> Drive | None:
     if kind == "bridge":
         for key in ("node", "counts_per_m", "turns_per_m", "sign", "home", "serial"):
             if fields.has(key):
-                raise fields.fail(key, "only with drive: cia402 or odrive")
+                raise fields.fail(key, "this key only with drive: cia402 or odrive")
         return None
     odrive = kind == "odrive"
     scale = fields.value(required(keys.MOTOR["turns_per_m" if odrive else "counts_per_m"]))

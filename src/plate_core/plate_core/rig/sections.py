@@ -60,7 +60,11 @@ class PartFacts:
     mass_kg: float = measured("mass_kg", 1e-6, 10, "Mass of a part.")
     radius_m: float = measured("radius_m", 1e-4, 1, "Radius of a part.")
     height_m: float = measured(
-        "height_m", 0, MAX_HEIGHT_M, "Height of a part above the plate; 0: flat or unknown.", 0.0
+        "height_m",
+        0,
+        MAX_HEIGHT_M,
+        "Height of a part above the plate. 0 means flat or unknown.",
+        0.0,
     )
 
 
@@ -120,7 +124,7 @@ class Limits:
         "following_error_m",
         0,
         1,
-        "Maximum distance of a motor from its setpoint; 0: not checked.",
+        "Maximum distance of a motor from its setpoint. 0 disables the check.",
         0.0,
     )
 

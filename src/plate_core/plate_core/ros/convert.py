@@ -310,8 +310,8 @@ def _targets(ids: tuple[str, ...], msg: PartForces) -> Targets:
     if np.any(weight < 0):
         row, column = np.argwhere(weight < 0)[0]
         raise PlateError(
-            f"part_forces: {ids[row]} has {WEIGHTS[column]} {weight[row, column]:g}, allowed: 0 to "
-            f"{MAX_MAGNITUDE:g}"
+            f"part_forces: {WEIGHTS[column]} of {ids[row]} is {weight[row, column]:g}, allowed: 0 "
+            f"to {MAX_MAGNITUDE:g}"
         )
     angles = None
     if np.any(weight[:, 2]):
@@ -331,8 +331,8 @@ def _intervals(
         row, column = np.argwhere(wrong)[0]
         low, high = ends[row, 2 * column : 2 * column + 2]
         raise PlateError(
-            f"part_forces: {ids[row]} has {keys[2 * column]} {low:g} and "
-            f"{keys[2 * column + 1]} {high:g}, allowed: minimum <= maximum"
+            f"part_forces: {keys[2 * column]} of {ids[row]} is {low:g} and {keys[2 * column + 1]} "
+            f"is {high:g}, allowed: minimum <= maximum"
         )
     return ends
 
@@ -357,7 +357,7 @@ def _checked(
     if not np.all(sane):
         row, column = np.argwhere(~sane)[0]
         raise PlateError(
-            f"{what}: {ids[row]} has {keys[column]} {array[row, column]:g}, allowed: "
+            f"{what}: {keys[column]} of {ids[row]} is {array[row, column]:g}, allowed: "
             f"-{MAX_MAGNITUDE:g} to {MAX_MAGNITUDE:g}"
         )
     return array
@@ -449,8 +449,8 @@ def msg_to_knots(
         sizes = {len(point.positions), len(point.velocities), len(point.accelerations)}
         if sizes != {len(joints)}:
             raise CycleError(
-                f"trajectory: point {i} has {sorted(sizes)} values, allowed: {len(joints)} "
-                "positions, velocities and accelerations"
+                f"trajectory: numbers of values in point {i} are {sorted(sizes)}, allowed: "
+                f"{len(joints)} positions, velocities and accelerations each"
             )
     times = np.array([p.time_from_start.sec + 1e-9 * p.time_from_start.nanosec for p in msg.points])
     return (
@@ -494,7 +494,7 @@ def image_to_array(msg: Image) -> np.ndarray:
     if msg.step < row:
         raise PlateError(f"image: step is {msg.step} bytes, allowed: at least {row}")
     if len(msg.data) != msg.step * msg.height:
-        raise PlateError(f"image: {len(msg.data)} bytes of data, allowed: {msg.step * msg.height}")
+        raise PlateError(f"image: data has {len(msg.data)} bytes, allowed: {msg.step * msg.height}")
     pixels = np.frombuffer(msg.data, np.uint8).reshape(msg.height, msg.step)[:, :row]
     return pixels if channels == 1 else pixels.reshape(msg.height, msg.width, 3)
 

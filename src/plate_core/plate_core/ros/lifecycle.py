@@ -41,9 +41,11 @@ WARN_S = 2.0
 class NodeOptions:
     """Parameters of all nodes of the control loop."""
 
-    rig_file: str = parameter("", "Rig file (YAML); empty: the default rig.")
+    rig_file: str = parameter("", "Rig file (YAML). If it is empty, the default rig is used.")
     frame_prefix: str = parameter(
-        "", "Prefix of frame names, such as left/, for two plates with a common tf tree."
+        "",
+        "Prefix of the names of tf frames, such as left/. Two plates with a common tf tree "
+        "require different prefixes.",
     )
     autostart: bool = parameter(
         True,
@@ -256,7 +258,7 @@ class SafeLifecycleNode(RclpyLifecycleNode, Generic[Options]):
         if spec.live or not self.active:
             return ""
         return (
-            f"parameter {name} is read when {self.get_name()} is configured, "
+            f"parameter {name} is only read when {self.get_name()} is configured, "
             "allowed: changes while the node is not active"
         )
 

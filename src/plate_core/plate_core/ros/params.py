@@ -133,7 +133,7 @@ def _refuse_unknown(node: Node, known: Sequence[str], moved: Mapping[str, str]) 
             raise PlateError(_unknown(node, name, known))
     if names:
         node.get_logger().warning(
-            f"ignored parameters, set for all nodes but unknown to {node.get_name()}: "
+            f"{node.get_name()} ignores parameters that are set for all nodes but unknown to it: "
             f"{', '.join(names)}"
         )
 

@@ -56,7 +56,9 @@ def unframe(encoded: bytes) -> bytes:
         decoded[at] = 0
         at += encoded[at]
     if at > len(encoded):
-        raise FrameError(f"the last block ends {at - len(encoded)} bytes after the frame's end")
+        raise FrameError(
+            f"the last COBS block ends {at - len(encoded)} bytes after the frame's end"
+        )
     packet = bytes(decoded[1:-CRC_BYTES])
     crc = int.from_bytes(decoded[-CRC_BYTES:], "little")
     if zlib.crc32(packet) != crc:

@@ -322,23 +322,25 @@ WORDS = {
     Trouble.RESET: "the drive was reset",
     Trouble.NOT_OPERATIONAL: "the drive is not operational (NMT state {code})",
     Trouble.REFUSED: "the drive refuses object {object:04X}h during set-up ({abort})",
-    Trouble.WRONG_DRIVE: "the drive does not fit: object {object:04X}h is {code:X}h ({code}), "
+    Trouble.WRONG_DRIVE: "wrong drive: object {object:04X}h is {code:X}h ({code}), "
     "allowed: {allowed}",
     Trouble.EMERGENCY: "emergency {code:04X}h, error register {object:02X}h{meaning}",
     Trouble.FAULT: "the drive is in fault (statusword {code:04X}h)",
     Trouble.LEFT: "the drive has left the enabled state (statusword {code:04X}h)",
     Trouble.NOT_ENABLED: "the drive does not become enabled (status {code:04X}h)",
-    Trouble.KEEPS: "the drive keeps its current (status {code:04X}h): cut the power by hand",
+    Trouble.KEEPS: "the drive does not switch its current off (status {code:04X}h): cut the power "
+    "by hand",
     Trouble.NO_POSITION: "the drive does not report its position",
-    Trouble.TWICE: "two drives have its node number",
+    Trouble.TWICE: "two drives have this node number",
     Trouble.BUS_OFF: "bus off: check wires, termination and bit rate",
     Trouble.OTHER_MASTER: "another master is on the bus",
     Trouble.ERROR: "errors of the drive: {errors} ({code:08X}h)",
     Trouble.NO_WATCHDOG: "the drive stays enabled without messages: set its enable_watchdog, and "
     "watchdog_timeout to 0.1 s",
     Trouble.HOME_LOST: "home is lost: let the plate hang at home, then call home, then enable",
-    Trouble.RANGE: "position {code:08X}h at home: its range ends within the stroke, move its zero",
-    Trouble.ASTRAY: "the drive does not follow, it is {code} um from its setpoint",
+    Trouble.RANGE: "position at home is {code:08X}h: the drive's range of positions ends "
+    "within the stroke, so move the drive's zero",
+    Trouble.ASTRAY: "the motor does not follow: its distance from the setpoint is {code} um",
     Trouble.CROOKED: "the motors' positions do not fit a rigid plate: a drive has lost counts or "
     "two drives are swapped",
 }
@@ -435,7 +437,7 @@ def parse(packet: bytes) -> Packet:
     head, knot = LAYOUTS[Knots].size, LAYOUTS[Knot].size
     count, rest = divmod(len(body) - head, knot)
     if rest or not 1 <= count <= KNOTS_PER_MESSAGE:
-        raise FrameError(f"Knots has {len(body)} bytes, allowed: {head} + 1 to 4 times {knot}")
+        raise FrameError(f"Knots has {len(body)} bytes, allowed: {head} + n {knot}, n = 1 to 4")
     starts = range(head, len(body), knot)
     table, first = LAYOUTS[Knots].unpack_from(body)
     knots = tuple(_read(Knot, body[at : at + knot]) for at in starts)

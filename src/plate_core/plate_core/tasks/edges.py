@@ -60,8 +60,9 @@ def edge_problem(label: str, point: Point, rig: Rig) -> str:
     away = float(np.min(rig.plate.half - np.abs(point)))
     return (
         f"({x:g}, {y:g}) m, {1e3 * away:.3g} mm from an edge, allowed: |x| up to {limit[0]:g}, |y| "
-        f"up to {limit[1]:g} m on this plate, {1e3 * least:.3g} mm from its edges, because the "
-        f"plate moves under the parts by up to {1e3 * rig.limits.stroke_m:g} mm (the stroke)"
+        f"up to {limit[1]:g} m on this plate, which is {1e3 * least:.3g} mm from its edges, "
+        f"because the plate moves under the parts by up to {1e3 * rig.limits.stroke_m:g} mm (the "
+        "stroke)"
     )
 
 

@@ -39,14 +39,15 @@ def read_feed(fields: Fields, parts: Sequence[PartGroup]) -> FeedTask:
     labels = tuple(group.label for group in parts)
     picks = tuple(_pick(child, labels) for child in fields.children("picks"))
     if not picks or len({pick.label for pick in picks}) < len(picks):
-        raise fields.fail("picks", "at least one, each class once")
+        raise fields.fail("picks", "at least one pick, each class at most once")
     hopper = None
     if fields.has("hopper"):
         hopper = _hopper(fields.child("hopper"), labels, picks)
     ready = sum(pick.ready for pick in picks)
     if hopper is not None and ready > hopper.fill:
         raise fields.fail(
-            "picks", f"a sum of ready, now {ready}, up to the hopper's fill, {hopper.fill}"
+            "picks",
+            f"picks whose ready add up to at most {hopper.fill}, the hopper's fill (now {ready})",
         )
     chute = fields.value(keys.FEED["chute"])
     return FeedTask(
@@ -90,13 +91,17 @@ def _hopper(fields: Fields, labels: tuple[str, ...], picks: tuple[Pick, ...]) ->
         known = ", ".join(labels)
         if unknown := [label for label in mix if label not in labels]:
             hint = did_you_mean(unknown[0], labels)
-            raise fields.fail("mix", f"the classes of parts: {known}; not {unknown[0]!r}{hint}")
+            raise fields.fail(
+                "mix", f"only the classes of parts, {known}; {unknown[0]!r} is unknown{hint}"
+            )
         total = sum(mix.values())
         if abs(total - 1) > WHOLE:
             raise fields.fail("mix", f"fractions of {known} whose sum is 1")
         mix = {label: part / total for label, part in mix.items()}
         if none := [pick.label for pick in picks if not mix.get(pick.label)]:
-            raise fields.fail("mix", f"more than 0 for each class of picks, also {', '.join(none)}")
+            raise fields.fail(
+                "mix", f"more than 0 for each class of picks; missing: {', '.join(none)}"
+            )
     fill = fields.value(keys.HOPPER["fill"])
     least = fields.value(keys.HOPPER["least"])
     if least is not None and least > fill:
@@ -160,8 +165,8 @@ def _space_problem(pick: Pick, clearance_m: float, rig: Rig) -> str:
     if pick.ready <= max(most, 1):
         return ""
     return (
-        f"ready of {pick.label} is {pick.ready}, allowed: at most {max(most, 1)}, because more do "
-        f"not fit into the window of {1e3 * (high[0] - low[0]):g} by "
+        f"ready of {pick.label} is {pick.ready}, allowed: at most {max(most, 1)}, because more "
+        f"parts do not fit into the window of {1e3 * (high[0] - low[0]):g} by "
         f"{1e3 * (high[1] - low[1]):g} mm with a clearance of {1e3 * clearance_m:g} mm"
     )
 

@@ -62,18 +62,18 @@ FILE = Section(
     "scenario file",
     "The parts on the plate, and one task.",
     (
-        Key("description", Text(), "The task in a sentence."),
+        Key("description", Text(), "Description of the task in one sentence."),
         Key(
             "marked", Flag(), "Whether each round part has a mark that shows its angle; `pose` "
             "requires it.", False,
         ),
         Key(
             "rig", Text("a name in config/rigs, or the path of a .yaml file"), "Rig that "
-            "is used if none is selected. A path is relative to the scenario's folder.",
+            "is used if no other rig is selected. A path is relative to the scenario's folder.",
             "", "any rig",
         ),
         Key("parts", List(), "One entry for each class."),
-        Key("task", Table(), "`kind`, and its keys."),
+        Key("task", Table(), "Kind of the task, and the keys of this kind."),
         Key(
             "time_limit_s", Number(0.1, 1e5), "Maximum duration, from the detection of all parts. "
             "Longer tasks fail. Required, except for `feed` and with `until_canceled`.",
@@ -108,17 +108,24 @@ GROUP = Section(
 TASK = Section(
     "task",
     "The task.",
-    (Key("kind", Choice(KINDS), "Each kind has its own keys, below."),),
+    (
+        Key(
+            "kind",
+            Choice(KINDS),
+            "Kind of the task. The sections below list the keys of each kind.",
+        ),
+    ),
 )
 
 SORT = Section(
     "task, kind: sort",
-    "Moves every class to its region. Done when all parts have been in their regions for `hold_s`.",
+    "Moves every class to its region. The task is done when all parts have been in their regions "
+    "for `hold_s`.",
     (
         Key(
             "regions", Table("for each class a side, a corner, or {bin_m: ...}"), "Region of "
-            f"each class: {', '.join(SIDES)}, or a polygon. Regions must not overlap. `sides` is "
-            "a synonym.",
+            f"each class: {', '.join(SIDES)}, or a polygon. Regions must not overlap. The key "
+            "`sides` is a synonym.",
         ),
         Key(
             "goal_fraction", Number(0, 0.8), "Distance of sides and corners from the middle "
@@ -144,25 +151,25 @@ BIN = Section(
 FOLLOW = Section(
     "task, kind: follow",
     "Moves all parts to the starts of their paths, then each part along its path. "
-    "Done when all paths are completed.",
+    "The task is done when all paths are completed.",
     (
         Key("paths", List(), "One path per part."),
         Key(
             "max_error_m",
             Number(1e-4, 10),
             "Maximum distance of a part from its reference; a larger distance ends the task. All "
-            "parts slow down when a distance exceeds 0.15 of it.",
+            "parts slow down while one of these distances exceeds 15 % of the maximum.",
         ),
     ),
 )
 
 PATH = Section(
     "task, kind: follow, paths[]",
-    f"The path of one part: one of {', '.join(CURVES)}.",
+    f"The path of one part. Exactly one of the keys {', '.join(CURVES)} gives its shape.",
     (
         class_key(),
         Key("waypoints_m", PLACES, "Two or more corners [x, y] of a polygon.", None, OR_ANOTHER),
-        Key("circle", Table(), "Keys below.", None, OR_ANOTHER),
+        Key("circle", Table(), "Circle, with the keys of the next section.", None, OR_ANOTHER),
         Key(
             "spline_m", PLACES, "Three or more points [x, y] of a cubic spline.", None, OR_ANOTHER,
         ),
@@ -172,7 +179,7 @@ PATH = Section(
             "interpolated linearly.",
         ),
         Key(
-            "closed", Flag(), "Whether the last corner connects to the first.", None,
+            "closed", Flag(), "Whether the path is closed, from the last point to the first.", None,
             "needed except for a circle",
         ),
         Key(
@@ -188,16 +195,18 @@ CIRCLE = Section(
         Key("centre_m", PLACE, "Centre [x, y]."),
         Key("radius_m", Number(1e-4, FAR_M), "Radius."),
         Key(
-            "start_deg", Number(-360, 360), "Angle of the start, counter-clockwise from x.", 0.0,
+            "start_deg", Number(-360, 360), "Direction from the centre to the start of the path, "
+            "counter-clockwise from x.", 0.0,
         ),
-        Key("turn", Choice(("left", "right")), "left: counter-clockwise; right: clockwise."),
+        Key("turn", Choice(("left", "right")), "Direction of motion. left: counter-clockwise; "
+            "right: clockwise."),
     ),
 )  # fmt: skip
 
 ASSEMBLE = Section(
     "task, kind: assemble",
-    "Moves parts to a pattern of places. Done when every place has had a part of its class for "
-    "`hold_s`.",
+    "Moves parts to a pattern of places. The task is done when every place has had a part of its "
+    "class for `hold_s`.",
     (
         Key(
             "places_m", Table("for each class a list of [x, y]"), "One place per part of the "
@@ -210,14 +219,14 @@ ASSEMBLE = Section(
 
 POSE = Section(
     "task, kind: pose",
-    "Moves every part to a place and an angle. Done when all have been there for `hold_s`. "
-    "Round parts require `marked: true`.",
+    "Moves every part to a place and an angle. The task is done when all parts have been there for "
+    "`hold_s`. Round parts require `marked: true`.",
     (
         Key("poses", List(), "One pose per part."),
         Key(
             "anywhere",
             Flag(),
-            "Whether parts without `place_m` can end anywhere; otherwise they stay in place.",
+            "Whether parts without `place_m` can end anywhere. If false, they stay in place.",
             False,
         ),
         TOLERANCE,
@@ -231,7 +240,7 @@ POSES = Section(
     "Target of one part: its place, and the direction of the part or its mark.",
     (
         class_key(),
-        Key("angle_deg", Number(-360, 360), "Counter-clockwise from x."),
+        Key("angle_deg", Number(-360, 360), "Angle, counter-clockwise from x."),
         Key("place_m", PLACE, "Place [x, y].", None, "the present place"),
     ),
 )
@@ -239,8 +248,8 @@ POSES = Section(
 MOVE = Section(
     "task, kind: move",
     "Moves parts to individual targets, which the topic `targets` can change. A part without a "
-    "target stays in place, but gives way to others. Done when all targets have been reached for "
-    "`hold_s`.",
+    "target stays in place, but gives way to others. The task is done when all targets have been "
+    "reached for `hold_s`.",
     (
         Key("targets", List(), "One target per part.", None, "none"),
         TOLERANCE,
@@ -256,19 +265,19 @@ MOVES = Section(
     "task, kind: move, targets[]",
     "Target of one part.",
     (
-        Key("id", Text("a class of `parts` and a number, such as black_1"), "The part."),
+        Key("id", Text("a class of `parts` and a number, such as black_1"), "Id of the part."),
         Key("place_m", PLACE, "Place [x, y]."),
         Key(
-            "angle_deg", Number(-360, 360), "Counter-clockwise from x. Round parts must be "
-            "`marked`.", None, "any",
+            "angle_deg", Number(-360, 360), "Angle, counter-clockwise from x. Round parts must "
+            "be `marked`.", None, "any",
         ),
     ),
 )  # fmt: skip
 
 FEED = Section(
     "task, kind: feed",
-    "Keeps parts ready for a robot until it is canceled. Parts of classes that are not in `picks` "
-    "go to the chute.",
+    "Keeps parts ready for a robot, until the task is canceled. Parts of classes that are not in "
+    "`picks` go to the chute.",
     (
         Key("picks", List(), "One entry per requested class."),
         Key(
@@ -279,15 +288,17 @@ FEED = Section(
             "chute", Choice(("left", "right", "bottom", "top")), "Side over which unwanted "
             "parts leave the plate.", None, "none, they stay",
         ),
-        Key("hopper", Table(), "Source of new parts.", None, "none"),
-        Key("timeout_s", Number(0.1, 3600), "Maximum wait for a part.", 30.0),
+        Key("hopper", Table(), "Hopper, which drops new parts onto the plate.", None, "none"),
+        Key(
+            "timeout_s"
+        , Number(0.1, 3600), "Maximum time for which a robot waits for a part.", 30.0),
         Key("valid_s", Number(0.1, 3600), "Time for which a part is reserved for the robot.", 10.0),
     ),
 )  # fmt: skip
 
 PICK = Section(
     "task, kind: feed, picks[]",
-    "Ready parts of one class.",
+    "Parts of one class that are kept ready for the robot.",
     (
         class_key(),
         Key("window_m", Numbers((2, 2), -FAR_M, FAR_M), "Lower left and upper right corner [x, y] "
@@ -301,7 +312,8 @@ PICK = Section(
 
 HOPPER = Section(
     "task, kind: feed, hopper",
-    "Source of new parts. It opens when parts are missing, until enough parts have dropped.",
+    "Hopper, which drops new parts onto the plate. It opens when parts are missing, until enough "
+    "parts have dropped.",
     (
         Key("fill", Whole(1, 100), "Number of parts on the plate after a refill."),
         Key("least", Whole(1, 100), "Minimum number of parts on the plate. If there are fewer, the "
@@ -309,8 +321,9 @@ HOPPER = Section(
         Key("rate_ps", Number(0.1, 1000), "Number of dropped parts per second."),
         Key("place_m", PLACE, "Centre of the drop area [x, y]."),
         Key("spread_m", Number(0.001, 1), "Radius of the drop area."),
-        Key("mix", Table("for each class a fraction, 1 in all"), "Fraction of each class. The "
-            "classes in `picks` are required.", None, "the classes of `picks`, equally"),
+        Key("mix", Table("for each class a fraction, 1 in all"), "Fraction of each class among "
+            "the dropped parts. The classes in `picks` are "
+            "required.", None, "the classes of `picks`, equally"),
     ),
 )  # fmt: skip
 

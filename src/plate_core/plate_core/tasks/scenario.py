@@ -159,7 +159,7 @@ def _rig(fields: Fields, folder: Path) -> str:
 def _group(fields: Fields) -> PartGroup:
     label = fields.value(keys.GROUP["class"])
     if not NAME.fullmatch(label):
-        raise fields.fail("class", "small letters and digits, such as black or nut_m4")
+        raise fields.fail("class", "lower-case letters, digits and _, such as black or nut_m4")
     if fields.one_of("count", "positions_m") == "count":
         group = PartGroup(label, fields.value(keys.GROUP["count"]))
     else:
@@ -206,7 +206,10 @@ def _region(fields: Fields, label: str) -> Region:
     child = fields.child(label)
     corner = child.value(keys.BIN["bin_m"])
     if not is_simple(corner):
-        raise child.fail("bin_m", "at least three corners, in order, of a polygon with an area")
+        raise child.fail(
+            "bin_m",
+            "at least three corners in order around a polygon with an area and no crossing edges",
+        )
     child.finish()
     return Bin(_pairs(corner))
 
@@ -256,7 +259,7 @@ def _points(fields: Fields, key: str) -> tuple[bool, np.ndarray]:
         raise fields.fail(key, "at least two points, each different from the next")
     closed = fields.value(required(keys.PATH["closed"]))
     if closed and np.hypot(*(waypoint[-1] - waypoint[0])) < APART_M:
-        raise fields.fail(key, "for a closed path, a last point different from the first")
+        raise fields.fail(key, "for a closed path, a last point that differs from the first")
     if key == "spline_m":
         if len(waypoint) < 3:
             raise fields.fail(key, "at least three points")
@@ -279,8 +282,8 @@ def _profile(fields: Fields) -> tuple[tuple[float, float], ...]:
     ):
         raise fields.fail(
             "speed_mps",
-            f"a number, or pairs [fraction of a lap, m/s], fractions increasing from 0 to 1, "
-            f"speeds from {keys.SLOWEST_MPS:g} to {keys.FASTEST_MPS:g}",
+            "a number, or pairs [fraction of a lap, m/s] with fractions that increase from 0 to "
+            f"1, and speeds from {keys.SLOWEST_MPS:g} to {keys.FASTEST_MPS:g}",
         )
     return _pairs(profile)
 
@@ -379,7 +382,8 @@ def check_scenario(scenario: Scenario, rig: Rig) -> None:
     reach = {group.label: rig.part_type(group.label).reach_m for group in scenario.parts}
     if scenario.count > MAX_PARTS:
         raise ScenarioError(
-            f"{scenario.where}: parts: {scenario.count}, allowed: at most {MAX_PARTS} in all"
+            f"{scenario.where}: parts: their number is {scenario.count}, allowed: at most "
+            f"{MAX_PARTS}"
         )
     for label, part in ((label, rig.part_type(label)) for label in _turned(task)):
         if part.symmetry == 0 and label in rig.types:
@@ -437,7 +441,7 @@ def target_problem(target: PartTarget, scenario: Scenario, rig: Rig) -> str:
     if not math.isfinite(target.angle):
         return f"angle of {target.id} is {target.angle:g}, allowed: finite, or none"
     if part.symmetry == 0 and (label in rig.types or not scenario.marked):
-        return f"angle of {target.id} is given, but it is round and requires marked: true"
+        return f"angle of {target.id} is given, but this part is round, which requires marked: true"
     return ""
 
 
