@@ -27,12 +27,12 @@ DEFOCUS_PX = 2.5
 
 STEADY_S, MEASURED_S = 6.0, 300.0
 """`STEADY_S`: time for which the page receives messages before a picture [s]. `MEASURED_S`: maximum
-time until friction is measured [s]. It is also the maximum time until the page of a busy machine
-shows no alarm."""
+time until friction is measured [s]. `MEASURED_S` is also the maximum time until the page of a busy
+machine shows no alarm."""
 
 
 def shoot(page: Any, graph: Session, out: Path) -> None:
-    """Save a picture of the page after each step."""
+    """Save a picture of the page after each step of the guide."""
 
     def save(name: str) -> None:
         page.locator("#alarm").wait_for(state="hidden", timeout=1e3 * MEASURED_S)

@@ -3,9 +3,9 @@
 For each fault the parts are placed again and a new task starts. `kill` sends SIGKILL and starts the
 node again after 4 s. `freeze` sends SIGSTOP, and SIGCONT after 3 s. `cut` blocks the node's main
 input for 4 s. A row of the result lists the messages in task_status, driver_status and the
-diagnostics, with their delays after the fault. It also states when the plate came to rest, whether
-the plate moved again without a request, and which calls were needed to continue. With --transport
-serial, a simulated motor controller plays the plate's motion.
+diagnostics, with their delays after the fault. The row also states when the plate came to rest,
+whether the plate moved again without a request, and which calls were needed to continue. With
+--transport serial, a simulated motor controller plays the plate's motion.
 """
 
 from __future__ import annotations
@@ -65,7 +65,8 @@ class Plate:
 
     With a serial line, this time is determined from the motion that the device has executed
     (`motor_motion`). Without a serial line, this time is determined from the parts' velocities
-    (`ground_truth`). If the fault is in the simulator, it is determined from the driver's tables.
+    (`ground_truth`). If the fault is in the simulator, this time is determined from the driver's
+    tables.
     """
 
     def __init__(self, observer: Observer, transport: str) -> None:

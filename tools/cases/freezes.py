@@ -5,9 +5,9 @@ A node is frozen (SIGSTOP) for 0.1 to 5 s: during a task, while it is stopped, o
 stop. A fraction `--kills` of the faults kills the node (SIGKILL) and starts it again. The check
 uses only the stamps and publication times of the driver's tables. A table that moves the plate is
 wrong in three cases. The table's image is older than `age_limit`, the image is older than the last
-emergency stop, or the table's task had already ended. With `--image_rate` the camera is
-free-running: the table's stamp is then the start of a cycle, and the newest `parts` can be older by
-another `age_limit`. Exit code 1 if a table was wrong.
+emergency stop, or the table's task had already ended. With `--image_rate`, the camera is
+free-running. The stamp of a table is then the start of a cycle, and the newest `parts` can be older
+by another `age_limit`. Exit code 1 if a table was wrong.
 """
 
 from __future__ import annotations

@@ -69,8 +69,8 @@ MAX_GROWTH_MB = 20.0
 """Maximum growth of a node's memory [MB]."""
 
 ROUNDING = {"driver": 1e-4, "simulator": 0.02}
-"""Tolerated relative excess of a limit. For the driver, it is the rounding error. For the
-simulator, it is the tolerance of the simulated device."""
+"""Fraction of a limit by which a motion may exceed the limit. For the driver, this fraction is the
+rounding error. For the simulator, this fraction is the tolerance of the simulated device."""
 
 
 @dataclass
@@ -280,7 +280,7 @@ def fuzz(name: str, count: int, seed: int) -> Verdict:
 
 
 def failed(verdict: Verdict) -> bool:
-    """Return whether a node crashed, grew or exceeded a limit."""
+    """Return whether a node crashed, used too much memory, or exceeded a limit."""
     return (
         verdict.crashes > 0
         or verdict.growth_mb > MAX_GROWTH_MB

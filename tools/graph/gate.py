@@ -1,5 +1,6 @@
 #!/usr/bin/env python3
-"""The gate, a node that forwards the main input of each node: python tools/graph/gate.py TRANSPORT
+"""The gate is a node that forwards the main input of each other node. Usage: python
+tools/graph/gate.py TRANSPORT
 
 The parameter `cut` of the gate is the name of a node whose input the gate does not forward. All
 processes run, but no message arrives at this node. A cut cable, a wrong remapping or a crashed

@@ -1,8 +1,9 @@
 """ROS node of the test tools. The node watches the nodes of a graph, starts tasks, and records
 messages.
 
-`Observer` waits for nodes, images and states with a time limit. If they do not arrive, it raises
-`GraphError` with the messages of the nodes. `Record` stores the messages of one run.
+`Observer` waits for nodes, images and states with a time limit. If the awaited event does not
+occur, `Observer` raises `GraphError` with the messages of the nodes. `Record` stores the messages
+of one run.
 """
 
 from __future__ import annotations
@@ -65,8 +66,8 @@ FRESH_S = 2.5
 second."""
 
 CALL_AGAIN = ": call again"
-"""End of the driver's reply if the driver's process has just stalled. Stalls happen on a busy
-computer."""
+"""Last words of a refusal that the driver sends if its process has just stalled. Stalls happen on a
+busy computer."""
 
 READY_S = 15.0
 """Maximum wait until the driver is ready [s]. Homing of the device can take 5 s."""
@@ -87,8 +88,8 @@ and all earlier images are processed."""
 
 @dataclass
 class Thinned:
-    """A list of limited length. When it has `most` items, every second item is removed. Of the
-    following items, only every second (later every fourth, ...) is kept."""
+    """A list of limited length. When the list has `most` items, every second item is removed. Of
+    the following items, only every second (later every fourth, ...) is kept."""
 
     most: int = MAX_IMAGES
     items: list[Any] = field(default_factory=list)
@@ -193,7 +194,7 @@ class Record:
         diagnostics count an answer.
 
         In lockstep, the solver publishes a single plate_cycle before the first goal. If this
-        process discovers the solver later, it does not receive that message.
+        process discovers the solver later, this process does not receive that message.
         """
         return self.answers > 0 or self.last("solver", "answers", "0") != "0"
 

@@ -35,7 +35,8 @@ TAIL_LINES = 12
 """Number of last lines of a log that are shown when a node has failed."""
 
 MAX_ENDS, WITHIN_S = 5, 60.0
-"""If a program has ended `MAX_ENDS` times within `WITHIN_S` [s], it is not started again."""
+"""If a program has ended `MAX_ENDS` times within `WITHIN_S` [s], the program is not started
+again."""
 
 ENDING = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
 """Signals that request the end of a program."""
@@ -127,8 +128,8 @@ ROS_ARGS = ("--ros-args", "--disable-external-lib-logs", "--params-file")
 
 
 class Processes:
-    """Processes of all nodes of a run. Use this class as a context manager. It stops the processes
-    at its end.
+    """Processes of all nodes of a run. Use this class as a context manager. At the end of the
+    context, the processes are stopped.
 
     If all nodes run in one process, its name is `ONE_PROCESS` in all methods.
 

@@ -1,8 +1,8 @@
 """A robot controller that picks parts from a running feeder.
 
-The controller sends commands to the feeder over TCP, as a real robot controller does. It moves the
-simulator's robot by the service simulator/move_robot. The steps and their times are the same as in
-`plate_bringup.production.Robot`.
+The controller sends commands to the feeder over TCP, as a real robot controller does. The
+controller moves the simulator's robot by the service simulator/move_robot. The steps and their
+times are the same as in `plate_bringup.production.Robot`.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ CALL_S = 2.0
 """Maximum wait for the simulator's reply [s]."""
 
 NEAR_MM, NEAR_DEG = 0.5, 2.0
-"""Maximum error of a published part pose: position [mm] and angle [deg]. If the error is larger, a
+"""Maximum error of a published part pose: position [mm] and angle [deg]. Above this error, a
 gripper can miss the part."""
 
 VALUE = re.compile(r"(\w+)=(\S+)")
@@ -186,7 +186,8 @@ def feed_result(
     picks : int
         Number of parts that the robot should take.
     wanted : iterable of str
-        Classes of the parts to pick. If such a part leaves over the chute, it counts as lost.
+        Classes of the parts to pick. If a part of these classes leaves over the chute, the part
+        counts as lost.
     """
     taken = [grip for grip in grips if grip.taken]
     time_s = sum(grip.cycle_s for grip in grips)

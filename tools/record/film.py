@@ -26,7 +26,7 @@ class Film:
     Attributes
     ----------
     ids : tuple of str
-        Names of all parts, in the order of `position`.
+        Names of all parts. The array `position` has the same order.
     time : (n,)
         Starts of cycles [s]. If there is no simulator, the stamps of images are used.
     position : (n, M, 2)

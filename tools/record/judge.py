@@ -44,8 +44,8 @@ ROUNDING = 1e-6
 """Maximum error by rounding, as a fraction of a limit."""
 
 GAP_S = 5e-3
-"""Maximum time between the end of a cycle and the start of the next one [s]. If the time is longer,
-the report of a cycle was lost, or the simulator was late."""
+"""Maximum time between the end of a cycle and the start of the next one [s]. After a longer time
+between two cycles, the report of a cycle was lost, or the simulator was late."""
 
 
 @dataclass(frozen=True)

@@ -36,12 +36,12 @@ HEADROOM = 1.1
 """If the motors can accelerate the plate by at least this factor times the acceleration limit in
 the rig file, their force and heat are not checked. The factor covers two errors of `motor_reach`.
 Because of the plate's spin, the peak force can be 2 % higher than `motor_reach` assumes
-(test_motors.py). The RMS force, which determines the heat, can be 3 % higher
-(test_weak_motors.py)."""
+(test_motors.py). The RMS force, which determines the heat, can be 3 % higher than `motor_reach`
+assumes (test_weak_motors.py)."""
 
 CERTAIN: float = _kernels.CERTAIN
-"""Largest permitted utilisation of any rig limit by a finished cycle (1: exactly at the limit). It
-is computed from the control points of the cycle."""
+"""Largest permitted utilisation of any rig limit by a finished cycle (1: exactly at the limit). The
+utilisation is computed from the control points of the cycle."""
 
 EQUAL_WEIGHT = np.ones(1)
 """Argument `weight` of `limit_use` for samples with equal time steps."""
@@ -170,8 +170,8 @@ def _use(cycle: PlateCycle, full: Limits) -> float:
     cycle is exactly at the limit.
 
     The heat of the motors is computed for the cycle, for the cycle with its tail, and for the tail
-    only. The largest of the three values counts. The tail has a separate value because the next
-    cycle may begin with the tail.
+    only. The function returns the largest of the three values. The tail has a separate value
+    because the next cycle may begin with the tail.
     """
     used = 0.0
     both = cycle.parts

@@ -41,16 +41,16 @@ from .library import Library, condition_number
 RESTART_NS = 1_000_000_000
 """Threshold for the stamps of requests [ns]. If the stamp decreases by at least this time, the
 camera or the simulator has restarted. If the stamp differs from this node's clock by at least this
-time, it is from another clock."""
+time, the stamp is from another clock."""
 
 MAX_S = 1.0
-"""Maximum time for a search, in real time [s]. It applies even if more time remains until the cycle
-begins."""
+"""Maximum time for a search, in real time [s]. This maximum applies even if more time remains until
+the cycle begins."""
 
 LATER_S = 0.01
 """Increase of the publishing margin after a cycle that was not executed [s]. The publishing margin
-is the time between the end of a search and the start of the cycle. It is at least the parameter
-`handover_s`."""
+is the time between the end of a search and the start of the cycle. The parameter `handover_s` is
+the minimum of this margin."""
 
 SOONER_S = 5e-4
 """Decrease of the publishing margin after a cycle that was executed [s]."""

@@ -68,7 +68,8 @@ class StartState:
 
     @property
     def memory(self) -> Memory:
-        """Velocities for the next prediction. They are valid if the requested cycle is executed."""
+        """Velocities for the next prediction. These velocities are valid if the requested cycle is
+        executed."""
         spin = {} if self.spin is None else dict(zip(self.ids, self.spin.tolist(), strict=True))
         return Memory(dict(zip(self.ids, self.velocity, strict=True)), spin)
 
@@ -85,7 +86,7 @@ def predict_start(
 
     The stick-slip motion of the parts is integrated over the running cycle. The integration starts
     at the positions in the image, with the velocities of `memory`. If the request contains
-    predicted positions and velocities (`CycleRequest.start`), they are used instead.
+    predicted positions and velocities (`CycleRequest.start`), these predictions are used instead.
 
     Parameters
     ----------

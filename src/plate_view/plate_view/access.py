@@ -94,8 +94,8 @@ class Access:
 
     def allows_host(self, host: str) -> bool:
         """Whether requests to this host (`name:port`) are accepted. A page that is served only to
-        this machine accepts only the local names. Otherwise another web site could map its own name
-        to this address (DNS rebinding)."""
+        this machine accepts only the local names. If it accepted other names, another web site
+        could map its own name to this address (DNS rebinding)."""
         name = host.rsplit(":", 1)[0] if not host.endswith("]") else host
         return not self.is_local or name in (*LOCAL_NAMES, self.address)
 

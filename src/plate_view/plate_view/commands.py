@@ -205,5 +205,5 @@ FOR_ALL = ("watch", "parameters", "replay")
 """Commands that change nothing in the ROS graph. Viewers may also send these commands."""
 
 URGENT = ("emergency_stop", "cut_power", "stop")
-"""Commands that stop the plate. They are executed before all other commands, and a browser may send
-any number of them."""
+"""Commands that stop the plate. These commands are executed before all other commands. A browser
+may send any number of stop commands."""

@@ -68,8 +68,8 @@ class PageNode(SafeLifecycleNode[Options]):
 
     While a browser is connected, the node subscribes to parts, part_forces, part_targets,
     cycle_started, motor_setpoints, task_status, driver_status, friction, diagnostics and /rosout.
-    It subscribes to image_raw if a browser shows the image. It publishes targets. Without a browser
-    there are no subscriptions.
+    The node subscribes to image_raw if a browser shows the image. It publishes targets. Without a
+    browser there are no subscriptions.
     """
 
     def __init__(self) -> None:

@@ -139,7 +139,7 @@ class Socket(tornado.websocket.WebSocketHandler):
         self.page.changed()
 
     def on_close(self) -> None:
-        """Remove a browser. Its commands that are being executed continue."""
+        """Remove a browser. Commands of this browser that are being executed continue."""
         self.page.browsers.discard(self)
         if hasattr(self, "_task"):
             self._task.cancel()
@@ -287,7 +287,7 @@ class PageServer:
     ----------
     access : Access
     port : int
-        Port. If it is in use, the next free port is used.
+        Port of the server. If the port is in use, the next free port is used.
     hello : mapping
         First message to every browser.
     take : callable

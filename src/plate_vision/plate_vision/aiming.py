@@ -44,7 +44,7 @@ BINS = 64
 
 CLIPPED = 0.01
 """Maximum fraction of the plate's pixels at grey level 0, and maximum fraction of its pixels with a
-channel at 255 [-]. Reflections of a part cover smaller fractions."""
+channel at 255 [-]. Reflections of a part cover smaller fractions than this maximum."""
 
 BLURRED = 0.85
 """Minimum sharpness of an image in focus, relative to the maximum of the last minute [-]. Noise or
@@ -76,8 +76,8 @@ STEADY = 0.04
 """Maximum relative change of the sharpness that counts as noise [-]."""
 
 MIN_PART_PX = 10.0
-"""Minimum diameter of a part in the image [px]. For smaller parts, the standard deviation of
-positions exceeds 0.05 px, and marks are not detected."""
+"""Minimum diameter of a part in the image [px]. For parts below this diameter, the standard
+deviation of positions exceeds 0.05 px, and marks are not detected."""
 
 EDGE_POINTS = 9
 """Number of displayed points on each measured edge of the plate."""
@@ -116,7 +116,8 @@ class AimField:
 
     @classmethod
     def of(cls, rig: Rig, vision: Vision, expected: Expected) -> AimField:
-        """Return the measured region for a rig. `expected` contains the sizes of its parts."""
+        """Return the measured region for a rig. `expected` contains the sizes of the rig's
+        parts."""
         width, height = vision.region.size_px
         outline = np.rint(vision.region.outline_px).astype(np.int32)
         plate = np.zeros((height, width), np.uint8)

@@ -36,7 +36,7 @@ class BarePlate:
     Attributes
     ----------
     learned : bool
-        Whether the bare plate was learned from images. If False, it is modelled.
+        Whether the bare plate was learned from images. If False, the bare plate is modelled.
     first : Background, optional
         The background (image of the bare plate) when it was learned or modelled.
     light : Light, optional
@@ -70,8 +70,8 @@ def know_plate(
     plate: BarePlate, vision: Vision, image: np.ndarray
 ) -> tuple[BarePlate, Vision, Finding | None]:
     """Process one image (H, W) or (H, W, 3). If requested, learn the bare plate from it. If the
-    bare plate is unknown, model it. If it is known, adapt its model to the light and blur of the
-    image.
+    bare plate is unknown, model it. If the bare plate is known, adapt its model to the light and
+    blur of the image.
 
     Return the new state of the bare plate, a vision with the adapted background, and a finding for
     the user or None.

@@ -83,13 +83,18 @@ DETECTION = np.dtype(
         ("misfit", "f8"),
     ]
 )
-"""One detected part.
+"""One detected part, with these fields:
 
-x_px, y_px: centre [px]. radius_px: radius of the disc of the same area [px]. angle_rad: angle
-[rad], counter-clockwise in the image. For an outline it is the angle from the x axis to the longest
-side, 0 to pi; for a disc it is the angle of its mark, or 0 without a mark. label: class.
-confidence: 0 to 1. method: one of `METHODS`. scatter_px: standard deviation of the centre along
-each axis, caused by noise and misfit [px]. misfit: deviation from a part's silhouette (0: none)."""
+`x_px`, `y_px`: centre [px].
+`radius_px`: radius of the disc of the same area [px].
+`angle_rad`: angle [rad], counter-clockwise in the image. For an outline, it is the angle from the x
+    axis to the longest side, 0 to pi. For a disc, it is the angle of the mark, or 0 without a mark.
+`label`: class of the part.
+`confidence`: confidence in the detection, 0 to 1.
+`method`: one of `METHODS`.
+`scatter_px`: standard deviation of the centre along each axis, caused by noise and misfit [px].
+`misfit`: deviation from a part's silhouette. 0 means no deviation.
+"""
 
 APART = 1.4
 """Minimum distance between the centres of two parts, in radii of the larger part. For touching
@@ -109,12 +114,12 @@ SIGMAS = 2.2
 is the mean over four pixels. The noise of this mean is half the noise of one pixel."""
 
 ROUGH = 0.25
-"""Maximum number of objects with a large misfit, relative to the number of detected parts. If there
-are more such objects, the search for the parts' shadow starts."""
+"""Maximum number of objects with a large misfit, relative to the number of detected parts. Above
+this ratio, the search for the parts' shadow starts."""
 
 FAINT = 2.0
-"""Minimum contrast of a rejected object, relative to the minimum contrast of a part. An object with
-less contrast is reported as too faint."""
+"""Minimum contrast of a rejected object, relative to the minimum contrast of a part. An object
+below this contrast is reported as too faint."""
 
 MIN_ALIKE = 3
 """Minimum number of similar parts from which their median radius is used as the known radius."""
@@ -146,8 +151,8 @@ class DetectorOptions:
     margin_px : float
         Maximum distance of a part's centre outside the region [px], 0 to 10. The distance allows
         for errors of the calibration. Only pixels inside the region are evaluated. If a centre is
-        about 2 px farther outside, too little of the part is visible. If the plate is displaced by
-        more, make a new region.
+        more than about 2 px outside the region, too little of the part is visible. If the plate is
+        displaced by a larger distance, make a new region.
     """
 
     RANGES: ClassVar[Mapping[str, tuple[float, float]]] = {
@@ -201,10 +206,10 @@ def detect(
 ) -> np.ndarray:
     """Find parts in one image.
 
-    With options, the function finds round parts of a known radius. Without options, it finds all
-    objects that differ from the background, of any outline, size and colour
-    (`plate_vision.shapes`). If all these objects are round and of one size, it measures them again
-    as parts of a known radius.
+    With options, the function finds round parts of a known radius. Without options, the function
+    finds all objects that differ from the background, of any outline, size and colour
+    (`plate_vision.shapes`). If all these objects are round and of one size, the function measures
+    them again as parts of a known radius.
 
     Parameters
     ----------
@@ -359,8 +364,8 @@ def _uncertain(discs: Discs) -> bool:
 
 
 def _with_others(scene: Scene, discs: Discs, remains: Remains) -> Discs:
-    """Search the remains for further parts by contrast. Return all parts, and the other objects in
-    the remains as overlooked objects."""
+    """Search the remains for further parts by contrast. Return all parts. The other objects in the
+    remains are returned as overlooked objects."""
     contrast, radius_px = scene.contrast, scene.options.radius_px
     if contrast is None:
         return discs
@@ -425,7 +430,7 @@ def _other_discs(
     scene: Scene, contrast: LitPlate, remains: Remains, known: Discs, shadow: Shadow | None
 ) -> Discs:
     """Find parts other than the `known` ones by their contrast to the plate. If `shadow` is given,
-    it is the shadow of every part."""
+    every part casts this shadow."""
     silhouettes = scene.view.silhouettes
 
     def dark_shapes(point_px: np.ndarray) -> np.ndarray:

@@ -17,7 +17,8 @@ from .overlooked import REMEDIES, WARN_COUNT, WARN_FRACTION
 from .plate.region import Region
 
 INNER = 1.6
-"""Side of the averaged square [part radii]. The part contains this square except its corners."""
+"""Side of the square over which the grey levels of a part are averaged [part radii]. The part
+contains this square except its corners."""
 
 RING = (2.6, 4.6)
 """Sides of the squares that bound the ring outside the part [part radii]."""

@@ -212,14 +212,14 @@ class DetectorNode(SafeLifecycleNode[DetectorParameters]):
     The node subscribes to image_raw (or image_raw/compressed), camera_info, and part_forces. The
     predicted positions in part_forces help the tracker to keep the parts' ids.
 
-    The node publishes parts, detections_image, markers, and diagnostics. If the lens is known, it
-    publishes /tf_static with camera_optical_frame. For a plate with markers, it publishes
-    plate_pose, and /tf with plate in plate_home.
+    The node publishes parts, detections_image, markers, and diagnostics. If the lens is known, the
+    node publishes /tf_static with camera_optical_frame. For a plate with markers, the node
+    publishes plate_pose, and /tf with plate in plate_home.
 
     The service ~/reset forgets all parts and locates the plate again. Two services are for rigs
     with part types. ~/learn_plate learns the bare plate from the next images. ~/teach learns the
     type `teach_name` from the parts in the last image, which must all be of this type. If ~/teach
-    is called again with the same name, it learns from the images of all calls so far.
+    is called again with the same name, the type is learned from the images of all calls so far.
 
     While the topic aim has a subscriber, the node publishes measurements there that help to aim,
     focus and light the camera. The services for this are ~/find_home, ~/save_home,

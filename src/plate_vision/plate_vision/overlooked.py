@@ -26,13 +26,17 @@ REASONS = (
     "blurred",
     "unsettled",
 )
-"""Reasons why an object is not a part.
+"""Reasons why an object is not a part:
 
-"too small", "too large": it is smaller or larger than the rig's parts. "too faint": its contrast to
-the plate is too low. "misfit": it has another shape. "at the edge": the plate's edge cuts it.
-"beyond the plate": its centre is not on the plate. "group": it consists of several parts that could
-not be separated. "blurred": the image is too blurred to recognise its type. "unsettled": it is a
-part in this image, but not in earlier images."""
+- "too small", "too large": the object is smaller or larger than the rig's parts.
+- "too faint": the contrast of the object to the plate is too low.
+- "misfit": the object has another shape than a part.
+- "at the edge": the plate's edge cuts the object.
+- "beyond the plate": the centre of the object is not on the plate.
+- "group": the object consists of several parts that could not be separated.
+- "blurred": the image is too blurred to recognise the type of the object.
+- "unsettled": the object is a part in this image, but was not one in earlier images.
+"""
 
 OVERLOOKED = np.dtype(
     [
@@ -44,11 +48,16 @@ OVERLOOKED = np.dtype(
         ("reason", "U16"),
     ]
 )
-"""One object that is rejected as a part: centre [px]; radius [px] of the disc of the same area;
-centre [m, plate_home]; one of `REASONS`."""
+"""One object that is rejected as a part, with these fields:
+
+`x_px`, `y_px`: centre [px].
+`radius_px`: radius of the disc of the same area [px].
+`x`, `y`: centre [m, plate_home].
+`reason`: one of `REASONS`.
+"""
 
 NONE_OVERLOOKED = np.empty(0, OVERLOOKED)
-"""No overlooked objects, (0,) `OVERLOOKED`."""
+"""Empty array (0,) `OVERLOOKED`, for images without overlooked objects."""
 NONE_OVERLOOKED.setflags(write=False)
 
 APART = 0.9
@@ -66,8 +75,9 @@ SPECK_RADIUS = 0.3
 smallest part's radius [-]. An object with a tenth of a part's area is dust or a reflection."""
 
 EDGE_REASONS = ("at the edge", "beyond the plate")
-"""Objects with these reasons do not count for the warning. If the plate is away from home, its own
-edge can be detected as such an object, for example in images of a camera that is not triggered."""
+"""Objects with these reasons do not count for the warning. If the plate is away from home, the
+plate's edge can be detected as such an object. This happens, for example, in images of a camera
+that is not triggered."""
 
 COVER_RADII = 8.0
 """Minimum radius of an object that counts as covering the plate, relative to the largest part's
@@ -181,7 +191,7 @@ class Expected:
 
     @property
     def size(self) -> str:
-        """The sizes as text, with their key in the rig file."""
+        """The sizes of the parts as text, with the key that contains the sizes in the rig file."""
         low, high = (f"{1e3 * radius:.3g}" for radius in (self.smallest, self.largest))
         span = low if low == high else f"{low} to {high}"
         return f"types have {span} mm" if self.typed else f"radius_m in section parts is {span} mm"

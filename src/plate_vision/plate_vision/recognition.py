@@ -4,7 +4,8 @@ types, and measure them.
 The image is divided into patches that differ from the bare plate (`segment`). Each patch is
 compared with the catalogue of types (`recognise_under`), and groups of touching parts are separated
 (`explain_groups`). The length of the shadows is estimated from the types. If the segmentation used
-another length, it is repeated. Output: records of the type `SIGHTING`, one for each object.
+another length of the shadows, the segmentation is repeated. Output: records of the type `SIGHTING`,
+one for each object.
 """
 
 from __future__ import annotations
@@ -37,13 +38,13 @@ BLUR_PX = 0.8
 size."""
 
 MIN_CORNER_PX = 0.25
-"""Minimum protrusion of corners from a round outline in the image [px]. With a smaller protrusion,
-the angle cannot be measured. With this protrusion, the error of a star's angle is at most a fifth
-of the angle between two corners. This error was determined with stars of 5 to 16 corners."""
+"""Minimum protrusion of corners from a round outline in the image [px]. Below this protrusion, the
+angle of the part cannot be measured. With this protrusion, the error of a star's angle is at most a
+fifth of the angle between two corners. This error was determined with stars of 5 to 16 corners."""
 
 SIZE_ALONE = 3.0
 """Minimum difference between two types that differ only in size [standard deviations]. If the
-difference is smaller, there is a warning."""
+difference is below this minimum, a warning is given."""
 
 SAME_LENGTH, SAME_LENGTH_PX = 0.45, 2.5
 """Two limits for the difference between two lengths of the shadows: the length measured with the
@@ -124,7 +125,7 @@ def find_types_under(
 
     A lamp is assumed not to move. `before` is the lamp of the previous image. The previous lamp is
     used if the direction of the light is not visible in this image, for example because parts
-    touch. It is not used if more parts are recognised without this lamp.
+    touch. The previous lamp is not used if more parts are recognised without it.
     """
     rise = _rise_of(catalogue, calibration)
 
@@ -254,9 +255,9 @@ def calibrate_by_scale(scale: float) -> Calibration:
 
 
 def camera_limits(types: Mapping[str, PartType], calibration: Calibration) -> list[str]:
-    """Return messages about types that the camera cannot distinguish or measure. There is
-    one message for each pair of types that look alike, for each pair that differs only in size, and
-    for each type whose corners are too small to measure its angle."""
+    """Return messages about types that the camera cannot distinguish or measure. There is one
+    message for each pair of types that look alike, and one for each pair that differs only in size.
+    There is also one message for each type whose corners are too small to measure its angle."""
     scale = float(calibration.scale(np.zeros((1, 2)))[0])
     found = []
     for (name, part), template in zip(types.items(), make_catalogue(types).templates, strict=True):

@@ -2,8 +2,8 @@
 part.
 
 The detector searches the remains for parts that are not simply darker than the plate. Objects in
-the remains that are not accepted as parts become overlooked objects (`overlooked_things`). Each of
-them has a reason why it is not a part.
+the remains that are not accepted as parts become overlooked objects (`overlooked_things`). Each
+overlooked object has a reason why it is not a part.
 """
 
 from __future__ import annotations

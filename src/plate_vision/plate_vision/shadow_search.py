@@ -27,8 +27,8 @@ FEWEST = 2
 single object is not sufficient, because it may be a part of another shape."""
 
 MAX_OBJECTS = 10
-"""Maximum number of objects used for the fit. With more objects, the fit is slower and hardly
-better."""
+"""Maximum number of objects used for the fit. With more objects than this number, the fit would be
+slower and hardly better."""
 
 PIXELS = 3000.0
 """Maximum total area of the objects in the fit, divided by pi [px^2]. This maximum limits the
@@ -59,8 +59,8 @@ of the darkness [0.1] and of the half width of the edge [px]. `TRIES`: maximum n
 evaluations. `DARKEST`, `EDGE_RANGE_PX`: ranges of the darkness and of the half width [px]."""
 
 GOOD_FIT = 0.1
-"""Maximum mean misfit of the objects with a shadow. If the misfit is larger, the shadow is
-rejected."""
+"""Maximum mean misfit of the objects with a shadow. If the mean misfit exceeds this maximum, the
+shadow is rejected."""
 
 BETTER = 0.75
 """Maximum mean misfit of the objects with a shadow, relative to their mean misfit without a
@@ -68,15 +68,15 @@ shadow."""
 
 SURE = 0.7
 """Maximum mean misfit with a shadow, relative to the misfit with a shadow on the opposite side. If
-the ratio is larger, the side is unknown. For synthetic shadows that were assigned to the wrong
-side, the ratio was 0.76 and more."""
+the ratio of the misfits exceeds this maximum, the side of the shadow is unknown. For synthetic
+shadows that were assigned to the wrong side, the ratio was 0.76 and more."""
 
 UNLIKE = 0.15
 """Minimum difference in darkness by which a part is distinguished from its shadow."""
 
 UNLIKE_FRACTION = 0.3
-"""Minimum fraction of parts that differ from their shadows in darkness by more than `UNLIKE`. With
-a smaller fraction, the sign of the shadow's direction is unknown, and no shadow is returned."""
+"""Minimum fraction of parts that differ from their shadows in darkness by more than `UNLIKE`. Below
+this fraction, the sign of the shadow's direction is unknown, and no shadow is returned."""
 
 EQUAL = 1.05
 """Maximum misfit of the shadow with the measured length, relative to the misfit of the shadow with

@@ -36,10 +36,10 @@ class TimeFractions:
     miss : (R,)
         b - A w.
     price : (R,)
-        Dual solution y: the additional cost per unit of each row's right-hand side. The product y .
-        b is a lower bound of the cost of b for any motion that is composed of these columns.
+        Dual solution y: the additional cost per unit of each row's right-hand side. Any motion that
+        is composed of these columns and produces b has at least the cost y . b.
     cost : float
-        Value of the objective. It equals y . b.
+        Value of the objective, which equals y . b.
     basis : (R,)
         Indices of the columns in the basis of the solution. The basis is a start for the next
         problem. With K columns and R rows, index K + i is the unmet amount of row i, and index K +

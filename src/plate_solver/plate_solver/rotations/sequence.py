@@ -8,7 +8,7 @@ period T removes the gap between end and start. Therefore every sequence closes 
     length            h = 1.5 (velocity change of the fastest corner) / a,
     pose              integral of the twist - gap y^3 (10 - 15 y + 6 y^2),    y = t/T.
 
-The derivatives are exact. One backward pass over the knots computes them (sequence.hpp).
+The derivatives are exact. One backward pass over the knots computes the derivatives (sequence.hpp).
 
 Knots of J rotations: knot 0 is the start at rest. Knots 2 j + 1 and 2 j + 2 are the start and the
 end of rotation j (counted from 0). At knot 2 J + 1 the plate comes to rest. Knot 2 J + 2 is the end

@@ -26,9 +26,9 @@ from .family import RotationFamily
 from .plan import RotationPlan, plan_rotations
 
 FEW = (2, 4)
-"""Numbers of parts up to which a cycle is shortened. With up to 2 parts, it lasts half of the
-option `period`. With up to 4 parts, it lasts three quarters of this period. A few parts require
-only a few rotations. A short cycle gives an earlier result."""
+"""Numbers of parts up to which a cycle is shortened. With up to 2 parts, a cycle lasts half of the
+option `period`. With up to 4 parts, a cycle lasts three quarters of this period. A few parts
+require only a few rotations. With a shorter cycle, the next request is processed earlier."""
 
 SETTLE = 0.05
 """Approximate time in which friction stops a part that has an initial velocity [s]."""
@@ -38,12 +38,13 @@ PUSH = 0.04
 longest displacement."""
 
 FINER = 3
-"""Factor that increases the number of time steps. It is used if a search meets the goal, but the
-evaluation with fine steps does not confirm this. The search then continues with the larger number
-of steps."""
+"""Factor that increases the number of time steps of a search. The factor is used if a search meets
+the goal, but the evaluation with fine steps does not confirm the result. The search then continues
+with the increased number of steps."""
 
 POLISH = 6
-"""Maximum number of iterations of a search that continues with more steps (see `FINER`)."""
+"""Maximum number of iterations of a search that continues with an increased number of time steps
+(see `FINER`)."""
 
 SHAKE = 0.3
 """Standard deviation of a random change of the best parameters, in units of the parameters."""
@@ -185,7 +186,8 @@ class RotationCycles(MotionSolver):
         return Start(near.family, near.family.admissible(shaken))
 
     def planned(self, goal: Goal, spread: bool = False) -> Start:
-        """Return a start for the search. It is computed from a plan that uses averaged forces.
+        """Return a start for the search. The start is computed from a plan that uses averaged
+        forces.
 
         The requested force F on a part of mass m is constant. The force moves the part by the
         displacement d from rest in the period T: F = 2 m d / T^2. If targets are requested, d is in

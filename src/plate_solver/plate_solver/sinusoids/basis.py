@@ -2,10 +2,10 @@
 
     u_i(t) = sum_j a_ij sin(j w t) + b_ij cos(j w t),   w = 2 pi / T
 
-A free family has 2 N parameters per degree of freedom. A family that starts at rest satisfies u(0)
-= 0 and u'(0) = 0, which leaves 2 N - 2 parameters. Its poses are relative to the pose at the start.
-Therefore the plate is at home, at rest and without acceleration at both ends of a cycle, and any
-such cycle can follow any other.
+Without constraints, a family has 2 N parameters per degree of freedom. A family that starts at rest
+satisfies u(0) = 0 and u'(0) = 0, which leaves 2 N - 2 parameters. Its poses are relative to the
+pose at the start. Therefore the plate is at home, at rest and without acceleration at both ends of
+a cycle, and any such cycle can follow any other.
 
 A family with a free end has three more functions per degree of freedom. These functions describe
 the final state of the cycle and the tail, which leads from this state to rest. A cycle that begins
@@ -97,7 +97,7 @@ class SinusoidBasis:
     hull : (3 c, h)
         Control points of pose, twist and acceleration, as `PlateCycle.control_points`.
     free_end : bool
-        Whether motions may end in any state. If so, they have a tail.
+        Whether motions may end in any state. Motions that end in any state have a tail.
     checks : tuple of (l, h)
         Basis (pose, twist, acceleration) at the instants at which limits are checked, including the
         instants of the tail.
@@ -196,9 +196,10 @@ def sinusoid_basis(
 ) -> SinusoidBasis:  # fmt: skip
     """Return the family with `number` harmonics.
 
-    If `at_rest`, motions start at rest. If `free_end`, they may end in any state and have a tail.
-    `steps` is the number of samples per play; 0 selects it automatically. `plays` is the number of
-    consecutive plays that samples and limit checks cover. A number above 1 requires `at_rest`.
+    If `at_rest`, motions start at rest. If `free_end`, motions may end in any state and have a
+    tail. `steps` is the number of samples per play; 0 selects it automatically. `plays` is the
+    number of consecutive plays that samples and limit checks cover. A number above 1 requires
+    `at_rest`.
     """
     steps = steps or max(STEPS_PER_HARMONIC * max(number, 4), round(period / MAX_STEP))
     knots = knots_per_harmonic * max(number, 4)

@@ -55,7 +55,8 @@ class Problem(NamedTuple):
     ----------
     motions : Motions
     settling : _kernels.Settling
-        Motion of the plate from its initial state to rest. The motion of the basis is added to it.
+        Motion of the plate from its initial state to rest. The motion of the basis is added to this
+        motion.
     start : (b, STATE) or (b, TURNING_STATE)
         States of the parts at the start of the cycle, in blocks for the C++ kernels.
     ends : Ends

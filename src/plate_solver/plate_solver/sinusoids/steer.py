@@ -10,7 +10,7 @@ plays:
 Here x_k is the state of the parts, p_k is the state of the plate, and a are the coefficients of
 `SinusoidBasis`. Only the first play becomes the cycle. The next result of the solver replaces the
 second play. If only one play were evaluated, the search would not consider whether the final state
-of the plate is suitable for the next cycle, and sorting would take longer.
+of the plate is suitable for the next cycle. Sorting tasks would then take longer.
 """
 
 from __future__ import annotations
@@ -45,8 +45,8 @@ would cause a drift error of 10 %. The final corrections (`AIMS`) compensate the
 grid."""
 
 ROUGH: Grid = (0.8e-3, 16, 5)
-"""Grid for goals that several cycles may complete. This grid has fewer knots, so that the cycle is
-transmitted faster."""
+"""Grid for goals that several cycles may complete. This grid has fewer knots than `EXACT`, so that
+the cycle is transmitted faster."""
 
 FINE: Grid = (PREDICTION_STEP, 1, 5)
 """Grid on which the finished motion is evaluated."""
@@ -99,7 +99,7 @@ class SinusoidSteering:
     restarts : int
         Maximum number of further descents. For motions that are evaluated after `PLAYS` plays, this
         number is divided by `PLAYS`, because each descent takes longer. If there is no last motion,
-        the search makes up to `RANDOM_STARTS` descents more.
+        the search makes up to `RANDOM_STARTS` additional descents.
     threads : int
         Number of threads, at most `AT_ONCE`.
     clock : callable

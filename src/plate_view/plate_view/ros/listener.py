@@ -1,5 +1,5 @@
-"""Subscriber that passes ROS messages to the browsers. It subscribes only while a browser is
-connected."""
+"""Subscriber that passes ROS messages to the browsers. The subscriptions exist only while a browser
+is connected."""
 
 from __future__ import annotations
 
@@ -48,8 +48,8 @@ from .aim import aim_scene
 from .values import plain, state_names
 
 SAME_CLOCK_S = 10.0
-"""Maximum difference between a stamp and the clock of this node [s]. If the difference is larger,
-the stamp is from another clock."""
+"""Maximum difference between a stamp and the clock of this node [s]. If a difference exceeds this
+maximum, the stamp is from another clock."""
 
 LATENCIES = 200
 """Number of setpoint messages from which the latency is computed."""

@@ -59,10 +59,11 @@ MOVE_TOLERANCE_RAD = 0.05
 
 MAX_SQUARES = 255
 """Maximum number of squares along a side of a calibration board. The message TakeLensPictures
-cannot contain larger numbers, and the detector allows only smaller ones."""
+cannot contain a larger number. The maximum number that the detector allows is smaller."""
 
 FOLLOW_ERROR_M = 0.02
-"""Maximum distance of a part from its drawn path [m]. If the distance is larger, the task ends."""
+"""Maximum distance of a part from its drawn path [m]. If the part is farther from the path, the
+task ends."""
 
 FOLLOW_LIMIT_S = 600.0
 """Maximum time for following a drawn path [s]. After this time, the task ends."""

@@ -2,8 +2,8 @@
 
 `find_board` finds the inner corners of a board with sub-pixel accuracy. `fit_lens` fits the camera
 matrix K and the distortion to the corners in at least five pictures. For plumb_bob and
-rational_polynomial, `fit_lens` uses OpenCV's calibrateCamera. For an equidistant lens, it uses the
-Levenberg-Marquardt method.
+rational_polynomial, `fit_lens` uses OpenCV's calibrateCamera. For an equidistant lens, `fit_lens`
+uses the Levenberg-Marquardt method.
 """
 
 from __future__ import annotations
@@ -54,7 +54,8 @@ MAX_PIXELS = 200_000_000
 pixels."""
 
 MIN_PICTURES = 5
-"""Minimum number of pictures. Three pictures determine K in principle, but noise requires more."""
+"""Minimum number of pictures. Three pictures determine K in principle, but more pictures are needed
+because of noise."""
 
 MAX_PICTURES = 40
 """Maximum number of pictures in a fit. More pictures increase the computation time, but hardly
@@ -419,9 +420,13 @@ def fit_lens(
 
 
 Fit = tuple[np.ndarray, np.ndarray, list[np.ndarray], np.ndarray]
-"""Result of a fit: K (3, 3) [px]; the distortion coefficients D (m,); the detected minus the
-computed corners (n, 2) [px] of each picture; the standard deviations (4 + m,) of fx, fy, cx, cy
-[px] and D."""
+"""Result of a fit, as a tuple of four items:
+
+- the camera matrix K (3, 3) [px],
+- the distortion coefficients D (m,),
+- the detected minus the computed corners (n, 2) [px] of each picture,
+- the standard deviations (4 + m,) of fx, fy, cx, cy [px] and D.
+"""
 
 
 def _fit_brown(
@@ -489,9 +494,9 @@ def _fit_opencv(
 
 
 def _deviation(slopes: np.ndarray, errors: np.ndarray) -> np.ndarray:
-    """Return the standard deviations (m,) of the parameters of a least-squares fit. They are
-    computed from the derivative (n, m) and the residuals of the fit. After a failed fit, the
-    standard deviations are infinite.
+    """Return the standard deviations (m,) of the parameters of a least-squares fit. The standard
+    deviations are computed from the derivative (n, m) and the residuals of the fit. After a failed
+    fit, the standard deviations are infinite.
 
     With the derivative J = U S V', the deviations are s sqrt(diag(V S^-2 V')), where s^2 is the sum
     of squared residuals divided by the degrees of freedom.

@@ -42,9 +42,9 @@ INCH_M = 0.0254
 
 FRAMES_SEARCHED, PICTURES_SEARCHED = 60, 240
 """Number of frames of a film, and number of pictures of a folder, that the program searches at
-first without gaps. After that, it searches every second picture. After the same number of searches,
-it searches every fourth picture, and so on. In total, about 250 of 1000 frames or 440 of 10,000
-frames are searched."""
+first without gaps. After that, the program searches only every second picture. After the same
+number of searches, the program continues with every fourth picture, and so on. In total, about 250
+of 1000 frames or 440 of 10,000 frames are searched."""
 
 FRAMES_PER_LINE = 50
 """Number of searched frames between two progress lines, if the output is not a terminal."""
@@ -177,9 +177,9 @@ def _search(pictures: Pictures, board: Board) -> tuple[Board, list[Corners], tup
 
 
 class Progress:
-    """Prints the progress of the search and the totals at the end. For a folder, it prints one line
-    per picture. For a film, it updates one line on a terminal, and otherwise prints a line every
-    `FRAMES_PER_LINE` frames."""
+    """Prints the progress of the search and the totals at the end. For a folder, one line per
+    picture is printed. For a film, one line is updated on a terminal. If the output is not a
+    terminal, a line is printed every `FRAMES_PER_LINE` frames."""
 
     def __init__(self, pictures: Pictures) -> None:
         self._pictures = pictures

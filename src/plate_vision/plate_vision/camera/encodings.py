@@ -88,8 +88,8 @@ def decode(
     big_endian : bool
         Byte order of 16-bit numbers.
     bits : int
-        Number of used bits of 16-bit numbers. For example, it is 12 for a camera with the maximum
-        value 4095.
+        Number of used bits of 16-bit numbers. For example, `bits` is 12 for a camera with the
+        maximum value 4095.
 
     Returns
     -------

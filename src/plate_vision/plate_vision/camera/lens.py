@@ -17,17 +17,17 @@ from plate_core.rig import camera_place, fit_homography, home_pose, lens_of_matr
 from ..errors import CalibrationError
 
 MAX_CONDITION = 1e10
-"""Maximum condition number of a homography. With a larger condition number, points cannot be mapped
+"""Maximum condition number of a homography. Above this condition number, points cannot be mapped
 back. The homographies of real cameras have condition numbers of 1e3 to 1e7, depending on the
 units."""
 
 MIN_AREA_PX2 = 100.0
-"""Minimum area of the plate in an image [px2]. If the plate is smaller, the parts are too small to
-be detected."""
+"""Minimum area of the plate in an image [px2]. If the area of the plate is below this minimum, the
+parts are too small to be detected."""
 
 SLENDER = 1e-4
 """Minimum area of the quadrilateral of four plate points, relative to the square of the
-quadrilateral's size [-]. If the relative area is smaller, the quadrilateral is almost a line."""
+quadrilateral's size [-]. Below this relative area, the quadrilateral is almost a line."""
 
 SLOPE_STEP = 1e-4
 """Step of the finite differences for the image scale [m]. The differences are used if the
@@ -152,7 +152,8 @@ class Calibration:
 
     def slopes(self, point_px: np.ndarray) -> np.ndarray:
         """Derivative (M, 2, 2) [m/px] of `to_home` at image points (M, 2) [px]. Without a lens, the
-        derivative is computed analytically. With a lens, it is computed by central differences."""
+        derivative is computed analytically. With a lens, the derivative is computed by central
+        differences."""
         point_px = _points(point_px)
         if self.lens is None:
             rows = point_px @ self.home_from_image[:, :2].T + self.home_from_image[:, 2]

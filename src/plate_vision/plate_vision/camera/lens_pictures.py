@@ -42,8 +42,8 @@ CORNERS = {
 lens is largest there."""
 
 TILTED_RAD = np.radians(12.0)
-"""Minimum tilt of a tilted board. With less tilt the fit cannot separate focal length from
-distance."""
+"""Minimum tilt of a tilted board. Below this tilt, the fit cannot separate the focal length from
+the distance of the board."""
 
 TILTS = ("left", "right", "top", "bottom")
 """Sides of the board. Each side must be the nearest one to the camera in at least one picture."""

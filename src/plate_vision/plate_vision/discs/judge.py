@@ -11,8 +11,8 @@ from . import silhouette
 from .measure import numbers
 
 GOOD_MISFIT: float = _kernels.GOOD_MISFIT
-"""Maximum misfit that light, noise and the edges of pixels cause. If the misfit is larger, the
-error of the place is about this excess multiplied by the radius."""
+"""Maximum misfit that light, noise and the edges of pixels cause. If a misfit exceeds this value,
+the error of the place is about the excess multiplied by the radius."""
 
 NUMBERS = ("x_px", "y_px", "radius_px", "angle_rad", "confidence", "scatter_px", "misfit")
 """Names of the properties of a part. `detection.DETECTION` explains the properties."""

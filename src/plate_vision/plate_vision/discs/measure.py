@@ -15,12 +15,17 @@ DISC = np.dtype(
     [(name, "f8") for name in ("x_px", "y_px", "radius_px", "darkness", "misfit")]
     + [("scatter_px", "f8"), ("seen", "f8")]
 )
-"""A measured disc.
+"""A measured disc, with these fields:
 
-x_px, y_px: place [px]. radius_px: radius [px]. darkness: mean darkness of the inner part. misfit:
-deviation from an evenly dark disc (moments) or from the contour (fit); 0 for a perfect disc, about
-1 for another object. scatter_px: standard deviation of the place along each axis, caused by the
-image's noise and the misfit [px]. seen: visible fraction of the contour."""
+`x_px`, `y_px`: place [px].
+`radius_px`: radius [px].
+`darkness`: mean darkness of the inner part.
+`misfit`: deviation from an evenly dark disc (moments) or from the contour (fit). The misfit is 0 for
+    a perfect disc, and about 1 for another object.
+`scatter_px`: standard deviation of the place along each axis, caused by the image's noise and the
+    misfit [px].
+`seen`: visible fraction of the contour.
+"""
 
 
 def numbers(discs: np.ndarray) -> np.ndarray:

@@ -1,9 +1,9 @@
 """Seeds: first guesses of the parts' centres. Seeds are computed fast, with errors of about a
 pixel, even where parts touch.
 
-Dark blobs are eroded. The centre of an eroded blob of one part's size is one seed. In a larger
-blob, each pixel at an edge votes for the point one radius inside the edge. This voting is a Hough
-transform for one radius.
+Dark blobs are eroded. The centre of an eroded blob of one part's size is one seed. If the blob is
+larger than one part, each pixel at an edge votes for the point one radius inside the edge. This
+voting is a Hough transform for one radius.
 """
 
 from __future__ import annotations

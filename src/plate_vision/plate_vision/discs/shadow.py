@@ -11,8 +11,8 @@ from ..camera.lens import Calibration
 
 @dataclass(frozen=True, eq=False)
 class Shadow:
-    """The shadow of a part. If the part's base is moved by `offset_m`, it passes over the area of
-    the shadow.
+    """The shadow of a part. If the part's base is moved by `offset_m`, the base passes over the
+    area of the shadow.
 
     Attributes
     ----------

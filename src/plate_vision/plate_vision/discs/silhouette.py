@@ -53,7 +53,7 @@ class EvenDiscs:
 class SeenDiscs:
     """Silhouettes of a part with a radius and a height [m] in a camera's images.
 
-    J is the derivative of plate_home with respect to the image. It is decomposed as J = Q S with Q
+    J is the derivative of plate_home with respect to the image. J is decomposed as J = Q S with Q
     orthogonal and S symmetric. Then `across` is S / sqrt(det S). The height is ignored if the
     camera's place is unknown.
     """

@@ -218,8 +218,8 @@ class Camera(ABC):
         """Return the exposure time of the device [us], or None if it is unknown."""
 
     def change(self, settings: Settings) -> None:
-        """Apply new settings to the open camera. If the device refuses them, restore the old
-        settings."""
+        """Apply new settings to the open camera. If the device refuses the new settings, restore
+        the old settings."""
         before, self.settings = self.settings, settings
         if not self._is_open:
             return

@@ -49,7 +49,7 @@ are younger."""
 
 RATE_ERROR = 0.02
 """Maximum deviation of the device's rate from the requested rate, relative to the requested rate
-[-]. If the deviation is larger, there is a warning."""
+[-]. If the deviation exceeds this maximum, a warning is given."""
 
 
 def open_capture(path: str) -> Any:

@@ -72,8 +72,8 @@ class Control:
 
 @dataclass(frozen=True)
 class Size:
-    """Range of sizes (width, height) [px] from `low` to `high`. If both are equal, it is a single
-    size."""
+    """Range of sizes (width, height) [px] from `low` to `high`. If both sizes are equal, the range
+    is a single size."""
 
     low: tuple[int, int]
     high: tuple[int, int]

@@ -27,12 +27,12 @@ deviation of such an interval from the median, relative to the median [-]. If th
 regular, lost images are not counted, because a triggered camera may be irregular."""
 
 GAP = 1.5
-"""Maximum time between two stamps [image intervals]. If the time is longer, the images that are
-missing between the stamps are counted as lost."""
+"""Maximum time between two stamps [image intervals]. After a longer time, the images that are
+missing between the two stamps are counted as lost."""
 
 MAX_LOST = 0.02
 """Maximum fraction of lost or late images without a warning in the diagnostics [-]. The planner
-tolerates a larger fraction."""
+tolerates a larger fraction of lost or late images."""
 
 BLACK = 12
 """Maximum grey level of all pixels in a black image (8 bits). The noise of a covered sensor is

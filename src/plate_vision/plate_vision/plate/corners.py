@@ -19,8 +19,8 @@ from ..errors import CalibrationError
 from .outline import OUTWARD, Outline, OutlineGrid, edge_points, measure_outline
 
 MIN_COVER = 0.05
-"""Minimum area of the plate, relative to the image's area [-]. A smaller quadrilateral is another
-object, such as a label or a tool."""
+"""Minimum area of the plate, relative to the image's area [-]. A quadrilateral below this area is
+another object, such as a label or a tool."""
 
 CORNER_STEP = 0.02
 """Maximum deviation of a contour from a quadrilateral, relative to the contour's length [-]."""
@@ -30,8 +30,8 @@ ROUNDS = 3
 0.05 px remains after the second refinement."""
 
 SETTLED_M = 2e-4
-"""Maximum shift of the corners in the last refinement [m]. After a larger shift, the corners are
-refined again."""
+"""Maximum shift of the corners in the last refinement [m]. If the shift exceeds this maximum, the
+corners are refined again."""
 
 
 def find_plate_corners(

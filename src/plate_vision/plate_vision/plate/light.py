@@ -24,7 +24,7 @@ BURNT_PERCENTILE = 50
 much light, because half of the image is overexposed."""
 
 BURNT_GREY = 254
-"""Grey level from which a pixel counts as overexposed."""
+"""Minimum grey level of an overexposed pixel."""
 
 EVERY = 8
 """Step between the rows and columns that are evaluated for the percentiles of the brightness."""

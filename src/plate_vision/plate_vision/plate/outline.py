@@ -27,8 +27,9 @@ IMAGES = 5
 cycle."""
 
 REST_M = 5e-4
-"""Maximum range of an edge's places in the images of an evaluation [m]. If a range is larger, the
-plate was moving. For a plate at rest, the range is 0.1 mm with a noise of 15 grey levels."""
+"""Maximum range of an edge's places in the images of an evaluation [m]. If the range of an edge
+exceeds this maximum, the plate was moving. For a plate at rest, the range is 0.1 mm with a noise of
+15 grey levels."""
 
 RECHECK_S = 1.0
 """Minimum time from a finding to the next evaluation [s]. The evaluation of an image takes 20 to 60
@@ -72,7 +73,7 @@ of sawn plates deviate from a straight line by up to 0.3 mm."""
 TURN_RAD = np.radians(0.6)
 """Tolerated rotation of the plate's outline relative to the prediction [rad]. For a plate of 300
 px, the rotation is measured with an accuracy of a tenth of this value. At the start of a cycle, the
-rotation of a moving plate is smaller."""
+rotation of a moving plate is smaller than this value."""
 
 STRETCH = 0.01
 """Tolerated difference between the size of the plate's outline and the predicted size, relative to
@@ -111,8 +112,8 @@ with strong distortion deviates by 1 px from a curve of second degree."""
 
 MOVED_RADII = 2.0
 """Maximum deviation of the plate's outline from the prediction that is explained by a moved camera
-[part radii]. If the deviation is larger and the outline agrees with a flip, the image is assumed to
-be flipped."""
+[part radii]. If the deviation exceeds this maximum and the outline agrees with a flip, the image is
+assumed to be flipped."""
 
 SIDE_PX = 5.0, 10.0
 """Minimum and maximum distance from a step in a profile [px]. The brightness beside the step is
@@ -298,8 +299,8 @@ def _fit_edge(
     """Return the edge (3,) in profiles (S, D), as in `Outline.edges` [m]. Return None if there is
     no edge.
 
-    An edge near the predicted edge is preferred to a clearer edge that is farther away, because the
-    farther edge may belong to a frame, a shadow or a table.
+    An edge near the predicted edge is preferred to a clearer edge that is farther away. The farther
+    edge may belong to a frame, a shadow or a table.
     """
     candidate = _steps(profile, grid.offset)
     best, most = None, SUPPORT
@@ -316,8 +317,8 @@ def _fit_edge(
 
 
 def _is_line(profile: np.ndarray, offset: np.ndarray, curve: np.ndarray, along: np.ndarray) -> bool:
-    """Whether profiles (S, D) are equally bright on both sides of a curve (3,) [m]. If they are,
-    the curve is not an edge but a line on the plate or the table."""
+    """Whether profiles (S, D) are equally bright on both sides of a curve (3,) [m]. If the profiles
+    are equally bright, the curve is not an edge but a line on the plate or the table."""
     at = curve[0] + curve[1] * along + curve[2] * (1 - along**2)
     away = (offset - at[:, None]) / (offset[1] - offset[0])
     sides = []
@@ -361,8 +362,8 @@ def _fit_curve(
     the fraction of profiles with a candidate near it (RANSAC).
 
     `drawn` (S, C) contains the offsets [m] of up to C candidates in each of S profiles. Each trial
-    curve passes through three of them. The best curve is refined by least squares with the
-    candidates of `every` (S, C) [m].
+    curve passes through three of the candidates. The best curve is refined by least squares with
+    the candidates of `every` (S, C) [m].
     """
     rows = np.flatnonzero(np.any(np.isfinite(drawn), axis=1))
     if len(rows) < SUPPORT * len(along):

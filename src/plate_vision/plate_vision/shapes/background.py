@@ -70,8 +70,8 @@ LOCAL_PASSES = 3
 with the previous average."""
 
 MIN_FRACTION = 0.05
-"""Minimum fraction of background pixels around a pixel. If the fraction is smaller, the background
-is adapted less at this pixel."""
+"""Minimum fraction of background pixels around a pixel. Below this fraction, the background is
+adapted less at the pixel."""
 
 TEXTURE_PERCENT = 98
 """Percentile of the deviations of a photograph's background pixels from the mean background.
@@ -79,7 +79,7 @@ Deviations up to this percentile are texture."""
 
 TEXTURE = 1.25
 """Maximum deviation of a photograph's background pixel, relative to the percentile of the
-deviations (`TEXTURE_PERCENT`). Pixels of parts have larger deviations."""
+deviations (`TEXTURE_PERCENT`). Pixels of parts have larger deviations than this maximum."""
 
 SOFTER_PX = (1.0, 1.5, 2.0, 2.5, 3.0)
 """Blurs that are tried as the additional blur of an image, compared with the images of the bare
@@ -90,20 +90,20 @@ EDGE_PX = 4
 [px]."""
 
 SOFTER = 0.2
-"""Minimum fraction of the pixels at the plate's edge that differ from the bare plate. If the
-fraction is smaller, no additional blur is assumed."""
+"""Minimum fraction of the pixels at the plate's edge that differ from the bare plate. Below this
+fraction, no additional blur of the image is assumed."""
 
 EXPLAINED = 0.1
 """Maximum fraction of the pixels at the plate's edge that differ from the bare plate after the best
-additional blur was applied to it. If the fraction is larger, the plate has probably moved."""
+additional blur was applied to it. Above this fraction, the plate has probably moved."""
 
 SPECK = 100.0
 """Minimum deviation of a speck from its neighbours [L]. A speck is a single pixel, for example
 dust."""
 
 SPECKS = 0.004
-"""Maximum fraction of the pixels that may be specks. If the fraction is larger, specks are filtered
-out."""
+"""Maximum fraction of the pixels that may be specks. Above this fraction of pixels, specks are
+filtered out."""
 
 MIN_SCORE = 0.4
 """Minimum score of a background. The score is the fraction of the image that agrees with the
@@ -130,7 +130,8 @@ class Background:
         Whether specks are filtered out of images before they are compared. This filter is necessary
         because photographs may show dust and dead pixels.
     learned : bool
-        Whether the background was learned from images of the bare plate. If False, it is modelled.
+        Whether the background was learned from images of the bare plate. If False, the background
+        is modelled.
     """
 
     lab: np.ndarray

@@ -15,8 +15,8 @@ from .patch import Patch
 MAX_PX, MAX_RADIUS = 0.5, 0.144
 """Maximum blur (standard deviation) of an image in which types are determined: `MAX_PX` [px] plus
 `MAX_RADIUS` times the parts' median radius. In synthetic images with a blur of 2.0 px or more, nuts
-of 10 px radius were recognised as washers. With a blur of 1.8 px, they were recognised correctly.
-For nuts of 19 px radius, the corresponding values were 3.4 px and 3.1 px."""
+of 10 px radius were recognised as washers. With a blur of 1.8 px, the nuts were recognised
+correctly. For nuts of 19 px radius, the corresponding values were 3.4 px and 3.1 px."""
 
 POINTS = 24
 """Number of points on the contour of a patch."""

@@ -23,8 +23,8 @@ GRID = 13
 
 CHIRAL = 0.02
 """Minimum RMS (root mean square) difference between the outlines of a part's two faces, relative to
-the part's reach (largest radius). If the difference is smaller, the faces count as equal. The
-outline of the other face is the mirror image."""
+the part's reach (largest radius). If the difference is below this minimum, the two faces count as
+equal. The outline of the other face is the mirror image."""
 
 HOLE_INSIDE = 0.55
 """Size of the inner area of a hole, relative to the size of the hole. The inner area does not

@@ -34,7 +34,8 @@ from .shadows import MIN_PX, Lamp
 
 ASTRAY = 2.0
 """Maximum distance between the outlines of a patch and a type after two steps of the fit, relative
-to the maximum distance at its end [-]. If the distance is larger, the fit is stopped."""
+to the maximum distance at its end [-]. If the distance exceeds this maximum, the fit of the type is
+stopped."""
 
 FIT_PX = 0.35
 """RMS (root mean square) distance between outlines of one type that pixels and noise cause [px]."""
@@ -65,7 +66,7 @@ part."""
 
 LIMIT = 3.0
 """Maximum difference between a patch and its type, in standard deviations of parts of one type. If
-the difference to every type is larger, the patch is unknown."""
+the difference to every type exceeds this maximum, the patch is unknown."""
 
 OTHER_SIZE = 0.45
 """Maximum natural logarithm of the ratio between the sizes of a patch and its type. Unlike `LIMIT`,
@@ -73,11 +74,11 @@ this maximum does not depend on the differences between parts of the type."""
 
 OTHER_SIZE_PX = 1.0
 """Minimum distance between the outlines of a patch and a type that is caused by their different
-sizes [px]. If the distance is smaller, `OTHER_SIZE` is not applied."""
+sizes [px]. Below this distance, `OTHER_SIZE` is not applied."""
 
 UNLIKE = 0.4
 """Maximum distance between the forms (see `Outline.form`) of a patch and a type that is tried. For
-parts of 20 px, the distance to their own type is up to 0.07, or 0.14 with a blur of 1.5 px. The
+parts of 20 px, the distance to the correct type is up to 0.07, or 0.14 with a blur of 1.5 px. The
 distance to other types is 0.1 (nut and washer) to 1.3."""
 
 SLACK_PX = 0.5
@@ -90,16 +91,16 @@ is above 0 because for a round part with an irregular edge, either face may fit 
 
 HOPELESS = 12.0
 """Maximum difference between a type's minimum score, which is computed only from size and colour,
-and the best score so far. If the difference is larger, the type is not tried, because its
-likelihood is less than 0.3 % of the likelihood of the best type."""
+and the best score so far. If the difference exceeds this maximum, the type is not tried, because
+its likelihood is less than 0.3 % of the likelihood of the best type."""
 
 FILLED_COLOUR = 0.5
 """Weight of the colour of a part whose hole is visible in the image, but missing in its outline
 [-]."""
 
 CLEAN = 1.5
-"""Maximum score of a type with holes that fits well. If the score is larger, the type is also tried
-without its holes."""
+"""Maximum score of a type with holes that fits well. If the score of a type exceeds this maximum,
+the type is also tried without its holes."""
 
 OUTLINE_ERROR, USUAL_FIT_PX = 0.3, 0.15
 """Constants of the position error that occurs if an outline differs from its type's outline. The
@@ -141,15 +142,22 @@ SIGHTING = np.dtype(
         ("blurred", "?"),
     ]
 )
-"""One detected object in an image, with its type.
+"""One detected object in an image, with these fields:
 
-x_px, y_px: centre [px]. radius_px: radius of the disc of the same area [px]. label: type, `UNKNOWN`
-or `GROUP`. confidence: 0 to 1. x, y: centre [m, plate_home]. angle: angle [rad, plate_home].
-angle_sd: standard deviation of the angle [rad]. whole: whether the part is completely in the image.
-fit_px: RMS distance between the part's outline and the grown outline of its type [px]. swell_px:
-growth of the outline [px]. colour: distance between the colours of the part and its type. place_sd:
-standard deviation of the position along each axis [m]. blurred: whether the type is unknown because
-the image is blurred."""
+`x_px`, `y_px`: centre [px].
+`radius_px`: radius of the disc of the same area [px].
+`label`: type of the part, `UNKNOWN` or `GROUP`.
+`confidence`: confidence in the type, 0 to 1.
+`x`, `y`: centre [m, plate_home].
+`angle`: angle [rad, plate_home].
+`angle_sd`: standard deviation of the angle [rad].
+`whole`: whether the part is completely in the image.
+`fit_px`: RMS distance between the part's outline and the grown outline of its type [px].
+`swell_px`: growth of the outline [px].
+`colour`: distance between the colours of the part and its type.
+`place_sd`: standard deviation of the position along each axis [m].
+`blurred`: whether the type is unknown because the image is blurred.
+"""
 
 
 def is_named(seen: np.ndarray) -> np.ndarray:
@@ -518,8 +526,9 @@ def _measured(
     catalogue: Catalogue,
     calibration: Calibration,
 ) -> Lamp:
-    """Return the lamp with the measured length of the shadows. For each part, the length is the
-    extent of its outline, which includes the shadow, beyond the part of known size.
+    """Return the lamp with the measured length of the shadows. The outline of a part includes the
+    shadow. The length of the shadow is the distance by which this outline extends beyond the part,
+    whose size is known.
 
     `named` (m,) are the indices of the detections `found` (n,) SIGHTING that have a type. Blur
     enlarges outlines on all sides. The growth by blur is measured across the shadows and

@@ -1,5 +1,5 @@
 """Decision which pieces of patches are parts. A piece is a part if it is similar to other pieces in
-the image, or if a narrow neck separates it from the rest of the patch.
+the image. A piece is also a part if a narrow neck separates it from the rest of the patch.
 
 Some patches alone do not show whether they are one part or several parts. An example is two
 brackets that touch along a whole side. But most images show several parts of the same kind.
@@ -31,7 +31,7 @@ CONVEX = 0.93
 
 CLEAR = 0.45
 """Maximum width of a neck whose two sides are always two parts, relative to the width of the
-narrower side [-]. A wider neck is unclear."""
+narrower side [-]. Above this width, it is unclear whether the two sides are two parts."""
 
 ALIKE = (0.12, 0.12, 0.06)
 """Maximum differences between similar pieces: the relative differences of area and spread, and the
@@ -39,11 +39,11 @@ difference of solidity."""
 
 UNEQUAL = 0.5
 """Minimum area of the smaller side of an unclear neck, relative to the larger side. If the area is
-smaller, both sides are one part."""
+below this minimum, both sides are one part."""
 
 COMPACT = 0.85
 """Minimum solidity (filled fraction of the convex hull) of a compact piece. If both sides of an
-unclear neck are compact, they count as two parts."""
+unclear neck are compact, the sides count as two parts."""
 
 MIN_GOOD = 0.35
 """Minimum fraction of a patch's area that must be compact or similar to other pieces after the
@@ -61,8 +61,8 @@ MIN_DENT_PX = 1.2
 """Minimum depth of a concave corner [px]. A straight cut can begin only at such a corner."""
 
 MAX_DENTS = 6
-"""Maximum number of concave corners that are used. If a piece has more of them, the deepest corners
-are used."""
+"""Maximum number of concave corners that are used. If a piece has more concave corners, the deepest
+corners are used."""
 
 LARGER = 1.5
 """Minimum area of a piece that may be several parts, relative to the area of a kind in the image.
@@ -70,7 +70,7 @@ A kind is a set of similar pieces."""
 
 DENTED = 0.9
 """Minimum solidity (filled fraction of the convex hull) of a large piece that is not similar to
-others. If the solidity is smaller, the piece counts as a group."""
+others. Below this solidity, the piece counts as a group."""
 
 EDGES_PERCENT = (70, 80, 90)
 """Percentages of the inner pixels of a piece that are not edges. All percentages are tried, and the
@@ -92,7 +92,8 @@ STEEP = 4.0
 edge whose step is twice the noise limit has this gradient."""
 
 MIN_INNER = 40
-"""Minimum number of inner pixels of a piece. In a smaller piece, no edges are searched."""
+"""Minimum number of inner pixels of a piece. In a piece with fewer inner pixels, no edges are
+searched."""
 
 MIN_SEPARATED = 0.3
 """Minimum fraction of a piece that consists of compact pieces after a split along edges."""
@@ -102,8 +103,8 @@ MIN_FRACTION = 0.5
 smallest piece of the split."""
 
 MOSTLY = 0.5
-"""Minimum fraction of pieces that must be similar to others. With a smaller fraction, a piece that
-is not similar to others does not count as a group."""
+"""Minimum fraction of pieces that must be similar to others. Below this fraction, a piece that is
+not similar to others does not count as a group."""
 
 
 WORK = 12.0
@@ -112,8 +113,8 @@ of the plate's pixels. Cuts that visit this number of pixels take half a second.
 need this number."""
 
 PLATE_SIZED = 0.5
-"""Maximum area of a piece that is split, relative to the area of the plate. If a piece is larger,
-the light or the bare plate is wrong."""
+"""Maximum area of a piece that is split, relative to the area of the plate. A piece above this area
+shows that the light or the bare plate has changed."""
 
 
 LABEL_WORK = 0.1
@@ -405,7 +406,7 @@ def _between_colours(colours: np.ndarray, inside: np.ndarray, count: int) -> np.
 
 def _shared_out(good: list[Piece], piece: Piece) -> list[Piece]:
     """Return the good pieces of a piece. The rest of the piece is assigned to the nearest good
-    pieces. If a connected rest is large compared with the good pieces, it is returned as a
+    pieces. If a connected rest is large compared with the good pieces, this rest is returned as a
     group."""
     nearest = _nearest([one.inside for one in good])
     rest = piece.inside & ~np.any([one.inside for one in good], axis=0)
@@ -472,8 +473,8 @@ def _halves(piece: Piece, kinds: list[Traits], work: Work) -> list[Piece] | None
 
 def _across(points: np.ndarray, start: int) -> np.ndarray:
     """Return the points (k, 2) of a contour at which a cut from point `start` may end. These points
-    are local minima of the distance from `start`. They are near along a straight line, but far
-    along the contour."""
+    are local minima of the distance from `start`. The points are near `start` along a straight
+    line, but far from it along the contour."""
     gap = np.hypot(*(points - points[start]).T)
     around = np.arange(len(points))
     along = np.minimum((around - start) % len(points), (start - around) % len(points))

@@ -52,7 +52,7 @@ NEAR_PX: float = _kernels.NEAR_PX
 on this contour [px]."""
 
 OUTSIDE_PX: float = _kernels.OUTSIDE_PX
-"""Maximum distance of a part's point from the group [px]. Points at smaller distances count as
+"""Maximum distance of a part's point from the group [px]. Points below this distance count as
 inside the group."""
 
 MAX_OUTSIDE: float = _kernels.MAX_OUTSIDE

@@ -130,8 +130,9 @@ def _steps(shift_px: float) -> int:
 
 
 def _rings(cover: np.ndarray, count: int) -> list[np.ndarray]:
-    """Return the rings (k, 2) [px] where a cover (h, w) float32 is 0.5. The ring around the largest
-    patch has `count` points, and the points on its holes have the same density."""
+    """Return the rings (k, 2) [px] where a cover (h, w) float32 is 0.5. The cover is the covered
+    fraction of each pixel. The ring around the largest patch has `count` points, and the points on
+    its holes have the same density."""
     mask = cv2.copyMakeBorder((cover >= 0.5).astype(np.uint8), 1, 1, 1, 1, cv2.BORDER_CONSTANT)
     contours, tree = cv2.findContours(mask, cv2.RETR_CCOMP, cv2.CHAIN_APPROX_NONE)
     outer = [i for i in range(len(contours)) if tree[0, i, 3] < 0 and len(contours[i]) >= 4]

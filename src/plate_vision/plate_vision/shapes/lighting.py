@@ -7,8 +7,9 @@ are smooth surfaces. These surfaces are fitted only to those pixels of the plate
 with the surfaces, so that parts have no effect.
 
 Parts may cover more than half of the plate. Therefore, the factor is a mode (frequent value) of the
-ratios between image and plate. The ratios may have several modes. Pixels that showed the plate in
-the previous image have more weight in the choice, and a mode near the previous factor is preferred.
+ratios between image and plate. The ratios may have several frequent values (modes). Pixels that
+showed the plate in the previous image have more weight in the choice, and a mode near the previous
+factor is preferred.
 """
 
 from __future__ import annotations
@@ -28,8 +29,8 @@ LIGHTNESS_0: float = _kernels.LIGHTNESS_0
 offset corresponds to 16 for CIE's L (0 to 100)."""
 
 FACTORS = (0.2, 5.0)
-"""Range of the light, relative to the light on the known plate. With less light, the plate would be
-as dark as parts. With more light, the image would be overexposed."""
+"""Range of the light, relative to the light on the known plate. With less light than this range,
+the plate would be as dark as parts. With more light, the image would be overexposed."""
 
 MIN_SHOWN = 0.15
 """Minimum visible fraction of the plate. Parts may cover 60 %, and shadows may cover some of the
@@ -62,7 +63,7 @@ a light from one side can be fitted."""
 
 STEADY = 0.6
 """Minimum fraction of the plate that must agree with the last light so that no other light is
-searched. No other light can then agree with more of the plate."""
+searched. With this fraction, no other light can agree with a larger fraction of the plate."""
 
 STEADY_LIMIT = 0.6
 """Maximum deviation of a pixel that agrees with the last light, relative to the noise limit of the
@@ -81,8 +82,8 @@ assumption is necessary if the plate is visible in only one corner."""
 
 AMBIGUOUS = 0.3
 """Minimum score of another light, relative to the score of the best light. The score is the
-weighted number of pixels that agree with the light. If the score is larger, the areas that agree
-with each light are also compared. Pixels of the plate are connected, but pixels of parts are many
+weighted number of pixels that agree with the light. Above this score, the areas that agree with
+each light are also compared. Pixels of the plate are connected, but pixels of parts are many
 separate areas."""
 
 EVERY = 2

@@ -21,7 +21,8 @@ ROUND = 0.95
 0.948."""
 
 SURE = 60.0
-"""Minimum contrast of a clear object [grey levels]. A smaller contrast reduces the confidence."""
+"""Minimum contrast of a clear object [grey levels]. Below this contrast, the confidence is
+reduced."""
 
 SOFT = 0.3
 """Maximum gradient at the contour of a soft patch, relative to the background's limit [1/px]. The
@@ -44,13 +45,17 @@ OUTLINE = np.dtype(
         ("confidence", "f8"),
     ]
 )
-"""One patch.
+"""One patch, with these fields:
 
-x_px, y_px: centroid [px]. radius_px: radius of the disc of the same area [px]. angle_rad: direction
-of the longest side, 0 to pi, counter-clockwise in the image; 0 for discs. contrast: difference from
-the background [grey levels], negative if the patch is darker. background: grey level of the
-background. round: whether the patch is a disc. group: whether the patch consists of several parts.
-confidence: 0 to 1, the filled fraction of the hull, reduced for low contrast."""
+`x_px`, `y_px`: centroid [px].
+`radius_px`: radius of the disc of the same area [px].
+`angle_rad`: direction of the longest side, 0 to pi, counter-clockwise in the image. 0 for discs.
+`contrast`: difference from the background [grey levels], negative if the patch is darker.
+`background`: grey level of the background.
+`round`: whether the patch is a disc.
+`group`: whether the patch consists of several parts.
+`confidence`: the filled fraction of the convex hull, 0 to 1, reduced for low contrast.
+"""
 
 
 def find_outlines(image: np.ndarray) -> np.ndarray:

@@ -44,8 +44,8 @@ BULGE_PX = 0.35
 """Maximum distance of the outline from the polygon's edges [px]."""
 
 CLEAR_PX = 2.0
-"""Distance from the corners [px]. At smaller distances, the polygon is not compared with the
-outline, because blur rounds the corners."""
+"""Distance from the corners of a polygon [px]. Within this distance, the polygon is not compared
+with the outline, because blur rounds the corners."""
 
 STAY = 0.05
 """Weight of a corner's shift in the fit, relative to the weight of the outline's distance. This

@@ -30,11 +30,11 @@ MAX_PATCHES = 250
 noise, or texture of a plate that has moved."""
 
 MIN_DEPTH_PX = 1.8
-"""Minimum distance of a part's innermost point from its contour [px]. Scratches have a smaller
-distance."""
+"""Minimum distance of a part's innermost point from its contour [px]. In scratches, this distance
+is smaller."""
 
 MIN_HOLE_PX2 = 6
-"""Minimum area of a hole [px2]. A smaller area is a speck on the part."""
+"""Minimum area of a hole [px2]. An area below this minimum is a speck on the part."""
 
 NEAR_PX = 12
 """Radius of the neighbourhood of a pixel [px]. The maximum deviation in this neighbourhood is used
@@ -42,7 +42,7 @@ as the deviation of the part around the pixel."""
 
 HOLE = 0.35
 """Maximum deviation of a hole from the plate, relative to the part's contrast. A highlight has a
-larger deviation."""
+larger deviation than this maximum."""
 
 NOISE_STEP = 16
 """Step between the rows and columns that are evaluated for the typical noise."""
@@ -69,16 +69,16 @@ MIN_CONTOUR_PX = 12
 """Minimum length of a part's contour [px]."""
 
 ROUND = 0.8
-"""Minimum of 4 pi area / length^2 for a hole. An enclosed area with a smaller value may be a gap
+"""Minimum of 4 pi area / length^2 for a hole. An enclosed area below this value may be a gap
 between parts."""
 
 CONVEX_HOLE = 0.75
-"""Minimum fraction of the convex hull that a hole fills. A gap between parts fills less because it
-has thin corners."""
+"""Minimum fraction of the convex hull that a hole fills. A gap between parts fills a smaller
+fraction, because a gap has thin corners."""
 
 LARGE_HOLE_PX2 = 40.0
-"""Area of an enclosed area above which `CONVEX_HOLE` applies [px2]. In smaller areas, thin corners
-are not visible."""
+"""Size of an enclosed area above which `CONVEX_HOLE` applies [px2]. In areas below this size, thin
+corners are not visible."""
 
 
 def find_patches(
@@ -200,8 +200,8 @@ def _cover(
     away: np.ndarray, brighter: np.ndarray, limit: np.ndarray, labels: np.ndarray, count: int
 ) -> np.ndarray:
     """Return the fraction of each pixel that a part covers, (H, W) float32. The fraction is the
-    deviation of the pixel, relative to the deviation of the part around the pixel. It is 0 outside
-    of parts."""
+    deviation of the pixel, relative to the deviation of the part around the pixel. The fraction is
+    0 outside of parts."""
     slope = cv2.morphologyEx(away, cv2.MORPH_GRADIENT, np.ones((3, 3), np.uint8))
     contrast, steepest = np.empty((2, count), np.float32)
     bright = np.empty(count, np.bool_)

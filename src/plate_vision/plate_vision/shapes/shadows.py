@@ -21,15 +21,15 @@ from .. import _kernels
 SOFT = (1.25, 0.8, 1.7)
 """Minimum width of a shadow's edge, relative to the width of sharp edges. The first value applies
 if at least `FEWEST` patches have a shadow. The second value applies if these shadows are also on
-the same side. The third value applies if fewer patches have a shadow."""
+the same side. The third value applies if fewer than `FEWEST` patches have a shadow."""
 
 FEWEST = 3
 """Minimum number of patches with a shadow. If this number and the fraction `AGREE` are reached, all
 patches are assumed to have a shadow."""
 
 ALIGNED = 0.8
-"""Minimum length of the mean of the unit vectors to the shadows. With this length, the shadows
-count as being on the same side."""
+"""Minimum length of a mean vector: the mean of the unit vectors from the parts to their shadows.
+With this length, the shadows count as being on the same side."""
 
 DEPTHS = 0.4
 """Maximum difference of a shadow's depth from the median depth of all shadows in the image,
@@ -66,11 +66,11 @@ WIDE_PX = 25.0
 
 DARK_WIDTH = 0.6
 """Minimum width of a patch's dark side, relative to the width of its light side. The median over
-all patches with a light side is used. If the dark sides are narrower, they are the side faces of
-high parts, and the light sides are not shadows but the tops of these parts."""
+all patches with a light side is used. If the dark sides are narrower than this, they are the side
+faces of high parts. The light sides are then not shadows but the tops of these parts."""
 
 MIN_AREA_PX2 = 30
-"""Minimum area of a patch whose edges are evaluated."""
+"""Minimum area of a patch whose edges are evaluated [px2]."""
 
 
 SQUARE = np.ones((3, 3), np.uint8)
@@ -94,16 +94,16 @@ and dark sides of touching parts, which have random directions, could be mistake
 
 SPREAD = 0.35
 """Maximum spread of the shadows' lengths, relative to their median. The spread is the median of the
-absolute deviations from the median. If the spread is larger, no lamp is determined."""
+absolute deviations from the median. If the spread exceeds this maximum, no lamp is determined."""
 
 MIN_SHADE = 30.0
-"""Minimum deviation of the shadows of a lamp from the background [L, 0 to 255]. If the median over
-an image's shadows is lower, no lamp is determined. Fainter or softer shadows surround a part on all
-sides and are recognised by their soft edges."""
+"""Minimum deviation of the shadows of a lamp from the background [L, 0 to 255]. If the median
+deviation of an image's shadows is below this minimum, no lamp is determined. Fainter or softer
+shadows surround a part on all sides and are recognised by their soft edges."""
 
 MIN_PX = 1.0
-"""Minimum length of the shadows of a lamp [px]. If the median over an image's shadows is lower, no
-lamp is determined."""
+"""Minimum length of the shadows of a lamp [px]. If the median length of an image's shadows is below
+this minimum, no lamp is determined."""
 
 FACE = 0.9
 """Minimum fraction of the pixels of a dark side that must be near the light side, so that the dark
@@ -448,7 +448,7 @@ def _of_shadows(
     patches: int,
 ) -> np.ndarray:
     """Return the maximum deviation of a shadow for each patch (count,). Pixels that look like a
-    darker plate belong to the shadow if their deviation is smaller.
+    darker plate belong to the shadow if their deviation is at most this value.
 
     The light is the same for all parts. If the light sides of many patches have soft edges, or are
     in the same direction, all parts are assumed to have shadows with the same deviation.

@@ -21,7 +21,7 @@ part, such as a bracket or a screw, the neck is as wide as the arm."""
 
 MIN_DROP_PX = 0.6
 """Minimum difference between the half width of a part and the half width of the neck [px]. A
-smaller difference is noise."""
+difference below this minimum is noise."""
 
 LEVEL = 0.8
 """Minimum cover (fraction that the part covers) of a pixel that counts for the width. The cover is

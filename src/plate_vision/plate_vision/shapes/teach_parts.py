@@ -192,7 +192,8 @@ def _teach(args: argparse.Namespace) -> None:
 
 
 def _boxed(picture: np.ndarray, box: tuple[int, int, int, int], name: str, cuts: bool) -> Example:
-    """Return the example in a box. If `cuts`, the picture is cut to the box and its surround."""
+    """Return the example that a box in a picture contains. If `cuts`, the picture is cut to the box
+    and its surround."""
     x, y, width, height = box
     if not cuts:
         return Example(picture, (x, y, x + width, y + height), name)

@@ -39,7 +39,8 @@ from .polygons import simplified
 from .segmentation import find_patches
 
 MAX_PICTURES = 5
-"""Maximum number of pictures of one type. With more pictures, the result would hardly change."""
+"""Maximum number of pictures of one type. With more pictures than this number, the result would
+hardly change."""
 
 RIM_POINTS = 256
 """Number of points on the outline of an example."""
@@ -67,8 +68,8 @@ allows for the noise of small parts."""
 
 UNEVEN = 2.0
 """Minimum deviation of the mean outline from a circle, relative to the deviation of the examples
-from the mean outline. If the ratio is smaller, the part is a disc without an angle. For random
-outlines that are fitted to each other, the ratio is 1.5."""
+from the mean outline. Below this ratio, the part is a disc without an angle. For random outlines
+that are fitted to each other, the ratio is 1.5."""
 
 ALIKE = 2.0
 """Minimum distance between two types that can be distinguished, in standard deviations of parts of

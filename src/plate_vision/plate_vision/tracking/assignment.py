@@ -33,7 +33,7 @@ NEW_RATE = 0.02
 PREDICTED_M, POOR_M = 0.4e-3, 3e-3
 """Standard deviation of the error of a predicted position along each axis [m], for usual and for
 poor predictions. In tasks with 30 parts, the standard deviation is 0.1 to 0.2 mm. While the age of
-images is not known, it is several millimetres for all parts."""
+images is not known, the standard deviation is several millimetres for all parts."""
 
 PUSHED_M, PUSHED_RATE = 5e-3, 1e-4
 """`PUSHED_M`: standard deviation of the position of a part that another part has pushed [m].

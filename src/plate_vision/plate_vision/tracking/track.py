@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 
 UNKNOWN = (math.nan, math.nan, math.nan)
-"""Quality of a detection if it is unknown."""
+"""Quality values of a detection whose quality is unknown."""
 
 MISREAD_RATE = 0.03
 """Fraction of detections whose class is wrong."""

@@ -36,8 +36,8 @@ class TrackerOptions:
     ----------
     gate_m : float
         Maximum distance between a part and its expected position [m], per image since the part was
-        last detected, 0.001 to 1. If a part with a velocity of 100 mm/s reverses its direction, it
-        is 40 mm from its expected position after a cycle of 0.2 s.
+        last detected, 0.001 to 1. If a part with a velocity of 100 mm/s reverses its direction, the
+        part is 40 mm from its expected position after a cycle of 0.2 s.
     max_missed : int
         Maximum number of consecutive images without a detection for which a part keeps its id, 0 to
         1000.
@@ -48,8 +48,8 @@ class TrackerOptions:
     velocity_frames : int
         Number of images over which the drift is measured, 1 to 100. With 1, the drift is measured
         from the last two images without delay. The planner needs the drift without delay. The noise
-        of this drift is the noise of two positions, 0.014 mm per cycle. With more images, the drift
-        is smoother but delayed.
+        of this drift is the noise of two positions, 0.014 mm per cycle. If the number is larger
+        than 1, the drift is smoother but delayed.
     """
 
     RANGES: ClassVar[Mapping[str, tuple[float, float]]] = {
@@ -137,8 +137,8 @@ class Tracker:
 
 
 def found_text(tracker: Tracker) -> str:
-    """Return the number of parts in the last image, such as `24 parts: 14 black, 10 grey`, followed
-    by the objects without a class, such as `; 2 unknown`."""
+    """Return a text with the number of parts in the last image, such as `24 parts: 14 black, 10
+    grey`. The number of objects without a class follows, such as `; 2 unknown`."""
     labels = [track.label for track in tracker.found]
     named = [label for label in labels if label not in NAMELESS]
     counts = [f"{labels.count(label)} {label}" for label in sorted(set(named))]
