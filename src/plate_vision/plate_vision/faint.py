@@ -2,7 +2,8 @@
 diagnostics.
 
 The mean over the area of a part is compared with the mean over a ring around it. Both means average
-many pixels. Therefore their difference shows contrasts far below the noise of a single pixel.
+many pixels. Therefore the difference of the two means shows contrasts far below the noise of a
+single pixel.
 """
 
 from __future__ import annotations

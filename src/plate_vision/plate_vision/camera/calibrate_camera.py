@@ -56,7 +56,7 @@ FISHEYE = ("k1", "k2", "k3", "k4")
 
 @piped()
 def main(arguments: Sequence[str] | None = None) -> None:
-    """Run the command line. Errors print one line and end with exit code 2."""
+    """Run the command line. If there is an error, print it in one line and exit with code 2."""
     args = _parser().parse_args(arguments)
     try:
         args.run(args)

@@ -20,8 +20,8 @@ DISC = np.dtype(
 `x_px`, `y_px`: place [px].
 `radius_px`: radius [px].
 `darkness`: mean darkness of the inner part.
-`misfit`: deviation from an evenly dark disc (moments) or from the contour (fit). The misfit is 0 for
-    a perfect disc, and about 1 for another object.
+`misfit`: deviation from an evenly dark disc (moments) or from the contour (fit). The misfit is 0
+    for a perfect disc, and about 1 for another object.
 `scatter_px`: standard deviation of the place along each axis, caused by the image's noise and the
     misfit [px].
 `seen`: visible fraction of the contour.

@@ -22,10 +22,10 @@ from ..camera.lens import Calibration
 SILHOUETTE = np.dtype(
     [("across", "f8", (2, 2)), ("radius_px", "f8"), ("lean_px", "f8", (2,)), ("growth", "f8")]
 )
-"""The silhouette at one place. `across` transforms image offsets [px] to the disc's frame. In this
-frame, the contour at the plate is a circle with the radius `radius_px`. A disc with the radius
-`radius_px` has the same area in the image as the contour. The top is a circle with `growth` times
-this radius around `lean_px` [px, disc's frame]."""
+"""The silhouette of a part at one place of the image. `across` transforms image offsets [px] to the
+disc's frame. In this frame, the contour at the plate is a circle with the radius `radius_px`. A
+disc with the radius `radius_px` has the same area in the image as the contour. The top is a circle
+with `growth` times this radius around `lean_px` [px, disc's frame]."""
 
 RING = 8
 """Number of points of a disc's contour that are mapped to the plate."""

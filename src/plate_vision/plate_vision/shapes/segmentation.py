@@ -302,7 +302,7 @@ def _without_inner(windows: list[Window]) -> list[Window]:
 
 def _usual_area(patches: list[Patch]) -> float:
     """Return the typical area of a part [px2]. The result is the weighted median of the parts'
-    areas. Parts with a larger area contain half of the pixels of all parts."""
+    areas. Half of the pixels of all parts belong to parts above this area."""
     area = np.sort([patch.area_px2 for patch in patches if patch.whole and not patch.group])
     if not len(area):
         return 0.0

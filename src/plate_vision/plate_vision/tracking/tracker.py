@@ -260,8 +260,8 @@ def _number(tracks: list[Track], numbers: Mapping[str, int], confirm: int) -> di
 
 
 def _checked_overlooked(overlooked: np.ndarray | None) -> np.ndarray:
-    """Return the overlooked objects (n,) OVERLOOKED. Raise an error if their type or a reason is
-    wrong."""
+    """Return the overlooked objects (n,) OVERLOOKED. Raise an error if the type of the array or a
+    reason is wrong."""
     if overlooked is None:
         return NONE_OVERLOOKED
     if overlooked.dtype != OVERLOOKED or overlooked.ndim != 1:
