@@ -447,7 +447,8 @@ def _other_discs(
         parts = silhouettes(seeds)
     discs = _fitted(contrast, seeds, parts, known, shadow)
     there = (discs["darkness"] >= scene.limit) & ~_overlapping(discs, parts)
-    if not np.all(there):  # rejected discs must not affect the fit of their neighbours
+    # repeat the fit without the rejected discs, because they affect the fit of their neighbours
+    if not np.all(there):
         seeds, parts = seeds[there], parts[there]
         discs = _fitted(contrast, seeds, parts, known, shadow)
         discs["misfit"][discs["darkness"] < scene.limit] = np.inf
@@ -512,7 +513,7 @@ def _detect_any(image: np.ndarray, region: Region) -> np.ndarray:
     found = _outlines(image, region)
     options = _if_alike(found)
     if options is not None:
-        # Here all parts are brighter than the plate, or all parts are darker.
+        # At this point, either all parts are brighter than the plate, or all parts are darker.
         bright = bool(np.any(found["contrast"] > 0))
         grey = grey_levels(image)
         view = PartView.even(options.radius_px)

@@ -77,7 +77,7 @@ def faint_patches(
     radius_px /= step
     inner, low, high = (_box(grey, free, side * radius_px) for side in (INNER, *RING))
     ring = (high[0] - low[0]) / np.maximum(high[1] - low[1], 1e-6)
-    # The patch and its whole ring must be bare plate.
+    # The measured patch and the complete ring around it must be on the visible plate.
     whole = (high[1] > 0.98 * (round(RING[1] * radius_px) | 1) ** 2) & (free > 0)
     if not np.any(whole):
         return np.zeros((0, 2)), 0.0

@@ -303,7 +303,8 @@ class DetectorNode(SafeLifecycleNode[DetectorParameters]):
         self._early: float | None = None
         self._outline: OutlineCheck | None = None
         self._faint: Finding | None = None
-        self._faint_count, self._faint_at = 0, -math.inf  # result of the last search
+        # number of faint patches in the last search, and time of this search
+        self._faint_count, self._faint_at = 0, -math.inf
         if self._location is None:
             self._place_camera()
         self._aiming.begin()
@@ -447,7 +448,8 @@ class DetectorNode(SafeLifecycleNode[DetectorParameters]):
         self._plate, self._vision, found = know_plate(self._plate, self._vision, image)
         if found is None:
             return
-        if found.level == Level.OK:  # rclpy allows one severity for each line of code
+        # rclpy permits only one severity per call in the code, so there are two calls
+        if found.level == Level.OK:
             self.get_logger().info(found.message)
         else:
             self.get_logger().warning(found.message)
@@ -476,7 +478,8 @@ class DetectorNode(SafeLifecycleNode[DetectorParameters]):
                 teaching, self._vision, Path(self.options.teach_file)
             )
             self._teaching = teaching
-            if untyped:  # the tracks so far have the classes of discs and not the names of types
+            # the previous tracks have classes of discs instead of names of types, so discard them
+            if untyped:
                 self._tracker = Tracker(self._tracker.options)
             self._rig = replace(self._rig, types={**self._rig.types, part.name: part})
             response.success = True
@@ -537,7 +540,7 @@ class DetectorNode(SafeLifecycleNode[DetectorParameters]):
             for name, (x, y), pixels in zip(
                 parts.ids, place_px.tolist(), scale.tolist(), strict=True
             )
-            if part_class(name) not in NAMELESS  # parts without a class are already among `things`
+            if part_class(name) not in NAMELESS  # parts without a class are already in `things`
         ]
         for one, size in zip(things, radius.tolist(), strict=True):
             reason = str(one["reason"])
@@ -582,7 +585,7 @@ class DetectorNode(SafeLifecycleNode[DetectorParameters]):
         try:
             request = msg_to_request(msg)
         except PlateError:
-            return  # the solver reports the error
+            return  # the message is invalid; the solver reports this error
         self._expected = None
         if request.start is not None:
             place = request.start[:, :2]
@@ -590,7 +593,8 @@ class DetectorNode(SafeLifecycleNode[DetectorParameters]):
 
     def _check_outline(self, image: np.ndarray, stamp: float) -> None:
         """Compare the plate's outline in the first images with the predicted outline."""
-        if self._location is not None:  # the markers give the plate's pose
+        # markers show the plate's pose, so the outline is not necessary
+        if self._location is not None:
             return
         before = self._outline
         if before is None:
@@ -604,7 +608,9 @@ class DetectorNode(SafeLifecycleNode[DetectorParameters]):
         """Count faint patches that are as large as round parts. The result is the smaller count of
         two consecutive searches. For a photograph it is the count of one search."""
         if self._vision.catalogue is not None:
-            return  # parts with types are recognised by comparison with the bare plate
+            # parts with taught types are recognised by comparison with the bare plate, not by this
+            # search
+            return
         taken, things, _ = self._counts()
         vision, place = self._vision, [track.position for track in self._tracker.found]
         known_px = vision.calibration.to_image(np.array(place).reshape(-1, 2))
@@ -758,7 +764,7 @@ class DetectorNode(SafeLifecycleNode[DetectorParameters]):
         self._tally, self._reported_at = tally, time.monotonic()
 
     def _warn(self, text: str) -> None:
-        # Each photograph is reported once, so its messages are not throttled.
+        # Each photograph is processed once, so messages about photographs are not throttled.
         if self.options.photographs:
             self.get_logger().warning(text)
         else:
@@ -768,7 +774,8 @@ class DetectorNode(SafeLifecycleNode[DetectorParameters]):
         content = (msg.width, msg.height, msg.distortion_model, tuple(msg.k), tuple(msg.d))
         if content == self._lens_message:
             return
-        self._lens_message = content  # each lens is checked only once, not with every image
+        # remember the message, so that the same lens is checked only once
+        self._lens_message = content
         try:
             lens = lens_of(msg, self._vision.region.size_px)
             known = make_vision(self._rig, self._vision.options, lens)

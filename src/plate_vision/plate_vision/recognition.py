@@ -142,7 +142,8 @@ def find_types_under(
             seen = seen if seen.lamp is None else attempt(False)
             lit = lit if lit.agrees and lit.known >= seen.known else seen
         seen = lit
-    elif not seen.agrees:  # touching parts can look like shadows
+    # touching parts can look like shadows, so repeat the recognition without removing shadows
+    elif not seen.agrees:
         seen = attempt(False)
     patches, found = seen.segments.patches, seen.found
     whole = seen.segments.uncertain(is_named(found))
@@ -239,7 +240,7 @@ def model_plate(image: np.ndarray, region: Region) -> Background:
     """
     x0, y0, x1, y1 = region.box
     plate = model_background(np.asarray(image)[y0:y1, x0:x1])
-    # Pixels beside the plate are not evaluated.
+    # Pixels outside the plate are not evaluated. Their limit is set to the maximum.
     lab = colours(image).copy()
     lab[y0:y1, x0:x1] = plate.lab
     limit = np.full(lab.shape[:2], 255, np.uint8)

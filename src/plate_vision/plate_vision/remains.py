@@ -103,11 +103,11 @@ def solid(remains: Remains, radius_px: float) -> Remains:
     right, bottom = left + stats[:, cv2.CC_STAT_WIDTH], top + stats[:, cv2.CC_STAT_HEIGHT]
     hole = (stats[:, cv2.CC_STAT_AREA] <= most) & (left > 0) & (top > 0)
     hole &= (right < width) & (bottom < height)
-    hole[0] = False  # label 0 belongs to the objects themselves
+    hole[0] = False  # label 0 is the area of the objects, not a hole
     if count > 1 and np.any(hole):
         odd[hole[labels]] = 1
-    # Specks are removed after the holes are filled, because otherwise a hole next to the edge would
-    # no longer be enclosed.
+    # Small specks are removed after the holes are filled. In the opposite order, a hole near the
+    # edge of an object could lose its border and would not be filled.
     odd = np.asarray(cv2.morphologyEx(odd, cv2.MORPH_OPEN, np.ones((3, 3), np.uint8)))
     return remains._replace(odd=odd)
 
@@ -134,8 +134,8 @@ def overlooked_things(
         left, top, wide, high, area = stats[k].tolist()
         place = np.s_[top : top + high, left : left + wide]
         here = labels[place] == k
-        # A pixel of the blurred edge counts as a fraction of a pixel, in proportion to its
-        # contrast.
+        # In the area, a pixel of the blurred edge counts as a fraction of a pixel. The fraction is
+        # proportional to its contrast.
         contrasts = levels[place][here]
         usual = float(np.median(contrasts))
         area = min(area, max(float(np.sum(contrasts)), 0.0) / max(usual, 1e-3))

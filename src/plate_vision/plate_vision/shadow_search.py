@@ -182,13 +182,14 @@ def find_shadow(
     one_sense = best.offset_m @ reverse.offset_m > 0 or whole < SURE * other
     if not one_sense or left > GOOD_FIT or left > BETTER * plain:
         return None
-    # If all parts are about as dark as their shadows, the sign of the direction is unknown.
+    # If most parts are about as dark as their shadows, parts and shadows cannot be distinguished.
+    # Then the sign of the shadow's direction is unknown.
     unlike = np.abs(fitted(best)["darkness"] - best.darkness) > UNLIKE
     if np.count_nonzero(unlike) < UNLIKE_FRACTION * len(unlike):
         return None
-    # The misfit contains only pixels near the contours of the discs. A long shadow ends far from
-    # them, so its length is measured along the shadow. If the misfit with this length is too large,
-    # the shadow is short, and the fitted length is used.
+    # The misfit evaluates only pixels near the contours of the discs. A long shadow ends far from
+    # the contours, so its length is measured along the shadow. If the misfit with the measured
+    # length is too large, the shadow is short. Then the fitted length is used.
     measured = _measured(contrast, best, fitted(best), parts)
 
     def darkened(change: np.ndarray) -> Shadow:

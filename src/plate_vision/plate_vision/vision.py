@@ -196,8 +196,8 @@ def observe(
     check_size("image: size is", image.shape[1::-1], vision.region.size_px, why=RIG_SIZE)
     if vision.catalogue is not None:
         return _observe_types(vision, vision.catalogue, tracker, image, stamp, expected)
-    # Search for a shadow only in the 1st, 2nd, 4th, 8th... of consecutive images that need it,
-    # because the search takes long.
+    # The search for a shadow takes long. Therefore only the 1st, 2nd, 4th, 8th... of consecutive
+    # uncertain images are searched.
     search = tracker.uncertain & (tracker.uncertain + 1) == 0
     discs = find_discs(image, vision.region, vision.options, vision.view, tracker.shadow, search)
     found = discs.found
@@ -215,7 +215,7 @@ def observe(
         ).T
         scale = vision.calibration.scale(np.column_stack([things["x"], things["y"]]))
         size = things["radius_px"] / scale
-        # These objects may be parts, so the planner must not move other parts into them.
+        # The objects in `unknown` may be parts. The planner must not move other parts into them.
         unknown = may_be_parts(things, size, vision.radius, vision.inner, centre)
         more, none = things[unknown], np.zeros(np.count_nonzero(unknown))
         centre = np.vstack([centre, np.column_stack([more["x"], more["y"]])])
@@ -303,7 +303,8 @@ def follow_plate(
     check_size("image: size is", image.shape[1::-1], vision.region.size_px, why=RIG_SIZE)
     now, image = locate_plate(location, image)
     if now.region_pose is not location.region_pose:
-        # `make_vision` would make the catalogue of the types again, which is not needed here.
+        # Without the types, `make_vision` does not compute the catalogue of the types again. The
+        # existing catalogue is reused below.
         rig = replace(now.rig, types={})
         placed = make_vision(rig, vision.options, calibration=now.home, pose=now.region_pose)
         vision = replace(placed, catalogue=vision.catalogue, background=vision.background)
@@ -327,7 +328,8 @@ def _quality(
 ) -> np.ndarray:
     """Return the quality of the detections (n, 3) (see `Tracker.quality`). If a part is not
     completely on the plate, the standard deviation of its position is unknown, NaN."""
-    # The plate may extend beyond the image.
+    # The plate may extend beyond the image. Therefore the distance from the image border is
+    # computed, too.
     corner_px = np.array(vision.region.size_px) - 1
     border_px = np.minimum(centre_px, corner_px - centre_px).min(axis=1) + 0.5
     depth_px = np.minimum(vision.region.depth(*centre_px.T), border_px)

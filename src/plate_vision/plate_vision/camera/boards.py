@@ -127,7 +127,8 @@ class Board:
     white_first: bool = False
 
     def __post_init__(self) -> None:
-        least = 4 if self.marker_m == 0 else 3  # OpenCV finds no smaller chessboard
+        # OpenCV detects only chessboards of at least 4 x 4 squares
+        least = 4 if self.marker_m == 0 else 3
         if not (least <= self.columns <= 40 and least <= self.rows <= 40):
             raise CalibrationError(
                 f"board: size is {self.columns} x {self.rows} squares, allowed: {least} x {least} "
@@ -253,7 +254,8 @@ def _misfit(found: Mapping[int, np.ndarray], board: Board) -> float:
     mapped by the best homography, relative to a marker's side."""
     known = board.markers
     numbers = [number for number in found if number < len(known)]
-    if 2 * len(numbers) < len(found):  # up to half of the markers may be on other objects
+    # refuse the board if more than half of the detected markers do not belong to it
+    if 2 * len(numbers) < len(found):
         return np.inf
     place, seen = known[numbers].reshape(-1, 2), np.concatenate([found[k] for k in numbers])
     matrix, _ = cv2.findHomography(place, seen)
@@ -273,7 +275,8 @@ def _corners_beside(found: Mapping[int, np.ndarray], board: Board) -> Corners:
     middle = known[numbers].mean(axis=1)
     for k, corner in enumerate(board.corners if len(numbers) > 1 else ()):
         near = np.argsort(np.linalg.norm(middle - corner, axis=1))[:NEAR]
-        # Use a corner only if the nearest marker touches it. Other corners may be covered.
+        # Use a corner only if the nearest visible marker touches it. Otherwise something may cover
+        # the corner.
         if np.linalg.norm(middle[near[0]] - corner) > 0.75 * board.square_m:
             continue
         place = known[[numbers[i] for i in near]].reshape(-1, 2)
@@ -289,7 +292,7 @@ def _refine(grey: np.ndarray, corner_px: np.ndarray, board: Board) -> np.ndarray
     points = np.asarray(corner_px, dtype=np.float32).reshape(-1, 2)
     gap = np.linalg.norm(points[:, None] - points, axis=2)
     side = float(np.median(np.sort(gap, axis=1)[:, 1]))
-    # The window must not contain a marker.
+    # The window around a corner must not contain a marker.
     reach = side * min(REFINE_FRACTION, 0.5 * (1 - board.marker_m / board.square_m))
     window = round(float(np.clip(reach, MIN_WINDOW_PX, MAX_WINDOW_PX)))
     refined = cv2.cornerSubPix(
@@ -366,7 +369,7 @@ class LensFit:
                 f"{self.cover[1]:.0%} of its height, advised: {MIN_COVER:.0%} or more of both "
                 "(hold the board in the corners of the image)"
             )
-        # The image of a fisheye lens is never undistorted, so this check does not apply to it.
+        # Images of a fisheye lens are never undistorted, so this check does not apply to them.
         model = self.lens.model
         if model != "equidistant" and not _shows(self.lens, self.size_px):
             return (
@@ -487,7 +490,7 @@ def _fit_opencv(
         slopes[rows, : 4 + count] = slope[:, 6 : 10 + count]
         slopes[rows, 4 + count + 6 * k : 10 + count + 6 * k] = slope[:, :6]
     free = np.ones(slopes.shape[1], bool)
-    free[4 : 4 + count] = bend != 0  # coefficients of 0 are not fitted
+    free[4 : 4 + count] = bend != 0  # distortion coefficients that are 0 were not fitted
     deviation = np.zeros(len(free))
     deviation[free] = _deviation(slopes[:, free], np.concatenate(errors))
     return matrix, bend, errors, deviation[: 4 + count]

@@ -13,7 +13,7 @@ from ..errors import ImageError, check_image, check_size
 from .headers import PNG, Header, not_turned, read_header
 
 BAYER = {
-    # OpenCV names a pattern by its second row and column.
+    # OpenCV names a Bayer pattern by the colours in its second row and second column.
     "bayer_rggb": cv2.COLOR_BayerBG2BGR,
     "bayer_bggr": cv2.COLOR_BayerRG2BGR,
     "bayer_gbrg": cv2.COLOR_BayerGR2BGR,
@@ -240,7 +240,8 @@ def grey_levels(image: np.ndarray) -> np.ndarray:
     image = np.asarray(image)
     check_image(image)
     grey = image if image.ndim == 2 else image[:, :, 1]
-    return np.ascontiguousarray(grey)  # otherwise each kernel would make a contiguous copy
+    # without this, each kernel would make its own contiguous copy
+    return np.ascontiguousarray(grey)
 
 
 def check_pixels(width: int, height: int, what: str = "image:") -> None:

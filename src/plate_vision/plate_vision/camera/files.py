@@ -168,7 +168,7 @@ class Pictures:
             self.count = max(0, int(self._film.get(cv2.CAP_PROP_FRAME_COUNT)))
             self.rate = float(self._film.get(cv2.CAP_PROP_FPS))
             turn = int(self._film.get(cv2.CAP_PROP_ORIENTATION_META))
-            if turn in (90, 180, 270):  # -1: unknown
+            if turn in (90, 180, 270):  # -1 means unknown
                 self._warn_once(
                     f"{path.name}: rotation of {turn} degrees is ignored. Players rotate the film; "
                     f"{AS_STORED}"

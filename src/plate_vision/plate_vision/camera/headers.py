@@ -132,7 +132,7 @@ def _jpeg(content: bytes) -> Header | None:
         if mark == 0xFF:  # skip a padding byte
             place += 1
             continue
-        # This segment is the frame header, which contains the size.
+        # This segment of the JPEG file is the frame header, which contains the image size.
         if 0xC0 <= mark <= 0xCF and mark not in (0xC4, 0xC8, 0xCC):
             height, width = struct.unpack_from(">HH", content, place + 5)
             return Header("JPEG", width, height, orientation)

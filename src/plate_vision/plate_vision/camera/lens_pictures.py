@@ -156,7 +156,7 @@ def _tilt(board: Board, corners: Corners, size_px: tuple[int, int]) -> str:
         return ""
     normal = cv2.Rodrigues(turn)[0][:, 2]
     normal = normal if normal[2] < 0 else -normal  # the normal must point towards the camera
-    # If the normal points right, the left side of the board is nearer to the camera.
+    # If the board's normal points to the right, the left side of the board is nearer to the camera.
     x, y = float(normal[0]), float(normal[1])
     if np.hypot(x, y) < np.sin(TILTED_RAD):
         return ""

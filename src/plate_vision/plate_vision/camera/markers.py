@@ -165,8 +165,8 @@ def _refine(grey: np.ndarray, corners: np.ndarray) -> np.ndarray:
     foot = corners[:, :, None] + at[:, None] * along[:, :, None]
     place = foot[..., None, :] + across[:, None] * outward[:, :, None, None]
     crossing = _crossings(_values(grey, place), across)
-    # `line` is the offset of the edge at its first corner, and the change of this offset up to its
-    # last corner.
+    # `line` contains two values for each edge: its offset at the first corner, and the change of
+    # this offset up to the last corner.
     line = _lines(at, crossing)
     first = corners + line[..., :1] * outward
     last = corners + along + line.sum(axis=2, keepdims=True) * outward

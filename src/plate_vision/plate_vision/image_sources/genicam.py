@@ -58,7 +58,7 @@ def open_producer(file: str) -> Any:
     try:
         harvester.add_file(file, check_existence=True, check_validity=True)
         harvester.update()
-    except Exception as error:  # the manufacturer's library raises many kinds of exceptions
+    except Exception as error:  # the manufacturer's library can raise any type of exception
         raise CameraError(
             f"{file}: cannot be used ({error}), allowed: a GenTL file, .cti"
         ) from None
@@ -162,7 +162,8 @@ class GenicamSource(Camera):
             raise CameraError(f"{where}, but the camera has no such feature")
         try:
             node.value = value
-        except Exception as error:  # GenApi and the libraries of manufacturers raise any type
+        # GenApi and the manufacturers' libraries can raise any type of exception
+        except Exception as error:
             ends = [getattr(node, end, None) for end in ("min", "max")]
             symbols = getattr(node, "symbolics", None)
             allowed = ", ".join(symbols) if symbols else " to ".join(map(str, ends))
@@ -195,9 +196,11 @@ class GenicamSource(Camera):
             pixels = data.reshape(shape if data.size == shape[0] * shape[1] else (*shape, 3))
             try:
                 taken = 1e-9 * float(buffer.timestamp_ns)
-            except Exception:  # the manufacturer's library raises it if the camera has no clock
+            # the manufacturer's library raises an exception if the camera has no clock
+            except Exception:
                 taken = arrival
-        # The minimum delay of the last images is the offset between the camera's and host's clocks.
+        # The offset between the clocks of host and camera is estimated as the minimum delay of the
+        # last images.
         self._offsets.append(arrival - taken)
         end = taken + min(self._offsets)
         instant = end - self._before_end_s()
@@ -219,7 +222,7 @@ class GenicamSource(Camera):
     def state(self) -> Mapping[str, object]:
         """Return the current exposure and gain."""
         found: dict[str, object] = {"exposure_us": "unknown", "gain": "unknown"}
-        # GenApi raises an error if the camera is unplugged or lacks this feature.
+        # GenApi raises an error if the camera is unplugged or does not have this feature.
         with suppress(Exception):
             found["gain"] = self._nodes.Gain.value
             found["exposure_us"] = f"{self._exposure_us():g}"

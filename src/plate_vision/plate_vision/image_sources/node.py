@@ -162,7 +162,8 @@ class CameraNode(SafeLifecycleNode[CameraParameters]):
     def begin(self) -> None:
         """Start the thread that reads the images."""
         self._watch = Watch()
-        # The reader's thread and the reports share the attributes below.
+        # The thread that reads images and the functions that report its state share the attributes
+        # below.
         self._lock = threading.Lock()
         self._fault = ""
         self._refused, self._refused_total, self._why = 0, 0, ""
@@ -186,7 +187,7 @@ class CameraNode(SafeLifecycleNode[CameraParameters]):
     def release(self) -> None:
         """Close the device. If the reader's thread still waits for an image, this thread closes the
         device later."""
-        self.rest()  # if ROS has shut down, nothing has called `rest` yet
+        self.rest()  # during a shutdown of ROS, no other function calls `rest`
         if not self._open or (self._thread is not None and self._thread.is_alive()):
             return
         self._open = False
@@ -196,7 +197,7 @@ class CameraNode(SafeLifecycleNode[CameraParameters]):
         """Apply the settings that can be changed while the node runs."""
         self._source.change(self.options.settings(self._size_px))
 
-    # The reader's thread
+    # Functions of the thread that reads images
 
     def _work(self, source: Source, stop: threading.Event, before: threading.Thread | None) -> None:
         """Read and publish images until the source ends or `stop` is set.
@@ -221,11 +222,13 @@ class CameraNode(SafeLifecycleNode[CameraParameters]):
                 self._refuse(str(error))
                 continue
             except Exception as error:
-                # Also catch errors of libraries, so that the reader does not stop silently.
+                # Also catch errors of the cameras' libraries. Otherwise the thread would end
+                # without a message.
                 if not self.context.ok():  # the shutdown of ROS has caused the error
                     break
                 self._fail(error)
-                # If files were opened again, they would start from the first picture.
+                # A source that reads files is not opened again, because it would start from the
+                # first picture.
                 if not source.live:
                     break
                 self._close(source)
@@ -240,7 +243,7 @@ class CameraNode(SafeLifecycleNode[CameraParameters]):
         self._open = False
         try:
             source.close()
-        except Exception as error:  # the libraries of cameras raise errors of different types
+        except Exception as error:  # the cameras' libraries raise errors of different types
             self._fail(error)
 
     def _publish(self, frame: Frame) -> None:
@@ -268,15 +271,16 @@ class CameraNode(SafeLifecycleNode[CameraParameters]):
             before_ns = time.monotonic_ns()
             now_ns = self.get_clock().now().nanoseconds
             apart_ns = time.monotonic_ns() - before_ns
-            if apart_ns < CLOCKS_APART_NS:  # otherwise another process ran in between
+            # both clocks were read within a short time: no other process ran in between
+            if apart_ns < CLOCKS_APART_NS:
                 break
         return to_time(now_ns - (before_ns + apart_ns // 2 - round(1e9 * instant)))
 
     def _info(self, image: Image, size_px: tuple[int, int]) -> CameraInfo:
         camera = replace(self._rig_camera, width_px=size_px[0], height_px=size_px[1])
         info = camera_to_info(camera, image.header)
-        # If this picture has another size than the last one, read the lens file again, because
-        # `load_lens` refuses a lens for another size.
+        # If the size of the pictures has changed, read the lens file again. `load_lens` checks that
+        # the lens was calibrated for this size.
         if self._lens is not None and size_px != self._lens_px:
             self._lens, self._lens_px = load_lens(self.options.camera_file, size_px), size_px
         lens = self._lens

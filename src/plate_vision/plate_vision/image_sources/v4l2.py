@@ -92,8 +92,8 @@ class V4l2Source(Camera):
         self._device: V4l2Device | None = None
         self._capture: Any = None
         self._form, self._rate = "", 0.0
-        # True if stamps refer to the start of the exposure, False if they refer to its end, None if
-        # the time of arrival is used instead of stamps.
+        # True if the camera's stamps refer to the start of the exposure, and False if they refer to
+        # its end. None: the arrival time of the images is used instead of stamps.
         self._at_start: bool | None = None
         self._stamps_known = False
 
@@ -218,7 +218,8 @@ class V4l2Source(Camera):
                     f"{self.path}: {name} cannot be switched; try v4l2-ctl -d {self.path} "
                     "--list-ctrls-menus"
                 )
-        if AUTO_PRIORITY in has:  # automatic priority would reduce the image rate in the dark
+        # switch off automatic priority, because it would reduce the image rate in the dark
+        if AUTO_PRIORITY in has:
             device.set(AUTO_PRIORITY, 0)
         given = (
             ("exposure_us", EXPOSURE, values.exposure_us > 0, EXPOSURE_US),

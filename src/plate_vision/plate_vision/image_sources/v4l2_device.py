@@ -135,7 +135,9 @@ class V4l2Device:
 
     def close(self) -> None:
         """Close the device."""
-        file, self._file = self._file, -1  # another thread may read a control at the same time
+        # set the attribute before closing, because another thread may read a control at the same
+        # time
+        file, self._file = self._file, -1
         if file >= 0:
             os.close(file)
 
@@ -243,7 +245,7 @@ class V4l2Device:
         data = bytearray(struct.pack("Ii", number, 0))
         try:
             return int(struct.unpack_from("i", self._ask(G_CTRL, data), 4)[0])
-        except (OSError, ValueError):  # ValueError: the device is closed
+        except (OSError, ValueError):  # a closed device causes a ValueError
             return None
 
     def set(self, number: int, value: int) -> bool:

@@ -70,7 +70,8 @@ class Watch:
         if arrival - instant > LATE_S:
             self.late += 1
         few = np.ascontiguousarray(pixels[::GRID, ::GRID])
-        bright = few[..., 0] if few.ndim == 3 and few.shape[2] == 2 else few  # use only Y of YUYV
+        # of a YUYV image, use only the brightness Y
+        bright = few[..., 0] if few.ndim == 3 and few.shape[2] == 2 else few
         level = BLACK << 8 if few.dtype == np.uint16 else BLACK
         self._black = self._black + 1 if int(bright.max(initial=0)) <= level else 0
         if self._last is not None:

@@ -101,7 +101,7 @@ def _corners_of(outline: Outline, grid: OutlineGrid) -> tuple[np.ndarray, float]
     ends = ends + away[..., None] * OUTWARD[:, None]
     side = ends[:, 1] - ends[:, 0]
     corners = []
-    for edge in range(4):  # the corner where the previous edge ends and this edge starts
+    for edge in range(4):  # at each corner, the previous edge ends and edge number `edge` begins
         before = edge - 1
         matrix = np.column_stack([side[before], -side[edge]])
         along = np.linalg.solve(matrix, ends[edge, 0] - ends[before, 0])

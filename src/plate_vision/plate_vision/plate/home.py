@@ -223,7 +223,7 @@ def hide_markers(
         border = middle + (1 + 2 * QUIET) * (corners - middle)
         border_px = home.to_image(to_home(pose, border))
         place = np.clip(np.rint(border_px), 0, [width - 1, height - 1]).astype(np.int32)
-        # The median is used because a part may be on one of the border's corners.
+        # The median of the corners' colours is used, because a part may cover one of the corners.
         shade = np.median(image[place[:, 1], place[:, 0]], axis=0)
         cv2.fillConvexPoly(copy, place, np.atleast_1d(shade).tolist())
     return copy

@@ -182,8 +182,9 @@ class OutlineGrid:
         offset = np.linspace(-reach, reach, 2 * count + 1)
         point = foot[:, :, None] + offset[:, None] * OUTWARD[:, None, None]
         place = calibration.to_image(point.reshape(-1, 2)).reshape(*point.shape)
-        # A lens with strong distortion maps points outside its valid range back into the image.
-        # These points are excluded: their steps point against the step at the predicted edge.
+        # The model of a lens with strong distortion can map points outside its valid range back
+        # into the image. There, the image point moves in the wrong direction along the profile.
+        # Such points are excluded.
         step = np.diff(place, axis=2)
         middle = step[:, :, count : count + 1]
         folded = np.sum(step * middle, axis=3) <= 0
@@ -252,7 +253,7 @@ def measure_outline(image: np.ndarray, grid: OutlineGrid, limit: float | None = 
     """
     smooth = cv2.GaussianBlur(contrasted(image, grid), (0, 0), SMOOTH_PX)
     edges = np.full((4, 3), np.nan)
-    rng = np.random.default_rng(0)  # the same image gives the same result
+    rng = np.random.default_rng(0)  # a fixed seed, so that the same image gives the same result
     for edge in range(4):
         place = grid.place_px[edge]
         used = grid.visible[edge]
@@ -335,7 +336,8 @@ def _steps(profile: np.ndarray, offset: np.ndarray) -> list[np.ndarray]:
     of the strongest rising steps. The offsets of missing steps are NaN."""
     reach = np.arange(-4, 5)
     kernel = -reach * np.exp(-(reach**2) / 4.5)
-    kernel = 2 * kernel / np.sum(np.abs(kernel))  # the response to a step equals the step's height
+    # with this scale, the response to a brightness step is the height of the step
+    kernel = 2 * kernel / np.sum(np.abs(kernel))
     slope = np.stack([np.convolve(row, kernel[::-1], mode="valid") for row in profile])
     at = offset[4:-4]
     noise = 1.4826 * float(np.nanmedian(np.abs(slope - np.nanmedian(slope))))
@@ -369,8 +371,8 @@ def _fit_curve(
     if len(rows) < SUPPORT * len(along):
         return np.full(3, np.nan), 0.0
     terms = np.column_stack([np.ones_like(along), along, 1 - along**2])
-    # Take one profile from each third of the edge, so that the three profiles are far from each
-    # other.
+    # Each draw uses one profile from each third of the edge, so that the three profiles are far
+    # from each other.
     thirds = np.array_split(rows, 3)
     pick = np.stack([rng.choice(third, DRAWS) for third in thirds], axis=1)  # (DRAWS, 3)
     count = np.sum(np.isfinite(drawn), axis=1)
@@ -442,7 +444,7 @@ def deviation_of(outline: Outline, grid: OutlineGrid) -> Deviation:
     middle, slope, bow = outline.edges[seen].T
     away = (middle[:, None] + slope[:, None] * ends).ravel()
     motion = np.linalg.lstsq(terms, away, rcond=None)[0]
-    # If an edge is missing, the shift and the stretch across this edge cannot be separated.
+    # If an edge is not visible, the shift and the stretch across this edge cannot be separated.
     # Therefore, the stretch is assumed to be equal along both axes.
     if len(seen) < 4:
         same = np.column_stack([terms[:, :3], terms[:, 3] + terms[:, 4]])
@@ -546,7 +548,8 @@ class OutlineCheck:
         if finding is not None or not seen:
             finding, text = judge_outline(*facts, fitting_flips(image, grid))
         if moving and finding is None and self.finding is not None:
-            # Images of a moving plate do not cancel a finding.
+            # Keep the last finding: images of a moving plate cannot prove that it is no longer
+            # true.
             finding, text = self.finding, self.text
         agrees = finding is None and seen and not moving
         return replace(
@@ -622,7 +625,7 @@ def _moved_text(found: Deviation) -> str:
     (x, y), (along, across) = found.shift, found.stretch
     is_ = ["it"]
     if np.hypot(x, y) >= SHIFT_TEXT_M:
-        x_mm, y_mm = (round(1e3 * way, 1) + 0.0 for way in (x, y))  # adding 0.0 turns -0.0 into 0.0
+        x_mm, y_mm = (round(1e3 * way, 1) + 0.0 for way in (x, y))  # adding 0.0 changes -0.0 to 0.0
         is_.append(f"is shifted by ({x_mm:.1f}, {y_mm:.1f}) mm")
     if abs(found.turn) >= TURN_TEXT_RAD:
         is_.append(f"is rotated by {np.degrees(found.turn):.1f} degrees")

@@ -143,8 +143,9 @@ class AimingView:
         self._focus = Focus()
         self._lens: LensJob | None = None
         self._home, self._wants_home = "", False
-        self._home_is_old = False  # whether `home` was found before the last change of the lens
-        # Corners that were found but not yet written to the rig file.
+        # whether the home in the rig file was measured with an older lens
+        self._home_is_old = False
+        # Measured corners of the plate that are not yet written to the rig file.
         self._corners: tuple[tuple[float, float], ...] = ()
         self._measured_at = self._image_at = -math.inf
 
@@ -178,7 +179,8 @@ class AimingView:
             self._step(image, situation)
             msg = self._message(image, stamp, refused, situation)
         except Exception as error:
-            # Log the error here, because the executor would only store it in the future.
+            # Log the error here. The thread pool would only store it in the future, where nobody
+            # reads it.
             text = f"aim: {type(error).__name__}: {error}"
             self._run_on_executor(
                 lambda: self._node.get_logger().error(text, throttle_duration_sec=5.0)
@@ -209,7 +211,7 @@ class AimingView:
         except CalibrationError as error:
             text = str(error)
         seen_px = np.empty((0, 2)) if corners is None else corners[1]
-        if self._lens is lens:  # the user has not discarded the pictures meanwhile
+        if self._lens is lens:  # false if the user has discarded the pictures
             self._lens = replace(lens, pictures=pictures, text=text, seen_px=seen_px)
 
     def _find_home(self, image: np.ndarray, situation: Situation) -> None:
@@ -240,7 +242,7 @@ class AimingView:
         try:
             fit = lens.pictures.fit(lens.model)
         except Exception as error:
-            # Also catch errors of OpenCV, because otherwise the state would remain FITTING.
+            # Also catch errors of OpenCV. Otherwise the state would remain FITTING forever.
             if self._lens is lens:
                 self._lens = replace(lens, state=LensPictures.TAKING, text=f"no lens: {error}")
             return
@@ -248,7 +250,7 @@ class AimingView:
         text = f"focal length {matrix[0, 0]:.1f} +- {deviation[0]:.1f} px"
         if fit.warning:
             text += f"; {fit.warning}"
-        if self._lens is lens:  # the user has not discarded the pictures meanwhile
+        if self._lens is lens:  # false if the user has discarded the pictures
             self._lens = replace(lens, state=LensPictures.FITTED, text=text, fit=fit)
 
     def _message(self, image: np.ndarray, stamp: Time, refused: str, situation: Situation) -> Aim:
@@ -299,7 +301,7 @@ class AimingView:
         msg.part_px_min, msg.part_px_max = measured.part_px
         msg.sharpness = sharpness_of(image, measured)
         msg.sharpness_best = msg.sharpness_change = math.nan
-        if board:  # the sharpness of the board and of the plate are not comparable
+        if board:  # the sharpness of a board cannot be compared with the sharpness of the plate
             return []
         outline = measure_outline(image, measured.grid)
         blur_px = math.nan if situation.moving else edge_blur_px(image, outline, measured)
@@ -441,7 +443,8 @@ class AimingView:
             return response
         self._lens = None
         self._home, self._corners = "", ()
-        # If the rig has markers, each image shows the pose of home.
+        # If the rig has markers, each image shows the pose of the home position. Then a stored home
+        # cannot be too old.
         self._home_is_old = before.fiducials is None
         response.success = True
         response.message = f"written: {self._path}; {OTHER_NODES}"

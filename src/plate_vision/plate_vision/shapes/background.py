@@ -219,7 +219,7 @@ def learn_plate(images: np.ndarray) -> Background:
         raise ImageError(f"images: shape is {images.shape}, allowed: (n, H, W) or (n, H, W, 3)")
     labs = np.stack([colours(image) for image in images])
     mean = np.median(labs, axis=0).astype(np.uint8) if len(labs) > 2 else labs[0]
-    # The noise of a single image is its deviation from the median of neighbouring pixels.
+    # If there is only one image, its noise is the deviation from the median of neighbouring pixels.
     bare = mean if len(labs) > 1 else cv2.medianBlur(mean, 5).reshape(mean.shape)
     chroma = _chroma_weight(labs, bare)
     square = np.mean([deviation(lab, bare, chroma).astype(np.float32) ** 2 for lab in labs], axis=0)
@@ -260,7 +260,7 @@ def model_background(image: np.ndarray) -> Background:
     best: tuple[float, np.ndarray, np.ndarray] | None = None
     for mode in _modes(values):
         if best is not None and best[2][mode]:
-            continue  # the best surface so far already agrees with this colour
+            continue  # the best surface so far already includes this colour
         fit = np.zeros((design.shape[1], channels), np.float32)
         fit[0] = values[mode]
         near = NEAR_MODE

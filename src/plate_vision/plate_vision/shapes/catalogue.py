@@ -126,7 +126,8 @@ def make_template(part: PartType) -> Template:
     """Prepare a part type for the comparison with outlines."""
     rings = _corner_rings(part)
     coarse = make_outline(rings)
-    # The spectrum is exact only for short edges, so the rings are refined.
+    # The calculation of the spectrum is exact only for short edges. Therefore long edges are
+    # divided.
     fine = make_outline([_refined(ring, 0.05 * coarse.reach) for ring in rings])
     edges = coarse.edges
     if part.radius_m:

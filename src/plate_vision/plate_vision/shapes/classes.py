@@ -285,7 +285,8 @@ def _compared(
         ]
         tint = np.array(tints)[which].swapaxes(0, 1)
         tint = np.nan_to_num(colour_distance(tint, catalogue.colour, image.ndim == 3))
-        # A hole that blur or a shadow fills has the colour of its surround.
+        # Blur or a shadow can fill a hole. Then the measured colour of the part includes the colour
+        # in the hole, so the colour has less weight.
         holed = np.array([bool(one.part.holes) for one in catalogue.templates])
         weight = np.where(holed & (hole_check is not None), FILLED_COLOUR, 1.0)
         least = (weight * tint / COLOUR_LAB) ** 2 + np.maximum(swell_px - SLACK_PX, 0) ** 2 / size
@@ -302,7 +303,7 @@ def _compared(
         SWELL_ERROR * np.maximum(np.abs(found["swell_px"]) - USUAL_SWELL_PX, 0),
     )
     if lamp is not None:
-        # Half of the error of the shadow's length and edge is an error of the part's position.
+        # Errors of the shadow's length and edge cause a position error that is half as large.
         shadow_px = np.hypot(lamp.scatter_px, max(swell, MIN_SWELL_PX))
         error_px = np.hypot(error_px, 0.5 * shadow_px)
     if len(levels) > 1 or levels[0] > 0:
@@ -490,8 +491,8 @@ def _ways_to_lay(
     plain = template, outline, 0.0
     filled = template.filled, outline.filled, None
     if own and seen and hole_check is not None:
-        # If half of a hole is in shadow, the outline shows only a part of the hole. So fit the type
-        # both with and without its holes.
+        # If half of a hole is in shadow, the outline contains only a part of the hole. Therefore
+        # the type is fitted both with and without its holes.
         return [plain, filled]
     return [plain] if own == seen else [filled]
 
@@ -550,9 +551,7 @@ def _measured(
         seen, body = np.ptp(outlines[i].rings[0] @ axes, axis=0), np.vstack([base, top]) @ axes
         swell = seen[1] - np.ptp(body[:, 1])
         end = np.min(body[:, 0]) + seen[0] - swell
-        if end > np.max(
-            body[:, 0]
-        ):  # if the shadow ended within the part, the part would hide its end
+        if end > np.max(body[:, 0]):  # a shadow that ends within the part is not visible
             lengths.append(end - np.max((base @ axes)[:, 0]))
     if len(lengths) < FEWEST_NAMED:
         return lamp

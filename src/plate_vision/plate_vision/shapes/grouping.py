@@ -185,7 +185,8 @@ def traits(inside: np.ndarray) -> Traits:
     contours = cv2.findContours(pixels, cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE)[-2]
     contour = max(contours, key=len)
     hull = cv2.convexHull(contour)
-    # A contour passes through the centres of pixels, which are half a pixel inside the edge.
+    # OpenCV's contour connects the centres of the outermost pixels, which are half a pixel inside
+    # the edge. The area is corrected for this.
     whole = cv2.contourArea(hull) + 0.5 * cv2.arcLength(hull, True) + 1
     return area, (moments["mu20"] + moments["mu02"]) / area**2, min(area / whole, 1.0)
 
@@ -284,7 +285,8 @@ def _decided(labels: np.ndarray, necks: np.ndarray, rank: int, known: list[Trait
             small, large = sorted((sides[one][0], sides[other][0]))
             compact = min(sides[one][2], sides[other][2]) > COMPACT
             joined = not all(twins) and (small < UNEQUAL * large or not compact)
-        # Each side is joined only once, so that a chain of small sides does not join large ones.
+        # Each side of a cut is joined only once, so that a chain of small sides does not join large
+        # sides.
         lesser = one if sides[one][0] < sides[other][0] else other
         if joined and np.count_nonzero(parent == parent[lesser]) == 1:
             parent[lesser] = parent[one + other - lesser]
@@ -312,7 +314,7 @@ def _cut_by_kind(
     usual = float(np.median([kind[0] for kind in kinds])) if kinds else np.inf
     common = [kind for kind in kinds if kind[0] > SMALLER * usual]
     done: list[Piece] = []
-    # `pop` takes the smallest piece first.
+    # The list is sorted so that `pop` returns the smallest piece first.
     todo = sorted(pieces, key=lambda piece: -piece.inside.size)
     while todo:
         piece = todo.pop()
@@ -375,7 +377,7 @@ def _along_edges(
         if len(good) > 1 and parted > most:
             most = parted
             best = _shared_out(good, piece)
-    # The rest is split along its own inner edges.
+    # The remaining pieces are split along their inner edges.
     return [
         part
         for one in best
@@ -461,7 +463,7 @@ def _halves(piece: Piece, kinds: list[Traits], work: Work) -> list[Piece] | None
             sizes = np.bincount(labels.ravel(), minlength=3)[1:]
             if count < 3 or np.partition(sizes, -2)[-2] < 0.1 * piece.area:
                 continue
-            # The pixels on the cut belong to the nearer side.
+            # Each pixel on the cut is assigned to the nearer side.
             nearest = _nearest([labels == k for k in 1 + np.argsort(-sizes)[1::-1]])
             halves = [Piece(piece.inside & (nearest == k), piece.rank, False) for k in (1, 0)]
             if all(sum(alike(half.traits, kind) for kind in kinds) >= MEMBERS for half in halves):

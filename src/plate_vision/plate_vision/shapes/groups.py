@@ -214,7 +214,8 @@ def explain_groups(
     catalogue, calibration, conditions
         As in `recognise`.
     """
-    # Patches at the border are not changed, because they are incomplete or may be the plate's edge.
+    # Patches at the image border are not changed, because they may be incomplete or may show the
+    # plate's edge.
     explained = is_named(seen) | ~seen["whole"]
     if explained.all() or not catalogue.templates:
         return seen
@@ -312,7 +313,7 @@ def _parts(
     most = LARGER * float(np.max(catalogue.filled_area))
     uncertain = one["label"][0] == UNKNOWN and outlines[0].filled.area < most
     found = take_apart(_coarser(view, catalogue), catalogue, uncertain, tries)
-    # Fit the parts again to the contour at full resolution.
+    # The search used a reduced resolution. Fit the parts again to the contour at full resolution.
     found = [replace(part, pose=view.fitted(part.template, part.pose)) for part in found]
     left = view.mask
     for part in found:
@@ -392,8 +393,8 @@ def take_apart(
     if np.count_nonzero(view.mask) > MAX_PARTS * most:
         return []
     choices = _candidates(view, catalogue, border, border)
-    # Best-first search: The combination with the smallest sum of ranks is tried next. The rank of
-    # the best candidate is 0, the rank of the second best candidate is 1, and so on.
+    # Best-first search: the next tried combination of parts is the one with the smallest sum of
+    # ranks. The best candidate has the rank 0, the second best candidate has the rank 1, and so on.
     open_: list[tuple[int, int, int, tuple[Found, ...], np.ndarray, list[Found]]] = []
     number = itertools.count()
     heapq.heappush(open_, (0, 0, 0, (), view.mask, choices))
@@ -417,7 +418,7 @@ def take_apart(
                 heapq.heappush(open_, more)
     if uncertain:
         return []
-    # If no parts cover the group completely, only the certain parts are returned.
+    # No combination of parts covers the group completely. Return only the parts that are certain.
     sure, free = [], border
     for part in choices:
         if part.seen > SURE and _fits(view, part, free, border):
@@ -461,7 +462,8 @@ def _without(view: View, left: np.ndarray, part: Found) -> np.ndarray:
     own = view.drawn(part)
     rest = np.where(cv2.dilate(own, np.ones((3, 3), np.uint8)) > 0, 0, left).astype(np.uint8)
     small = np.ones((3, 3), np.uint8)
-    # The dilation also removed pixels of neighbouring parts along the contour. Restore them.
+    # The dilation of the part also removed pixels of its neighbours along the contour. Restore
+    # these pixels.
     grown = cv2.dilate(cv2.morphologyEx(rest, cv2.MORPH_OPEN, small), small)
     return np.asarray(grown & left & (1 - own))
 

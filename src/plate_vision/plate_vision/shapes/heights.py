@@ -108,7 +108,8 @@ def footprint(
     for one in seen:
         fine[:] = 0
         for number, ring in enumerate(one):
-            # The coordinate of a pixel's centre is a whole number. So is that of a sub-pixel.
+            # Pixel centres have whole-number coordinates, in the image as well as in the finer
+            # grid.
             point = (ring - low) * scale
             point = np.rint(16 * (FINE * (point + 0.5) - 0.5)).astype(np.int32)
             cv2.fillPoly(fine, [point], 0 if number else 255, shift=4)

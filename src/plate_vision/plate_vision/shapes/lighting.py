@@ -181,7 +181,8 @@ def fit_light(lit: Lit, before: Light | None = None) -> Light:
     limit = lit.limit[rows, columns].astype(np.float32)
     origin = np.array([0.0] if seen.shape[1] == 1 else [-LIGHTNESS_0, 128, 128], np.float32)
     weight = np.ones(len(rows))
-    # If the numbers of pixels differ, the region of the plate has changed.
+    # The last result is used only if the number of pixels is the same. Otherwise the region of the
+    # plate has changed.
     if before is not None and len(before.shown) == len(rows):
         weight[~before.shown] = COVERED_WEIGHT
     last = EVEN[:, : seen.shape[1]] if before is None else before.surface
@@ -195,7 +196,8 @@ def fit_light(lit: Lit, before: Light | None = None) -> Light:
     modes = _modes(ratio, weight, seen.shape[1])
     level = float(np.median(seen[:, 0])) - origin[0]
     for mode in modes:
-        # The limits are reduced so that parts that are nearly as bright as the plate are excluded.
+        # The limits are reduced, so that the fit excludes parts that are nearly as bright as the
+        # plate.
         gap = min((abs(mode - other) for other in modes if other != mode), default=np.inf)
         surface, kept = _fitted(
             *colours,

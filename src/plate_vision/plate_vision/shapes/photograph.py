@@ -79,7 +79,8 @@ def find_outlines(image: np.ndarray) -> np.ndarray:
         hull = cv2.convexHull(outline)
         filled = cv2.contourArea(outline) / max(cv2.contourArea(hull), 1)
         compact = 4 * np.pi * cv2.contourArea(hull) / max(cv2.arcLength(hull, True), 1) ** 2
-        # The centre of the first pixel is 0 in both images, but their pixels differ in size.
+        # In the original image and in the smaller image, the centre of the first pixel has the
+        # coordinate 0. Their pixels have different sizes.
         one["x_px"], one["y_px"] = scale * (patch.centre_px + 0.5) - 0.5
         one["radius_px"] = np.mean(scale) * patch.radius_px
         one["round"] = compact > ROUND and filled > ROUND

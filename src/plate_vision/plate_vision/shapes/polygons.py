@@ -75,7 +75,8 @@ def simplified(name: str, what: str, ring: np.ndarray, reach: float, scale: floa
         loose *= 1.1
     corner, rms = _fitted(corner, ring)
     most = max(WORSE * rms, PLAIN_PX / scale, PLAIN * reach)
-    # Two corners of the first polygon often represent one corner that blur has rounded.
+    # Blur rounds the corners of a part. Then the first polygon often has two corners instead of
+    # one.
     while len(corner) > 3:
         side = np.hypot(*(np.roll(corner, -1, axis=0) - corner).T)
         i = int(np.argmin(side))
@@ -105,7 +106,8 @@ def _fitted(corner: np.ndarray, ring: np.ndarray) -> tuple[np.ndarray, float]:
     size = float(np.max(np.ptp(ring, axis=0)))
 
     def errors(flat: np.ndarray) -> np.ndarray:
-        # Regularisation: corners that the ring does not determine stay in place.
+        # Regularisation: a corner stays at its initial position if the ring of points does not
+        # determine it.
         keep = STAY * (flat - corner.ravel() / size)
         return np.concatenate([_errors(size * flat.reshape(-1, 2), ring) / size, keep])
 

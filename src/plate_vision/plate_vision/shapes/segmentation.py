@@ -385,9 +385,9 @@ def _window(
             area, hull = cv2.contourArea(contour), cv2.contourArea(cv2.convexHull(contour))
             around = 4 * np.pi * area / max(cv2.arcLength(contour, True), 1) ** 2
             convex = area > max(CONVEX_HOLE * hull, LARGE_HOLE_PX2)
-            # If there are gaps between touching parts, the outer contour has concave corners.
-            # Without such corners, the area is a hole that looks narrow because a high part is seen
-            # from the side.
+            # The area may be a gap between touching parts. Then the outer contour of the parts has
+            # concave corners. Without such corners, the area is a hole. It looks narrow because the
+            # camera sees a high part obliquely.
             if not convex and around <= ROUND and alone is None:
                 alone = traits(inside)[2] > CONVEX
             (holes if convex or around > ROUND or alone else gaps)[part][one > 0] = 1
@@ -407,18 +407,18 @@ def _patch(piece: Piece, window: Window, region: Region | None) -> Patch | None:
     here = np.s_[y0 : top + height + 1, x0 : left + width + 1]
     inside = piece.inside[here].astype(np.uint8)
     mask = (inside > 0) & ~window.holes[here]
-    # A piece that was cut from a patch may be only a thin ring around a hole, which is not a part.
-    # Therefore pixels of holes do not count in the thickness of such a piece.
+    # If a piece was cut from a patch, it may be only a thin ring around a hole. Such a ring is not
+    # a part. Therefore the thickness of such a piece is measured without the pixels of holes.
     body = inside if piece.alone else mask.astype(np.uint8)
     framed = cv2.copyMakeBorder(body, 1, 1, 1, 1, cv2.BORDER_CONSTANT, value=0)
     if np.max(cv2.distanceTransform(framed, cv2.DIST_L2, 3)) < MIN_DEPTH_PX:
         return None
-    # Pixels at the part's edge that it covers by less than half are outside the mask. The cover
-    # includes them, unless they belong to other pieces.
+    # The mask does not contain edge pixels that the part covers by less than half. `cover` contains
+    # these pixels, unless they belong to other pieces.
     near = cv2.dilate(inside, np.ones((3, 3), np.uint8)) > 0
     others = window.solid[here] & (inside == 0)
     cover = np.where(near & ~others, window.cover[here], np.float32(0))
-    # The window of a complete patch has a margin of free pixels on each side.
+    # A patch is complete if its window has a margin of free pixels on each side.
     whole = not any(np.any(line) for line in (mask[0], mask[:, 0], mask[-1], mask[:, -1]))
     corner = window.corner[0] + x0, window.corner[1] + y0
     patch = Patch(mask, corner, cover, whole, piece.group)

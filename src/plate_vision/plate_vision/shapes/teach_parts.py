@@ -173,8 +173,8 @@ def _teach(args: argparse.Namespace) -> None:
             file=sys.stderr,
         )
     if args.box:
-        # With a known scale and without a bare plate, the position of the part in the picture has
-        # no effect.
+        # If the scale is given and there is no bare plate, the position of the part in the picture
+        # has no effect. Then the picture can be cut.
         cuts = args.scale is not None and bare is None
         examples = [
             _boxed(picture, box, f"{name}, box {','.join(map(str, box))}", cuts) for box in args.box
@@ -257,7 +257,8 @@ def _delete(args: argparse.Namespace) -> None:
     part = _known(types, args.name, args.out)
     del types[args.name]
     save_part_types(args.out, types)
-    if part.picture == drawn_name(args.name):  # other pictures were not drawn by this program
+    # delete only the picture that this program has drawn, not a picture of the user
+    if part.picture == drawn_name(args.name):
         args.out.with_name(part.picture).unlink(missing_ok=True)
     print(f"{args.name} was deleted")
 

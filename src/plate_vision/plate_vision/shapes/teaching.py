@@ -514,7 +514,7 @@ def _mean_outline(
     rad] of the mean outline in the first example. The second property is the RMS distance of the
     outlines from the mean outline [m]. The third property is this distance after the sizes of the
     outlines were made equal [m]."""
-    # Start with the outline of median size, and fit the others to it.
+    # The first mean outline is the outline of median size. The other outlines are fitted to it.
     first = int(np.argsort([outline.area for outline in outlines])[len(outlines) // 2])
     mean = _shifted(outlines[first], outlines[first].centre)
     scatter = unlike = 0.0
@@ -529,7 +529,7 @@ def _mean_outline(
         turns = 2 * np.pi * np.arange(symmetry) / symmetry
         mean = _average(mean, [_turned(mean, np.array([0, 0, turn])) for turn in turns])
     pose = lay_on(_as_template(mean), outlines[0], scale)[:3]
-    # Rotate the mean so that its angle is that of the first outline.
+    # Rotate the mean outline so that it has the angle of the first outline.
     mean = _turned(mean, np.array([0, 0, -pose[2]]))
     return mean, np.array([pose[0], pose[1], 0.0]), scatter, unlike
 

@@ -103,7 +103,8 @@ def assign(
     if expected is not None:
         usual, poor = _known_gains(tracks, stamp, seen, gate, expected, drift)
         rows, columns, gain = _best(usual + other)
-        # The gain of usual predictions is increased, because predictions are rarely wrong.
+        # The gain of the assignment with usual prediction errors is increased, because large errors
+        # of the predictions are rare.
         choices = [
             (rows, columns, gain - math.log(PREDICTIONS_FAIL)),
             _best(poor + other),

@@ -249,8 +249,8 @@ def _number(tracks: list[Track], numbers: Mapping[str, int], confirm: int) -> di
     """Give numbers to the new tracks in the list that were detected at least `confirm` times.
     Return the last number of each class."""
     numbers = dict(numbers)
-    # The tracks are numbered in order of x, so that the first ids do not depend on the order of
-    # detection.
+    # New tracks are numbered in the order of their x coordinates. Therefore the first ids do not
+    # depend on the order of detection.
     for i in sorted(range(len(tracks)), key=lambda i: (*tracks[i].position, tracks[i].label)):
         track = tracks[i]
         if track.number == 0 and track.hits >= confirm:
