@@ -1,4 +1,4 @@
-"""Closed-loop runs without ROS, many seeds, one JSON row per run.
+"""Run the closed loop without ROS for many seeds, and write one JSON row per run.
 
 python bench/closed_loop.py --scenario sort_10 --seeds 0:20 --json out/bench/sort_10.json
 
@@ -102,8 +102,9 @@ def _results(workers: Executor | None, work: list[tuple[Setup, Rig, bytes]]) -> 
 
 
 def _run(setup: Setup, rig: Rig, code: bytes) -> dict[str, object]:
-    """Run the loop and return its row. `code` is the content of the planner's file, because the
-    file may be on another computer. Empty without a separate planner."""
+    """Run the loop and return its row. `code` is the content of the planner's file, because a
+    worker on another computer cannot read this file. It is empty if the run uses the project's
+    planner."""
     if not code:
         return summary(setup, rig)
     with TemporaryDirectory() as folder:

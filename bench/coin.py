@@ -27,8 +27,8 @@ from plate_sim import WorldState, run_cycle
 from stages.scenes import wave_cycle
 
 FREQUENCY, SPIN = 25, 1.05
-"""Motion of the plate: theta' = SPIN (sin wt + cos(2 wt) / 2) [Hz], [rad/s], within the rig's
-limits."""
+"""Frequency w/(2 pi) [Hz] and SPIN [rad/s] of the plate's rotation theta' = SPIN (sin wt + cos(2
+wt) / 2). This motion is within the rig's limits."""
 
 COIN_RADIUS = 9.525e-3
 """Radius of a 1 cent coin [m]."""

@@ -18,8 +18,8 @@ MIN_ROUNDS = 3
 fewer times is unreliable."""
 
 cpu_time = time.process_time
-"""Clock of all measurements [s]: CPU time of all threads of this process. On an idle computer it
-equals the wall time of a single thread. The clock does not include the CPU time of other
+"""Clock of all measurements [s]: CPU time of all threads of this process. On an idle computer, this
+time equals the wall time of a single thread. The clock does not include the CPU time of other
 programs."""
 
 

@@ -52,7 +52,8 @@ class Table:
 
     @classmethod
     def of(cls, key: str, rows: list[dict[str, Any]], **facts: Any) -> Table:
-        """Return a table with its texts from tables.yaml, whose braces are replaced by facts."""
+        """Return a table with its texts from tables.yaml. In these texts, `facts` replace the names
+        in braces."""
         words = WORDS[key]
         title, note = (words.get(name, "").format(**facts) for name in ("title", "note"))
         return cls(key, title, words["columns"], rows, note)
@@ -84,8 +85,8 @@ def missing(*peers: str) -> list[str]:
 
 
 def rounded(value: Any, digits: int = 4) -> Any:
-    """Return a value with all floats rounded to significant digits, also in nested lists and dicts.
-    NaN becomes None."""
+    """Return a value in which all floats are rounded to a few significant digits, also in nested
+    lists and dicts. NaN becomes None."""
     if isinstance(value, Mapping):
         return {key: rounded(item, digits) for key, item in value.items()}
     if isinstance(value, (list, tuple)):
@@ -113,7 +114,7 @@ def machine() -> dict[str, Any]:
 
 
 def commit() -> str:
-    """Return the description of the current commit by git. Empty without git."""
+    """Return the name that `git describe` gives to the current commit. Empty without git."""
     command = ["git", "-C", str(ROOT), "describe", "--always", "--dirty"]
     try:
         return subprocess.run(command, capture_output=True, text=True, check=True).stdout.strip()

@@ -3,8 +3,8 @@
 The simulation consists of the driver's transport, a serial line with faults, the device (motor
 controller), and an independent check of its setpoints. The simulated time advances in ticks of the
 device, 1 ms each. An image is taken whenever the device finishes a segment of a cycle. The next
-cycle reaches the driver `ANSWER_S` after the image. The driver uploads it while the previous cycle
-is played.
+cycle reaches the driver `ANSWER_S` after the image. The driver uploads this cycle while the
+previous cycle is played.
 """
 
 from __future__ import annotations
@@ -158,7 +158,7 @@ class SerialLine:
         return table.cycle if tail is None or into < device.table()[2] else tail
 
     def send(self, table: MotorTable) -> None:
-        """Accept a table. The driver gets it `ANSWER_S` later."""
+        """Accept a table. The driver gets the table `ANSWER_S` after the image."""
         self._waiting.append((self.emulator.now + ANSWER_S, table))
 
     def play(self, until: float) -> list[PlateMotion]:

@@ -39,7 +39,8 @@ LEVEL = 0.3
 
 
 def motions(rig: Rig, parts: int, count: int) -> list[tuple[PlateCycle, np.ndarray, float]]:
-    """Return a motion, the parts' positions (M, 2) [m] and the size [mu m g] of random requests.
+    """For each random request, return a motion, the parts' positions (M, 2) [m], and its size [mu m
+    g].
 
     Each motion meets its request on average. The motion is then scaled to a shaking ratio of 1. The
     size of a request is the root mean square of its components.

@@ -1,5 +1,5 @@
-"""Grids of the stability maps: a success or an error over two parameters, and the border by
-theory."""
+"""Grids of the stability maps: measured success or error for values of two parameters, and the
+border that theory predicts."""
 
 from __future__ import annotations
 

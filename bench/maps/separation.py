@@ -33,13 +33,14 @@ def spacing(rig: Rig, centres: int) -> float:
 def least_separation(rig: Rig, centres: float) -> float:
     """Return the separation d [m] below which the force `LEVEL` cannot be guaranteed.
 
-    Let a centre of rotation be at the distance r from both parts, and b the angle between its arm
-    and the line of the parts. The two directions of motion differ by the angle between the arms, d
-    sin(b)/r. Half of this difference separates the parts. The component of this half along the line
-    between the parts is d sin(2 b)/(4 r), at most d/(4 r). A second centre on the other side
-    cancels the common part of the forces and separates the parts by the same amount again. The
-    centres are a grid with the spacing h, so the nearest centres are at r = h. Hence force = d/(4
-    h) for d < h. Section 3.1.5 of the paper only states that parts near each other are difficult.
+    Let a centre of rotation be at the distance r from both parts. Its arms are the lines to the
+    parts. Let b be the angle between an arm and the line through both parts. The two directions of
+    motion differ by the angle between the arms, d sin(b)/r. Half of this difference separates the
+    parts. The component of this half along the line between the parts is d sin(2 b)/(4 r), at most
+    d/(4 r). A second centre on the other side cancels the common part of the forces and separates
+    the parts by the same amount again. The centres are a grid with the spacing h, so the nearest
+    centres are at r = h. Hence force = d/(4 h) for d < h. Section 3.1.5 of the paper only states
+    that parts near each other are difficult.
     """
     return 4 * LEVEL * spacing(rig, int(centres))
 

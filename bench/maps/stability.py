@@ -13,7 +13,7 @@ from maps.grid import Grid, StabilityMap, crossing
 MAPS: dict[str, StabilityMap] = {
     module.MAP.key: module.MAP for module in (separation, harmonics, gamma, stick, suspension)
 }
-"""All maps by their keys. Each is defined in `maps/KEY.py`."""
+"""All maps by their keys. The file `maps/KEY.py` defines the map KEY."""
 
 
 def measure(quick: bool) -> Result:

@@ -32,7 +32,8 @@ GAMMAS = np.geomspace(0.9, 8, 19)
 
 
 def overtone(force: float) -> float:
-    """Return b for which u ~ sin(wt) + b cos(2wt) has the mean force f on a resting part [mu m g].
+    """Return b for which a plate with the velocity u ~ sin(wt) + b cos(2wt) exerts the mean force f
+    on a resting part [mu m g].
 
     The force is the fraction of time with u > 0 minus the fraction with u < 0. With s = sin(wt),
     u = 0 where s + b (1 - 2 s^2) = 0. Hence s = -sin(pi f/2) and b = s/(2 s^2 - 1).
@@ -51,11 +52,11 @@ def least_gamma(force: float) -> float:
     """Return the shaking ratio above which a part never sticks.
 
     A part that never sticks gains the speed mu g T/2 in one half of the cycle and loses it in the
-    other half. The plate is faster than the part in the first half and slower in the second. At the
-    changes both speeds are equal, so u(t + T/2) - u(t) = mu g T/2. Only the first harmonic of u,
-    with the peak acceleration a_1, contributes to this difference. Hence sin(wt) = -(pi/2) mu g/a_1
-    at a change. The part does not stick if the plate's acceleration exceeds mu g at both changes.
-    The condition at the second change is stricter:
+    other half. The plate is faster than the part in the first half and slower in the second. At
+    each change from one half to the other both speeds are equal, so u(t + T/2) - u(t) = mu g T/2.
+    Only the first harmonic of u, with the peak acceleration a_1, contributes to this difference.
+    Hence sin(wt) = -(pi/2) mu g/a_1 at a change. The part does not stick if the plate's
+    acceleration exceeds mu g at both changes. The condition at the second change is stricter:
 
         sqrt((a_1/mu g)^2 - (pi/2)^2) (1 - 2 pi b mu g/a_1) >= 1
 

@@ -99,7 +99,8 @@ class Sheet:
 
     @classmethod
     def of(cls, rows: Sequence[Row], columns: dict[str, str]) -> Sheet:
-        """Return rows with the same keys, first those with headings. Missing values are None."""
+        """Return a sheet in which all rows have the same keys. Keys with headings come first.
+        Missing values are None."""
         there = {key for row in rows for key in row}
         keys = [key for key in columns if key in there]
         keys += [key for row in rows for key in row if key not in columns]
@@ -107,7 +108,7 @@ class Sheet:
 
     @classmethod
     def read(cls, path: Path, columns: dict[str, str]) -> Sheet:
-        """Read a CSV file with the text of `csv`.
+        """Read a CSV file that contains the text of the property `csv`.
 
         Raises
         ------

@@ -19,7 +19,7 @@ CHANGED = {
     "clearance_mm": ("gripper's clearance [mm]", (3, 6, 12)),
     "cycle_s": ("robot's cycle [s]", (1, 2, 4)),
 }
-"""Label and values of the axis, by the varied column."""
+"""Label and values of the horizontal axis for each varied column."""
 
 ROBOT_S, GOAL = 2.0, 2.0
 """The robot's cycle time in most cases [s], and the maximum allowed waiting time at this cycle time
@@ -61,7 +61,7 @@ def feeding(rows: list[Row]) -> Drawn:
 
 
 def case(row: Row) -> str:
-    """Return a text on the case of a row."""
+    """Return a text that describes the case of a row."""
     window = f", window of {row['window_mm']:g} mm" if row["window_mm"] else ""
     return (
         f"{row['fill']} {row['kind']}, clearance {row['clearance_mm']:g} mm, "

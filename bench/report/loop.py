@@ -17,8 +17,8 @@ ENDED = "{succeeded} ended well"
 
 
 def tracking(rows: list[Row]) -> Drawn:
-    """Return the chart of tracking error against speed, and of the maximum speed by number of parts
-    with its bound."""
+    """Return the chart of tracking error against speed. It also shows the maximum speed and its
+    theoretical bound, by number of parts."""
     counts, groups = sorted(by(rows, "parts")), by(rows, "method")
     looks = {
         count: Look(parts(count), colour, "o", "-")
@@ -62,7 +62,7 @@ def is_lost(row: Row) -> bool:
 
 
 def fastest(rows: list[Row], count: int) -> float:
-    """Return the maximum speed reached with a number of parts [mm/s]. 0 if there is none."""
+    """Return the maximum speed reached with a number of parts [mm/s]. 0 if no speed was reached."""
     return max((r["speed_mm_s"] for r in rows if r["kept"] and r["parts"] == count), default=0)
 
 

@@ -87,7 +87,8 @@ def nowhere(_: Row) -> bool:
 
 
 class Panels:
-    """Panels of one figure with a common key. `add` adds a panel, whose methods then draw into it.
+    """Panels of one figure with a common key. `add` adds a panel. The methods of the panel draw
+    points and lines.
 
     Attributes
     ----------

@@ -34,7 +34,7 @@ def read_facts(folder: Path, data: Data) -> tuple[dict[str, Any], dict[str, Any]
     """Return the facts about measurements, and the headings of CSV files by chart.
 
     `data` contains measurements as in their JSON files. For a measurement that is not in `data`,
-    the facts describe the one from which the CSV files were made.
+    the facts describe the earlier measurement from which the CSV files were made.
     """
     path = folder / FACTS
     stored = json.loads(path.read_text(encoding="utf-8")) if path.exists() else {}

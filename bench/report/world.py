@@ -36,7 +36,7 @@ style."""
 
 
 def sim_rows(data: Data) -> Sheet:
-    """Return the rows of the chart `sim`, by case: travel, discs, body, lead."""
+    """Return the rows of the chart `sim`. The cases are travel, discs, body and lead."""
     error, discs = table(data, "sim", "error"), table(data, "sim", "discs")
     rows: list[Row] = [{"case": "travel"} | r for r in error.rows]
     rows += [

@@ -22,12 +22,12 @@ reads in a tick."""
 
 MAX_INSTRUCTIONS = 42_000
 """Maximum allowed number of instructions per tick. At one instruction per clock cycle of 168 MHz,
-they take a quarter of 1 ms."""
+these instructions take a quarter of 1 ms."""
 
 
 def measure(quick: bool) -> Result:
     """Commit tables of all sizes while another table plays. Then send malformed packets at the
-    maximum rate. A quick measurement uses fewer."""
+    maximum rate. A quick measurement uses fewer tables and packets."""
     if lacking := packages([need for need in NEEDS if program(need) is None]):
         raise PlateError(
             f"the tools that build and emulate the board are missing: apt install {lacking}"

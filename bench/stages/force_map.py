@@ -59,8 +59,8 @@ def measure(quick: bool) -> Result:
 
 @njit(cache=True, fastmath=True)
 def plain_forces(coefficients: np.ndarray, position: np.ndarray, waves: np.ndarray) -> np.ndarray:
-    """Return the average forces (C, 2), computed with equal time steps. This is the simplest
-    method."""
+    """Return the average forces (C, 2), computed with equal time steps. Equal steps are the
+    simplest method."""
     force = np.empty((len(coefficients), 2))
     for i in range(len(coefficients)):
         fx = fy = 0.0
@@ -104,7 +104,8 @@ def row(case: str, method: str, seconds: float, error: np.ndarray) -> dict[str, 
 
 
 def slip(coefficients: np.ndarray, point: np.ndarray) -> Callable[[float], tuple[float, float]]:
-    """Return the plate's velocity [m/s] under a held part, directly by equation (13)."""
+    """Return the plate's velocity [m/s] under a held part, directly by equation (13) of the
+    paper."""
     sine, cosine = coefficients[:NUMBER].tolist(), coefficients[NUMBER:].tolist()
     x, y = point.tolist()
     rates = [2 * pi / PERIOD * (j + 1) for j in range(NUMBER)]

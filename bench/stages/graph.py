@@ -1,4 +1,4 @@
-"""Faults, malformed messages, random goals and minutes of sorting in the real graph.
+"""Tests of the real graph: faults, malformed messages, random goals, some minutes of sorting.
 
 The programs of tools/ disturb the real graph: they inject faults into nodes, and send malformed
 messages and random goals. Then the graph sorts for some minutes."""

@@ -1,7 +1,8 @@
 """Latency from image to motors in the real graph.
 
-The nodes run in separate processes, then all in one. Times are the middleware's publication times,
-so the observer's speed has no effect.
+First, each node runs in a separate process. Then all nodes run in one process. The middleware
+records the publication time of each message. Therefore the speed of the measuring program has no
+effect.
 """
 
 from __future__ import annotations

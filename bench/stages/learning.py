@@ -95,8 +95,8 @@ class Plate:
         return motion
 
     def read(self, cycle: PlateCycle, times: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Play a cycle `times` times. Return the times since its start (n,), and two arrays of
-        sensor values (n, 4)."""
+        """Play a cycle `times` times. Return the times since the start of a play (n,), and two
+        arrays of sensor values (n, 4)."""
         begin, parts = self.rng.uniform(0, SAMPLE_S), []
         for k in range(times):
             motion = self.play(cycle)

@@ -35,7 +35,7 @@ PERIOD, HARMONICS, SIZE_M = 0.1, 4, 2.5e-3
 """Period [s], number of harmonics, and approximate amplitude [m] of the plate's motion."""
 
 TURN = 0.03
-"""Approximate amplitude of its rotation, in scenes with rotation [rad]."""
+"""Approximate amplitude of the plate's rotation, in scenes with rotation [rad]."""
 
 RIMS = 0.2
 """Friction coefficient between parts that touch on a rotating plate."""

@@ -73,7 +73,8 @@ this function simulates [s]."""
 
 
 def error_rows(quick: bool) -> list[dict[str, Any]]:
-    """Return rows of the error of one part's travel after 1 s, and of the speed, by setting."""
+    """For each setting, return a row with the error of one part's travel after 1 s, and with the
+    speed of the simulation."""
     rows = []
     for gamma, exact in EXACT_M.items():
         for method, setting, errors, run, span in settings(alike(gamma, 1), exact, quick):
@@ -119,8 +120,8 @@ def settings(scene: Scene, exact: float, quick: bool) -> Iterator[Setting]:
 
 
 def speed_rows(quick: bool) -> list[dict[str, Any]]:
-    """Return rows of the speed at the error of pymunk, for each number of parts. The parts move in
-    all directions."""
+    """For each number of parts, return a row with the speeds of the methods. All methods are
+    compared at the error of pymunk. The parts move in all directions."""
     counts, there = (1, 10, 100), optional(PYMUNK)
     return [{"parts": count, "lead": lead(count, quick) if there else None} for count in counts]
 

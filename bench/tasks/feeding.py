@@ -1,4 +1,4 @@
-"""A feeder in production compared with feeders that shake and look: speed, accuracy.
+"""A feeder in production, compared with feeders that shake and take images: speed, accuracy.
 
 Each case changes one value of the base case: the number of parts on the plate, the gripper's
 clearance, the robot's cycle, the pick window, or the type of part. The baselines are those of

@@ -35,7 +35,7 @@ SEEDS = range(50_000, 50_003)
 
 FULL_PACE = 0.95
 """Fraction of the requested speed. The table omits a speed above this fraction, because it is
-practically the requested one."""
+practically the requested speed."""
 
 
 def measure(quick: bool) -> Result:

@@ -2,8 +2,8 @@
 
 Every variation runs in new processes. Each variation is compared with a run without load. In this
 run, BLAS and numpy use their code for AVX2 (`ALIKE`). To represent another processor, the libraries
-are forced to use the code that they would choose on it. The code of the project's kernels depends
-only on the actual processor. The measurement has about 1000 runs.
+are forced to use the code that they would choose on that processor. The code of the project's
+kernels depends only on the actual processor. The measurement has about 1000 runs.
 """
 
 from __future__ import annotations

@@ -43,7 +43,7 @@ KINDS: dict[str, tuple[dict[str, float], str]] = {
     "reset": ({}, "reset"),
     "brown-out": ({}, "brown_out"),
 }
-"""Permanent faults of the line, and single event during the task, by name of an accident."""
+"""Kinds of accidents by name: permanent faults of the line, and a single event during the task."""
 
 
 def measure(quick: bool) -> Result:

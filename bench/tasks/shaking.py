@@ -5,10 +5,10 @@ same as for the project's feeder.
 
 The baseline takes an image while the robot is away and the plate rests. All parts that are ready in
 one image are picked one after the other, without a further image. When no ready part is left, the
-plate shakes until an image shows one. The baseline starts to shake at the robot's last grip. The
-project's feeder moves only after the robot has left the camera's view. The hopper opens during a
-shake, by the same rule as for the project's feeder. An image takes 0.2 s for settling, exposure and
-evaluation.
+plate shakes until an image shows a ready part. The baseline starts to shake at the robot's last
+grip. The project's feeder moves only after the robot has left the camera's view. The hopper opens
+during a shake, by the same rule as for the project's feeder. An image takes 0.2 s for settling,
+exposure and evaluation.
 
 There are two kinds of shakes:
 

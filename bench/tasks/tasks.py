@@ -77,7 +77,7 @@ def measure(quick: bool) -> Result:
 
 
 def weak(rig: Rig) -> Rig:
-    """Return the rig with motors whose forces differ from the requested ones by `MOTOR_GAIN`.
+    """Return the rig with motors whose actual forces are the requested forces times `MOTOR_GAIN`.
 
     The plate has a soft suspension (5 Hz, well damped). The plate's drive compensates for the
     suspension, but not for the errors of the motor forces.

@@ -14,9 +14,9 @@ during the training. The training takes about 20 minutes on one core:
     done [%]                     42    86   100   100   100   100
     plate time, median [s]     20.7  13.9  10.1   8.4   7.7   7.2
 
-The final plate time is twice that of Method B. A decision takes 0.1 ms instead of 30 ms. In the
-disturbed worlds, which were not used in training, the task takes at most 5 % longer. With ten parts
-(`--task Sort10-v1`), the network sorted no plate after 1,000 updates. Another network, which
+The final plate time is twice as long as with Method B. A decision takes 0.1 ms instead of 30 ms. In
+the disturbed worlds, which were not used in training, the task takes at most 5 % longer. With ten
+parts (`--task Sort10-v1`), the network sorted no plate after 1,000 updates. Another network, which
 averages features of the parts, sorted none of 30 plates with ten parts after 2,353 updates (6
 minutes on one core). Longer training was not tried.
 """
@@ -60,7 +60,7 @@ EDGE_M, EDGE_COST = 0.03, 2.0
 [100 mm of distance to go]."""
 
 CLEAR_M = 0.02
-"""Distance between the centres of parts below which they have a cost [m]."""
+"""If the centres of two parts are nearer than this distance, the parts have a cost [m]."""
 
 JUDGED, SEED = 64, 200_000
 """Number of plates of plate_gym for the evaluation, and their first seed."""

@@ -64,8 +64,8 @@ class Cluster(Executor):
     modules : sequence of str
         Further packages of the project. Each worker must have the same code of these packages.
     agent : str
-        Module of another person. Each worker must have the same files of this module, and the same
-        versions of the libraries that it imports.
+        Name of a module that is not part of the project, such as a user's agent. Each worker must
+        have the same files of this module, and the same versions of the libraries that it imports.
     tell : callable
         Function that is called with lines of text: the address of the dashboard, and refused
         workers.
@@ -215,7 +215,7 @@ class Cluster(Executor):
                         self._send(result)
 
     def _await_workers(self) -> None:
-        """Wait until the first worker is accepted, but at most `FIRST_S`.
+        """Wait until the first worker is accepted, for at most `FIRST_S`.
 
         Raises
         ------

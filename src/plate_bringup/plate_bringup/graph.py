@@ -33,16 +33,16 @@ timeout is long, because a cycle of simulated time can take a long wall time."""
 
 
 SERIAL_ANSWER_S = 0.14
-"""Value of the planner's parameter `answer_s` with the transport serial [s]. It includes the time
-in which a table is transmitted."""
+"""Value of the planner's parameter `answer_s` with the transport serial [s]. This value includes
+the transmission time of a table."""
 
 SERIAL_HANDOVER_S = 0.08
-"""Value of the solver's parameter `handover_s` with the transport serial [s]. It includes the time
-in which a table is transmitted."""
+"""Value of the solver's parameter `handover_s` with the transport serial [s]. This value includes
+the transmission time of a table."""
 
 
 class GraphError(PlateError):
-    """Raised if the list of nodes is wrong, or if a node does not work as required."""
+    """Error: the list of nodes is wrong, or a node does not work as required."""
 
 
 @dataclass(frozen=True)
@@ -52,7 +52,7 @@ class GraphNode:
     Attributes
     ----------
     name, package, executable : str
-        `name` is the name of the node in the graph. `ros2 run PACKAGE EXECUTABLE` starts it.
+        `name` is the name of the node in the graph. `ros2 run PACKAGE EXECUTABLE` starts the node.
     component : str
         Qualified name of the node's class.
     on_hardware : bool

@@ -128,7 +128,8 @@ def code_of(*modules: str) -> str:
 
 
 def files_of(module: str) -> dict[str, str]:
-    """Return digests of the files of another person's module, by path. The module is not imported.
+    """Return digests of the files of a module that is not part of the project, by path. The module
+    is not imported.
 
     For a package, with or without `__init__.py`, the result contains all files in its folder,
     except hidden files and bytecode. For a module in a single file, it contains this file and the

@@ -354,7 +354,7 @@ class Scene(Protocol):
 
 
 class SimulatedScene:
-    """Parts of the simulator. Vision detects them in the images of the simulated camera."""
+    """Parts of the simulator. Vision detects the parts in the images of the simulated camera."""
 
     def __init__(self, setup: Setup, scenario: Scenario, rig: Rig) -> None:
         self.simulation = Simulation(
@@ -409,8 +409,8 @@ class Cell(Protocol):
 
 
 class ControlLaw(Protocol):
-    """Interface of a user's planner. The loop creates it with the rig, and calls it once per
-    image."""
+    """Interface of a user's planner. The loop creates the planner with the rig, and calls the
+    planner once per image."""
 
     def plan(self, parts: Parts, t: float) -> CycleRequest:
         """Return the request for the mean forces on the parts. `t` is the stamp of the image
@@ -488,8 +488,8 @@ def run(
     """Run the loop until the task has ended. For each computed cycle, yield a `Moment`.
 
     `drag` is a function of the time [s] that returns new targets for a running move task. `cell`
-    represents the devices around the plate in a feed task. `scene` provides the parts. By default,
-    these are the parts of the simulator.
+    represents the devices around the plate in a feed task. `scene` provides the parts. Default: the
+    parts of the simulator.
     """
     line = transport or Direct()
     scenario = setup.recipe

@@ -65,9 +65,9 @@ class Robot:
     the part. Until 0.15 C, the robot hides a region of the camera image. Then the robot reports to
     the feeder whether it has the part. At 0.6 C, the robot requests the next part. If the reply
     arrives before 0.85 C, the robot enters the image at 0.85 C and grips at C. If the reply arrives
-    later, the robot waits outside the image. It enters the image when the reply arrives, and grips
-    0.15 C later. Only this delay counts as waiting time. A failed grip takes as long as a
-    successful grip.
+    later, the robot waits outside the image. The robot then enters the image when the reply
+    arrives, and grips 0.15 C later. Only this delay counts as waiting time. A failed grip takes as
+    long as a successful grip.
 
     Attributes
     ----------

@@ -32,8 +32,8 @@ REHEARSALS = 3
 """Number of rehearsals of a task. Each rehearsal has different random start positions."""
 
 MAX_CYCLES = 150
-"""Maximum number of cycles of a rehearsal. If the task is not done by then, the remaining time is
-extrapolated from the speed in the second half of the rehearsal."""
+"""Maximum number of cycles of a rehearsal. If the task is not done after this number, the remaining
+time is extrapolated from the speed in the second half of the rehearsal."""
 
 UNEVEN = 0.1
 """Relative standard deviation of the parts' friction."""

@@ -1,4 +1,4 @@
-"""Processes messages until a condition is true. Signals never interrupt the processing of a
+"""Processing of messages until a condition is true. Signals never interrupt the processing of a
 message."""
 
 from __future__ import annotations

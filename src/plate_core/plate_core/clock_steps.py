@@ -27,10 +27,10 @@ READINGS = 5
 duration is used."""
 
 KEPT_S = 60.0
-"""Time for which a step is considered [s]. No message is in transit for longer. After a step back,
-the clock shows some times twice. A stamp with such a time may be older than it seems, so it is
-treated as a stamp from before the step. Therefore the plate rests until the clock has passed these
-times, but at most for `KEPT_S`."""
+"""Time for which a step of the clock is taken into account [s]. No message is in transit for a
+longer time. After a step back, the clock shows some times twice. A stamp with such a time may be
+older than it seems, so it is treated as a stamp from before the step. Therefore the plate rests
+until the clock has passed these times, but at most for `KEPT_S`."""
 
 MAX_STEPS = 20
 """Maximum number of steps in `KEPT_S`. With more steps, the clock is not usable. If the clock is

@@ -32,7 +32,7 @@ class Forces:
     tolerance : (M, 2)
         Half width of the accepted interval [N]. All forces inside the interval are equally good.
     torque : (M,)
-        Mean torque [N m]. If it is 0, all rotations are equally good.
+        Mean torque [N m]. 0: all rotations are equally good.
     period : float
         Length T of the cycle [s].
     """
@@ -53,8 +53,8 @@ class AngleTargets:
         Bounds of the accepted interval [rad]. All angles inside the interval are equally good. The
         bounds differ from the part's angle by at most half a turn.
     weight : (M,)
-        Position error that costs as much as an angle error of one radian [m]. If it is 0, all
-        angles are equally good.
+        Position error that costs as much as an angle error of one radian [m]. 0: all angles are
+        equally good.
     """
 
     low: np.ndarray
@@ -74,9 +74,8 @@ class Targets:
         Bounds of the accepted interval along x and y [m, plate_home]. All positions inside the
         interval are equally good.
     weight : (M, 2)
-        Weight of the remaining distance along x and y [-]. If it is 0, all positions along this
-        axis are equally good. A violation of the clearance to an edge or to another part has the
-        weight 1.
+        Weight of the remaining distance along x and y [-]. 0: all positions along this axis are
+        equally good. A violation of the clearance to an edge or to another part has the weight 1.
     gap_m : float
         Minimum clearance between any two parts, each modelled as a disc about its centre [m].
     angles : AngleTargets or None

@@ -51,8 +51,8 @@ def piped() -> Iterator[None]:
     """Exit without a traceback if the reader of the program's output closes the pipe, as in
     `check_rig | head -1`.
 
-    Use it as a decorator of `main` or in a `with` statement. Clean-up code in the decorated
-    function still runs. The exit code is 141, the code that shells report for SIGPIPE.
+    Use this function as a decorator of `main` or in a `with` statement. Clean-up code in the
+    decorated function still runs. The exit code is 141, the code that shells report for SIGPIPE.
     """
     try:
         try:

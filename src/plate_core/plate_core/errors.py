@@ -11,20 +11,20 @@ class PlateError(ValueError):
 
 
 class RigError(PlateError):
-    """A rig file is missing, is unreadable, or contains a wrong value."""
+    """Error: a rig file is missing, is unreadable, or contains a wrong value."""
 
 
 class ScenarioError(PlateError):
-    """A scenario file is missing, is unreadable, or contains a wrong value."""
+    """Error: a scenario file is missing, is unreadable, or contains a wrong value."""
 
 
 class CycleError(PlateError):
-    """A plate motion is invalid: it ends neither in its initial state nor at rest, is not finite,
-    or cannot be executed."""
+    """Error: a plate motion is invalid. It ends neither in its initial state nor at rest, is not
+    finite, or cannot be executed."""
 
 
 class FrameError(PlateError):
-    """A frame of the serial protocol is damaged, or a message does not fit into a frame."""
+    """Error: a frame of the serial protocol is damaged, or a message does not fit into a frame."""
 
 
 def did_you_mean(word: str, known: Iterable[str]) -> str:

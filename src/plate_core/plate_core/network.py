@@ -15,7 +15,8 @@ from .yaml_fields import config_path
 
 PROFILE = "FASTRTPS_DEFAULT_PROFILES_FILE"
 SKIP_OTHERS = "SKIP_DEFAULT_XML_FILE"
-"""If 1, Fast DDS does not read DEFAULT_FASTRTPS_PROFILES.xml from the current folder."""
+"""Name of an environment variable. If its value is 1, Fast DDS does not read
+DEFAULT_FASTRTPS_PROFILES.xml from the current folder."""
 
 OWN, NETWORK = "fastdds.xml", "fastdds_network.xml"
 """Profiles in config/. `OWN` restricts DDS to this machine, `NETWORK` allows the network."""

@@ -59,8 +59,8 @@ class Parts:
     spin : (M,)
         Mean angular velocity over the last cycles [rad/s].
     friction_limit : (M,)
-        Maximum friction force on the part, mu m g [N]. 0 if it was not estimated. In this case the
-        value of the rig file applies.
+        Maximum friction force on the part, mu m g [N]. 0 if it was not estimated, so that the value
+        of the rig file applies.
     """
 
     ids: tuple[str, ...]

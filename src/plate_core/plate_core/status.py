@@ -73,7 +73,7 @@ def worst(findings: Iterable[Finding | None], otherwise: str) -> Finding:
     findings : iterable of Finding or None
         Elements that are None are ignored.
     otherwise : str
-        Message if there are no findings. In this case the level is OK.
+        Message with the level OK if there are no findings.
     """
     found = sorted((f for f in findings if f is not None), key=lambda f: -f.level.rank)
     if not found:

@@ -111,7 +111,8 @@ class Task:
 
     @property
     def accepted(self) -> bool:
-        """Whether the planner has accepted the goal. Before this, `cancel` has no effect."""
+        """Whether the planner has accepted the goal. `cancel` has no effect before the planner has
+        accepted the goal."""
         return self._handle is not None
 
     def has_begun(self) -> bool:

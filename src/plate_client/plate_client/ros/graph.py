@@ -32,7 +32,7 @@ WAITING_S = 5.0
 """Time between two lines that state the reason why a task waits [s]."""
 
 REPORT_S = 2.0
-"""Time for which diagnostics are collected [s]. Nodes publish them once per second."""
+"""Time for which diagnostics are collected [s]. Nodes publish diagnostics once per second."""
 
 LATE_S = 2.0
 """Additional time if some nodes have not published diagnostics yet [s]."""

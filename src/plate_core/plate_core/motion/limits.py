@@ -47,8 +47,8 @@ class CycleUsage:
     stroke_m, speed : float
         Maximum travel [m] and speed [m/s] of all motors.
     accel : float
-        Maximum acceleration of the plate's corners [m/s2]. No point of the plate exceeds it,
-        because the acceleration is a convex function of the point.
+        Maximum acceleration of the plate's corners [m/s2]. No point of the plate has a larger
+        acceleration, because the magnitude of the acceleration is a convex function of the point.
     force : float
         Maximum force of all motors [N].
     thermal_load : (4,)

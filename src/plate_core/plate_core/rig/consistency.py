@@ -27,8 +27,8 @@ MIN_GAMMA = 5.0
 """Shaking ratio below which tasks take long or fail [-]. docs/hardware.md has measured values."""
 
 CYCLE_HZ = (5.0, 40.0)
-"""Lowest and highest frequency in the solvers' cycles [Hz]. The lowest has one period in a cycle of
-0.2 s, and the highest four periods in a cycle of 0.1 s."""
+"""Lowest and highest frequency in the solvers' cycles [Hz]. The lowest frequency has one period in
+a cycle of 0.2 s. The highest frequency has four periods in a cycle of 0.1 s."""
 
 MIN_FOLLOWING_M = 1e-5
 """Minimum value of the limit `following_error_m` [m]. No drive is more accurate, so every motor
@@ -407,9 +407,9 @@ def _misfit(rig: Rig, corners: np.ndarray, plate: np.ndarray) -> tuple[float, fl
     [-], and the tilt of the camera [rad].
 
     Let K be the camera matrix, and H the homography from the plate to the image. The first two
-    columns of K^-1 H are the plate's axes times a common scale. Therefore they must have equal
-    lengths and be orthogonal. If K is unknown, the best focal length of `FOCAL_LENGTHS` is used,
-    and the principal point is assumed in the middle of the image.
+    columns of K^-1 H are the plate's axes times a common scale. Therefore these columns must have
+    equal lengths and be orthogonal. If K is unknown, the best focal length of `FOCAL_LENGTHS` is
+    used, and the principal point is assumed in the middle of the image.
     """
     camera = rig.camera
     view = fit_homography(plate, corners)

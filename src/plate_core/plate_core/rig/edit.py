@@ -38,8 +38,9 @@ def edit_rig(path: Path, values: Values, expected: Callable[[Rig], bool]) -> Non
     Raises
     ------
     PlateError
-        If the file is not YAML, does not have the mappings in `values`, or cannot be written. Also
-        if the changed file is not a rig file, or `expected` returns False for it.
+        If the file is not YAML, does not have the mappings in `values`, or cannot be written. The
+        error is also raised if the changed file is not a rig file, or `expected` returns False for
+        the changed rig.
     """
     path = path.resolve()  # if the file is a symbolic link, change its target
     content = read_file(path, YAML_BYTES)

@@ -17,8 +17,8 @@ CORNER_PX = 1.0
 a user clicks by hand."""
 
 PLACE_ERROR = 0.1
-"""Maximum error of the camera's position due to corner errors of `CORNER_PX`, as a fraction of its
-height. The relative error of the parts' parallax is about as large."""
+"""Maximum error of the camera's position due to corner errors of `CORNER_PX`, as a fraction of the
+camera's height. The relative error of the parts' parallax is about as large."""
 
 
 def to_home(pose: np.ndarray, point: np.ndarray) -> np.ndarray:
@@ -190,9 +190,9 @@ def camera_place(rig: Rig) -> np.ndarray | None:
     -------
     (3,) or None
         None if the perspective is too weak for the third case, that is, if errors of `CORNER_PX` in
-        all coordinates of the corners change the position by more than `PLACE_ERROR` of its height.
-        Also None if the middle of the image shows no point of the plate's plane, or if a corner is
-        outside the lens's field of view.
+        all coordinates of the corners change the position by more than the fraction `PLACE_ERROR`
+        of the camera's height. Also None if the middle of the image shows no point of the plate's
+        plane, or if a corner is outside the lens's field of view.
     """
     camera = rig.camera
     if camera.lens is not None:
@@ -252,10 +252,10 @@ def _focal_px(image_from_home: np.ndarray, middle: np.ndarray) -> float | None:
     None if the homography has no perspective.
 
     Let K = diag(f, f, 1) with the middle of the image as the origin. The first two columns of K^-1
-    H are the plate's axes times a common scale. They are orthogonal, ax . ay + f^2 bx by = 0, and
-    have equal lengths, norm(ax)^2 - norm(ay)^2 + f^2 (bx^2 - by^2) = 0. ax and ay are the first two
-    entries of these columns of H, and bx and by are their third entries (Zhang 2000, equations 3
-    and 4).
+    H are the plate's axes times a common scale. These columns are orthogonal, ax . ay + f^2 bx by =
+    0, and have equal lengths, norm(ax)^2 - norm(ay)^2 + f^2 (bx^2 - by^2) = 0. ax and ay are the
+    first two entries of these columns of H, and bx and by are their third entries (Zhang 2000,
+    equations 3 and 4).
     """
     a = image_from_home[:2, :2] - np.outer(middle, image_from_home[2, :2])
     b = image_from_home[2, :2]

@@ -17,7 +17,7 @@ from .sections import Limits, Motor
 
 PEAK_OVER_RMS = 1.6
 """Approximate minimum ratio of a motor's peak force to its root mean square force in the solvers'
-motions. For rotations, the ratio is 1.6 to 2. For sinusoids, it is 2 to 2.5
+motions. For rotations, the ratio is 1.6 to 2. For sinusoids, the ratio is 2 to 2.5
 (`test_weak_motors.py`)."""
 
 TURN_STEPS = 400

@@ -67,7 +67,8 @@ of objects that match no type."""
 
 CENTRED = 0.03
 """Tolerance of a hole's centre and of the corners of a symmetric outline, as a fraction of the
-part's reach. This tolerance covers errors of manufacture and measurement."""
+part's reach (maximum distance between centre and edge). This tolerance covers errors of manufacture
+and measurement."""
 
 Polygon = tuple[tuple[float, float], ...]
 """Corners (x, y) [m], counter-clockwise."""

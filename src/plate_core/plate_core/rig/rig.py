@@ -39,9 +39,9 @@ class EdgeMargin(NamedTuple):
 class Rig:
     """All data of one rig.
 
-    If the rig has no suspension, the plate is rigid and follows its commands exactly. If it has no
-    fiducials, vision detects the plate only by its edges. If it has no types, all parts are
-    identical discs.
+    If the rig has no suspension, the plate is rigid and follows its commands exactly. If the rig
+    has no fiducials, vision detects the plate only by its edges. If the rig has no types, all parts
+    are identical discs.
     """
 
     plate: Plate
@@ -122,6 +122,6 @@ class Rig:
 
     @property
     def force_unit(self) -> float:
-        """Sliding friction force of one part, mu m g [N]. The solvers use it as the unit of
+        """Sliding friction force of one part, mu m g [N]. The solvers use this force as the unit of
         force."""
         return self.parts.mass_kg * self.friction.accel

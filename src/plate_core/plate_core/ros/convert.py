@@ -463,7 +463,7 @@ def msg_to_knots(
 
 def array_to_image(image: np.ndarray, stamp: Time, encoding: str = "mono8") -> Image:
     """Convert an image (H, W) or (H, W, n), uint8 or uint16, to a message. `encoding` is the name
-    of its encoding in ROS."""
+    of the image's encoding in ROS."""
     msg = Image(header=Header(stamp=stamp, frame_id=CAMERA_FRAME))
     msg.height, msg.width = int(image.shape[0]), int(image.shape[1])
     msg.encoding = encoding

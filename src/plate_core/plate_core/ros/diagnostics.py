@@ -1,7 +1,8 @@
 """Publishing and reading of the topic `diagnostics`.
 
 Every node publishes its level, message and values once per second, independently of its inputs. If
-the level becomes worse, the node publishes it within 0.1 s. `msg_to_reports` reads these messages.
+the level becomes worse, the node publishes the new level within 0.1 s. `msg_to_reports` reads these
+messages.
 """
 
 from __future__ import annotations
@@ -51,7 +52,7 @@ def msg_to_reports(msg: DiagnosticArray) -> Iterator[Report]:
 
 
 class Diagnostics:
-    """Publishes the diagnostics of a node, timed by the steady clock. See `plate_core.status`.
+    """Publisher of the diagnostics of a node, timed by the steady clock. See `plate_core.status`.
 
     Parameters
     ----------

@@ -23,7 +23,8 @@ class NodeExecutor(SingleThreadedExecutor):
     _next_check, _checking = -math.inf, False
 
     def spin_once(self, timeout_sec: float | None = None) -> None:
-        """Execute one callback that is ready. If none is ready, wait up to `timeout_sec` [s]."""
+        """Execute one callback that is ready. If no callback is ready, wait up to `timeout_sec`
+        [s]."""
         now = time.monotonic()
         self._checking = now >= self._next_check
         if self._checking:

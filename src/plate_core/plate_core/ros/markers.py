@@ -28,7 +28,8 @@ LINE_M = 0.002
 """Width of lines and arrows [m]."""
 
 AHEAD_S = 1.0
-"""Prediction time of velocity arrows [s]. An arrow ends at the part's position after this time."""
+"""Prediction time of velocity arrows [s]. An arrow ends at the predicted position of the part after
+this time."""
 
 FORCE_M = 0.1
 """Length of the arrow for a force that is equal to the sliding friction of a part [m]."""

@@ -238,8 +238,8 @@ class UnlockedSubscription:
         self._context: Any = node.context
 
     def wait(self, timeout_s: float) -> None:
-        """Wait until a message is available, for at most `timeout_s` [s]. Call this only from the
-        thread that calls `take`."""
+        """Wait until a message is available, for at most `timeout_s` [s]. Call this method only
+        from the thread that calls `take`."""
         try:
             with self._handle, self._context.handle:
                 waiting = rclpy_implementation.WaitSet(1, 0, 0, 0, 0, 0, self._context.handle)

@@ -207,7 +207,7 @@ def pick_window(pick: Pick, rig: Rig) -> tuple[np.ndarray, np.ndarray]:
 
 def to_turn(parts: Parts, angle: float, symmetry: int) -> np.ndarray:
     """Return the smallest rotation (M,) [rad] that brings parts to an angle [rad]. `symmetry` is
-    their order of rotational symmetry."""
+    the order of the parts' rotational symmetry."""
     period = 2 * np.pi / max(symmetry, 1)
     return np.asarray((angle - parts.angle + period / 2) % period - period / 2)
 

@@ -1,8 +1,8 @@
 """Reading of scenario files, checks of a scenario against a rig, and placement of its parts.
 
 `load_scenario` returns a `Scenario`. `check_scenario` refuses a scenario that is impossible on a
-rig, such as one with targets beyond the edges. `start_positions` returns the given start positions,
-and random start positions for the other parts.
+rig, such as a scenario with targets beyond the edges. `start_positions` returns the given start
+positions, and random start positions for the other parts.
 """
 
 from __future__ import annotations
