@@ -126,7 +126,7 @@ def await_card(pid: int) -> None:
 
 
 def do(*words: str) -> str:
-    """Run a command, and return its output. Raises PlateError if it fails."""
+    """Run a command, and return its output. Raise PlateError if the command fails."""
     try:
         return subprocess.run(words, check=True, capture_output=True, text=True).stdout
     except (OSError, subprocess.CalledProcessError) as error:

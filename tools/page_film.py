@@ -82,7 +82,8 @@ class Film:
 
 
 def shoot(film: Film) -> None:
-    """Drag the parts, then draw a path and let a part follow it. Take screenshots until `END_S`."""
+    """Drag the parts, then draw a path and let a part follow this path. Take screenshots until
+    `END_S`."""
     film.page.get_by_label("Drift").check()
     for name, end, at in DRAGS:
         film.until(at)

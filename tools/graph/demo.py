@@ -1,4 +1,4 @@
-"""One run of tools/demo.py: checks its arguments, runs the graph, evaluates and draws the result.
+"""One run of tools/demo.py: checks the arguments, runs the graph, evaluates and draws the result.
 
 `checked` turns the arguments into a `Plan`, `run` starts the graph and the task, and `conclude`
 writes result.json, strip.png and demo.gif, also of a run that was interrupted.

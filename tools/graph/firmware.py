@@ -1,4 +1,4 @@
-"""Build of the firmware for CAN drives as a program of this computer."""
+"""Compilation of the firmware for CAN drives as a program that runs on this computer."""
 
 from __future__ import annotations
 

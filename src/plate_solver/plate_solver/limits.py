@@ -34,10 +34,10 @@ search may slightly miss a peak."""
 
 HEADROOM = 1.1
 """If the motors can accelerate the plate by at least this factor times the acceleration limit in
-the rig file, their force and heat are not checked. The factor covers two errors of `motor_reach`.
-Because of the plate's spin, the peak force can be 2 % higher than `motor_reach` assumes
-(test_motors.py). The RMS force, which determines the heat, can be 3 % higher than `motor_reach`
-assumes (test_weak_motors.py)."""
+the rig file, the force and the heat of the motors are not checked. The factor covers two errors of
+`motor_reach`. Because of the plate's spin, the peak force can be 2 % higher than `motor_reach`
+assumes (test_motors.py). The RMS force, which determines the heat, can be 3 % higher than
+`motor_reach` assumes (test_weak_motors.py)."""
 
 CERTAIN: float = _kernels.CERTAIN
 """Largest permitted utilisation of any rig limit by a finished cycle (1: exactly at the limit). The
@@ -60,8 +60,8 @@ class Limits(NamedTuple):
         Limits of the motors' stroke [m] and speed [m/s], and of the acceleration of any point of
         the plate [m/s2].
     arm_m : float
-        Characteristic length that converts theta to a displacement. The searches use it to scale
-        the parameters of a motion.
+        Characteristic length that converts theta to a displacement. The searches use this length to
+        scale the parameters of a motion.
     levers : (4, 3)
         Derivative of each motor's travel with respect to the pose, at home.
     loads : (3, 4, 3)
@@ -139,9 +139,9 @@ def within_limits(
 ) -> PlateCycle:
     """Return a cycle whose control points are within the full limits.
 
-    If the cycle exceeds the limits, it is interpolated towards the cycle that `resting` returns,
-    which has the same knot times. Without `resting`, the cycle is interpolated towards rest, which
-    scales it down.
+    A cycle that exceeds the limits is interpolated towards the cycle that `resting` returns. Both
+    cycles have the same knot times. Without `resting`, the cycle is interpolated towards rest,
+    which scales the cycle down.
     """
     used = _use(cycle, full)
     if used <= CERTAIN:

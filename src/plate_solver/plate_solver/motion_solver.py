@@ -91,7 +91,7 @@ class MotionSolver(ABC):
             the search continues from further starts.
         until : float
             Deadline on the clock `time.monotonic` [s]. A finite deadline may end the search early.
-            In this case the result depends on the speed of the computer.
+            If the deadline ends the search, the result depends on the speed of the computer.
 
         Returns
         -------

@@ -52,10 +52,10 @@ class StartState:
     turn : (M,)
         Rotation of each part since the start of the running cycle [rad].
     spin : (M,) or None
-        Spin of each part [rad/s]. None if no rotation is requested. In this case the parts are
-        modelled as points.
+        Spin of each part [rad/s]. None if no rotation is requested. Without a requested rotation,
+        the parts are modelled as points.
     plate : (3, 3) or None
-        State of the plate as in `PlateCycle.state`. None if it rests at home.
+        State of the plate as in `PlateCycle.state`. None if the plate rests at home.
     """
 
     ids: tuple[str, ...]
@@ -101,7 +101,7 @@ def predict_start(
         Whether a rotation is requested. If False, parts are modelled as points.
     from_rest : bool
         Whether the method's cycles begin at rest. If True and the running cycle ends in motion, the
-        function predicts the state after its tail.
+        function predicts the state after the tail of this cycle.
     """
     parts, types = request.parts, part_types(rig, request.parts.ids)
     friction, turn = friction_accel(rig, request), np.zeros(len(parts))

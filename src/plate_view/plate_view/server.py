@@ -3,8 +3,8 @@ cannot delay the graph.
 
 Each browser has an outgoing queue. Some data are sent repeatedly, for example the parts. Of these
 data, the queue contains only the newest message of each kind. Of all other messages, the queue
-contains the last `MAX_QUEUE`. A slow browser therefore misses frames. If a browser accepts no data,
-it is disconnected.
+contains the last `MAX_QUEUE`. A slow browser therefore misses frames. A browser that accepts no
+data is disconnected.
 """
 
 from __future__ import annotations

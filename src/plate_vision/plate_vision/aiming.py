@@ -367,7 +367,7 @@ def light_finding(image: np.ndarray, light: Light, field: AimField) -> Finding:
 
 def size_finding(part_px: tuple[float, float]) -> Finding:
     """Return a finding that states whether parts are large enough in the image. `part_px` contains
-    their minimum and maximum diameter [px]."""
+    the minimum and the maximum diameter of the parts [px]."""
     low, high = part_px
     text = f"diameter of the parts is {low:.1f} to {high:.1f} px"
     if low < MIN_PART_PX:

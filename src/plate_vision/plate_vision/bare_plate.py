@@ -58,7 +58,7 @@ def learn_next(plate: BarePlate, image: np.ndarray | None, region: Region) -> tu
     """Request the next `BARE_IMAGES` images for learning. These images must show the bare plate.
 
     Return the new state, and a message for the user. If the last image (H, W) or (H, W, 3) shows
-    objects on the plate, the message states their number."""
+    objects on the plate, the message states the number of objects."""
     text = f"the next {BARE_IMAGES} images are used for the bare plate"
     things = "" if image is None else things_text(image, region)
     if things:
@@ -69,9 +69,9 @@ def learn_next(plate: BarePlate, image: np.ndarray | None, region: Region) -> tu
 def know_plate(
     plate: BarePlate, vision: Vision, image: np.ndarray
 ) -> tuple[BarePlate, Vision, Finding | None]:
-    """Process one image (H, W) or (H, W, 3). If requested, learn the bare plate from it. If the
-    bare plate is unknown, model it. If the bare plate is known, adapt its model to the light and
-    blur of the image.
+    """Process one image (H, W) or (H, W, 3). If requested, learn the bare plate from the image. If
+    the bare plate is unknown, model it. If the bare plate is known, adapt its model to the light
+    and blur of the image.
 
     Return the new state of the bare plate, a vision with the adapted background, and a finding for
     the user or None.
@@ -79,7 +79,8 @@ def know_plate(
     Raises
     ------
     ImageError
-        If too little of the plate is visible, because it is too dark or the camera was moved.
+        If too little of the plate is visible, because the image is too dark or the camera was
+        moved.
     """
     if plate.requested:
         # `np.stack` requires equal shapes, so grey images and colour images cannot be mixed.

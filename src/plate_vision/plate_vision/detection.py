@@ -2,9 +2,9 @@
 
 `detect` and `find_discs` fit the plate's brightness (`fit_light`) and find seeds (first guesses of
 the parts' places). These functions erase the parts' marks and measure each part by moments or by a
-fit of its contour. Then they accept or reject the part. Input: an image (H, W) or (H, W, 3) uint8
-and the plate's region. Output: `DETECTION` records in pixels. If no options describe the parts,
-`detect` finds them by their outlines (`shapes`).
+fit of its contour. Then the functions accept or reject the part. Input: an image (H, W) or (H, W,
+3) uint8 and the plate's region. Output: `DETECTION` records in pixels. If no options describe the
+parts, `detect` finds them by their outlines (`shapes`).
 """
 
 from __future__ import annotations
@@ -62,9 +62,10 @@ BRIGHT = "white"
 """Label of parts that are brighter than the plate."""
 
 METHODS = ("moments", "fit", "outline", "group")
-"""Methods that measure a part. "moments": the part is isolated and uniformly dark. "fit": its
-contour is fitted. "outline": the part's outline is measured, because no options describe the parts.
-"group": like "outline", but the outline seems to be the outline of several parts."""
+"""Methods that measure a part. "moments": the part is isolated and uniformly dark. "fit": the
+contour of the part is fitted. "outline": the part's outline is measured, because no options
+describe the parts. "group": like "outline", but the outline seems to be the outline of several
+parts."""
 
 LABELS, MEASURED = np.array([*CLASSES, BRIGHT]), np.array([METHODS[1], METHODS[0]])
 """`LABELS`: names of the labels, indexed by the label numbers that `judge` returns. `MEASURED`:
@@ -140,8 +141,8 @@ class DetectorOptions:
         Maximum relative deviation from `radius_px`, 0.05 to 0.6.
     threshold : float
         Maximum brightness of a part, relative to the bare plate's brightness, 0.1 to 0.97. Parts
-        that are brighter than the plate or of another colour must differ from it by at least 1 -
-        threshold. In noisy images, the difference must be larger.
+        that are brighter than the plate or of another colour must differ from the plate by at least
+        1 - threshold. In noisy images, the difference must be larger.
     class_threshold : float
         Threshold between black and grey parts, 0.05 to 0.95. The unit is the bare plate's
         brightness.
@@ -217,7 +218,7 @@ def detect(
         Grey levels; or blue, green, red. With options, only the green channel is used to find dark
         parts.
     options : DetectorOptions, optional
-        Description of the parts; None if it is unknown.
+        Description of the parts. None if the parts are not described.
     region : Region, or (4, 2) or (4, n, 2), optional
         Region of the plate: the result of `make_region`, or its argument `outline_px`. For several
         images, pass the result, because `make_region` takes longer than the detection. None: the

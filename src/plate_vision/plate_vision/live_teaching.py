@@ -1,7 +1,7 @@
 """Teaching of part types while the detector runs. Each call of ~/teach adds one picture.
 
-`Teaching` collects the pictures of one type. `learn_shown` learns the type from them, writes it to
-a file, and returns a `Vision` that recognises it.
+`Teaching` collects the pictures of one type. `learn_shown` learns the type from these pictures,
+writes the type to a file, and returns a `Vision` that recognises the type.
 """
 
 from __future__ import annotations
@@ -47,7 +47,7 @@ class Teaching:
 def learn_shown(teaching: Teaching, vision: Vision, path: Path) -> tuple[PartType, Vision, str]:
     """Learn a type, and write it to a file of types.
 
-    Return the type, a vision that recognises it, and a summary for the user.
+    Return the type, a `Vision` that recognises the type, and a summary for the user.
 
     Raises
     ------

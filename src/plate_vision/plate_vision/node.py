@@ -222,7 +222,7 @@ class DetectorNode(SafeLifecycleNode[DetectorParameters]):
     is called again with the same name, the type is learned from the images of all calls so far.
 
     While the topic aim has a subscriber, the node publishes measurements there that help to aim,
-    focus and light the camera. The services for this are ~/find_home, ~/save_home,
+    focus and light the camera. The services for aiming are ~/find_home, ~/save_home,
     ~/take_lens_pictures, ~/fit_lens, ~/save_lens.
 
     Each usable image results in one `parts` message with the image's stamp, even if it shows no
@@ -426,7 +426,7 @@ class DetectorNode(SafeLifecycleNode[DetectorParameters]):
     def _check_stamp(self, image: np.ndarray, stamp: float) -> None:
         """Raise an error if an image has the same stamp as the previous image but other pixels.
         Also raise an error if a single image is older than the previous one. If the next image is
-        older too, accept it, because the clock has probably been set back."""
+        also older, accept this image, because the clock has probably been set back."""
         last, early = self._tracker.stamp, self._early
         self._early = None
         if last is None or stamp > last:
@@ -606,7 +606,7 @@ class DetectorNode(SafeLifecycleNode[DetectorParameters]):
 
     def _check_faint(self, image: np.ndarray, stamp: float) -> None:
         """Count faint patches that are as large as round parts. The result is the smaller count of
-        two consecutive searches. For a photograph it is the count of one search."""
+        two consecutive searches. For a photograph, the result is the count of one search."""
         if self._vision.catalogue is not None:
             # parts with taught types are recognised by comparison with the bare plate, not by this
             # search

@@ -108,7 +108,7 @@ def find_types(
     calibration: Calibration,
     region: Region | None = None,
 ) -> np.ndarray:
-    """Find parts of taught types on the plate. Return their records (n,) `SIGHTING`."""
+    """Find parts of taught types on the plate. Return the records (n,) `SIGHTING` of the parts."""
     return find_types_under(image, catalogue, background, calibration, region)[0]
 
 
@@ -167,7 +167,7 @@ def _joined(
     """Merge the results of two recognitions. `found` (m,) SIGHTING are the records of `patches`,
     and `again` (k,) SIGHTING are the records of the patches `more`.
 
-    If a patch of the second recognition has a type, it replaces those first patches that it
+    If a patch of the second recognition has a type, this patch replaces those first patches that it
     overlaps. If the patch does not overlap any other patch, it is added.
     """
     kept = np.ones(len(patches), bool)

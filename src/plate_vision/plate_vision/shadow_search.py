@@ -132,7 +132,7 @@ def find_shadow(
     def whole_misfit(shadow: Shadow) -> float:
         """Return the mean misfit of the contours, plus the deviation of the darkness along the
         shadows. The darkness is only evaluated if the shadows are at least as long as a part's
-        radius, because they could then be mistaken for parts."""
+        radius. Such shadows could be mistaken for parts."""
         discs = fitted(shadow)
         steps, levels = _along(contrast, shadow, discs, parts)
         length = _length(shadow, discs, parts)
@@ -210,10 +210,10 @@ def _capsules(
     remains: Remains, silhouettes: Silhouettes
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray] | None:
     """Return four arrays about the objects that are elongated in one common direction. The first
-    array contains their centres (n, 2) [px], the second the silhouettes (n,) of parts at these
-    places. The third array contains the lengths (n,) by which the objects are longer than a part
-    [px]. The fourth array contains the unit vectors (n, 2) of their directions in the image. Return
-    None if there are too few objects."""
+    array contains the centres (n, 2) of the objects [px], the second the silhouettes (n,) of parts
+    at these places. The third array contains the lengths (n,) by which the objects are longer than
+    a part [px]. The fourth array contains the unit vectors (n, 2) of the objects' directions in the
+    image. Return None if there are too few objects."""
     x0, y0, stride = remains.grid
     beside = cv2.dilate(remains.outside.astype(np.uint8), np.ones((3, 3), np.uint8))
     count, labels, stats, middle = cv2.connectedComponentsWithStats(remains.odd)

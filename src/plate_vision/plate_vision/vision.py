@@ -173,7 +173,8 @@ def observe(
     stamp: float,
     expected: Prediction | None = None,
 ) -> Tracker:
-    """Find the parts of one image and track them. The field `parts` of the result contains them.
+    """Find the parts of one image and track them. The field `parts` of the result contains the
+    parts.
 
     Parameters
     ----------
@@ -291,9 +292,9 @@ def follow_plate(
 ) -> tuple[PlateLocation, Vision, np.ndarray]:
     """Find a plate with markers in an image, before `observe` searches for parts.
 
-    Return the new location, a vision whose region is at this location, and the image (H, W) or
-    (H, W, 3) without the markers, because they could be mistaken for parts. The vision and the
-    image are the input of `observe`.
+    Return the new location, a vision whose region is at this location, and the image (H, W) or (H,
+    W, 3) without the markers. Markers could be mistaken for parts. The vision and the image are the
+    input of `observe`.
 
     Raises
     ------

@@ -76,8 +76,8 @@ def line_of(theta: np.ndarray, family: Sequences) -> Line:
 
 
 def runnable(theta: np.ndarray, family: Sequences) -> tuple[np.ndarray, Line, Moved]:
-    """Make the parameters admissible. Return them, and the knots and samples of their motion.
-    Admissible parameters have positive durations and a motion within the limits."""
+    """Make the parameters admissible. Return the admissible parameters, and the knots and samples
+    of the motion. Admissible parameters have positive durations and a motion within the limits."""
     return _kernels.runnable(theta, family)
 
 
@@ -124,8 +124,8 @@ class RotationFamily:
         return len(self.plain.basis)
 
     def finer(self, steps: tuple[int, int] | int) -> RotationFamily:
-        """Return the family with other numbers of steps per ramp and hold. If `steps` is an
-        integer, it multiplies the present numbers."""
+        """Return the family with other numbers of steps per ramp and hold. An integer `steps`
+        multiplies the present numbers of steps."""
         if isinstance(steps, int):
             steps = self.plain.steps[0] * steps, self.plain.steps[1] * steps
         other = object.__new__(RotationFamily)

@@ -41,7 +41,8 @@ class RotationPlan:
     met : float
         Fraction of the request that fits into the cycle, at most 1.
     times : TimeFractions
-        Solution of the linear programme. Its cost is the time that the plan needs [cycles].
+        Solution of the linear programme. The cost of this solution is the time that the plan needs
+        [cycles].
     """
 
     twist: np.ndarray

@@ -1,8 +1,8 @@
 """A sequence of rotations as one closed motion in time, from rest to rest.
 
-Rotation j has a constant twist u_j during its hold. A smooth ramp connects it to the next rotation.
-The acceleration limit a determines the length h of the ramp. A smooth correction over the whole
-period T removes the gap between end and start. Therefore every sequence closes exactly:
+Rotation j has a constant twist u_j during its hold. A smooth ramp connects rotation j to the next
+rotation. The acceleration limit a determines the length h of the ramp. A smooth correction over the
+whole period T removes the gap between end and start. Therefore every sequence closes exactly:
 
     twist on a ramp   u_j + (u_{j+1} - u_j) x^2 (3 - 2 x),    x from 0 to 1,
     length            h = 1.5 (velocity change of the fastest corner) / a,
@@ -31,8 +31,8 @@ def motion(
     times: np.ndarray, knots: np.ndarray, counts: tuple[int, int]
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
     """Return pose, twist and acceleration (n, 3) at the middles of the steps, the step lengths (n,)
-    [s], and the gap (3,) between end and start. The motion includes the correction that closes it,
-    but the gap does not.
+    [s], and the gap (3,) between end and start. The gap is measured before the correction that
+    closes the motion. The returned motion includes this correction.
 
     Each ramp has `counts[0]` equal steps, and each hold has `counts[1]` equal steps. No step
     crosses the end of a ramp or hold. Therefore the results depend on the parameters as smoothly as

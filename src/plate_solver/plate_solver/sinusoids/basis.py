@@ -3,9 +3,9 @@
     u_i(t) = sum_j a_ij sin(j w t) + b_ij cos(j w t),   w = 2 pi / T
 
 Without constraints, a family has 2 N parameters per degree of freedom. A family that starts at rest
-satisfies u(0) = 0 and u'(0) = 0, which leaves 2 N - 2 parameters. Its poses are relative to the
-pose at the start. Therefore the plate is at home, at rest and without acceleration at both ends of
-a cycle, and any such cycle can follow any other.
+satisfies u(0) = 0 and u'(0) = 0, which leaves 2 N - 2 parameters. The poses of this family are
+relative to the pose at the start. Therefore the plate is at home, at rest and without acceleration
+at both ends of a cycle. Any cycle of this family can follow any other one.
 
 A family with a free end has three more functions per degree of freedom. These functions describe
 the final state of the cycle and the tail, which leads from this state to rest. A cycle that begins
@@ -197,8 +197,8 @@ def sinusoid_basis(
     """Return the family with `number` harmonics.
 
     If `at_rest`, motions start at rest. If `free_end`, motions may end in any state and have a
-    tail. `steps` is the number of samples per play; 0 selects it automatically. `plays` is the
-    number of consecutive plays that samples and limit checks cover. A number above 1 requires
+    tail. `steps` is the number of samples per play. 0 selects the number automatically. `plays` is
+    the number of consecutive plays that samples and limit checks cover. A number above 1 requires
     `at_rest`.
     """
     steps = steps or max(STEPS_PER_HARMONIC * max(number, 4), round(period / MAX_STEP))

@@ -38,7 +38,8 @@ class Motions(NamedTuple):
 
     @classmethod
     def of(cls, basis: SinusoidBasis, limits: Limits) -> Motions:
-        """Prepare a basis for the kernels. Its number of steps must be a multiple of `BIN`."""
+        """Prepare a basis for the kernels. The number of steps of the basis must be a multiple of
+        `BIN`."""
         twist_bins = basis.twist.reshape(-1, BIN, basis.size).mean(axis=1)
         scale = np.array([1.0, 1.0, 1 / limits.arm_m])
         kept = _kernels.motions_of(

@@ -1,7 +1,7 @@
 """Method B (section 3.2 of the paper) on the cycle map: cycles that are sums of sinusoids.
 
-`SinusoidCycles` selects the number of harmonics and the period for a goal. Then it runs the search
-of `SinusoidSteering` and returns a `Solution`.
+`SinusoidCycles` selects the number of harmonics and the period for a goal. Then the solver runs the
+search of `SinusoidSteering` and returns a `Solution`.
 """
 
 from __future__ import annotations
@@ -42,9 +42,10 @@ class SinusoidOptions:
     Attributes
     ----------
     harmonics : int
-        Number of harmonics N of equation (13). 0 selects it by the number of requested coordinates.
+        Number of harmonics N of equation (13). If 0, the number of requested coordinates determines
+        N.
     period : float
-        Length of the cycle [s]. 0 selects it by the number of harmonics.
+        Length of the cycle [s]. If 0, the number of harmonics determines the length.
     iterations : int
         Maximum number of iterations from one start.
     restarts : int

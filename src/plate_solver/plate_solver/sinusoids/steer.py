@@ -73,11 +73,11 @@ brings no improvement: see docs/results.md."""
 
 FORCE_LOOKAHEAD_S = 0.01
 """Time by which the search extrapolates the parts if forces are requested [s] (`Goal.ahead`). The
-final corrections remove the error of the displacements that this causes. Without the extrapolation,
-a fast part often ends a cycle too slowly, and the next cycle cannot reach its displacement. The
-extrapolation makes goals with moving parts that must stop more difficult. In a test of 800 such
-searches with 1 to 10 parts, 58 % had an error below `DRIFT_TOLERANCE`. Without the extrapolation,
-67 % of the searches had such an error."""
+final corrections remove the error of the displacements that the extrapolation causes. Without the
+extrapolation, a fast part often ends a cycle too slowly, and the next cycle cannot reach its
+displacement. The extrapolation makes goals with moving parts that must stop more difficult. In a
+test of 800 such searches with 1 to 10 parts, 58 % had an error below `DRIFT_TOLERANCE`. Without the
+extrapolation, 67 % of the searches had such an error."""
 
 AIMS = 2
 """Number of final corrections of the best motion. The corrections keep the limits and compensate

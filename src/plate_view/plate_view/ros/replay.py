@@ -194,5 +194,5 @@ def _damaged(error: Exception) -> PlateError:
 
 
 KEPT = ("rosout", "diagnostics")
-"""Topics of which the replay passes on all messages. For any other topic, it passes on only the
-newest message."""
+"""Topics of which the replay passes on all messages. For any other topic, only the newest message
+is passed on."""

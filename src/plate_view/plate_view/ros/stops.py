@@ -1,4 +1,4 @@
-"""Commands that stop the plate. Other work of the page cannot delay them."""
+"""Commands that stop the plate. Other work of the page cannot delay these commands."""
 
 from __future__ import annotations
 
@@ -19,8 +19,8 @@ END_S = 2.0
 
 
 class Stops:
-    """Calls the services that stop the plate. For these calls, it uses a separate ROS node on a
-    separate thread.
+    """Calls the services that stop the plate. For these calls, the class uses a separate ROS node
+    on a separate thread.
 
     Parameters
     ----------

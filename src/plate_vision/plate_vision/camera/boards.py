@@ -87,7 +87,7 @@ FIT_STEPS = 200
 iterations."""
 
 WORST_ERROR_PX = 1.0
-"""Maximum root mean square error of a fit [px]. Good pictures give 0.1 to 0.3 px."""
+"""Maximum root mean square error of a fit [px]. Good pictures give an error of 0.1 to 0.3 px."""
 
 MIN_COVER = 0.5
 """Recommended minimum fraction of the image's width and height that the corners of all pictures
@@ -437,8 +437,8 @@ def _fit_brown(
 ) -> Fit:
     """Fit a plumb_bob or rational_polynomial to points (n, 3) [m] at image points (n, 2) [px].
 
-    If a rational polynomial folds the image, the pictures do not determine all coefficients. In
-    this case k6 is set to 0, then also k5, then also k3, until the image does not fold. If the
+    If a rational polynomial folds the image, the pictures do not determine all coefficients. If the
+    image folds, k6 is set to 0, then also k5, then also k3, until the image does not fold. If the
     image still folds, all coefficients are kept.
     """
     if model == "plumb_bob":

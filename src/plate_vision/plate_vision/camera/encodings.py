@@ -229,8 +229,8 @@ def unpack(content: bytes, flags: int, header: Header | None = None) -> np.ndarr
 
 
 def grey_levels(image: np.ndarray) -> np.ndarray:
-    """Return the grey levels (H, W) of an image (H, W) or (H, W, 3) uint8. For a colour image this
-    is the green channel.
+    """Return the grey levels (H, W) of an image (H, W) or (H, W, 3) uint8. For a colour image, the
+    result is the green channel.
 
     Raises
     ------

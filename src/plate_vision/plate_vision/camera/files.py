@@ -78,7 +78,7 @@ def save_lens(path: str | Path, camera: str, size_px: tuple[int, int], lens: Len
     Raises
     ------
     PlateError
-        If the file cannot be written. An existing file then remains unchanged.
+        If the file cannot be written. After an error, an existing file is unchanged.
     """
     data = {
         "image_width": size_px[0],
@@ -247,9 +247,9 @@ def write_picture(path: Path, picture: np.ndarray) -> None:
 def rig_of_picture(rig: Rig, size_px: tuple[int, int]) -> tuple[Rig, str]:
     """Return the rig adapted to pictures of a size (width, height), and a message for the user.
 
-    If this is the size of the rig's camera, the rig is unchanged and the message is empty. For
-    another size, the camera's pose is unknown. The function then assumes a view from straight
-    above and a plate that fills the picture and has the length of the rig's plate.
+    If the pictures have the size of the rig's camera images, the rig is unchanged and the message
+    is empty. For another size, the camera's pose is unknown. The function then assumes a view from
+    straight above and a plate that fills the picture and has the length of the rig's plate.
     """
     camera = rig.camera
     if size_px == (camera.width_px, camera.height_px):

@@ -1,5 +1,5 @@
-"""Size and orientation of a picture file. Both are read from the header of the file, before the
-pixels are unpacked.
+"""Size and orientation of a picture file. The module reads both from the header of the file, before
+the pixels are unpacked.
 
 The size is checked first, because a file of 389 kB can unpack to 20000 x 20000 pixels. OpenCV
 rotates pictures according to their orientation, but ROS does not rotate them. This project uses the

@@ -38,8 +38,8 @@ CORNERS = {
     "bottom left": (ROWS - 1) * COLUMNS,
     "bottom right": ROWS * COLUMNS - 1,
 }
-"""Cells of the image's corners. The board must be seen in each of them, because the distortion of a
-lens is largest there."""
+"""Cells of the image's corners. The board must be seen in each of these cells, because the
+distortion of a lens is largest in the corners."""
 
 TILTED_RAD = np.radians(12.0)
 """Minimum tilt of a tilted board. Below this tilt, the fit cannot separate the focal length from

@@ -3,9 +3,9 @@
 Damped Gauss-Newton iterations fit the place, radius, edge width and darkness of one part after the
 other. For each part, the darkness of its neighbours is subtracted first. A part with a height has
 two values of darkness: one for its top and one for its side faces. Pixels outside the plate have no
-weight. The weight of a pixel decreases with the fraction of it that a neighbour covers. Pixels
-inside a part that differ much from it have no weight, because they show a mark, a highlight or a
-hole.
+weight. The weight of a pixel decreases with the fraction of the pixel that a neighbour covers.
+Pixels inside a part that differ much from the part have no weight. Such pixels show a mark, a
+highlight or a hole.
 """
 
 from __future__ import annotations

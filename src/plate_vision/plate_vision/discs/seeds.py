@@ -28,8 +28,8 @@ removes the thin dark line of a plate that is displaced a little."""
 
 MIN_CORE = 0.1
 """Minimum size of an eroded blob, relative to the eroded blob of a whole part. With this limit, a
-part is found if almost half of its area is on the plate, or a quarter in a corner of the plate, or
-if it has 0.8 times the expected radius."""
+part is found if almost half of its area is on the plate. In a corner of the plate, a quarter of its
+area is sufficient. A part with 0.8 times the expected radius is also found."""
 
 MAX_CORE = 1.5
 """Maximum size of an eroded blob that counts as one part, relative to the blob of a whole part."""
@@ -141,7 +141,7 @@ def _split(
 
     Places are only found where `merged` (h, w) is true on a grid (first x, first y, step [px]).
     `boxes` (m, 4) are the pixel ranges x0, x1, y0, y1, half open, around the areas. `parts` (m,)
-    SILHOUETTE are the silhouettes of a part there.
+    SILHOUETTE are the silhouettes of a part in these areas.
     """
     found = np.empty((0, 2))
     for (x0, x1, y0, y1), part in zip(boxes.tolist(), np.split(parts, len(parts)), strict=True):

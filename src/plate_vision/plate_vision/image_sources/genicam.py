@@ -1,4 +1,5 @@
-"""A GenICam camera. The library harvesters reads it by means of the GenTL file of its manufacturer.
+"""A GenICam camera. The library harvesters reads the images by means of the GenTL file of the
+camera's manufacturer.
 
 This module has not been tested with a real camera yet.
 """
@@ -41,7 +42,7 @@ host's clock."""
 
 
 def open_producer(file: str) -> Any:
-    """Return the harvesters object that holds the devices of a GenTL file.
+    """Return the harvesters object that manages the devices of a GenTL file.
 
     Raises
     ------
@@ -66,8 +67,8 @@ def open_producer(file: str) -> Any:
 
 
 class GenicamSource(Camera):
-    """A GenICam camera. `producer` opens its GenTL file. The other parameters are those of
-    `Camera`."""
+    """A GenICam camera. `producer` opens the GenTL file of the camera. The other parameters are
+    those of `Camera`."""
 
     def __init__(
         self,

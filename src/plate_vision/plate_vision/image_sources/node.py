@@ -126,8 +126,8 @@ class CameraNode(SafeLifecycleNode[CameraParameters]):
     video, a picture, or a folder of pictures. A video, picture or folder starts to play when
     image_raw has a subscriber. `camera --list` prints devices, formats, rates and controls.
 
-    If a camera is unplugged, the diagnostics report an ERROR within 1 s. When it is plugged in
-    again, its images continue.
+    If a camera is unplugged, the diagnostics report an ERROR within 1 s. When the camera is plugged
+    in again, the images continue.
     """
 
     def __init__(self) -> None:

@@ -241,7 +241,7 @@ class V4l2Device:
         return tuple(found)
 
     def get(self, number: int) -> int | None:
-        """Return the value of a control; None if it cannot be read."""
+        """Return the value of a control, or None if the value cannot be read."""
         data = bytearray(struct.pack("Ii", number, 0))
         try:
             return int(struct.unpack_from("i", self._ask(G_CTRL, data), 4)[0])
@@ -249,7 +249,7 @@ class V4l2Device:
             return None
 
     def set(self, number: int, value: int) -> bool:
-        """Set a control. Return whether the device accepted it."""
+        """Set a control. Return whether the device accepted the value."""
         try:
             self._ask(S_CTRL, bytearray(struct.pack("Ii", number, value)))
         except OSError:

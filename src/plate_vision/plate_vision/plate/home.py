@@ -89,8 +89,8 @@ class PlateLocation:
 def locate_plate(location: PlateLocation, image: np.ndarray) -> tuple[PlateLocation, np.ndarray]:
     """Locate the plate in an image (H, W) or (H, W, 3) uint8, before the detection of parts.
 
-    Return the new location, and the image without the markers, because they could be mistaken for
-    parts. `region_pose` of the new location changes if a new region is required.
+    Return the new location, and the image without the markers, because the markers could be
+    mistaken for parts. `region_pose` of the new location changes if a new region is required.
 
     Raises
     ------
@@ -178,9 +178,10 @@ def find_pose(
 ) -> np.ndarray | None:
     """Return the plate's pose (3,) [m, m, rad] in plate_home, determined by the visible markers.
 
-    Return None if fewer than `MIN_SEEN` markers are visible, or if they contradict each other.
-    `last` is a pose with an error of at most a few pixels. If `last` is given, the markers' edges
-    are searched near this pose first, because this takes half the time of a search for markers.
+    Return None if fewer than `MIN_SEEN` markers are visible, or if the markers contradict each
+    other. `last` is a pose with an error of at most a few pixels. If `last` is given, the markers'
+    edges are searched near this pose first. This search takes half the time of a search for
+    markers.
     """
     grey = grey_levels(image)
     if last is not None:

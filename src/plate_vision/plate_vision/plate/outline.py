@@ -67,8 +67,8 @@ BOW_PX = 1.0
 0.2 px."""
 
 BOW_M = 5e-4
-"""Tolerated bow in the middle of an edge of the plate [m], if it is larger than `BOW_PX`. The edges
-of sawn plates deviate from a straight line by up to 0.3 mm."""
+"""Tolerated bow in the middle of an edge of the plate [m]. The larger one of this bow and `BOW_PX`
+is used. The edges of sawn plates deviate from a straight line by up to 0.3 mm."""
 
 TURN_RAD = np.radians(0.6)
 """Tolerated rotation of the plate's outline relative to the prediction [rad]. For a plate of 300
@@ -103,8 +103,8 @@ steps are, for example, the plate's edge, a shadow, and a part."""
 
 DRAWS = 400
 """Number of trial curves for an edge. Each curve passes through a random triple of candidates. If
-each profile has one correct and two false candidates, one triple in 27 is correct, so about fifteen
-of the curves are correct."""
+each profile has one correct and two false candidates, one triple in 27 is correct. About fifteen of
+the curves are then correct."""
 
 INLIER_PX = 2.0
 """Maximum distance between a step and the curve of its edge [px]. An edge that is bent by a lens
@@ -271,8 +271,9 @@ def measure_outline(image: np.ndarray, grid: OutlineGrid, limit: float | None = 
 
 def contrasted(image: np.ndarray, grid: OutlineGrid) -> np.ndarray:
     """Return an image (H, W) float32 with one channel in which the plate and its surround differ.
-    For an image (H, W) it contains the grey levels. For an image (H, W, 3) it contains the
-    projections of the colours on the line from the surround's colour to the plate's colour."""
+    For an image (H, W), the result contains the grey levels. For an image (H, W, 3), the result
+    contains the projections of the colours on the line from the surround's colour to the plate's
+    colour."""
     if image.ndim == 2:
         return image.astype(np.float32)
     colours = []

@@ -24,7 +24,7 @@ from .lighting import Light, Lit, fit_light, relit
 CHROMA = (0.5, 2.0)
 """Range of the weight of a and b relative to L in a deviation. The weight is chosen so that the
 noise of a and b equals the noise of L. The colour difference of the CIE (International Commission
-on Illumination) has the weight 2.55, because its L is 0 to 100 and not 0 to 255."""
+on Illumination) has the weight 2.55, because the CIE's L is 0 to 100 and not 0 to 255."""
 
 SIGMAS = 3.5
 """Maximum deviation of a background pixel from the background, in standard deviations of the

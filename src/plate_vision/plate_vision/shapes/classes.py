@@ -34,8 +34,8 @@ from .shadows import MIN_PX, Lamp
 
 ASTRAY = 2.0
 """Maximum distance between the outlines of a patch and a type after two steps of the fit, relative
-to the maximum distance at its end [-]. If the distance exceeds this maximum, the fit of the type is
-stopped."""
+to the maximum distance at the end of the fit [-]. If the distance exceeds this maximum, the fit of
+the type is stopped."""
 
 FIT_PX = 0.35
 """RMS (root mean square) distance between outlines of one type that pixels and noise cause [px]."""

@@ -62,8 +62,8 @@ RIM_POINTS = 200
 """Number of points on the contour of a group."""
 
 ENOUGH_PX = 10.0
-"""Approximate reach of the smallest type in a reduced image [px]. If its reach in the image is
-larger, the image is reduced before parts are searched."""
+"""Approximate reach of the smallest type in a reduced image [px]. If the smallest type has a larger
+reach in the image, the image is reduced before parts are searched."""
 
 TOUCH_PX = 2
 """Maximum distance between patches that may belong to one part, or to one group [px]."""
@@ -203,7 +203,7 @@ def explain_groups(
     conditions: Conditions | None = None,
 ) -> np.ndarray:
     """Replace groups, and patches without a type, by the parts of taught types that were found in
-    them. Return the new detections (n,) SIGHTING.
+    these patches. Return the new detections (n,) SIGHTING.
 
     Parameters
     ----------
@@ -270,7 +270,7 @@ def _clusters(
 
 
 def _union(patches: Sequence[Patch]) -> Patch:
-    """Return several patches as one patch. The gaps between them are closed."""
+    """Return several patches as one patch. The gaps between the patches are closed."""
     low = np.min([patch.corner for patch in patches], axis=0)
     high = np.max([np.array(patch.corner) + patch.mask.shape[::-1] for patch in patches], axis=0)
     mask = np.zeros((high - low)[::-1], np.uint8)

@@ -11,8 +11,9 @@ camera. A point p belongs to the footprint if t p is covered for all these t. Fo
 this method is exact. Narrow notches and holes become narrower in the footprint, by the shift of the
 top.
 
-The same method is used for a part and its shadow from one lamp. Together, they cover the footprint
-and all copies of it that are displaced along the shadow, up to the shadow's length.
+The same method is used for a part and its shadow from one lamp. A part and its shadow together
+cover the footprint and all copies of the footprint that are displaced along the shadow, up to the
+shadow's length.
 """
 
 from __future__ import annotations

@@ -120,7 +120,7 @@ def patch_rings(
     window : (h, w, 3) or (h, w) uint8
         The image in the window.
     count : int
-        Number of points of the outer ring. Rings of holes have the same density.
+        Number of points of the outer ring. The rings of holes have the same density of points.
     """
     contours, tree = cv2.findContours(mask, cv2.RETR_CCOMP, cv2.CHAIN_APPROX_NONE)
     inner = cv2.erode(mask, THREE)

@@ -2,7 +2,7 @@
 outline and colour.
 
 There are five steps. The deviation from the background is computed in Lab. Shadows are removed, or
-the lamp that casts all of them is detected. The contour of each patch is determined at half of the
+the lamp that casts all shadows is detected. The contour of each patch is determined at half of the
 patch's contrast. Holes are distinguished from highlights. Patches are split where parts touch.
 """
 
@@ -56,8 +56,8 @@ LEFT = 0.25
 this area, a small patch (`REMNANT`) is the rest of a shadow."""
 
 FILLED = 0.3
-"""Minimum fraction of the area enclosed by a ring that objects inside must fill, so that they and
-the ring count as one part."""
+"""Minimum fraction of the area enclosed by a ring that objects inside must fill, so that the
+objects and the ring count as one part."""
 
 DUST = 0.04
 """Maximum area of dust, relative to the area of a typical part."""

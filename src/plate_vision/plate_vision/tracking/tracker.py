@@ -276,8 +276,8 @@ def _checked_overlooked(overlooked: np.ndarray | None) -> np.ndarray:
 
 
 def _column(name: str, values: Sequence[Any] | np.ndarray, shape: tuple[int, ...]) -> np.ndarray:
-    """Return the values of all detections as an array of this shape. Raise an error if they have
-    another shape."""
+    """Return the values of all detections as an array of the given shape. Raise an error if the
+    values have another shape."""
     array = np.asarray(values, dtype=float)
     if array.size == 0:
         array = array.reshape(-1, *shape[1:])
