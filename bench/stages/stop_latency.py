@@ -172,8 +172,8 @@ def latencies(
 
 
 def one(bench: Bench, stops: Any, number: int, task: bool) -> list[tuple[float, float]]:
-    """Enable, start a task if requested, play for a while, and stop. Return the bounds of the
-    latency as in `latencies` [ms]."""
+    """Enable the motors, start a task if requested, play cycles for a while, and stop the motors.
+    Return the bounds of the latency as in `latencies` [ms]."""
     if not bench.is_enabled():
         return []
     if task:

@@ -77,5 +77,5 @@ def summed(runs: Iterable[Mapping[str, Any]]) -> dict[str, Any]:
 
 
 def median(values: list[float]) -> float | None:
-    """Return the median. None if there are no values."""
+    """Return the median. None if the list is empty."""
     return float(np.median(values)) if values else None

@@ -73,7 +73,7 @@ class Kind(Protocol):
         ...
 
     def read(self, value: Any) -> Any:
-        """Return the checked value. Raise a ValueError if it is not allowed."""
+        """Return the checked value. Raise a ValueError if the value is not allowed."""
         ...
 
 
@@ -260,7 +260,7 @@ class Key:
     meaning : str
         Explanation for the user, one sentence.
     default
-        Value if the file does not contain the key. REQUIRED: the file must contain it.
+        Value if the file does not contain the key. REQUIRED: the file must contain the key.
     otherwise : str
         Description of the default, if its value is not self-explanatory.
     """
@@ -584,7 +584,8 @@ def _mistake(node: yaml.Node | None, seen: set[yaml.Node]) -> str:
 
 
 CONFIG = Path(__file__).parent / "config"
-"""The folder config/. In the source tree it is a symbolic link, in an installed package a copy."""
+"""The folder config/. In the source tree, this folder is a symbolic link. In an installed package,
+it is a copy."""
 
 
 def config_path(name: str) -> Path:

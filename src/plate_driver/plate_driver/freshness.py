@@ -1,7 +1,7 @@
 """Decision whether a cycle is recent enough to move the plate.
 
-The driver checks this immediately before it sends a cycle to the motors. Each message of the
-control loop carries the stamp of the image, or of the cycle start, from which it is derived.
+The driver makes this decision immediately before it sends a cycle to the motors. Each message of
+the control loop carries the stamp of the image, or of the cycle start, from which it is derived.
 Therefore the age is known even if a message was delayed, lost, repeated or reordered. This module
 uses neither ROS nor a clock: all times are arguments.
 """
@@ -57,8 +57,9 @@ class Freshness:
     ended_ns : int
         Stamp of the last request of a task that has ended.
     number : int or None
-        Number of stops before the motors became ready. None if they are not ready. If the number
-        has changed since the last call of `with_state`, the motors were stopped and enabled again.
+        Number of stops before the motors became ready. None if the motors are not ready. If the
+        number has changed since the last call of `with_state`, the motors were stopped and enabled
+        again.
     updated_at : float
         Time of the last call of `with_state` [s, steady clock].
     last_cycles : dict of bytes to float

@@ -48,7 +48,7 @@ class CycleIntake:
     task_runs : bool
         Whether a task runs, according to the planner's last report.
     refusal : str
-        Reason why the last cycle was refused. Empty if it was accepted.
+        Reason why the last cycle was refused. Empty if the last cycle was accepted.
     """
 
     def __init__(

@@ -302,7 +302,8 @@ class DriverNode(SafeLifecycleNode[Options]):
     # Inputs
 
     def take_task(self, data: bytes, size: int, _: bytes) -> None:
-        """Process a task_status of `size` bytes. `data` contains its first bytes."""
+        """Process a task_status message of `size` bytes. `data` contains the first bytes of the
+        message."""
         try:
             msg = deserialized(data, TaskStatus)
         except PlateError as error:
@@ -313,9 +314,8 @@ class DriverNode(SafeLifecycleNode[Options]):
         self.intake.record_task(msg.state == TaskStatus.RUNNING, stamp_ns)
 
     def take_cycle(self, data: bytes, size: int, source: bytes = b"") -> None:
-        """Check a cycle of `size` bytes and send it to the motors.
-
-        `data` contains its first bytes, and `source` identifies its publisher.
+        """Check a plate_cycle message of `size` bytes, and send the cycle to the motors. `data`
+        contains the first bytes of the message, and `source` identifies the publisher.
         """
         transport = self.transports.current
         if not self.active or transport is None:

@@ -60,8 +60,8 @@ class Playback:
     def guard_for(self, transport: TransportThread) -> Guard:
         """Return the guard with the transport's present `hold_s`.
 
-        After a stop, the returned guard has no tables. This is true even if the motors were enabled
-        again before the next call of `rest`.
+        After a stop, the returned guard has no tables, even if the motors were enabled again before
+        the next call of `rest`.
         """
         stopped = self._number != self._latch.number
         guard = self.guard.without_tables() if stopped else self.guard

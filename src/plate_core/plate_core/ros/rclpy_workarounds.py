@@ -135,8 +135,8 @@ class RclpyLifecycleNode(LifecycleNode):
         """Destroy the node with its state machine.
 
         rclpy leaves the destruction of the state machine to the garbage collector. The node would
-        stay in the ROS graph until the garbage collector runs. XX Issue 1710 reports the same
-        defect for another object.
+        stay in the ROS graph until the garbage collector runs. Issue 1710 reports the same defect
+        for another object.
         """
         self._state_machine.destroy_when_not_in_use()
         super().destroy_node()

@@ -286,7 +286,7 @@ class FeedMode(IntEnum):
     FEED = 0
     """Make parts ready. Prepare parts. The plate rests when enough parts are ready."""
     REST = 1
-    """Keep the plate at rest, because a robot is above it."""
+    """Keep the plate at rest, because a robot is above the plate."""
     PURGE = 2
     """Move all parts to the chute."""
 

@@ -93,8 +93,8 @@ class CalibrationRun:
             self._experiment = self._experiment.with_sample(measured)
 
     def step(self, transport: TransportThread, now: float) -> None:
-        """Continue the calibration at `now` [s]. Start the next experiment when the current one is
-        done, and store the response at the end."""
+        """Continue the calibration at `now` [s]. Start the next experiment when the current
+        experiment is done. Store the response at the end."""
         experiment = self._experiment
         assert experiment is not None
         try:

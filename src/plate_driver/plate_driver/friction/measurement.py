@@ -32,7 +32,8 @@ FIRST_G = 0.08
 
 SLOW_G = 0.01
 """Acceleration of slow motions until the first slip is known [g]. The acceleration is small,
-because parts must not slide in slow motions. If they did, their friction would be overestimated."""
+because parts must not slide in slow motions. If parts slid in slow motions, their friction would be
+overestimated."""
 
 SEARCH_FACTOR = 1.25
 """Ratio of the accelerations of two successive pushes in the search stage."""
@@ -62,7 +63,7 @@ SLID_M = 5e-4
 """Minimum slip for a first estimate of mu [m]."""
 
 BEGAN_M = 6e-5
-"""Minimum slip that shows the onset [m]."""
+"""Minimum slip that shows that a part has begun to slide [m]."""
 
 NOISE_FACTOR = 5.0
 """Minimum slip that is distinguished from noise [standard errors of a displacement]."""
@@ -101,8 +102,8 @@ this multiple of the median mu g of the parts that have slid. At least half of t
 slid."""
 
 HERE_M = 0.005
-"""Radius around a part [m]. Values that were measured inside this radius are used as its local
-friction."""
+"""Radius around a part [m]. Values that were measured inside this radius are used as the local
+friction of the part."""
 
 RANGE = 2.4
 """Ratio of the maximum mu to the minimum mu that one push can measure."""

@@ -1,5 +1,5 @@
-"""Subscriptions to plate_cycle and task_status. The driver deserializes their messages itself, so
-that a long message does not delay a stop."""
+"""Subscriptions to plate_cycle and task_status. The driver deserializes the messages of both topics
+itself, so that a long message does not delay a stop."""
 
 from __future__ import annotations
 

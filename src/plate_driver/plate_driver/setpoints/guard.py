@@ -113,7 +113,7 @@ class Guard:
     rig : Rig
     hold_cycles, repeats : int
         `hold_cycles` is the number of plays of a cycle from rest to rest if no new cycle arrives.
-        `repeats` is the argument of `with_fades`.
+        `repeats` has the same meaning as in `with_fades`.
     correction : callable or None
         Correction by a calibration. None if the rig is not calibrated.
     hold_s : float

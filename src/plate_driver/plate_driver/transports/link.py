@@ -209,7 +209,7 @@ class Link:
 
     @property
     def busy(self) -> bool:
-        """Whether a command is not sent or not answered yet."""
+        """Whether a command still waits to be sent or to be answered."""
         return bool(self.queue or self.next_table)
 
     # Requests of the host
@@ -275,7 +275,7 @@ class Link:
         return replace(self, failed=Report(Condition.GONE, reason, text))
 
     def without_refusal(self) -> Link:
-        """Return the link after its refusal was reported."""
+        """Return the link without the text of the last refusal, after this text was reported."""
         return replace(self, refusal="")
 
     def _ordered(self, message: Message) -> Link:

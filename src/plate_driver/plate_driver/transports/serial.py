@@ -418,7 +418,7 @@ class SerialTransport:
 
     @property
     def busy(self) -> bool:
-        """Whether a command is not sent or not answered yet."""
+        """Whether a command still waits to be sent or to be answered."""
         return self._link.busy
 
     @property
