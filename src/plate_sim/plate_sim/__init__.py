@@ -1,6 +1,5 @@
-"""Simulation of parts on the vibrating plate, its camera and its motor controller.
-
-The subpackages are `world`, `plate`, `friction`, `contacts`, `camera` and `device`. This package
+"""Simulation of parts on the vibrating plate, of the camera and of the motor controller. The
+subpackages are `world`, `plate`, `friction`, `contacts`, `camera` and `device`. This package
 exports their most frequently used names."""
 
 from .camera import Camera, part_greys

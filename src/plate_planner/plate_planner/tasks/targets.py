@@ -74,8 +74,8 @@ def match_by_cost(
     labels: Sequence[str], cost: np.ndarray, parts: Parts, most: float = np.inf
 ) -> tuple[str, ...]:
     """Assign parts to P targets of their class. The assignment has the minimum sum of the costs
-    `square` (P, M) [m2]. If an assignment costs more than `most` [m2], the part is not assigned.
-    The result has the same form as in `match_targets`."""
+    `cost` (P, M) [m2]. If an assignment costs more than `most` [m2], the part is not assigned. The
+    result has the same form as in `match_targets`."""
     match = [UNMATCHED] * len(labels)
     if not len(parts) or not labels:
         return tuple(match)

@@ -1,9 +1,9 @@
 """Simulated camera above the plate. The camera renders images of the parts with lens distortion,
 part heights, light, blur and noise.
 
-`Camera` renders an image in a given `Lighting`. `part_colours` and `part_greys` return the grey
-values of parts. The exported constants are default grey values, the default noise, and default
-properties of the shadows.
+`Camera` renders an image in a given `Lighting`. The functions `part_colours` and `part_greys`
+return the grey values of parts. The exported constants are default grey values, the default noise,
+and default properties of the shadows.
 """
 
 from .camera import (

@@ -1,6 +1,6 @@
 """Synthetic images of the plate and its parts. An image depends on the poses of the parts and the
-plate, on the types, heights and grey values of the parts, on the light, and on the lens. An image
-contains shadows, motion blur and noise. It is grey or in colour."""
+plate, on the types, heights and grey values of the parts, on the light, and on the lens. It
+contains shadows, motion blur and noise. Images are grey or in colour."""
 
 from __future__ import annotations
 
@@ -19,38 +19,38 @@ from .raster import Outlines, Sprites, draw_parts, draw_plate, expose, joined, o
 from .sweeps import scaled, swept
 
 ROOM = 60.0
-"""Grey value of the surroundings of the plate at full light."""
+"""Grey value of the surroundings of the plate at full brightness."""
 
 PLATE = 220.0
-"""Grey value of the plate at full light."""
+"""Grey value of the plate at full brightness."""
 
 GREY_OF_CLASS = {"black": 40.0, "grey": 130.0}
-"""Grey values of the parts at full light, by class."""
+"""Grey values of the parts at full brightness, by class."""
 
 UNKNOWN_GREY = 80.0
 """Grey value of a part whose type has no known colour."""
 
 SHADING = 0.10
-"""Fraction of the light that the corners of the image lack."""
+"""Fraction by which the corners of the image are darker than its centre."""
 
 NOISE = 2.0
 """Default standard deviation of the noise of a pixel [grey values]."""
 
 NOISE_BANK = 1 << 20
-"""Number of precomputed noise values. They are precomputed because drawing 307200 random numbers
-for each image takes 3 ms."""
+"""Number of precomputed random numbers for the noise of images. They are precomputed because it
+takes 3 ms to generate 307200 random numbers for one image."""
 
 BLUR_STEP_PX = 0.1
-"""Distance between two positions whose images are averaged over the exposure [px]. A smaller
-distance makes no visible difference."""
+"""Distance between two successive positions of a moving part that are averaged to draw motion blur
+[px]. A smaller distance makes no visible difference."""
 
 EDGE_STEP_PX = 0.25
-"""Distance between two positions of the plate whose images are averaged over the exposure [px]. It
-is a quarter of the width of an edge in the image. It is larger than `BLUR_STEP_PX`, because the
-plate's edges have many pixels and each position takes time."""
+"""Distance between two successive positions of the plate that are averaged to draw motion blur
+[px]. It is a quarter of the width of an edge in the image. It is larger than `BLUR_STEP_PX`,
+because the plate's edges have many pixels and each position takes computing time."""
 
 MAX_BLUR = 16
-"""Maximum number of positions whose images are averaged over one exposure."""
+"""Maximum number of positions that are averaged to draw the motion blur of one exposure."""
 
 MARK_PLACE = 0.5
 """Distance between the centre of a disc and its mark, divided by the radius of the disc. The mark
@@ -61,8 +61,8 @@ MARK_RADIUS = 0.3
 
 MARK_OF_DARK = 130.0
 """Grey value of the mark on a part that is darker than `LIGHT`. The mark is brighter than the part,
-so that it is visible. The mark is darker than the plate, so that a detector still finds one dark
-disc."""
+so that the mark is visible. The mark is darker than the plate, so that a detector still detects the
+disc as one dark disc."""
 
 MARK_OF_LIGHT = 40.0
 """Grey value of the mark on a part that is not darker than `LIGHT`."""
@@ -71,37 +71,38 @@ LIGHT = 85.0
 """Grey value below which a part counts as dark."""
 
 STRIP_STEP = 0.002
-"""The strip along the plate's edge that is repainted in an image has a width that is a multiple of
-this value [m]. The pixels of the strip are cached for each width."""
+"""If the plate has moved, a strip along its edge is repainted in the image. The width of this strip
+is a multiple of this value [m]. The pixels of the strip are cached for each width."""
 
 FAR = 1e6
-"""Coordinate, far off the plate, of pixels that show no point of the plate's plane [m]."""
+"""Coordinate that is assigned to pixels that show no point of the plate's plane [m]. The coordinate
+is far outside the plate."""
 
 SHADOW_M = 2.5e-3
-"""Default length of a shadow beyond the part [m]."""
+"""Default length by which a shadow extends beyond its part [m]."""
 
 SHADOW_DEG = -36.9
-"""Default direction of a shadow from x [degrees, plate_home]."""
+"""Default direction of a shadow, as an angle from the x axis [degrees, plate_home]."""
 
 PENUMBRA_M = 1.5e-3
-"""Default width of the soft edge of a shadow at its far end [m]."""
+"""Default width of the soft edge of a shadow, at the end that is farthest from the part [m]."""
 
 PENUMBRA_STEPS = 5
-"""Number of sharp shadows of equal opacity that are drawn over each other, so that the edge is
-soft. With 5 shadows, an edge of 3 mm looks smooth at 1 px/mm."""
+"""Number of sharp shadows of equal opacity that are drawn over each other to make a shadow with a
+soft edge. With 5 shadows, an edge of 3 mm looks smooth at 1 px/mm."""
 
 SIDE_SHADE = 0.7
 """Default brightness of the side face of a part, divided by the brightness of its top face."""
 
 EDGE_PX = 0.7
-"""Distance in the image by which a side face ends inside the edge of its top face [px]. If both
-edges coincided, the plate would shine through the common edge, because each edge covers its pixels
-only partly."""
+"""A side face ends inside the edge of its top face by this distance in the image [px]. If both
+edges coincided, the plate would be visible through the common edge, because each edge covers its
+pixels only partly."""
 
 GLOSS_PLACE = 0.35
-"""Displacement of the lamp's image on a glossy part, from the point of the part that is farthest
-from its outline towards the lamp. The displacement is divided by the distance of this point from
-the outline."""
+"""Place of the lamp's reflection on a glossy part. Let P be the point of the part that is farthest
+from its outline. The reflection is displaced from P towards the lamp by this value, multiplied by
+the distance of P from the outline."""
 
 HIGHLIGHT_OPACITY = 0.9
 """Opacity of a highlight, which is a white disc."""
@@ -120,7 +121,7 @@ HEAD_M = 0.04
 """Diameter of the robot's gripper [m]."""
 
 ARM_END_M = 1.0
-"""Length of the robot's arm along +y beyond the edge of the image [m]."""
+"""Length of the robot's arm along +y [m]. The arm extends beyond the edge of the image."""
 
 ROBOT = (
     PartType(
@@ -131,15 +132,15 @@ ROBOT = (
     PartType("gripper", radius_m=HEAD_M / 2),
 )
 ROBOT_GREY = (150.0, 150.0, 100.0)
-"""Grey values of the shapes in `ROBOT` at full light."""
+"""Grey values of the shapes in `ROBOT` at full brightness."""
 
 MARGIN_PX = 2.0
-"""Margin of the image window of a part beyond its expected edge [px]."""
+"""Distance by which the image window of a part extends beyond the part's expected edge [px]."""
 
 
 @dataclass(frozen=True)
 class Lighting:
-    """Light of an image: shadows, highlights, gloss and brightness.
+    """Properties of the light in an image: shadows, highlights, gloss and brightness.
 
     Attributes
     ----------
@@ -147,22 +148,23 @@ class Lighting:
         Fraction of each part's area that a highlight covers. The centre of the highlight is the
         point of the part that is farthest from the part's outline.
     shadows : float
-        Fraction of the light that is missing in shadows. 0 disables shadows.
+        Fraction by which the plate is darker in shadows. 0 disables shadows.
     shadow_m : float
         Length of the shadows on the plate [m].
     shadow_deg : float
-        Direction of the shadows from x [degrees, plate_home]. The lamp is on the opposite side.
+        Direction of the shadows, as an angle from the x axis [degrees, plate_home]. The lamp is on
+        the opposite side.
     penumbra_m : float
         Width of the soft edge of a shadow at the end that is farthest from the part [m]. Next to
         the part, the edge is sharp.
     gloss : float
-        Radius of the lamp's image on each part, divided by the maximum distance of a point of the
-        part from the part's outline. For a disc, this distance is the radius. 0 means no image of
-        the lamp.
+        Radius of the lamp's reflection on each part, divided by the maximum distance of a point of
+        the part from the part's outline. For a disc, this maximum distance is the radius. 0
+        disables reflections.
     side_shade : float
         Brightness of the side faces, divided by the brightness of the top faces.
     level : float
-        Factor by which all light in this image is multiplied.
+        Factor by which the brightness of the whole image is multiplied.
     """
 
     highlights: float = 0.0
@@ -176,7 +178,7 @@ class Lighting:
 
     @property
     def shadow_way(self) -> np.ndarray:
-        """Unit vector (2,) in the direction of shadows, plate_home."""
+        """Unit vector (2,) in the direction of the shadows, in plate_home."""
         angle = np.radians(self.shadow_deg)
         return np.array([np.cos(angle), np.sin(angle)])
 
@@ -188,9 +190,9 @@ EVEN = Lighting()
 def part_colours(
     types: Sequence[PartType], colour: bool, greys: Mapping[str, float] = GREY_OF_CLASS
 ) -> np.ndarray:
-    """Return the grey values (M,) of parts of `types` at full light, or their blue, green and red
-    (M, 3) if `colour` is true. A type without a colour has the grey value that `greys` contains for
-    its name, or else `UNKNOWN_GREY`.
+    """Return the grey values (M,) of parts of the types `types` at full brightness. If `colour` is
+    True, return the values of blue, green and red (M, 3) instead. A type without a colour has the
+    grey value that `greys` contains for its name, or else `UNKNOWN_GREY`.
     """
     known = [greys.get(part.name, UNKNOWN_GREY) for part in types]
     result = np.tile(np.array(known)[:, None], (1, 3))
@@ -202,7 +204,7 @@ def part_colours(
 
 
 def part_greys(classes: list[str]) -> np.ndarray:
-    """Return the grey values (M,) of parts of these classes.
+    """Return the grey values (M,) of parts of the classes `classes`.
 
     Raises
     ------
@@ -228,7 +230,7 @@ class _Solids(NamedTuple):
     seen : (s, M, 2)
         Positions of the projected top faces [m].
     size : (M,) or None
-        Factor from the size of the type to the size of the part. None means 1 for all parts.
+        Size of each part divided by the size of its type. None means 1 for all parts.
     growth : (M,) or None
         Factor by which the projection enlarges each top face. None if all parts are flat.
     low : (2,) or None
@@ -245,9 +247,10 @@ class _Solids(NamedTuple):
 
 
 class _Layer(NamedTuple):
-    """Layer of the drawing with one shape for each of M parts, for example all side faces. `path`
-    contains the positions (s, M, 2) [m], and `turn` the cosine and sine of the angles, (M, 2) or
-    (2,). `kind` is the row of the grey value in the array of `Camera._sprites`."""
+    """Layer of the drawing with one shape for each of M parts. For example, a layer contains all
+    side faces. `path` contains the positions (s, M, 2) [m], and `turn` the cosine and sine of the
+    angles, (M, 2) or (2,). `kind` is the row of the shapes' grey values in the array that
+    `Camera._sprites` describes."""
 
     kind: int
     path: np.ndarray
@@ -257,8 +260,8 @@ class _Layer(NamedTuple):
 
 
 class Camera:
-    """Renderer of images for one rig. The camera draws the background with the plate at home once,
-    and reuses it.
+    """Renderer of images for one rig. The camera draws the background with the plate at home only
+    once, and uses this drawing for all images.
 
     An instance is not thread-safe. Use one instance per thread.
 
@@ -268,9 +271,9 @@ class Camera:
     noise : float
         Standard deviation of the noise of a pixel [grey values].
     plate, room : float
-        Grey values of the plate and the surroundings at full light.
+        Grey values of the plate and of its surroundings at full brightness.
     defocus_px : float
-        Standard deviation of the Gaussian blur by defocus [px]. 0 disables it.
+        Standard deviation of the Gaussian blur that simulates defocus [px]. 0 disables the blur.
     """
 
     def __init__(
@@ -324,24 +327,26 @@ class Camera:
         Parameters
         ----------
         position : (M, 2) or (s, M, 2)
-            Positions of the parts [m], plate_home. (M, 2) are the positions at the start of the
-            exposure. (s, M, 2) are s samples at equal intervals from the start to the end of the
-            exposure.
+            Positions of the parts [m, plate_home]. An array (M, 2) contains the positions at the
+            start of the exposure. An array (s, M, 2) contains s samples at equal intervals from the
+            start to the end of the exposure.
         grey : (M,) or (M, 3)
-            Grey values of the parts at full light. For an image in colour: blue, green and red.
+            Grey values of the parts at full brightness (M,), or blue, green and red (M, 3) for an
+            image in colour.
         rng : numpy.random.Generator
-            Generator for the noise. One number is drawn per image: the index of the first
-            precomputed noise value.
+            Random number generator for the noise. For each image, it generates one number, namely
+            the index of the first precomputed noise value.
         velocity : (M, 2), optional
-            Velocities of the parts for motion blur [m/s]. They are allowed only with positions of
-            shape (M, 2). Default: 0.
+            Velocities of the parts, from which motion blur is computed [m/s]. They are allowed only
+            if `position` has the shape (M, 2). Default: 0.
         pose : (3,), (s, 3) or (b, s, 3), optional
-            Pose of the plate [m, m, rad], plate_home. (3,) is a constant pose. (s, 3) are s samples
-            over the exposure. (b, s, 3) are s samples for each of b equal bands of image rows.
-            Default: home. A rigid plate is at home at the start of each cycle.
+            Pose of the plate [m, m, rad], plate_home. An array (3,) is a constant pose. An array
+            (s, 3) contains s samples over the exposure. An array (b, s, 3) contains s samples for
+            each of b equal bands of image rows. Default: home, because a rigid plate is at home at
+            the start of each cycle.
         angle : (M,), optional
-            Angles of the parts [rad], counter-clockwise. Without `types`, each part has a mark in
-            this direction. The mark is grey on a black part and black on a grey part.
+            Angles of the parts [rad], counter-clockwise. If `types` is not given, each part has a
+            mark in this direction. The mark is grey on a black part and black on a grey part.
         types : sequence of M, optional
             Types of the parts. Default: discs with the rig's part radius.
         lighting : Lighting
@@ -350,11 +355,11 @@ class Camera:
             Position of a robot's gripper above the plate [m, plate_home]. The gripper and the arm
             hide everything below them. The arm extends from the gripper along +y.
         height : (M,), optional
-            Heights of the parts' top faces above the plate [m]. Default: flat. In the image, the
-            top face of a high part is displaced outwards and enlarged, and its side face is
-            visible.
+            Heights of the parts' top faces above the plate [m]. Default: flat. If a part has a
+            height, the image shows its top face enlarged and displaced outwards, and it also shows
+            the side face.
         size : (M,), optional
-            Factors from the sizes of the types to the sizes of the parts. Default: 1.
+            Size of each part divided by the size of its type. Default: 1.
 
         Raises
         ------
@@ -404,8 +409,8 @@ class Camera:
         return np.stack(channels, axis=2) if colour else channels[0]
 
     def _path(self, position: np.ndarray, velocity: np.ndarray | None) -> np.ndarray:
-        """Return positions of each part over the exposure (s, M, 2) [m], with at least two
-        samples."""
+        """Return samples of the positions of each part over the exposure (s, M, 2) [m]. There are
+        at least two samples."""
         position = np.asarray(position, dtype=float)
         if position.ndim == 3 and velocity is not None:
             raise PlateError("velocity requires positions of shape (M, 2), not over the exposure")
@@ -420,8 +425,8 @@ class Camera:
         return np.concatenate([path, path + self._rig.camera.exposure_s * velocity])
 
     def _outlines_of(self, types: Sequence[PartType] | None, count: int) -> Outlines:
-        """Return the outlines of parts. If several parts have the same type, their outline is
-        computed once."""
+        """Return the outlines of `count` parts. If several parts have the same type, their outline
+        is computed only once."""
         if types is not None and len(types) != count:
             raise PlateError(f"types: {len(types)} for {count} parts, allowed: {count}")
         new = [part for part in dict.fromkeys(types or ()) if part not in self._types]
@@ -440,8 +445,9 @@ class Camera:
     ) -> _Solids:
         """Project parts at positions (s, M, 2) [m] onto the plane of the plate.
 
-        Let H be the height of the camera and `low` the point below it. A point p at height h
-        appears on the plate's plane at low + (p - low) H/(H - h).
+        Let H be the height of the camera above the plate and `low` the point of the plate's plane
+        below the camera. The camera sees a point p at the height h in the same direction as the
+        point low + (p - low) H/(H - h) of the plate's plane.
         """
         count = path.shape[1]
         kinds = [self._types[0]] * count if types is None else types
@@ -472,13 +478,14 @@ class Camera:
         self, scene: _Solids, angle: np.ndarray, marked: bool, lighting: Lighting
     ) -> tuple[Sprites, Outlines, np.ndarray]:
         """Return the shapes in the order in which they are drawn: shadows, side faces, top faces,
-        marks on discs, and highlights. The caller replaces their grey value, which is `WHITE`.
+        marks on discs, and highlights. The grey value of all shapes is `WHITE`, which the caller
+        replaces.
 
-        The third result contains for each shape the index (n,) of its grey value in a flattened
+        The third result (n,) contains, for each shape, the index of its grey value in a flattened
         array (5, M). The five rows of this array are black, the grey values of the parts, the grey
         values of their marks, white, and the grey values of the side faces. If parts have heights,
-        all shapes except shadows are drawn part by part instead of layer by layer. The first part
-        is the one that is farthest from the point below the camera.
+        all shapes except shadows are drawn part by part instead of layer by layer. The part that is
+        farthest from the point below the camera is drawn first.
         """
         own, path, count = scene.top, scene.seen, scene.seen.shape[1]
         turn, level = np.stack([np.cos(angle), np.sin(angle)], axis=1), np.array([1.0, 0.0])
@@ -544,7 +551,8 @@ class Camera:
         return sprites, outlines, kind
 
     def _robot(self, gripper: np.ndarray) -> Sprites:
-        """Return the shapes of a robot whose gripper is at (2,) [m, plate_home]."""
+        """Return the shapes of a robot whose gripper is at the position `gripper` (2,) [m,
+        plate_home]."""
         outlines, count = _robot_outlines(), len(ROBOT)
         path = np.tile(gripper, (2, count, 1))
         window, scale, copies = self._windows(path, outlines.reach)
@@ -561,12 +569,12 @@ class Camera:
     def _windows(
         self, path: np.ndarray, radius: np.ndarray
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Return the windows, scales and numbers of copies of n shapes, as in `Sprites`.
+        """Return the values `window`, `scale` and `copies` of n shapes, as described in `Sprites`.
 
-        A window is a square around the middle of the shape's path, clipped to the image. The square
-        contains the shape at all positions of the path. With the Jacobian J of the map from the
-        plate to the image at the middle of the path, the scale is sqrt(|det J|). The size of the
-        square is computed with the largest singular value of J.
+        The window of a shape is a square around the middle of the shape's path, clipped to the
+        image. The square contains the shape at all positions of the path. Let J be the Jacobian of
+        the map from the plate to the image at the middle of the path. The scale is sqrt(|det J|).
+        The size of the square is computed with the largest singular value of J.
         """
         middle = 0.5 * (path[0] + path[-1])
         seen = project(self._to_image, middle)
@@ -592,8 +600,8 @@ class Camera:
         return window, scale, _copies(length * scale)
 
     def _move_plate(self, canvas: np.ndarray, poses: np.ndarray, rows: np.ndarray) -> None:
-        """Repaint the pixels that differ between a plate at home and a plate at the poses (s, 3).
-        Only the image rows from rows[0] up to, but without, rows[1] are repainted."""
+        """Repaint the pixels that differ between a plate at home and a plate that moves through the
+        poses `poses` (s, 3). Only the image rows from rows[0] to rows[1] - 1 are repainted."""
         corners = np.array([to_home(pose, self._rig.plate.corners) for pose in poses])
         away = np.linalg.norm(corners - self._rig.plate.corners, axis=2).max()
         travel = np.linalg.norm(np.diff(corners, axis=0), axis=2).sum(axis=0).max()
@@ -614,14 +622,14 @@ class Camera:
 
 
 def _copies(length_px: np.ndarray, step_px: float = BLUR_STEP_PX) -> np.ndarray:
-    """Return the number of positions whose images are averaged, for paths with the lengths (n,)
-    [px]."""
+    """Return the numbers of positions that are averaged to draw the motion blur of paths with the
+    lengths (n,) [px]."""
     return np.minimum(MAX_BLUR, 1 + length_px / step_px).astype(int)
 
 
 def _checked(name: str, value: np.ndarray, shape: tuple[int, ...]) -> np.ndarray:
-    """Return `value` as an array. Raise an error if its shape is wrong, or if a number is not
-    finite. The first axis counts the parts."""
+    """Convert `value`, whose rows belong to parts, to an array. Raise an error if the shape is
+    wrong, or if a number is not finite."""
     array = np.ascontiguousarray(value, dtype=float)
     if array.shape != shape:
         raise PlateError(f"{name}: shape is {array.shape}, allowed: {shape}")
@@ -632,8 +640,8 @@ def _checked(name: str, value: np.ndarray, shape: tuple[int, ...]) -> np.ndarray
 
 
 def _samples(name: str, value: np.ndarray, shape: tuple[int, ...]) -> np.ndarray:
-    """Return `value` as an array of samples (s, *shape). An array of shape `shape` becomes one
-    sample. Raise an error if the shape is wrong, or if a number is not finite."""
+    """Convert `value` to an array of samples (s, *shape). If `value` has the shape `shape`, it
+    becomes one sample. Raise an error if the shape is wrong, or if a number is not finite."""
     array = np.ascontiguousarray(value, dtype=float)
     if array.shape == shape:
         array = array[None]
@@ -660,7 +668,8 @@ def _pixel_places(rig: Rig) -> np.ndarray:
 
 
 def _light(width: int, height: int) -> np.ndarray:
-    """Return the brightness of each pixel as a fraction of full light, (height, width), float32.
+    """Return the brightness of each pixel as a fraction of full brightness, (height, width),
+    float32.
 
     With the image coordinates x and y from -1 to 1, the fraction is 1 - SHADING (x^2 + y^2)/2.
     """
@@ -676,7 +685,8 @@ def _robot_outlines() -> Outlines:
 
 @lru_cache(maxsize=4)
 def _noise_bank(pixels: int) -> np.ndarray:
-    """Return standard normal numbers (`NOISE_BANK` + pixels,), float32. The numbers repeat after
-    `NOISE_BANK` numbers, and are the same in every run."""
+    """Return an array of (`NOISE_BANK` + pixels) normally distributed random numbers with standard
+    deviation 1, float32. The numbers repeat after `NOISE_BANK` numbers, and are the same in every
+    run."""
     bank = np.random.default_rng(0).standard_normal(NOISE_BANK, dtype=np.float32)
     return np.resize(bank, NOISE_BANK + pixels)

@@ -1,9 +1,10 @@
-"""Rasterisation of plate and parts into an image, limited to the pixels that change.
+"""Draws the plate and the parts into an image. Only the pixels that change are computed.
 
 A table contains for each pixel the point of the plate's plane that the pixel shows. The table takes
-lens distortion and perspective into account. A pixel at an edge mixes both grey values according to
-the covered fraction of the pixel. The covered fraction is approximated as a linear function of the
-distance between the pixel's centre and the edge.
+lens distortion and perspective into account. If an edge crosses a pixel, the pixel's value is a
+mean of the grey values on both sides. Their weights are the fractions of the pixel that both sides
+cover. These fractions are approximated as linear functions of the distance between the pixel's
+centre and the edge.
 """
 
 from __future__ import annotations
@@ -20,7 +21,8 @@ from .. import _kernels
 from ..friction.outline import convex_pieces
 
 SPOT_GRID = 25
-"""Number of grid points per axis in the search for the point farthest from the outline."""
+"""Number of grid points per axis in the search for the point of a part that is farthest from its
+outline."""
 
 
 class Outlines(NamedTuple):
@@ -35,9 +37,9 @@ class Outlines(NamedTuple):
         Index of the first edge of every polygon, and the total number of edges.
     first, hole : (M,)
         `first` is the index of each part's first polygon, and `hole` is the index of its first
-        hole. For a disc, both are equal.
+        hole. For a disc, which has no polygons, both are equal.
     end : (M,)
-        Index after the last polygon of each part.
+        Index of the last polygon of each part, plus 1.
     reach : (M,)
         Maximum distance of the outline from the part's centre [m].
     spot : (M, 4)
@@ -55,7 +57,7 @@ class Outlines(NamedTuple):
     spot: np.ndarray
 
     def discs(self, radius: np.ndarray) -> Outlines:
-        """Return the outlines of discs of radii (n,) [m]."""
+        """Return the outlines of n discs with the radii `radius` (n,) [m]."""
         none = np.zeros(len(radius), np.int64)
         return self._replace(first=none, hole=none, end=none, reach=radius)
 
@@ -70,19 +72,20 @@ class Sprites(NamedTuple):
     Attributes
     ----------
     window : (n, 4)
-        First row, row after the last, first column, and column after the last in the image.
+        Rectangle of the image that contains each shape: first row, last row + 1, first column, last
+        column + 1.
     scale : (n,)
         Scale of the image at the shape [px/m].
     copies : (n,)
-        Number of positions whose images are averaged over the exposure.
+        Number of positions that are averaged to draw motion blur.
     path : (s, n, 2)
         Positions [m, plate_home] at equal intervals over the exposure.
     radius : (n,)
         Radius of a disc, or of a circle that contains the polygons [m].
     turn : (n, 2)
-        Cosine and sine of the angle.
+        Cosine and sine of the angle of each shape.
     grey : (n,)
-        Grey values at full light.
+        Grey values at full brightness.
     opacity : (n,)
         Opacity, 0 to 1.
     """
@@ -147,8 +150,8 @@ def outlines_of(types: Sequence[PartType]) -> Outlines:
 
 
 def _spot(part: PartType) -> tuple[float, float, float, float]:
-    """Return `Outlines.spot` of a part (4,). The point is a point of a grid with `SPOT_GRID` points
-    per axis."""
+    """Return the row of `Outlines.spot` for a part type (4,). The farthest point is searched for on
+    a grid with `SPOT_GRID` points per axis."""
     axis = part.reach_m * np.linspace(-1, 1, SPOT_GRID)
     place = np.stack(np.meshgrid(axis, axis), axis=-1).reshape(-1, 2)
     shape = shapely.Polygon(part.polygon, part.holes)
@@ -159,8 +162,8 @@ def _spot(part: PartType) -> tuple[float, float, float, float]:
 
 
 def edges_of(corner: np.ndarray) -> np.ndarray:
-    """Return the edges (k, 3) of a convex polygon (k, 2), counter-clockwise, in the form of
-    `Outlines`."""
+    """Return the edges (k, 3) of a convex polygon with the corners (k, 2) in counter-clockwise
+    order. The edges have the form of `Outlines.edges`."""
     side = np.roll(corner, -1, axis=0) - corner
     normal = np.stack([side[:, 1], -side[:, 0]], axis=1) / np.hypot(*side.T)[:, None]
     return np.column_stack([normal, np.sum(normal * corner, axis=1)])
@@ -173,8 +176,8 @@ def expose(canvas, bank, noise, image):
 
 
 def draw_plate(canvas, light, places, pixels, poses, copies, travel, half, scale, grey):
-    """Repaint background and plate in the given pixels. The plate's coverage of each pixel is
-    averaged over the exposure.
+    """Repaint background and plate in some pixels of the image. The fraction of each pixel that the
+    plate covers is averaged over the exposure.
 
     Parameters
     ----------
@@ -189,7 +192,7 @@ def draw_plate(canvas, light, places, pixels, poses, copies, travel, half, scale
     poses : (s, 3)
         Poses of the plate [m, m, rad], at equal intervals over the exposure.
     copies : int
-        Number of interpolated poses that are averaged.
+        Number of interpolated poses that are averaged to draw motion blur.
     travel : float
         Maximum path length of a point of the plate during the exposure [m].
     half : (2,)
@@ -197,13 +200,13 @@ def draw_plate(canvas, light, places, pixels, poses, copies, travel, half, scale
     scale : float
         Scale of the image [px/m].
     grey : (2,)
-        Grey values of background and plate at full light.
+        Grey values of background and plate at full brightness.
     """
     _kernels.draw_plate(canvas, light, places, pixels, poses, copies, travel, half, scale, *grey)
 
 
 def draw_parts(canvas, light, places, sprites, outlines):
-    """Blend shapes into the canvas, one after the other.
+    """Draw shapes into the image, one after the other, with their opacities.
 
     Parameters
     ----------

@@ -1,12 +1,14 @@
-"""Outlines of enlarged parts, and outlines of side faces and shadows as swept areas.
+"""Computes the outlines of enlarged parts, and the outlines of side faces and shadows as swept
+areas.
 
-All points of an image are projected onto the plane of the plate. A camera at height H sees the top
-face of a part of height h enlarged by the factor H/(H - h) about the point below the camera. The
-horizontal sections of a part between bottom and top are displaced and scaled linearly with their
-height. The sections of a convex piece together cover the convex hull of the bottom and the top
-section. Through a hole, the plate is visible at the points that no section hides. A shadow is the
-area that the outline of a part sweeps in the direction of the light. The outline at the end of the
-shadow can be larger or smaller than the outline of the part.
+All points of an image are projected onto the plane of the plate. Let H be the height of the camera,
+and h the height of a part. The projection enlarges the top face of the part by the factor H/(H - h)
+about the point below the camera. The horizontal sections of the part between bottom and top are
+displaced and scaled, approximately linearly with their height. Together, the projected sections of
+a convex piece cover the convex hull of the bottom and the top section. Inside a hole, the plate is
+visible at the points that no section hides. A shadow is the area that the outline of a part sweeps
+in the direction of the light. The outline at the end of the shadow can be larger or smaller than
+the outline of the part.
 """
 
 from __future__ import annotations
@@ -27,12 +29,13 @@ ROUND = 96
 touch the disc. Its corners are 0.05 % of the radius outside the disc."""
 
 STRAIGHT = 1e-9
-"""Displacements shorter than this are treated as 0 [m]."""
+"""Displacements shorter than this value are treated as 0 [m]."""
 
 
 class _Contour(NamedTuple):
-    """Convex piece of a part or of a hole in the part's frame, with corners (m, 2) [m] and edges
-    (m, 3) as in `Outlines`. `radius` is the radius of a disc [m], or 0 for a polygon."""
+    """Convex piece of a part or of a hole, in the frame of the part. `corners` (m, 2) [m] contains
+    its corners, and `edges` (m, 3) its edges as in `Outlines.edges`. `radius` is the radius of a
+    disc [m], or 0 for a polygon."""
 
     corners: np.ndarray
     edges: np.ndarray
@@ -40,7 +43,8 @@ class _Contour(NamedTuple):
 
 
 def scaled(outlines: Outlines, factor: np.ndarray) -> Outlines:
-    """Return the outlines of M parts, enlarged by the factors (M,) about their centres."""
+    """Return the outlines of M parts after they were enlarged about their centres by the factors
+    (M,)."""
     edges: list[np.ndarray] = [np.empty((0, 3))]
     pieces, first = [0], []
     for begin, end, size in zip(outlines.first, outlines.end, factor, strict=True):
@@ -64,24 +68,26 @@ def swept(
     growth: np.ndarray,
     shift: np.ndarray,
 ) -> Outlines:
-    """Return the outlines of the areas that M parts sweep.
+    """Return the outlines of the areas that M parts sweep if their outlines are moved and enlarged
+    continuously.
 
     Parameters
     ----------
     types : sequence of M
     turn : (M, 2)
-        Cosine and sine of their angles.
+        Cosine and sine of the angles of the parts.
     size : (M,)
-        Initial size relative to the type.
+        Initial size of each part divided by the size of its type.
     growth : (M,)
-        Ratio of the final to the initial size.
+        Final size of each part divided by its initial size.
     shift : (M, 2)
         Displacement of the centre from the initial to the final section [m, plate_home].
 
     Returns
     -------
     Outlines
-        The frame of each outline has the axes of plate_home. Its origin is the middle of `shift`.
+        Outlines of the swept areas. The frame of each outline has the axes of plate_home. Its
+        origin is in the middle between the initial and the final centre of the part.
     """
     count = len(types)
     edges: list[np.ndarray] = [np.empty((0, 3))]
@@ -117,12 +123,13 @@ def _swept_piece(
     shift: np.ndarray,
     solid: bool,
 ) -> np.ndarray:
-    """Return the edges (P, e, 3) of the area that a convex piece of P parts sweeps. If the piece is
-    a hole (`solid` is false), return the edges of the intersection of all sections.
+    """Return the edges (P, e, 3) of the area that the same convex piece of P parts sweeps. If the
+    piece is a hole (`solid` is False), return the edges of the intersection of all sections.
 
-    At both ends of the sweep, an edge of the piece has a distance from the centre. The larger
-    distance is used for a solid piece, and the smaller distance for a hole. A solid piece has two
-    further edges, which are the common tangents of the first and the last section.
+    An edge of the piece has one distance from the origin at the beginning of the sweep, and another
+    one at its end. For a solid piece, the swept area has an edge at the larger distance. For a
+    hole, the intersection has an edge at the smaller distance. The swept area of a solid piece has
+    two further edges, which are the common tangents of the first and the last section.
     """
     normal = piece.edges[:, :2] @ np.swapaxes(rotation, 1, 2)
     near = size[:, None] * piece.edges[:, 2]
@@ -149,10 +156,10 @@ def _swept_piece(
 def _disc_tangents(
     radius: np.ndarray, growth: np.ndarray, shift: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Return the two outer common tangents of two discs as normals (P, 2, 2) and distances from the
-    origin (P, 2) [m]. The first disc has its centre at the origin and the radius `radius`. The
-    second disc has its centre at `shift` and the radius `growth` times `radius`. If one disc is
-    inside the other, the values are NaN."""
+    """Return the two outer common tangents of two discs. Each tangent is described by its normal
+    (P, 2, 2) and its distance from the origin (P, 2) [m]. The first disc has its centre at the
+    origin and the radius `radius`. The second disc has its centre at `shift` and the radius
+    `growth` times `radius`. If one disc is inside the other, the values are NaN."""
     way = np.hypot(*shift.T)
     with np.errstate(all="ignore"):
         cosine = (1 - growth) * radius / way
@@ -170,9 +177,10 @@ def _tangents(
     growth: np.ndarray,
     shift: np.ndarray,
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Return the outer common tangents of two convex polygons as `_disc_tangents` does. The first
-    polygon has the corners (m, 2) [m], rotated and enlarged by `size`. The second polygon is the
-    first one, enlarged by `growth` and displaced by `shift`.
+    """Return the two outer common tangents of two convex polygons, in the same form as
+    `_disc_tangents`. The first polygon has the corners (m, 2) [m], rotated by `rotation` and
+    enlarged by `size`. The second polygon is the first polygon, enlarged by `growth` and displaced
+    by `shift`.
 
     The line from a corner of the first polygon to the same corner of the second polygon is a common
     tangent if both polygons are on one side of this line.
@@ -198,7 +206,7 @@ def _tangents(
 
 @lru_cache(maxsize=64)
 def _contours(part: PartType) -> tuple[list[_Contour], list[_Contour]]:
-    """Return the convex pieces of a part and of its holes."""
+    """Return the convex pieces of a part type, and the convex pieces of its holes."""
     if part.radius_m:
         angle = 2 * np.pi * np.arange(ROUND) / ROUND
         normal = np.stack([np.cos(angle), np.sin(angle)], axis=1)

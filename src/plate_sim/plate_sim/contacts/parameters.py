@@ -1,5 +1,4 @@
-"""Parameters of contacts between parts and with walls: restitution, friction, and whether there are
-walls."""
+"""Parameters of the contacts between parts, and of the contacts of parts with walls."""
 
 from __future__ import annotations
 
@@ -27,7 +26,7 @@ class Contacts:
     Raises
     ------
     PlateError
-        If a coefficient is out of range.
+        A coefficient is outside its allowed range.
     """
 
     restitution: float = 0.0

@@ -1,5 +1,6 @@
-"""Simulation of four CiA 402 drives or ODrives on a CAN bus. The simulation contains only the
-functions that the firmware uses. `SetpointCheck` checks the setpoints that the firmware sends.
+"""Simulation of four CiA 402 drives or ODrives on a CAN bus. The simulation contains only those
+functions of the drives that the firmware uses. `SetpointCheck` checks the setpoints that the
+firmware sends.
 
 A frame consists of an identifier and data. The tests `test/test_cia402.py` and
 `test/test_odrive.py` use other simulated drives.
@@ -23,16 +24,17 @@ SYNC, TPDO, RPDO, ANSWER, REQUEST, HEARTBEAT = 0x80, 0x180, 0x200, 0x580, 0x600,
 
 MODE = 0x6060
 OFF, READY, SWITCHED_ON, ENABLED = 0x250, 0x231, 0x233, 0x237
-"""CiA 402 statusword of each power state."""
+"""Statusword of CiA 402 in each power state."""
 
 NEXT = {
     (OFF, 6): READY, (READY, 7): SWITCHED_ON, (SWITCHED_ON, 15): ENABLED, (SWITCHED_ON, 6): READY,
     (ENABLED, 7): SWITCHED_ON, (ENABLED, 6): READY,
 }  # fmt: skip
-"""Next power state, by current state and controlword."""
+"""Next power state of a CiA 402 drive, by the present power state and the controlword."""
 
 REMOTE = 0x800
-"""Flag in the identifier of a remote frame. A remote frame requests data."""
+"""Flag that marks the identifier of a remote frame. A remote frame is a CAN frame that requests
+data."""
 
 GET_VERSION, ODRIVE_HEARTBEAT, ESTOP, GET_ERROR = 0x00, 0x01, 0x02, 0x03
 SET_STATE, GET_ESTIMATES, SET_POSITION, CLEAR_ERRORS = 0x07, 0x09, 0x0C, 0x18
@@ -47,12 +49,12 @@ BEAT_MS = 20
 """Value of the parameter heartbeat_msg_rate_ms of an ODrive [ms]."""
 
 BANDWIDTH = 2 * np.pi * 150
-"""Bandwidth of a drive's position loop, which is critically damped and has speed feedforward
-[rad/s]."""
+"""Bandwidth of a drive's position control loop [rad/s]. The loop is critically damped and has speed
+feedforward."""
 
 TICK_S = 1e-3
 CYCLE_S = 2e-3
-"""Time between two SYNC messages [s]. During this time, a drive interpolates between two
+"""Interval between two SYNC messages [s]. During this interval, a drive interpolates between two
 setpoints."""
 
 NO_OBJECT = 0x06020000
@@ -60,7 +62,7 @@ NO_OBJECT = 0x06020000
 
 @dataclass
 class _Node:
-    """Protocol of one CiA 402 drive, with its state."""
+    """State of one CiA 402 drive, and its part of the protocol."""
 
     drive: Drive
     zero: int  # position at home [counts]
@@ -72,13 +74,13 @@ class _Node:
     objects: dict[tuple[int, int], int] = field(default_factory=dict)
 
     def booted(self) -> list[Frame]:
-        """Reset the drive and return its boot message."""
+        """Reset the drive, and return the boot-up message that it sends."""
         known = {(0x1000, 0): 0x20192, (0x6502, 0): 0x80, (0x1018, 4): self.drive.serial}
         self.operational, self.status, self.objects = False, OFF, known
         return [(HEARTBEAT + self.drive.node, b"\0")]
 
     def answered(self, request: bytes) -> list[Frame]:
-        """Return the reply to an expedited SDO request."""
+        """Return the drive's reply to an expedited SDO request."""
         command, index, sub, value = struct.unpack("<BHBI", request)
         if command != 0x40:
             self.objects[index, sub] = value
@@ -93,7 +95,8 @@ class _Node:
         return [(ANSWER + self.drive.node, struct.pack("<BHBI", command, index, sub, value))]
 
     def synchronised(self, counts: int) -> list[Frame]:
-        """At a SYNC: apply the last RPDO, and return a TPDO with status and position."""
+        """Process a SYNC message. The last RPDO takes effect. Return a TPDO with status and
+        position."""
         if not self.operational:
             return []
         data = struct.pack("<Hi", self.status, counts)
@@ -172,7 +175,7 @@ class SimulatedDrives:
         return answers
 
     def passed(self) -> list[Frame]:
-        """Simulate one tick, and return the heartbeat messages."""
+        """Simulate one tick of the drives, and return the heartbeat messages that they send."""
         self._now_ms += 1
         driven = self._driven()
         if not self.enabled.all():
@@ -198,10 +201,9 @@ class SimulatedDrives:
 
     def _followed(self, setpoint: np.ndarray, slope: np.ndarray, rate: float) -> np.ndarray:
         """Return travel, speed and acceleration of the motors (3, 4) one tick later. Each motor
-        follows a setpoint that moves at constant speed, with critical damping.
-
-        The position x obeys e'' + 2 rate e' + rate^2 e = 0 with e = x - setpoint. The setpoint
-        moves with the speed `slope` [m/s], and its value at the end of the tick is `setpoint` [m].
+        follows a setpoint that moves at constant speed, with critical damping. The motor's position
+        x obeys e'' + 2 rate e' + rate^2 e = 0 with e = x - setpoint. The setpoint moves with the
+        speed `slope` [m/s]. Its value at the end of the tick is `setpoint` [m].
         """
         behind = self._state[0] - (setpoint - slope * TICK_S)
         push = self._state[1] - slope + rate * behind
@@ -213,7 +215,7 @@ class SimulatedDrives:
 
 @dataclass
 class _ODrive:
-    """Protocol of one ODrive, with its state."""
+    """State of one ODrive, and its part of the protocol."""
 
     drive: Drive
     state: int = IDLE
@@ -223,7 +225,7 @@ class _ODrive:
     speed: float = 0.0  # requested speed [turns/s]
 
     def execute(self, message: int, data: bytes, now_ms: int, turns: float) -> list[Frame]:
-        """Execute a message, and return the reply."""
+        """Execute a message to the drive, and return the drive's reply."""
         self.fed_ms = now_ms
         if message == SET_POSITION:
             self.goal, speed, _ = struct.unpack("<fhh", data)
@@ -245,7 +247,7 @@ class _ODrive:
 
 
 class SimulatedODrives(SimulatedDrives):
-    """Four ODrives with their motors, without torque feedforward."""
+    """Four ODrives with their motors. Torque feedforward is not simulated."""
 
     def _start(self, drives: Sequence[Drive], zeros: Sequence[int]) -> None:
         del zeros
@@ -312,11 +314,12 @@ class SetpointCheck:
         # last three setpoints [m]; empty while the motors have no current
         self._led: list[np.ndarray] = []
         self.shares = np.zeros(3)
-        """Maximum stroke, speed and acceleration of the setpoints, as fractions of the limits."""
+        """Maximum stroke, speed and acceleration of the setpoints so far, as fractions of the
+        limits."""
 
     def receive(self, frames: Sequence[Frame], led: bool) -> None:
-        """Process the frames that the firmware sent in a tick. `led` states whether all motors have
-        current."""
+        """Check the setpoints in the frames that the firmware sent in a tick. `led` states whether
+        all motors have current."""
         for identifier, data in frames:
             if identifier in self._places:
                 if self._odrives:

@@ -1,6 +1,6 @@
 """Emulator of device, serial line and plate with their faults, in steps of 1 ms. The emulator
-receives bytes from the host, and returns bytes to the host and the motion of the motors. It does
-not read a clock."""
+receives bytes from the host. It returns bytes to the host, and the motion of the motors. It does
+not read a clock of the computer."""
 
 from __future__ import annotations
 
@@ -22,10 +22,11 @@ SEARCH_S = 0.3
 """Default duration of the search for home [s]."""
 
 BOOT_S = 0.2
-"""Time from a reset until the device responds [s]."""
+"""Time from a reset of the device until it responds [s]."""
 
 BROWN_OUT_S = 0.3
-"""Duration of a brown-out [s]. The motors lose their current, but the logic continues to run."""
+"""Duration of a brown-out [s]. During this time, the motors have no current, but the logic
+continues to run."""
 
 
 class Emulator:
@@ -40,7 +41,7 @@ class Emulator:
     schedule : FaultSchedule
     commanded : callable, optional
         Function that is called for each tick with the time [s] and the setpoint (3, 4). The
-        setpoint is None without current.
+        setpoint is None while the motors have no current.
     plate : SuspendedPlate, optional
         Plate on flexures. Default: a plate that follows its setpoints exactly.
     homing_s : float
@@ -72,7 +73,7 @@ class Emulator:
         self._search_us = round(homing_s * 1e6)
         self._jammed = False
         self.triggered = False
-        """Whether the camera was triggered in the last tick."""
+        """Whether the device has triggered the camera in the last tick."""
 
     @property
     def now(self) -> float:
@@ -105,7 +106,8 @@ class Emulator:
     @property
     def plate(self) -> np.ndarray:
         """Commanded position, speed and acceleration of the motors (3, 4). While the motors have no
-        current, these are the values of the motion home by the flexures."""
+        current, the values are those of the motion by which the flexures return the plate to
+        home."""
         return self._recorder.plate
 
     def configure(self, schedule: FaultSchedule) -> None:
@@ -114,14 +116,15 @@ class Emulator:
         self.to_device.faults = self.to_host.faults = schedule.line
 
     def disconnect(self) -> None:
-        """Disconnect the host for the time `disconnect_s` of the schedule."""
+        """Interrupt the connection to the host for the time `disconnect_s` of the fault
+        schedule."""
         self._disconnected_until = self.now + self.schedule.disconnect_s
         self.connected = False
         self._cut()
 
     def reset(self) -> None:
-        """Restart the device. The device loses its state, and the motors lose their current at
-        once."""
+        """Restart the device. After a reset, the device has lost its state. The motors have no
+        current."""
         self.device = Device(self._limits, (self.device.boot + 1) % 2**32, self.now_us)
         self._booting_until = self.now + BOOT_S
         self._cut()
@@ -131,12 +134,13 @@ class Emulator:
         self._brown_out_until = self.now + BROWN_OUT_S
 
     def jam(self, jammed: bool = True) -> None:
-        """If `jammed` is true, freeze the measured motion of the plate, as if the plate were
-        jammed. Otherwise release it."""
+        """If `jammed` is True, the measured motion of the plate stays constant, as if the plate
+        were jammed. Otherwise release it."""
         self._jammed = jammed
 
     def tick(self) -> list[Segment]:
-        """Simulate one tick, and return the segments of the motors' motion that it completed."""
+        """Simulate one tick, and return the segments of the motors' motion that were completed in
+        this tick."""
         self._trigger_faults()
         device, was_high = self.device, self.device.triggered
         now_us = device.now_us + TICK_US

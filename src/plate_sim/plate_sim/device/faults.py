@@ -1,5 +1,6 @@
-"""Faults of the simulated device: errors on the serial line, and a schedule of periodic
-disconnections, resets and brown-outs. `serial_line` and `emulator` apply them."""
+"""Faults of the simulated device. They are errors on the serial line, and a schedule of periodic
+disconnections, resets and brown-outs. The modules `serial_line` and `emulator` simulate these
+faults."""
 
 from __future__ import annotations
 
@@ -50,7 +51,7 @@ class FaultSchedule:
     line : LineFaults
         Faults of the line in both directions.
     disconnect_every, reset_every, brown_out_every : float
-        Periods of disconnections, resets and brown-outs [s]. 0 disables the fault.
+        Periods of disconnections, resets and brown-outs [s]. 0 disables this kind of fault.
     disconnect_s : float
         Duration of a disconnection [s].
     """

@@ -1,5 +1,5 @@
-"""The real firmware in a process on this computer, with a simulated serial line, a simulated CAN
-bus and simulated drives."""
+"""Runs the real firmware in a process on this computer. The serial line, the CAN bus and the drives
+are simulated."""
 
 from __future__ import annotations
 
@@ -20,15 +20,16 @@ from .serial_line import Line
 
 
 class FirmwareOnDesk:
-    """Firmware with drives on a CAN bus, in steps of one tick. For a rig with drives, this class is
-    used in place of `Emulator`.
+    """Firmware that commands simulated drives on a CAN bus, in steps of one tick. For a rig with
+    drives, this class is used in place of `Emulator`.
 
-    The motors move as the simulated drives do. The drives follow the setpoints with a small error.
+    The drives determine the motion of the motors. They follow the setpoints with a small error.
 
     Parameters
     ----------
     program : path
-        Program firmware/host, built with can.c and with the drives and limits of the rig.
+        Program from the folder firmware/host, built with can.c and with the drives and limits of
+        the rig.
     rig : Rig
         Rig with drives.
     seed : int
@@ -39,7 +40,7 @@ class FirmwareOnDesk:
     Raises
     ------
     PlateError
-        If the motors of the rig have no drives, or if the program does not start.
+        The motors of the rig have no drives, or the program does not start.
     """
 
     connected = True
@@ -77,11 +78,11 @@ class FirmwareOnDesk:
         return self.now_us * 1e-6
 
     def configure(self, schedule: FaultSchedule) -> None:
-        """Set the faults of the line from now on."""
+        """Change the faults of the serial line. Other faults in the schedule are not simulated."""
         self.to_device.faults = self.to_host.faults = schedule.line
 
     def reset(self) -> None:
-        """Restart the firmware. The drives continue to run."""
+        """Restart the firmware. The simulated drives continue to run."""
         self._say("reset")
         self.to_device.cut()
         self.to_host.cut()
@@ -103,7 +104,8 @@ class FirmwareOnDesk:
         }
 
     def tick(self) -> list[Segment]:
-        """Simulate one tick, and return the segments of the motors' motion that it completed."""
+        """Simulate one tick, and return the segments of the motors' motion that were completed in
+        this tick."""
         self.now_us += TICK_US
         if received := self.to_device.arrived(self.now):
             self._say(f"rx {received.hex()}")
@@ -120,7 +122,8 @@ class FirmwareOnDesk:
         self._process.stdin.write(order + "\n")
 
     def _output(self) -> list[Frame]:
-        """Process the output of the firmware in a tick, and return its CAN frames."""
+        """Process the output of the firmware in one tick, and return the CAN frames in this
+        output."""
         assert self._process.stdin is not None
         assert self._process.stdout is not None
         frames: list[Frame] = []

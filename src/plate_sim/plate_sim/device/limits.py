@@ -1,8 +1,9 @@
-"""Limits of the device's motors, computed from a rig, and the C header that contains them for the
+"""Computes the limits of the device's motors from a rig, and writes them to a C header for the
 firmware.
 
-`DeviceLimits` contains stroke, speed, acceleration and force limits, and the matrix from the
-motors' accelerations to their forces. The emulator and a real board use the same values.
+`DeviceLimits` contains the limits of stroke, speed, acceleration and force. It also contains a
+matrix that maps the motors' accelerations to their forces. The emulator and a real board use the
+same values.
 """
 
 from __future__ import annotations
@@ -31,7 +32,7 @@ class DeviceLimits:
     heat_s : float
         Thermal time constant of the winding [s].
     load : (4, 4)
-        Matrix from the motors' accelerations to their forces [kg].
+        Matrix that maps the motors' accelerations to their forces [kg].
     following_m : float
         Following error above which a fault is raised [m]. 0 disables the check.
     """
@@ -47,13 +48,14 @@ class DeviceLimits:
 
     @classmethod
     def of_rig(cls, rig: Rig) -> DeviceLimits:
-        """Return the limits for the plate of a rig. The forces of its flexures are not included.
+        """Return the limits of a rig. The load matrix does not include the forces of the flexures.
 
-        Let M be the inertia matrix, c'' the acceleration of the plate, and B the map from motor
-        forces to the plate. The forces f of minimum norm with B f = M c'' are f = B^+ M c''. At
-        home, the accelerations q'' of the motors give c'' = (B^T)^+ q''. Therefore the load matrix
-        is B^+ M (B^T)^+. M contains the inertia and the centre of mass of the suspension. If there
-        is no suspension, the plate is uniform.
+        Let M be the inertia matrix of the plate, c'' its acceleration, and B the matrix that maps
+        the motor forces f to the wrench on the plate. The forces of minimum norm with B f = M c''
+        are f = B^+ M c''. At home, the plate's acceleration follows from the accelerations q'' of
+        the motors by c'' = (B^T)^+ q''. Therefore, the load matrix is B^+ M (B^T)^+. M contains the
+        inertia and the centre of mass of the suspension. If there is no suspension, the plate is
+        assumed to be uniform.
         """
         inverse = np.linalg.pinv(rig.motor_levers.T)
         # The values are rounded to nine decimals. Without this, rounding errors of `inverse` could
@@ -67,18 +69,19 @@ class DeviceLimits:
 
     @cached_property
     def fit(self) -> np.ndarray:
-        """Coefficients (4,) of a weighted sum of the four travels. The sum is 0 if the plate is
-        rigid. The type is float32, and the maximum of the coefficients is 1.
+        """Coefficients (4,) of a weighted sum of the travels of the four motors. If the plate is
+        rigid, the sum is 0. The type of the coefficients is float32, and their maximum magnitude is
+        1.
 
-        The coefficients are the null vector of `load`. It exists because the four travels depend on
-        only three coordinates of the plate.
+        The coefficients are a null vector of `load`. A null vector exists because the four travels
+        depend on only three coordinates of the plate.
         """
         fit = np.linalg.eigh(self.load)[1][:, 0]
         return (fit / np.max(np.abs(fit))).astype(np.float32)
 
 
 def rig_header(path: str) -> str:
-    """Return the C header of a rig file.
+    """Return the C header with the limits of a rig file.
 
     Raises
     ------
@@ -91,7 +94,7 @@ def rig_header(path: str) -> str:
 
 
 def c_header(limits: DeviceLimits, name: str, drives: Sequence[Drive] = ()) -> str:
-    """Return the C header for the firmware. The header defines `LIMITS` in single precision, and
+    """Return a C header for the firmware. The header defines `LIMITS` in single precision, and
     `DRIVES` if the motors have drives.
 
     Parameters
@@ -130,8 +133,8 @@ def _drive(drive: Drive, fit: float) -> str:
 
 
 def _literal(value: np.ndarray) -> str:
-    """Return C code for an array or a number. The code contains the shortest decimals that give the
-    same float."""
+    """Return C code for an array or a number. The code contains the shortest decimal numbers that
+    give the same values of the type float."""
     if value.ndim == 0:
         return f"{value[()]!s}f"
     inner = [_literal(part) for part in value]

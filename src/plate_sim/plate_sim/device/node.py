@@ -1,5 +1,5 @@
-"""ROS node that emulates the motor controller on a pseudo-terminal in real time. The driver can use
-this serial port in the same way as the port of a real board."""
+"""ROS node that emulates the motor controller on a pseudo-terminal in real time. The driver node
+can use this pseudo-terminal in the same way as the serial port of a real board."""
 
 from __future__ import annotations
 
@@ -32,12 +32,12 @@ from .plate import Segment, SuspendedPlate
 from .pty import PseudoTerminal
 
 SERVE_PERIOD_S = 0.002
-"""Time between two reads of the port [s]. It is two ticks of the device."""
+"""Time between two reads of the port [s]. It is the duration of two ticks of the device."""
 
 MAX_BEHIND_US = 100_000
-"""Maximum time by which the simulated device may lag behind the computer's clock, for example on a
-busy computer [us]. The device simulates at most this time at once. If the lag is longer, the device
-omits the rest. Otherwise the device would report a timeout, although the host has sent messages."""
+"""Maximum time that the simulated device makes up at once if it lags behind the computer's clock
+[us]. It may lag on a busy computer. If the lag is longer, the device omits the rest. Without this
+limit, the device would report a timeout, although the host has sent messages in time."""
 
 
 def _fraction(description: str) -> Any:
@@ -73,7 +73,7 @@ class Options(NodeOptions):
 
     @property
     def schedule(self) -> FaultSchedule:
-        """Return the schedule of faults that the parameters set."""
+        """Schedule of faults that results from the node's parameters."""
         line = LineFaults(**{f.name: getattr(self, f.name) for f in fields(LineFaults)})
         own = [f.name for f in fields(FaultSchedule) if f.name != "line"]
         return FaultSchedule(line, **{name: getattr(self, name) for name in own})
@@ -83,14 +83,15 @@ class DeviceNode(SafeLifecycleNode[Options]):
     """Lifecycle node `device`. The node emulates a motor controller on a pseudo-terminal in real
     time.
 
-    The node publishes motor_motion, camera_trigger and diagnostics. The node uses the serial
-    protocol on the port `link`.
+    The node publishes motor_motion, camera_trigger and diagnostics. The node communicates by the
+    serial protocol on the port `link`.
 
-    motor_motion contains the executed motion of the motors in segments. Each segment is stamped
-    with its start. The simulated plate follows this motion. camera_trigger is stamped with the time
-    of each trigger pulse. A segment ends at the pulse, and is published before camera_trigger. The
-    port exists when the node is configured. While the node is not active, the device has no power.
-    On activation, the device restarts.
+    motor_motion contains the executed motion of the motors in segments. The stamp of a segment is
+    its start time. The simulator's plate follows this motion. For each trigger pulse, the node
+    publishes a message camera_trigger whose stamp is the time of the pulse. A segment ends at each
+    pulse, and this segment is published before camera_trigger. The port exists from the
+    configuration of the node on. While the node is not active, the device has no power. On
+    activation, the device restarts.
     """
 
     def __init__(self) -> None:
@@ -98,7 +99,7 @@ class DeviceNode(SafeLifecycleNode[Options]):
         self.report(self._find, self._values, "device", self._begin_report)
 
     def configure(self) -> None:
-        """Read the rig, and create the serial port."""
+        """Read the rig file, and create the serial port."""
         options = self.options
         self._rig = load_rig(options.rig_file)
         self._emulator = self._made()
@@ -129,15 +130,15 @@ class DeviceNode(SafeLifecycleNode[Options]):
         self._terminal.read()  # a device without power discards the bytes that it receives
 
     def rest(self) -> None:
-        """Switch the device off. The device loses its state."""
+        """Switch the device off. The device then loses its state."""
         self._emulator.reset()
 
     def retune(self) -> None:
-        """Apply changed parameters of the faults."""
+        """Apply new values of the parameters for faults."""
         self._emulator.configure(self.options.schedule)
 
     def _serve(self) -> None:
-        """Advance the device to the current time."""
+        """Simulate the device up to the current time, and exchange bytes with the port."""
         emulator, received = self._emulator, self._terminal.read()
         due = (time.monotonic_ns() - self._steady_ns) // 1_000 - emulator.now_us
         self._late_ms = max(self._late_ms, due * 1e-3 - 1e3 * SERVE_PERIOD_S)
@@ -166,7 +167,7 @@ class DeviceNode(SafeLifecycleNode[Options]):
         self._motions.publish(trajectory_to_msg(joints, segment.times, q, qd, qdd, stamp))
 
     def _stamp(self, time_s: float) -> Time:
-        """Convert a time of the device's clock [s] to a stamp."""
+        """Convert a time of the device's clock [s] to a ROS stamp."""
         return to_time(self._begin_ns + round(time_s * 1e9))
 
     def _find(self, _: float) -> Finding:

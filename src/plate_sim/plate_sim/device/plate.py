@@ -15,7 +15,8 @@ from .._kernels import Device
 from ..plate import PlateMotion, PlateState, realise
 
 SEGMENT_S = 0.1
-"""Length of a segment while no table is played [s]. One image is taken per segment."""
+"""Length of a segment of motion while no table is played [s]. The simulator takes one image per
+segment."""
 
 COAST_RATE = 60.0
 """Rate at which the plate returns to home while the motors have no current [1/s]. The motion is
@@ -25,14 +26,14 @@ EVERY = 4
 """Number of ticks between two knots of a segment, unless the segment is a whole table."""
 
 STATE = 10
-"""Number of states: pose (3), twist (3), motor forces (4)."""
+"""Number of components of the plate's state: pose (3), twist (3), motor forces (4)."""
 
 INPUT = 9
-"""Number of inputs: pose, twist and acceleration of the setpoint, 3 each."""
+"""Number of components of the setpoint: pose (3), twist (3), acceleration (3)."""
 
 SCALE = 1e-6
-"""Size of the unit inputs and unit states that give the columns of the matrix [SI units]. It is so
-small that every plate stays within its limits."""
+"""Size of the test inputs and test states from which the columns of the matrix are computed [SI
+units]. The size is so small that every plate stays within its limits."""
 
 
 @dataclass(frozen=True)
@@ -44,11 +45,12 @@ class Segment:
     start : float
         Start of the segment on the device's clock [s].
     times : (k + 1,)
-        Times since the start [s].
+        Times of the knots since the start of the segment [s].
     motors : (k + 1, 3, 4)
-        Travel [m], speed [m/s] and acceleration [m/s2], with quintic interpolation.
+        Travel [m], speed [m/s] and acceleration [m/s2] of the motors at the knots. Between the
+        knots, the motion is a quintic polynomial.
     table : int
-        Number of the table, if the segment is a whole table; otherwise 0.
+        Number of the motor table if the segment is a whole table, otherwise 0.
     """
 
     start: float
@@ -66,7 +68,8 @@ class Recorder:
     """Records the motion of a device's motors tick by tick.
 
     A segment ends when a table starts or repeats, when the camera is triggered, and after
-    `SEGMENT_S` if no table is played. Without current, the flexures return the plate to home.
+    `SEGMENT_S` if no table is played. While the motors have no current, the flexures return the
+    plate to home.
     """
 
     def __init__(self, now: float = 0.0) -> None:
@@ -82,8 +85,8 @@ class Recorder:
         return self._ticks[-1][1]
 
     def coasted(self, dt: float) -> np.ndarray:
-        """Return position, speed and acceleration of the motors (3, 4) after `dt` [s] without
-        current.
+        """Return position, speed and acceleration of the motors (3, 4) after they had no current
+        for the time `dt` [s].
 
         With the rate r = COAST_RATE and the initial position x_0 and speed v_0 of a motor, the
         critically damped motion x'' + 2 r x' + r^2 x = 0 is
@@ -99,10 +102,12 @@ class Recorder:
     def followed(
         self, now: float, device: Device | None, at: np.ndarray | None, triggered: bool = False
     ) -> list[Segment]:
-        """Return the segments that have ended by `now` [s].
+        """Record the state of the motors at the time `now` [s]. Return the segments that have ended
+        since the last call.
 
-        `at` is the setpoint at `now`. The setpoint is None without current. `triggered` states
-        whether the camera was triggered. If `device` is None, `Segment.table` is 0.
+        `at` is the setpoint at the time `now`, or None while the motors have no current.
+        `triggered` states whether the camera was triggered. If `device` is None, the attribute
+        `table` of all segments is 0.
         """
         done = []
         play = None if device is None else device.play
@@ -121,8 +126,8 @@ class Recorder:
         return done
 
     def _cut(self, when: float, end: np.ndarray) -> list[Segment]:
-        """End the present segment at the time `when` [s]. `end` are position, speed and
-        acceleration of the motors at this time (3, 4)."""
+        """End the present segment at the time `when` [s], and return it in a list. `end` (3, 4)
+        contains position, speed and acceleration of the motors at this time."""
         start, ticks, last = self._start, self._ticks, self._whole
         self._start, self._ticks = when, [(when, end)]
         if when <= start:
@@ -136,11 +141,12 @@ class Recorder:
 
 
 class SuspendedPlate:
-    """Suspended plate with drives, as modelled in `plate_sim.plate.drive`, in steps of one tick.
+    """Plate on flexures with drives, in steps of one tick. `plate_sim.plate.drive` describes the
+    model.
 
-    Plate and drives are a linear system, so one tick is a multiplication by a matrix. `realise`
-    computes the columns of this matrix. The lever arms of the motors are assumed to be the same as
-    at home.
+    Plate and drives are a linear system, so one tick is the multiplication of the state and the
+    setpoints by a matrix. The function `realise` computes the columns of this matrix. The lever
+    arms of the motors are assumed to be constant and equal to those at home.
 
     Parameters
     ----------
@@ -159,7 +165,7 @@ class SuspendedPlate:
         self._inverse = np.linalg.pinv(self._levers)
 
     def moved(self, setpoint: np.ndarray) -> np.ndarray:
-        """Simulate one tick in which the motors move to a setpoint (3, 4).
+        """Simulate one tick, at whose end the motors' setpoint is `setpoint` (3, 4).
 
         Returns
         -------
@@ -175,8 +181,8 @@ class SuspendedPlate:
 
 
 def _after(rig: Rig, tick_s: float, before: np.ndarray) -> np.ndarray:
-    """Return the state (10,) and the acceleration (3,) of the plate one tick after the state
-    `before`, as one array (13,)."""
+    """Return the state of the plate (10,) one tick later, followed by its acceleration (3,).
+    `before` contains the present state, and the setpoints at the start and the end of the tick."""
     pose, twist, force = before[:3], before[3:6], before[6:STATE]
     ends = before[STATE:].reshape(2, 3, 3)
     times = np.array([0.0, tick_s])

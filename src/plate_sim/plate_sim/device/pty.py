@@ -1,5 +1,5 @@
-"""Pseudo-terminal that the driver uses as a serial port. A symbolic link gives it a fixed name. It
-can be unplugged and plugged in again like a USB adapter."""
+"""Pseudo-terminal that the driver uses as a serial port. A symbolic link gives the pseudo-terminal
+a fixed name. The pseudo-terminal can be unplugged and plugged in again like a USB adapter."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ class PseudoTerminal:
     Parameters
     ----------
     link : path
-        Name of the port: a symbolic link. An existing link is replaced.
+        Name of the symbolic link that serves as the port. An existing link is replaced.
     """
 
     def __init__(self, link: str | Path) -> None:
@@ -37,7 +37,7 @@ class PseudoTerminal:
         Raises
         ------
         PlateError
-            If the name cannot be used.
+            No symbolic link with this name can be created.
         """
         if self._ends is not None:
             return
@@ -60,7 +60,7 @@ class PseudoTerminal:
         self._ends = master, slave
 
     def unplug(self) -> None:
-        """Remove the port. A host that has the port open receives an error."""
+        """Remove the port. If a host has opened the port, it receives an error."""
         if self._ends is None:
             return
         with contextlib.suppress(OSError):
@@ -79,7 +79,8 @@ class PseudoTerminal:
             return b""
 
     def write(self, data: bytes) -> None:
-        """Send bytes to the host. If the buffer is full, bytes are lost, as with a real UART."""
+        """Send bytes to the host. If the buffer is full, bytes are lost, as with a real serial
+        interface (UART)."""
         if self._ends is None or not data:
             return
         with contextlib.suppress(OSError):

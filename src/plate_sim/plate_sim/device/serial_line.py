@@ -23,7 +23,7 @@ class Line:
     ----------
     faults : LineFaults
     rng : Generator
-        Generator for the faults.
+        Random number generator for the faults.
     """
 
     def __init__(self, faults: LineFaults, rng: np.random.Generator) -> None:
@@ -33,7 +33,7 @@ class Line:
         self._free_at = float("-inf")  # time at which the last byte arrives at the receiver [s]
 
     def sent(self, data: bytes, now: float) -> None:
-        """Send bytes at `now` [s]."""
+        """Send bytes at the time `now` [s]."""
         if not data:
             return
         for late, part in self._split(data):
@@ -43,11 +43,11 @@ class Line:
             self._way.append((self._free_at, self._damaged(part)))
 
     def idle(self, now: float) -> bool:
-        """Return whether all sent bytes have left the sender."""
+        """Return whether the sender has transmitted all bytes by the time `now` [s]."""
         return self._free_at - self.faults.delay <= now
 
     def arrived(self, now: float) -> bytes:
-        """Remove and return the bytes that have arrived by `now` [s]."""
+        """Remove the bytes that have arrived by the time `now` [s], and return them."""
         arrived_bytes = b"".join(data for at, data in self._way if at <= now)
         if arrived_bytes or (self._way and self._way[0][0] <= now):
             self._way = [item for item in self._way if item[0] > now]

@@ -1,5 +1,5 @@
-"""Checks of the integrators' arguments. The checks return arrays of the expected shape, or raise
-errors that contain the name, the value and the allowed range."""
+"""Checks of the integrators' arguments. The functions return arrays of the expected shape, or raise
+errors that contain the name, the value and the allowed range of an argument."""
 
 from __future__ import annotations
 
@@ -13,19 +13,20 @@ from plate_core.motion import REST_TOLERANCE
 from ..plate.motion import PlateMotion
 
 LARGEST = 1e60
-"""Maximum magnitude of a state or coefficient. The limit ensures that products are finite."""
+"""Maximum absolute value of a state or coefficient. With this limit, products of such values are
+finite."""
 
 
 def whole(name: str, value: int) -> int:
-    """Return a count, after a check that it is a whole number of at least 1."""
+    """Check that a count is a whole number of at least 1, and return the count."""
     if not isinstance(value, Integral) or value < 1:
         raise PlateError(f"{name} is {value!r}, allowed: a whole number, at least 1")
     return int(value)
 
 
 def check_motion(cycle: PlateCycle | PlateMotion, cycles: int) -> None:
-    """Raise an error for an invalid motion of the plate, and for repetitions of a motion that does
-    not close."""
+    """Raise an error if a motion of the plate is invalid, or if it is repeated although its end
+    differs from its start."""
     if not isinstance(cycle, PlateCycle | PlateMotion):
         raise PlateError(f"cycle is a {type(cycle).__name__}, allowed: a PlateCycle or PlateMotion")
     if isinstance(cycle, PlateCycle):
@@ -48,8 +49,8 @@ def check_motion(cycle: PlateCycle | PlateMotion, cycles: int) -> None:
 
 
 def pairs(name: str, array: np.ndarray, count: int | None = None) -> np.ndarray:
-    """Return a float copy of `array`, after a check that its shape is (count, 2) and its values are
-    within `LARGEST`."""
+    """Check that `array` has the shape (count, 2) and that its absolute values are at most
+    `LARGEST`. Return a copy with the type float."""
     array = np.array(array, dtype=float)
     if array.ndim != 2 or array.shape[1] != 2 or (count is not None and len(array) != count):
         rows = "M" if count is None else count
@@ -66,7 +67,7 @@ def pairs(name: str, array: np.ndarray, count: int | None = None) -> np.ndarray:
 
 
 def friction_accel(friction: float | np.ndarray, gravity: float, count: int) -> np.ndarray:
-    """Return the maximum acceleration of each part by friction, mu g (count,) [m/s2]."""
+    """Return the maximum acceleration mu g that friction can give to each part (count,) [m/s2]."""
     mu = np.array(friction, dtype=float)
     if mu.shape not in ((), (count,)):
         raise PlateError(f"friction has shape {mu.shape}, allowed: () or ({count},)")
@@ -81,8 +82,8 @@ def friction_accel(friction: float | np.ndarray, gravity: float, count: int) -> 
 
 
 def for_each(name: str, value: float | np.ndarray, count: int) -> np.ndarray:
-    """Return a value as an array (count,) of finite numbers. The value is given for all parts or
-    for each part."""
+    """Convert a value to an array (count,) of finite numbers. The value is one number for all
+    parts, or one number for each part."""
     array = np.asarray(value, dtype=float)
     if array.shape not in ((), (count,)):
         raise PlateError(f"{name} has shape {array.shape}, allowed: () or ({count},)")

@@ -1,14 +1,15 @@
-"""Footprint of a rigid part: its contact points with the plate, their fractions of the weight, and
-the inertia.
+"""Footprint of a rigid part. A footprint contains the contact points of the part with the plate,
+the fraction of the weight on each point, and the inertia of the part.
 
 Friction acts on the whole footprint. If the slip varies over the footprint, friction also rotates
-the part (section 3.1.2 of the paper). For a disc, the integral of the friction is known in closed
-form (`disc`). For other shapes, it is a sum over quadrature points. Gauss's rule is used for
-parallelograms, and triangles of degree 2 for all other shapes. Both rules are exact for polynomials
-of degree 2. Therefore mass, centre and inertia have no quadrature error.
+the part (section 3.1.2 of the paper). For a disc, the module `disc` contains formulas for the
+integral of the friction. For other shapes, the integral is approximated by a sum over quadrature
+points. Gauss's product rule is used for parallelograms. All other shapes are cut into triangles,
+for which a rule of degree 2 is used. Both rules are exact for polynomials of degree 2. Therefore,
+mass, centre and inertia have no quadrature error.
 
-Maximum error of the friction force [mu m g] and of the friction torque [mu m g times the radius of
-gyration], for several numbers of points:
+The table contains the maximum error of the friction force [mu m g] and of the friction torque [mu m
+g times the radius of gyration], for several numbers of points:
 
     points        12      24      48      96     192
     square     0.077   0.041   0.020   0.011   0.005
@@ -16,9 +17,9 @@ gyration], for several numbers of points:
     L-shape    0.121   0.048   0.022   0.012   0.005
     triangle   0.106   0.057   0.031   0.014   0.008
 
-The reference for the errors has 2,500 points (`friction_gap` of the tests). The maximum is taken
-over 2,000 slips. Half of these slips are rotations about a point of the footprint, at which the
-direction of the slip is discontinuous.
+The errors were computed by comparison with 2,500 points (function `friction_gap` of the tests), and
+the maximum is over 2,000 slip motions. Half of these slip motions are rotations about a point of
+the footprint. At this point, the direction of the slip is discontinuous.
 """
 
 from __future__ import annotations
@@ -38,22 +39,22 @@ from . import quadrature
 from .disc import disc_force
 
 POINTS = 48
-"""Approximate default number of quadrature points. With this number, the friction error is at most
-3 % of mu m g."""
+"""Approximate default number of quadrature points. With this number, the error of the friction is
+at most 3 % of mu m g."""
 
 MASS = 0.02
-"""Default mass [kg]. The motion on the plate does not depend on the mass."""
+"""Default mass [kg]. The motion of a part on the plate does not depend on its mass."""
 
 MAX_POINTS = 100_000
 """Maximum number of quadrature points."""
 
 CELL = 0.2
-"""Blur of a point, as a fraction of the size of its cell. Blur halves the error of the friction,
-see `Footprint.blur`."""
+"""Value of `Footprint.blur`, as a fraction of the size of the cell that a point represents. The
+blur halves the error of the friction."""
 
 ON_EDGE = 1e-9
-"""A point within this distance of the edge of a piece counts as on the edge, as a fraction of the
-size of the piece. The tolerance allows for rounding."""
+"""A point counts as on the edge of a piece if it is within this distance of the edge, as a fraction
+of the size of the piece. The tolerance is necessary because of rounding errors."""
 
 CORNERS_OF_DISC = 96
 """Number of corners of the polygon that represents a disc in drawings."""
@@ -75,11 +76,12 @@ class Footprint:
     weights : (n,)
         Fraction of the part's weight on each point. The sum of the fractions is 1.
     blur : (n,)
-        Approximate size of the cell that each point represents [m]. Let s be the slip at the point,
-        and c the rotational slip. The mean slip of the cell is `sqrt(s^2 + (c blur)^2)`.
+        Approximate size of the cell that each point represents [m]. Let s be the slip speed at the
+        point, and c the angular velocity of the slip. The mean slip speed of the cell is assumed to
+        be `sqrt(s^2 + (c blur)^2)`.
     outline : tuple of (k, 2)
-        Corners of the convex polygons [m], counter-clockwise. For a disc, they are used only for
-        drawing.
+        Corners of the convex polygons [m], counter-clockwise. For a disc, the corners are used only
+        for drawing.
     radius : float
         Radius of a disc [m]. The radius is 0 for other shapes.
     """
@@ -96,9 +98,9 @@ class Footprint:
     def corners(self) -> np.ndarray:
         """Corners (n, 5) of the outline, piece by piece. Empty for a disc.
 
-        Each corner has its position [m], the outward normal of the side that begins at the corner,
-        and a flag. The flag is 1 if this side belongs to the outline, and 0 if it adjoins another
-        piece of the part.
+        Each row contains the position of a corner [m], the outward normal of the side that begins
+        at this corner, and a flag. The flag is 1 if this side belongs to the outline of the part,
+        and 0 if it adjoins another piece of the part.
         """
         return np.empty((0, 5)) if self.radius else _corners(self.outline)
 
@@ -109,8 +111,8 @@ class Footprint:
 
     @cached_property
     def slim(self) -> float:
-        """About half the minimum width of the part [m]: twice the area of the slimmest piece,
-        divided by its perimeter."""
+        """About half the minimum width of the part [m]. It is computed as twice the area of the
+        slimmest piece, divided by the perimeter of this piece."""
         return self.radius or min(
             2 * quadrature.area(piece) / np.linalg.norm(piece - np.roll(piece, 1, 0), axis=1).sum()
             for piece in self.outline
@@ -118,8 +120,8 @@ class Footprint:
 
     @property
     def even(self) -> bool:
-        """Whether the footprint is a disc with uniform pressure. The friction of such a disc needs
-        no points."""
+        """Whether the footprint is a disc with uniform pressure. The friction of such a disc is
+        computed without contact points."""
         return self.radius > 0 and not len(self.points)
 
     @cached_property
@@ -130,7 +132,7 @@ class Footprint:
 
     @property
     def gyration2(self) -> float:
-        """Square of the radius of gyration: inertia divided by mass [m2]."""
+        """Square of the radius of gyration [m2]. It is the inertia divided by the mass."""
         return self.inertia / self.mass
 
     def friction(self, slip: np.ndarray) -> np.ndarray:
@@ -140,12 +142,12 @@ class Footprint:
         ----------
         slip : (k, 3)
             Twist of the plate minus the twist of the part [m/s, m/s, rad/s], in the part's axes.
-            The velocity of the plate is that of its surface at the part's centre of mass.
+            The velocity of the plate is taken at the part's centre of mass.
 
         Returns
         -------
         (k, 3)
-            Force [mu m g], and torque about the centre of mass [mu m g m].
+            Friction force [mu m g], and friction torque about the centre of mass [mu m g m].
         """
         slip = np.asarray(slip, dtype=float).reshape(-1, 1, 3)
         if self.even:
@@ -169,7 +171,8 @@ class Footprint:
 
 
 def disc(radius: float, *, mass: float = MASS) -> Footprint:
-    """Return the footprint of a disc with uniform pressure. `radius` is in m, `mass` in kg."""
+    """Return the footprint of a disc with the radius `radius` [m], the mass `mass` [kg] and uniform
+    pressure."""
     radius, mass = _positive("radius", radius, "m"), _positive("mass", mass, "kg")
     corner = 2 * np.pi * np.arange(CORNERS_OF_DISC) / CORNERS_OF_DISC
     outline = radius * np.column_stack([np.cos(corner), np.sin(corner)])
@@ -178,7 +181,7 @@ def disc(radius: float, *, mass: float = MASS) -> Footprint:
 
 
 def bar(length: float, width: float, *, mass: float = MASS, points: int = POINTS) -> Footprint:
-    """Return the footprint of a rectangle. Its sides are in m, and its length is along x."""
+    """Return the footprint of a rectangle with the sides `length` (along x) and `width` [m]."""
     half = 0.5 * np.array([_positive("length", length, "m"), _positive("width", width, "m")])
     corners = half * np.array([[-1, -1], [1, -1], [1, 1], [-1, 1]])
     return polygon(corners, mass=mass, points=points)
@@ -191,14 +194,14 @@ def polygon(corners: np.ndarray, *, mass: float = MASS, points: int = POINTS) ->
 
 
 def union(polygons: Sequence[np.ndarray], *, mass: float = MASS, points: int = POINTS) -> Footprint:
-    """Return the footprint of adjacent convex polygons of uniform density. For example, two bars
-    form an L.
+    """Return the footprint of a part that consists of adjacent convex polygons. The density is
+    uniform. For example, two bars form an L.
 
     Parameters
     ----------
     polygons : sequence of (k, 2)
-        Corners in order [m]. The axes may have any position and orientation. The centre of mass
-        becomes the origin of the part's frame.
+        Corners in order [m]. The frame of the corners may have any position and orientation
+        relative to the part. The centre of mass becomes the origin of the part's frame.
     mass : float
         Mass [kg].
     points : int
@@ -254,7 +257,8 @@ def _points(value: int) -> int:
 
 
 def _corners(outline: tuple[np.ndarray, ...]) -> np.ndarray:
-    """Return the array `Footprint.corners` for convex pieces. Each piece is (k, 2)."""
+    """Return the array `Footprint.corners` for a list of convex pieces, each with corners (k, 2)
+    [m]."""
     rows = []
     for i, piece in enumerate(outline):
         side = np.roll(piece, -1, axis=0) - piece

@@ -1,5 +1,5 @@
-"""Footprints of part types. Outlines of any shape are cut into convex pieces. The contact points of
-shapes with holes are on a grid."""
+"""Footprints of part types. This module cuts outlines of any shape into convex pieces. The contact
+points of shapes with holes are on a grid."""
 
 from __future__ import annotations
 
@@ -15,19 +15,18 @@ from . import quadrature
 from .footprint import CELL, MASS, POINTS, Footprint, disc, union
 
 GRID = 4
-"""Number of grid points per cell along each axis. The grid points determine the fraction of a cell
-that is inside the part."""
+"""Number of grid points per cell along each axis. The fraction of a cell that is inside the part is
+estimated with these points."""
 
 STRAIGHT = 1e-9
-"""A corner is ignored if the cross product of its sides is below this fraction of the square of the
-part's size."""
+"""A corner of an outline is ignored if its sides are nearly parallel. The criterion is that their
+cross product is below this fraction of the square of the part's size."""
 
 
 def footprint_of(part: PartType) -> Footprint:
-    """Return the footprint of a part type with uniform pressure. Types that differ only in name and
-    appearance share one footprint.
-
-    A hole carries no weight and has no mass. Other parts cannot enter a hole.
+    """Return the footprint of a part type with uniform pressure. Part types that differ only in
+    name and appearance share one footprint. In a hole, the part has no contact with the plate and
+    no mass. Other parts cannot enter a hole.
     """
     return _footprint(replace(part, name="", mu=None, colour_lab=None, picture=""))
 
@@ -54,8 +53,8 @@ def _footprint(part: PartType) -> Footprint:
 
 
 def _cells(outline: np.ndarray, holes: list[np.ndarray]) -> tuple[np.ndarray, np.ndarray]:
-    """Return centres (n, 2) [m] and areas (n,) [m2] of the parts of square cells that are inside
-    the shape."""
+    """Cut the area of a shape into square cells. For each cell, return the centre (n, 2) [m] and
+    the area (n,) [m2] of the portion that is inside the shape."""
     low, high = outline.min(axis=0), outline.max(axis=0)
     side = np.sqrt(moments(outline, holes)[0] / POINTS)
     count = np.ceil((high - low) / side).astype(int)
@@ -76,11 +75,12 @@ def _cells(outline: np.ndarray, holes: list[np.ndarray]) -> tuple[np.ndarray, np
 
 
 def convex_pieces(outline: np.ndarray) -> list[np.ndarray]:
-    """Cut a simple polygon (n, 2), whose corners are counter-clockwise, into few convex polygons.
+    """Cut a simple polygon into few convex polygons. Its corners (n, 2) are in counter-clockwise
+    order.
 
-    First, ears are cut off (Meisters 1975). Then pieces with a common diagonal are merged if the
-    result is convex (Hertel and Mehlhorn 1983). The number of pieces is at most four times the
-    minimum.
+    First, the polygon is cut into triangles by ear clipping (Meisters 1975). Then pieces with a
+    common diagonal are merged if the merged polygon is convex (Hertel and Mehlhorn 1983). The
+    number of pieces is at most four times the minimum.
     """
     pieces = _triangles(outline)
     merged = True
@@ -113,14 +113,14 @@ def _triangles(outline: np.ndarray) -> list[list[int]]:
 
 
 def _slimness(triangle: np.ndarray) -> float:
-    """Return the area of a triangle (3, 2) divided by its squared perimeter. Narrow triangles have
-    small values."""
+    """Return the area of a triangle with the corners (3, 2), divided by its squared perimeter. The
+    value is small for narrow triangles."""
     length = np.linalg.norm(triangle - np.roll(triangle, 1, axis=0), axis=1).sum()
     return float(_turn(*triangle) / length**2)
 
 
 def _is_ear(outline: np.ndarray, rest: list[int], k: int) -> bool:
-    """Return whether corner k of the remaining polygon can be cut off."""
+    """Return whether corner k of the remaining polygon is an ear, which can be cut off."""
     a, b, c = (outline[rest[i % len(rest)]] for i in (k - 1, k, k + 1))
     if _turn(a, b, c) <= STRAIGHT * np.ptp(outline, axis=0).max() ** 2:
         return False
@@ -133,8 +133,8 @@ def _is_ear(outline: np.ndarray, rest: list[int], k: int) -> bool:
 
 
 def _joined(one: list[int], other: list[int]) -> list[int] | None:
-    """Return the union of two pieces as corner indices if they share a diagonal. Otherwise return
-    None."""
+    """Return the union of two pieces as indices of corners if both share a diagonal. Otherwise
+    return None."""
     for i, a in enumerate(one):
         b = one[(i + 1) % len(one)]
         for j, c in enumerate(other):

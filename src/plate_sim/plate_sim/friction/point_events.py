@@ -1,15 +1,13 @@
-"""Event-driven simulation of point parts on the exact motion of the plate, with a given accuracy.
-This simulation is the reference for all other integrators.
+"""Event-driven simulation of point parts on a plate whose exact motion is known. The accuracy can
+be chosen. This simulation is the reference for all other integrators.
 
-A sliding part is integrated by Runge-Kutta 5(4) with error control. A sticking part keeps its exact
-place on the plate until the acceleration of the surface at this place exceeds the limit of static
-friction. If the slip of a part vanishes, the time of this event is computed. After the event, the
-part sticks if friction can hold it. Otherwise it slides in the direction of the surface's
-acceleration, which is a reversal if the motion is on a line. Near a minimum of the slip, the steps
-become as small as the tolerance requires.
-
-If the plate is tilted, the frame falls with the component of gravity along the plate
-(`plate.pieces`).
+The motion of a sliding part is integrated by Runge-Kutta 5(4) with error control. A sticking part
+stays exactly at its place on the plate until the acceleration of the surface at this place exceeds
+the limit of static friction. If the slip of a part becomes 0, the time of this event is computed.
+After the event, the part sticks if friction can hold it. Otherwise, the part begins to slide in the
+direction opposite to the surface's acceleration, relative to the plate. Near a minimum of the slip,
+the steps become as small as the tolerance requires. If the plate is tilted, the frame of reference
+falls with the component of gravity along the plate (`plate.pieces`).
 """
 
 from __future__ import annotations
@@ -30,8 +28,8 @@ TOLERANCE = 1e-7
 """Default tolerance of the displacement in one cycle [m]: a ten-thousandth of a pixel."""
 
 SAMPLES = 64
-"""Default number of output samples per cycle. This number gives eight samples per period of the
-highest harmonic of a usual motion."""
+"""Default number of output samples per cycle. For a usual motion of the plate, this number gives
+eight samples per period of the highest harmonic."""
 
 
 @dataclass(frozen=True)
@@ -47,8 +45,9 @@ class Trajectory:
     velocity : (k, M, 2)
         Velocities of the parts [m/s].
     unchecked : tuple of int
-        Parts whose motion required more than the maximum number of steps. The rest of their motion
-        was computed with coarse steps and has an unknown error. Empty except for extreme motions.
+        Indices of parts whose motion required more than the maximum number of steps. The rest of
+        their motion was computed with coarse steps, so that its error is unknown. The tuple is
+        empty except for extreme motions.
     """
 
     time: np.ndarray
@@ -71,15 +70,16 @@ def simulate(
 ) -> Trajectory:
     """Integrate the stick-slip motion of point parts on an unbounded plate, without contacts.
 
-    The error per cycle is about `tolerance`.
+    The error of the displacement per cycle is about `tolerance`.
 
     Parameters
     ----------
     cycle : PlateCycle or PlateMotion
-        Motion of the plate. A PlateCycle that closes can be repeated. Other motions are executed
-        once.
+        Motion of the plate. Only a PlateCycle that ends in its initial state can be repeated. Other
+        motions are executed once.
     position, velocity : (M, 2)
-        Parts at the start of the first cycle [m], [m/s], plate_home.
+        Positions [m] and velocities [m/s] of the parts at the start of the first cycle, in
+        plate_home.
     friction : float or (M,)
         Friction coefficient mu: one value for all parts, or one value for each part.
     gravity : float
@@ -91,7 +91,7 @@ def simulate(
     tolerance : float
         Requested error of the displacement in one cycle [m].
     ground : Ground
-        Static friction and tilt. The friction must not depend on the slip.
+        Static friction and tilt of the plate. The friction must not depend on the slip.
 
     Returns
     -------
@@ -140,8 +140,7 @@ def run_points(
     speed: np.ndarray,
     checked: np.ndarray,
 ) -> int:
-    """Fill path and speed (cycles * samples + 1, M, 2) from their first rows. Return the number of
-    steps.
+    """Compute `path` and `speed` from their first rows. Return the number of integration steps.
 
     Parameters
     ----------
@@ -157,7 +156,7 @@ def run_points(
     path, speed : (cycles * samples + 1, M, 2)
         Positions [m] and velocities [m/s], plate_home.
     checked : (M,)
-        Output: whether each part's motion was computed within the maximum number of steps.
+        Output. Whether each part's motion was computed within the maximum number of steps.
     """
     return _kernels.run_points(
         table, scales, limit, static, tolerance, cycles, path, speed, checked

@@ -1,8 +1,8 @@
 """Quadrature rules for convex polygons, exact for polynomials of degree 2 or more.
 
-`polygon_rule` returns points and areas for a polygon. The rule uses Gauss's product rule for a
-parallelogram, and three points per triangle for other polygons. The other functions compute areas
-and intersections.
+`polygon_rule` returns points and areas for a polygon. For a parallelogram, the function uses
+Gauss's product rule. Other polygons are cut into triangles, with three points in each triangle. The
+other functions compute areas and intersections.
 """
 
 from __future__ import annotations
@@ -12,18 +12,18 @@ import numpy as np
 from plate_core import PlateError
 
 ALIKE = 1e-9
-"""Maximum relative difference of two lengths that count as equal."""
+"""Two lengths count as equal if their relative difference is at most this value."""
 
 NEAR, FAR = 1 / 6, 2 / 3
-"""Barycentric coordinates of the rule of degree 2 on a triangle, which has three points of equal
-weight."""
+"""Barycentric coordinates of the three points of a quadrature rule on a triangle. The rule has the
+degree 2, and the points have equal weights."""
 
 
 def polygon_rule(corners: np.ndarray, count: int) -> tuple[np.ndarray, np.ndarray]:
     """Return about `count` points (n, 2) [m] in a convex polygon, and their areas (n,) [m2].
 
-    A parallelogram uses a product of two Gauss rules. Other polygons are cut into triangles with
-    three points each.
+    For a parallelogram, the rule is a product of two Gauss rules. Other polygons are cut into
+    triangles with three points each.
     """
     size = np.ptp(corners, axis=0).max()
     skew = np.abs(corners[0] + corners[2 % len(corners)] - corners[1] - corners[-1]).max()
@@ -66,8 +66,8 @@ def area(corners: np.ndarray) -> float:
 
 
 def convex(corners: np.ndarray) -> np.ndarray:
-    """Return a copy of corners (k, 2) [m], after a check that they are convex and
-    counter-clockwise.
+    """Check that corners (k, 2) [m] form a convex polygon in counter-clockwise order, and return a
+    copy of them.
 
     Raises
     ------
@@ -93,8 +93,8 @@ def convex(corners: np.ndarray) -> np.ndarray:
 
 
 def places(name: str, array: np.ndarray, least: int) -> np.ndarray:
-    """Return a float copy of points (n, 2) [m], after a check that they are finite and that n is at
-    least `least`."""
+    """Check that points (n, 2) [m] are finite, and that n is at least `least`. Return a copy with
+    the type float."""
     array = np.array(array, dtype=float)
     if array.ndim != 2 or array.shape[1] != 2 or len(array) < least:
         raise PlateError(f"{name} has shape {array.shape}, allowed: (n, 2) with n at least {least}")
