@@ -207,7 +207,7 @@ class Host:
     def upload(
         self, table: int, knots: tuple[Knot, ...], repeats: int = 1, splice_ticks: int = 0
     ) -> Status:
-        """Send a whole table. Return the status of its Commit."""
+        """Send a whole table. Return the status of the table's Commit."""
         self.send(b"".join(self.framed(table, knots, splice_ticks)))
         return self.ask(Commit(table, repeats))
 

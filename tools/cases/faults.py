@@ -43,7 +43,8 @@ BACK_S = 30.0
 """Maximum wait until a restarted node publishes diagnostics [s]."""
 
 STILL_S = 0.6
-"""Time without motion after which the plate counts as at rest [s]. This time is three cycles."""
+"""Time without motion after which the plate counts as at rest [s]. In this time, the plate would
+execute three cycles."""
 
 STILL_SPEED = 2e-3
 """Speed below which a motor counts as at rest [m/s]. A motor without current is slowed down only by

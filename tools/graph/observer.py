@@ -457,7 +457,7 @@ class Observer:
         Raises
         ------
         GraphError
-            If the motors or the task were stopped. The message states which of the two.
+            If the motors or the task were stopped. The message contains the reason of the stop.
         """
         driver, task = self.record.driver, self.record.status
         if driver is not None and driver.reason in PERSONS:

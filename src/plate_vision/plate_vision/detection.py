@@ -153,7 +153,7 @@ class DetectorOptions:
         Maximum distance of a part's centre outside the region [px], 0 to 10. The distance allows
         for errors of the calibration. Only pixels inside the region are evaluated. If a centre is
         more than about 2 px outside the region, too little of the part is visible. If the plate is
-        displaced by a larger distance, make a new region.
+        displaced by more than about 2 px, make a new region.
     """
 
     RANGES: ClassVar[Mapping[str, tuple[float, float]]] = {

@@ -1,5 +1,5 @@
-"""Size and orientation of a picture file. The module reads both from the header of the file, before
-the pixels are unpacked.
+"""Size and orientation of a picture file. The size and the orientation are read from the header of
+the file, before the pixels are unpacked.
 
 The size is checked first, because a file of 389 kB can unpack to 20000 x 20000 pixels. OpenCV
 rotates pictures according to their orientation, but ROS does not rotate them. This project uses the
@@ -37,7 +37,7 @@ PNM = re.compile(rb"P[1-6](?:\s+(?:#[^\n]*\n\s*)*)(\d+)(?:\s+(?:#[^\n]*\n\s*)*)(
 """Header of a PNM file, which may contain comments. The groups are the width and the height."""
 
 MAX_ENTRIES = 1000
-"""Maximum number of tags that are read from a directory. Files usually have some dozens."""
+"""Maximum number of tags that are read from a directory. Files usually have some dozens of tags."""
 
 
 MAX_PIECES = 20_000

@@ -61,8 +61,8 @@ class V4l2Source(Camera):
     """A V4L2 camera.
 
     Stamps come from the kernel: OpenCV's `CAP_PROP_POS_MSEC` is `v4l2_buffer.timestamp` (in
-    cap_v4l.cpp of 4.x and 5.x). If the stamps are not from the monotonic clock, the time of arrival
-    is used instead. This case occurs with other backends of OpenCV.
+    cap_v4l.cpp of 4.x and 5.x). With other backends of OpenCV, the stamps are not from the
+    monotonic clock. The time of arrival is then used instead.
 
     Parameters
     ----------

@@ -23,8 +23,8 @@ from ..camera.encodings import grey_levels
 from ..camera.lens import Calibration
 
 IMAGES = 5
-"""Number of images in an evaluation. If the plate moves, the images show it at several times of its
-cycle."""
+"""Number of images that are used for one evaluation of the outline. If the plate moves, the images
+show it at several times of its cycle."""
 
 REST_M = 5e-4
 """Maximum range of an edge's places in the images of an evaluation [m]. If the range of an edge

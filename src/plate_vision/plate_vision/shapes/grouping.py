@@ -54,8 +54,8 @@ RATHER_ALIKE = (0.4, 0.3, 0.1)
 differences are larger because the contours of such pieces are irregular."""
 
 MEMBERS = 3
-"""Minimum number of similar pieces in the image. If each side of a straight cut is similar to this
-number of pieces, the cut is made."""
+"""Minimum number of similar pieces in the image. A straight cut is allowed only if each of its
+sides is similar to this number of pieces."""
 
 MIN_DENT_PX = 1.2
 """Minimum depth of a concave corner [px]. A straight cut can begin only at such a corner."""
@@ -114,7 +114,7 @@ need this number."""
 
 PLATE_SIZED = 0.5
 """Maximum area of a piece that is split, relative to the area of the plate. A piece above this area
-shows that the light or the bare plate has changed."""
+shows that the assumed light or bare plate is wrong."""
 
 
 LABEL_WORK = 0.1

@@ -82,9 +82,9 @@ assumption is necessary if the plate is visible in only one corner."""
 
 AMBIGUOUS = 0.3
 """Minimum score of another light, relative to the score of the best light. The score is the
-weighted number of pixels that agree with the light. Above this score, the areas that agree with
-each light are also compared. Pixels of the plate are connected, but pixels of parts are many
-separate areas."""
+weighted number of pixels that agree with the light. The score decreases with the difference from
+the previous light. Above this score, the areas that agree with each light are also compared. Pixels
+of the plate are connected, but pixels of parts are many separate areas."""
 
 EVERY = 2
 """Step between the rows and columns that are used to compare two lights."""

@@ -323,8 +323,8 @@ def gap_between(a: PartType, b: PartType, scale: float) -> Gap:
 def apart(a: PartType, b: PartType, scale: float) -> tuple[float, float, float]:
     """Return three differences between two types. The first difference is the RMS distance between
     the outlines after one outline has grown evenly [px at `scale` px/m]. The second difference is
-    this growth [px]. The third difference is the distance between the colours in Lab, or 0 if a
-    colour is unknown."""
+    the growth of this outline [px]. The third difference is the distance between the colours in
+    Lab, or 0 if a colour is unknown."""
     one, other = make_template(a), make_template(b)
     fit = lay_on(one, other.outline, scale)
     gap = 0.0
@@ -512,8 +512,8 @@ def _mean_outline(
 
     The mean outline is rotated like the first outline. The first property is the pose (3,) [m, m,
     rad] of the mean outline in the first example. The second property is the RMS distance of the
-    outlines from the mean outline [m]. The third property is this distance after the sizes of the
-    outlines were made equal [m]."""
+    outlines from the mean outline [m]. The third property is the same RMS distance after the sizes
+    of the outlines were made equal [m]."""
     # The first mean outline is the outline of median size. The other outlines are fitted to it.
     first = int(np.argsort([outline.area for outline in outlines])[len(outlines) // 2])
     mean = _shifted(outlines[first], outlines[first].centre)
