@@ -37,7 +37,7 @@ LARGEST = 0.25
 
 DEEPER_PX = 1.5
 """Minimum height of a peak of the distance to the contour above the saddle to the next peak [px].
-Two higher peaks are separate parts."""
+Peaks with a larger height are separate parts."""
 
 OURS = "ours, untaught"
 

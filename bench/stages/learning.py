@@ -36,11 +36,11 @@ CYCLES = 10
 """Number of evaluated cycles. The plate repeats each cycle until its motion is periodic."""
 
 TRUST = 0.3
-"""Weight of each further experiment after the three of the calibration."""
+"""Weight of each experiment after the three calibration experiments."""
 
 MAX_EXPERIMENTS = 10
-"""Number of experiments: the three of the calibration, then further ones. The response is evaluated
-before the first experiment and after each experiment."""
+"""Number of experiments: three calibration experiments, then further experiments. The response is
+evaluated before the first experiment and after each experiment."""
 
 
 def measure(quick: bool) -> Result:

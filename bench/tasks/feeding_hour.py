@@ -1,8 +1,8 @@
 """An hour of production: parts lost, stops, memory.
 
-The hour is one run. Its disturbances are failed picks, parts on the wrong face, and late and
-missing images. The run is good if no part is lost, production does not stop, and memory does not
-grow.
+The hour is one run. The disturbances of this run are failed picks, parts on the wrong face, and
+late and missing images. The run is good if no part is lost, production does not stop, and memory
+does not grow.
 """
 
 from __future__ import annotations

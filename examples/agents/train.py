@@ -1,4 +1,4 @@
-"""Train a small network that computes each motion directly, by gradients through friction.
+"""Train a small network that computes each motion directly, with gradients through friction.
 
 The network acts for some cycles in a model of the plate in which parts are points. The gradient of
 the parts' distances from their targets is propagated back through friction and motions to the

@@ -19,8 +19,8 @@ class ScenarioError(PlateError):
 
 
 class CycleError(PlateError):
-    """Error: a plate motion is invalid. It ends neither in its initial state nor at rest, is not
-    finite, or cannot be executed."""
+    """Error: a plate motion is invalid. The motion ends neither in its initial state nor at rest,
+    is not finite, or cannot be executed."""
 
 
 class FrameError(PlateError):

@@ -107,7 +107,7 @@ class Input:
     arrival: float | None = None
 
     def received(self, now: float) -> Input:
-        """Return the input after a message that arrived at `now` [s]."""
+        """Return a copy of the input that records a message at the time `now` [s]."""
         return replace(self, arrival=now)
 
     def age(self, now: float) -> float:

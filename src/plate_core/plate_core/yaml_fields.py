@@ -180,7 +180,7 @@ class List(_OfType):
 
 @dataclass(frozen=True)
 class Choice:
-    """One text of a fixed set."""
+    """One text out of a fixed set of texts."""
 
     choices: Sequence[str]
 
@@ -307,7 +307,7 @@ def measured(name: str, low: float, high: float, meaning: str, default: Any = RE
 
 
 def keys_of(kind: type) -> tuple[Key, ...]:
-    """Return the keys of a dataclass whose fields are `measured`."""
+    """Return the keys of a dataclass whose fields were created with `measured`."""
     return tuple(item.metadata["key"] for item in dataclasses.fields(kind))
 
 
@@ -438,7 +438,8 @@ class Fields:
         ]
 
     def read(self, kind: type[Data]) -> Data:
-        """Return a dataclass whose fields are `measured`. Other keys in the mapping are refused."""
+        """Return an instance of a dataclass whose fields were created with `measured`. Other keys
+        in the mapping are refused."""
         items = dataclasses.fields(kind)  # type: ignore[arg-type]
         values = {item.name: self.value(item.metadata["key"]) for item in items}
         self.finish()

@@ -105,8 +105,8 @@ class CycleStarts:
         return replace(self, table=new.table, began=began, until=until)
 
     def _problem(self, new: Measured, period: float, now: float) -> tuple[float, str]:
-        """Return the new slip [s] and the reason why the telemetry is inconsistent. The reason is
-        empty if the telemetry is consistent.
+        """Return the new value of `slip` [s] and the reason why the telemetry is inconsistent. The
+        reason is empty if the telemetry is consistent.
 
         `period` [s] is the period of the table that plays.
         """

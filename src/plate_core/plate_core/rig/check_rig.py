@@ -156,7 +156,8 @@ def _view(rig: Rig) -> Iterator[str]:
 
 
 def shake(rig: Rig, way: str, hz: float) -> Shake:
-    """Return the largest sinusoid in one coordinate within all limits except heat.
+    """Return the largest sinusoidal motion in one coordinate that exceeds no limit except possibly
+    the thermal limit.
 
     The thermal limit depends on the whole motion and is part of `Rig.reach`.
     """

@@ -408,7 +408,7 @@ def trajectory_to_msg(
     accel: np.ndarray,
     stamp: Time,
 ) -> JointTrajectory:
-    """Convert knots to a message. `times` is (k + 1,) [s]. All other arrays are (k + 1,
+    """Convert knots to a message. `times` is (k + 1,) [s]. All other arrays have the shape (k + 1,
     len(joints))."""
     msg = JointTrajectory(header=Header(stamp=stamp, frame_id=FRAME), joint_names=joints)
     rows = zip(times.tolist(), position.tolist(), velocity.tolist(), accel.tolist(), strict=True)

@@ -68,9 +68,9 @@ class SafetyNode:
     """Services for stops, enable and home, and the topic driver_status, separate from cycle
     traffic.
 
-    The node's DDS participant receives nothing else, the calls run in separate threads, and the
-    node uses the steady clock. Each call returns within 0.5 s, and the reply contains the state at
-    that time. The topic driver_status reports later changes.
+    The node's DDS participant receives no other messages. The calls run in separate threads, and
+    the node uses the steady clock. Each call returns within 0.5 s, and the reply contains the state
+    at that time. The topic driver_status reports later changes.
 
     Parameters
     ----------

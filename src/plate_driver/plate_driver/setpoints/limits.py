@@ -26,7 +26,7 @@ CLOSE_ENOUGH = 0.99
 
 ROUNDS = 60
 """Maximum number of scaling factors that are tried. Most cycles need one or two factors. Even poses
-of 1e100 m need only about ten."""
+of 1e100 m need only about ten factors."""
 
 ROUNDING = 3e-6
 """Accepted relative violation of a limit. Computed peaks are up to 1e-6 too high, and the solvers

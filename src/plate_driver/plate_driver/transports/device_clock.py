@@ -1,11 +1,11 @@
 """Estimated offset between the host clock and the device clock, and check of the device clock. The
 inputs are pulses and telemetry with their times. The outputs are the offset and clock faults.
 
-For a pulse, the device reads its clock after the heartbeat was sent and before the pulse arrived.
-For telemetry, the device reads its clock before the telemetry arrived. Therefore the times of a
-message are bounds of the offset, which is host time minus device time. The distance between the
-bounds grows with time, at the rate `DRIFT`. If the bounds cross, the device clock is wrong, because
-delays on the line cannot cause this. The module reads no clock: all times are arguments.
+For a pulse, the device reads its clock after the host has sent the heartbeat and before the pulse
+arrives. For telemetry, the device reads its clock before the telemetry arrives. Therefore the times
+of a message are bounds of the offset, which is host time minus device time. The distance between
+the bounds grows with time, at the rate `DRIFT`. If the bounds cross, the device clock is wrong,
+because delays on the line cannot cause this. The module reads no clock: all times are arguments.
 """
 
 from __future__ import annotations

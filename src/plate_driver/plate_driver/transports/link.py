@@ -126,7 +126,7 @@ class Link:
     Attributes
     ----------
     session : int
-        Number of this session. Each link has a different number.
+        Number of this session. Each link has a different session number.
     received_at : float
         Arrival time of the last message [s]. Before the first message, the time at which the link
         was created.
