@@ -25,7 +25,8 @@ setup(
         ("share/ament_index/resource_index/packages", [f"resource/{NAME}"]),
         (f"share/{NAME}", ["package.xml"]),
     ],
-    # pip installs the other packages as one library from this clone. colcon builds each separately.
+    # pip installs the other packages of this repository as one library. colcon builds each package
+    # separately.
     install_requires=[f"vibrating-plate @ {CLONE.as_uri()}"],
     extras_require={"can": ["python-can>=4.2"], "test": ["canopen", "pytest"]},
     zip_safe=False,

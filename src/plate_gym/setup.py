@@ -16,7 +16,7 @@ setup(
         ("share/ament_index/resource_index/packages", [f"resource/{NAME}"]),
         (f"share/{NAME}", ["package.xml"]),
     ],
-    # pip installs the library of the other packages from this clone. colcon builds each package
+    # pip installs the other packages of this repository as one library. colcon builds each package
     # separately.
     install_requires=["gymnasium>=1.0", f"vibrating-plate @ {CLONE.as_uri()}"],
     extras_require={"cluster": ["distributed==2026.8.0"], "test": ["pytest"]},

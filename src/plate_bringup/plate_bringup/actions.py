@@ -84,7 +84,8 @@ PACKAGE = "plate_bringup"
 def describe(hardware: bool, file: str) -> LaunchDescription:
     """Return the launch description of the launch file `file`, which is for hardware or for
     simulation."""
-    # On hardware, other names of transports are allowed too, because users can install transports.
+    # On hardware, any name of a transport is allowed, because users can install their own
+    # transports.
     choices = {name: CHOICES[name] for name in CHOICES if not (hardware and name == "transport")}
     arguments = [
         DeclareLaunchArgument(

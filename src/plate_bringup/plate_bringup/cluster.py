@@ -95,8 +95,8 @@ class Cluster(Executor):
             _make_bench_importable()
         terms = bench, tuple(modules), agent
         self._terms = facts(*terms), terms
-        # Only workers with this resource receive runs. An accepted worker has it once, so it
-        # executes one run at a time.
+        # The scheduler sends runs only to workers with this resource. Each accepted worker has one
+        # unit of the resource, so it executes one run at a time.
         self._key = f"plate-{hashlib.sha256(repr(self._terms).encode()).hexdigest()[:16]}"
         self._pool = self._client.get_executor(pure=False, resources={self._key: 1})
         self._token = uuid.uuid4().hex
@@ -120,8 +120,8 @@ class Cluster(Executor):
         be canceled. The result of such a run is discarded. The run itself continues on its worker
         until it ends or `shutdown` ends it."""
         result: Future[Any] = Future()
-        # The run is sent as bytes. Otherwise the scheduler would read the arguments, and it cannot
-        # import the modules of `bench`.
+        # The run is sent as bytes. Without this, the scheduler would decode the arguments, but it
+        # cannot import the modules of `bench`.
         from distributed.protocol.pickle import dumps
 
         self._calls[result] = (_work, self._token, dumps((fn, args, kwargs)))
@@ -170,7 +170,7 @@ class Cluster(Executor):
         problem = sent.exception()
         if type(problem).__name__ == "KilledWorker":
             problem = PlateError(f"several workers died while they ran the same job: {problem}")
-        # Raised if the caller has canceled the run in the meantime.
+        # If the caller has canceled the run in the meantime, an InvalidStateError is raised.
         with suppress(InvalidStateError):
             if problem is None:
                 result.set_result(sent.result())
@@ -304,7 +304,8 @@ def _connect(address: str) -> Any:
             f"allowed: {distributed.__version__} (the version on this computer)"
         )
     with warnings.catch_warnings():
-        # Dask warns of different versions, but these are refused elsewhere.
+        # Suppress Dask's warning of different versions, because other code refuses different
+        # versions.
         warnings.simplefilter("ignore")
         return distributed.Client(address, timeout=RETURN_S, set_as_default=False)
 
@@ -378,8 +379,9 @@ async def _admit(
     found = differences(expected, await asyncio.to_thread(facts, *terms))
     if not found and key not in dask_worker.state.total_resources:
         await dask_worker.set_resources(**{key: 1})
-        # The scheduler sends waiting runs to a worker only when it begins to run. Nothing may be
-        # awaited between the two changes, because Dask's memory monitor also ends a pause.
+        # The scheduler sends waiting runs to a worker only when the worker's status changes to
+        # running. Therefore pause and resume the worker. No other task may run between these two
+        # changes, because Dask's memory monitor can also end a pause.
         status = type(dask_worker.status)
         if dask_worker.status == status.running:
             dask_worker.status = status.paused

@@ -257,7 +257,7 @@ class RunOptions:
                 values["firmware"] = self.firmware
         if node.name == "simulator" and self.over_link:
             values["driven_by"] = "device"
-        # On hardware, hardware.yaml sets these values.
+        # On hardware, hardware.yaml sets the value of camera_triggered.
         serial = self.transport == "serial" and not self.hardware
         if node.name == "planner" and (self.image_rate > 0 or serial):
             values["camera_triggered"] = False

@@ -159,7 +159,8 @@ def _files(module: str) -> dict[str, Path]:
     """Return the paths of the files whose digests `files_of` returns, by the same keys."""
     spec = _spec(module)
     if folders := _folders(spec):
-        # If several folders have a file of the same name, Python imports it from the first one.
+        # If several folders contain a file with the same name, Python imports the file from the
+        # first folder. Therefore the first folder comes last here.
         return {
             path.relative_to(folder.parent).as_posix(): path
             for folder in reversed(folders)
@@ -174,12 +175,13 @@ def _files(module: str) -> dict[str, Path]:
         path = waiting.pop()
         found.add(path)
         imported, texts = _named_in(path)
-        # In a folder of installed libraries, the other files belong to other libraries.
+        # If the module is in a folder of installed libraries, its neighbouring files belong to
+        # other libraries.
         near = set() if first.parent.name.endswith("-packages") else imported
         places = [first.parent, *(first.parent / text for text in texts)]
         named = {folder / text for folder in places if os.path.isdir(folder) for text in texts}
         named |= {first.parent / f"{name}.py" for name in near}
-        # If a name is too long, `os.path.isfile` returns False and raises no error.
+        # For a name that is too long, `os.path.isfile` returns False instead of raising an error.
         waiting |= {path for path in named if os.path.isfile(path)}
         for name in near:
             if first.parent / name in _folders(_spec(name)):
@@ -232,7 +234,7 @@ def _named_in(path: Path) -> tuple[set[str], set[str]]:
 def _spec(module: str) -> ModuleSpec | None:
     try:
         return find_spec(module)
-    except ValueError:  # find_spec raises it for names such as __main__
+    except ValueError:  # find_spec raises a ValueError for names such as __main__
         return None
 
 

@@ -609,7 +609,7 @@ def _true_errors(
         place = {target.id: target.place for target in task.targets}
         goal = np.array([place[name] for name in true_parts.ids]).reshape(-1, 2)
         return np.hypot(*(true_parts.position - goal).T), none
-    # Before the references start, there are no errors.
+    # Before the reference paths of a follow task start, there are no errors.
     if not isinstance(task, FollowTask) or state.memory.leading:
         return none, none
     reference = Follower(task, rig).reference(state.memory, t)
@@ -675,10 +675,10 @@ def summary(setup: Setup, rig: Rig, transport: Transport | None = None) -> dict[
         errors.append(moment.error_m)
     stay = isinstance(task, PoseTask) and all(pose.place is None for pose in task.poses)
     all_along = stay or isinstance(task, FollowTask)
-    # In tasks other than these, only the error at the end counts.
+    # In all other tasks, only the error at the end counts.
     error = np.concatenate(errors) if all_along else errors[-1]
     turned = np.degrees(np.max(moment.turn_error, initial=0.0))
-    # The first cycle is omitted, because tables are computed in it.
+    # The first cycle is omitted, because lookup tables of the solver are computed in it.
     milliseconds = 1e3 * np.array(solve_s[1:] or [0.0])
     steps = 1e3 * np.array(step_s[1:] or [0.0])
     most = np.max(shares, axis=0).tolist()

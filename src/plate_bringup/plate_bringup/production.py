@@ -267,7 +267,8 @@ class FeederCell:
     def __init__(self, task: FeedTask, rig: Rig, cycle_s: float) -> None:
         self.feeder, self.robot, self.tally = Feeder(task, rig), Robot.ready(cycle_s), Tally()
         self.simulation: Simulation | None = None
-        # Id of the part that the robot requested, and whether the robot holds this part.
+        # Id of the part that the feeder reserved for the robot, and whether the robot holds this
+        # part.
         self._id, self._has = "", False
 
     def act(self, simulation: Simulation, now: float) -> None:

@@ -202,8 +202,8 @@ def rehearse(rig: Rig, scenario: Scenario, seed: int) -> Rehearsal:
     times = np.array([progress.time_s for progress in progresses])
     begin = int(np.argmax(left))
     left, times, first = left[begin:], times[begin:], progresses[begin]
-    # A follow task reports the remaining length of one path, the longest. Other tasks report the
-    # sum of the remaining distances of all parts.
+    # A follow task reports only the longest remaining path length. Other tasks report the sum of
+    # the remaining distances of all parts.
     going = 1 if isinstance(scenario.task, FollowTask) else first.parts_total - first.parts_sorted
     half = int(np.argmax(left <= left[0] / 2)) if np.any(left <= left[0] / 2) else -1
     speed = (left[0] - left[half]) / max(going, 1) / max(times[half] - times[0], IDLE_S)

@@ -61,7 +61,8 @@ def main() -> None:
             code = 2
     except KeyboardInterrupt as interrupt:
         code = 128 + int(interrupt.args[0])
-    except BrokenPipeError:  # the next program has ended, for example in `plate state | head`
+    # the program that reads the output has ended, for example in `plate state | head`
+    except BrokenPipeError:
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         code = 128 + signal.SIGPIPE
     finally:
@@ -88,7 +89,8 @@ def _arguments() -> argparse.Namespace:
     commands = parser.add_subparsers(dest="command", required=True, help=argparse.SUPPRESS)
     for name, what in (SERVICES | OTHERS).items():
         one = commands.add_parser(name, description=what)
-        if name in ("get", "set", "params"):  # optional here: the error text lists the nodes
+        # the node is optional here, because the error text for a missing node lists all nodes
+        if name in ("get", "set", "params"):
             one.add_argument("node", nargs="?", metavar="NODE")
         if name in ("get", "set"):
             one.add_argument("name", nargs="?", metavar="NAME")

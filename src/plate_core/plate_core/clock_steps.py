@@ -87,7 +87,7 @@ class ClockSteps:
         steps = tuple(step for step in self.steps if now - step.at < KEPT_S)
         if abs(by_ns) > STEP_NS:
             steps += (Step(now, clock_ns - by_ns, by_ns),)
-        # Keep one step more than the maximum, because this number shows that the clock is not
+        # Keep up to `MAX_STEPS` + 1 steps. More than `MAX_STEPS` steps show that the clock is not
         # usable.
         return replace(self, offset_ns=offset_ns, steps=steps[-MAX_STEPS - 1 :])
 

@@ -63,8 +63,8 @@ def piped() -> Iterator[None]:
         _flush()
     except BrokenPipeError:
         if not _unread():
-            raise  # an error of another pipe or of a socket is a defect
-        # discard the output that Python still buffers
+            raise  # the error comes from another pipe or a socket, so it is a defect of the program
+        # discard the output in Python's buffer
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         sys.exit(128 + signal.SIGPIPE)
 

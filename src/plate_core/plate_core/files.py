@@ -49,15 +49,16 @@ def read_file(path: str | Path, most_bytes: int, error: type[PlateError] = Plate
         If the file is missing, is not a regular file, or is too large. In these cases the function
         does not block. The message states the path, the kind or size, and what is allowed.
     """
-    # Check before opening, because opening a device may start it.
+    # Check the file before it is opened, because opening a device file may start the device.
     check_file(path, most_bytes, error)
     with (
         _explained(path, error),
         open(os.open(path, os.O_RDONLY | os.O_NONBLOCK), "rb") as file,
     ):
-        # check again, because the file may have been replaced before it was opened
+        # check again, because the file may have been replaced after the first check
         _check(path, os.fstat(file.fileno()), most_bytes, error)
-        data = file.read(most_bytes + 1) or b""  # files in /proc report size 0
+        # the result of `read` can be larger than the reported size, for example in /proc
+        data = file.read(most_bytes + 1) or b""
     if len(data) > most_bytes:
         raise error(f"{path}: its size is unlimited, allowed: {_allowed(most_bytes)}")
     return data
@@ -89,7 +90,7 @@ def _explained(path: str | Path, error: type[PlateError]) -> Iterator[None]:
         raise
     except FileNotFoundError:
         raise error(f"{path}: no such file") from None
-    except (OSError, ValueError) as problem:  # ValueError: the text is not a valid path
+    except (OSError, ValueError) as problem:  # a ValueError means that the text is not a valid path
         raise error(f"{path}: cannot be read ({problem})") from None
 
 
@@ -158,7 +159,8 @@ class OwnFile:
     """
 
     def __init__(self, path: str | Path) -> None:
-        # /dev/stdout can lead to a regular file, which the shell keeps open.
+        # /dev/stdout can be a link to a regular file that the shell has opened. Such a file must
+        # not be replaced.
         of_system = os.path.abspath(path).startswith(("/dev/", "/proc/"))
         self._path = Path(path)
         self._place = self._path if of_system else self._path.resolve()
@@ -187,7 +189,7 @@ class OwnFile:
             with open(number, "w", encoding="utf-8", closefd=False) as file:
                 file.write(text)
             beside.replace(self._place)
-        except BaseException:  # also a KeyboardInterrupt
+        except BaseException:  # BaseException includes KeyboardInterrupt
             os.close(number)
             with contextlib.suppress(OSError):
                 beside.unlink()
@@ -225,6 +227,6 @@ def _lock(number: int) -> bool:
         fcntl.flock(number, fcntl.LOCK_EX | fcntl.LOCK_NB)
     except BlockingIOError:
         return False
-    except OSError:  # this file system has no locks
+    except OSError:  # this file system does not support locks
         return True
     return True

@@ -93,7 +93,7 @@ class Number:
         """Return the checked value as a float."""
         if isinstance(value, bool) or not isinstance(value, int | float):
             raise ValueError
-        if not self.low <= value <= self.high:  # this condition is also true for NaN
+        if not self.low <= value <= self.high:  # this condition also refuses NaN
             raise ValueError
         return float(value)
 
@@ -222,7 +222,7 @@ class Numbers:
         )
         if not fits or not np.all((array >= self.low) & (array <= self.high)):
             raise ValueError
-        # NumPy converts true to 1 and '2' to 2, so refuse these types
+        # refuse booleans and strings, because NumPy converts true to 1 and '2' to 2
         if any(isinstance(entry, bool | str) for entry in np.array(value, dtype=object).ravel()):
             raise ValueError
         return array

@@ -132,7 +132,7 @@ class CycleStarts:
             if later < before - MARGIN_S:
                 least = f"allowed: at least {before:.3g} s"
                 return 0.0, f"began {later:.3g} s after the last table, {least}"
-            # The plate rested between the tables, so the delay of this table is unknown.
+            # The plate rested between the two tables, so the delay of this table is unknown.
             if abs(off) > MARGIN_S:
                 return 0.0, ""
         slip = self.slip + off

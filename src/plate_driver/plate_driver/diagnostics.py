@@ -44,7 +44,7 @@ class DriverDiagnostics:
         self._problems, self._clocks, self._period_s = problems, clocks, period_s
         self._ready_since = 0.0
         self._values: dict[str, str] = {}  # values of the last diagnostics
-        self._retries = 0  # number of messages repeated between the last two diagnostics
+        self._retries = 0  # number of repeated messages between the last two diagnostics
 
     def begin(self, now: float) -> None:
         """Restart the measurement of the time without cycles, at the time `now` on the playback
@@ -54,7 +54,7 @@ class DriverDiagnostics:
     def record_ready(self, ready: bool, now: float) -> None:
         """Record whether cycles are accepted or a calibration runs, at the time `now` on the
         playback clock [s]."""
-        # `min`: the clock may have been set back.
+        # `min` is necessary if the clock was set back.
         self._ready_since = min(self._ready_since, now) if ready else now
 
     def finding(self, status: DriverStatus, failure: Exception | None) -> Finding:

@@ -129,7 +129,7 @@ class CycleIntake:
         """
         number, status = self._latch.number, self.observe()
         self._freshness = self._freshness.with_cycle(source, self._clocks.steady_s())
-        if status.state is not DriverState.READY:  # this reason comes first
+        if status.state is not DriverState.READY:  # check this reason before all other reasons
             self._playback.count_refused()
             raise NotReadyError(f"the driver is {status.text}")
         try:
@@ -146,11 +146,12 @@ class CycleIntake:
         self, cycle: PlateCycle, stamp_ns: int, transport: TransportThread, number: int
     ) -> Fit:
         now = self._clocks.playback_s()
-        if self._clocks.simulated():  # the message with the simulated time may arrive later
+        if self._clocks.simulated():  # the clock message may arrive later
             now = max(now, 1e-9 * stamp_ns)
         guard, fit = self._playback.guard_for(transport).accepted(cycle, stamp_ns, now)
         if cycle.moves:
-            # Poll as late as possible, because the task may have ended since the last poll.
+            # Poll the task status as late as possible, because the task may have ended since the
+            # last poll.
             self._poll_tasks()
             guard = guard.lasting(self._clocks.steady_s() + self._remaining_s(cycle, stamp_ns))
         self._playback.send(transport, guard, number)
@@ -164,7 +165,7 @@ class CycleIntake:
         if problem := self._second_publisher():
             raise CycleError(problem)
         simulated = self._clocks.simulated()
-        if simulated:  # the message with the simulated time may arrive later
+        if simulated:  # the clock message may arrive later
             clock_ns = max(self._clocks.stamp_ns(), stamp_ns)
         else:
             now, clock_ns = read_together(self._clocks.steady_s, self._clocks.stamp_ns)

@@ -167,13 +167,13 @@ class DriverNode(SafeLifecycleNode[Options]):
             DIAGNOSTICS_PERIOD_S,
         )
         self.raw_inputs: tuple[RawInput, ...] = ()
-        self._measured: Measured | None = None  # last measurement, not published yet
+        self._measured: Measured | None = None  # last measurement, which is not published yet
         # This clock also advances while simulated time is paused.
         self._steady = Clock(clock_type=ClockType.STEADY_TIME)
         self._diagnostics = Diagnostics(
             self, self._find, self._values, lambda: "plate", self._report.reported
         )
-        with urgent():  # the threads of the node's DDS participant inherit the high priority
+        with urgent():  # the threads of this node's DDS participant inherit the high priority
             self._safety = SafetyNode(self, self.transports, self.latch, lambda: self.status)
 
     @property
@@ -264,7 +264,8 @@ class DriverNode(SafeLifecycleNode[Options]):
             super().close()
         finally:
             self._safety.close()
-            # A stop during `super().close()` may have opened a temporary transport.
+            # A stop request during `super().close()` may have opened a temporary transport. Close
+            # it, too.
             self.transports.close()
 
     def destroy_node(self) -> None:
@@ -322,8 +323,8 @@ class DriverNode(SafeLifecycleNode[Options]):
             return
         try:
             fit = self.intake.accept(data, size, source, transport)
-        # The following line occurs twice, because rclpy limits the rate of each line of code
-        # separately.
+        # The same warning occurs twice in the code, because rclpy limits the rate of each line of
+        # code separately.
         except NotReadyError as error:
             self.get_logger().warning(f"cycle refused: {error}", throttle_duration_sec=WARN_S)
         except PlateError as error:
@@ -368,7 +369,7 @@ class DriverNode(SafeLifecycleNode[Options]):
         elif text := self.playback.check_end(now):
             if self.intake.task_runs:
                 self.get_logger().warning(text, throttle_duration_sec=WARN_S)
-            else:  # without a task, no cycles are expected
+            else:  # without a task, the driver does not expect cycles
                 self.get_logger().debug(text, throttle_duration_sec=WARN_S)
 
     def _record_problems(self, transport: TransportThread) -> None:
@@ -392,7 +393,7 @@ class DriverNode(SafeLifecycleNode[Options]):
         return response
 
     def _log_calibration(self, text: str, failed: bool) -> None:
-        if failed:  # rclpy allows only one severity for each line of code
+        if failed:  # rclpy permits only one severity per call in the code, so there are two calls
             self.get_logger().error(text)
         else:
             self.get_logger().info(text)

@@ -41,7 +41,7 @@ class Playback:
     def __init__(self, guard: Guard, latch: Latch, publish: Callable[[MotorTable], None]) -> None:
         self.guard, self._latch, self._publish = guard, latch, publish
         self._number = latch.number  # number of stops before the last table was sent
-        # Plate motions of the corrected tables, by the stamps of their cycles [ns].
+        # Plate motion of each corrected table. The keys are the stamps of the cycles [ns].
         self._motions: dict[int, PlateCycle] = {}
 
     @property

@@ -64,7 +64,8 @@ class TransportOwner:
         self._read_rig, self._make, self._on_defect = read_rig, make, on_defect
         self.current: TransportThread | None = None
         self.temporary: TransportThread | None = None
-        self._changing = threading.Lock()  # held while a transport is opened or closed
+        # lock that a thread holds while it opens or closes a transport
+        self._changing = threading.Lock()
 
     def open(self, rig: Rig) -> TransportThread:
         """Open the transport, and close a temporary transport."""
@@ -98,7 +99,9 @@ class TransportOwner:
                     transport, order = self._stop_without_current(cut)
                 done = transport.stopped(order, cut, end)
                 if done or transport in (self.current, self.temporary):
-                    break  # otherwise the transport was closed during the wait
+                    # if this condition is false, the transport was closed during the wait, so try
+                    # again
+                    break
         except PlateError as error:
             done, order = False, Order().complete(str(error))
         self.latch.late = None if done else order

@@ -22,7 +22,7 @@ class TransportProblems:
     def __init__(self, repeat_s: float) -> None:
         self._repeat_s = repeat_s
         self._logged: dict[str, float] = {}  # time of the last log of each problem [s]
-        # Start [s] and reason of the time without a played table.
+        # Start [s] of the period in which no table was played, and the reason.
         self._unplayed: tuple[float, str] | None = None
 
     def new(self, problems: list[str], motors_rest: bool, now: float) -> list[str]:

@@ -55,9 +55,10 @@ DISABLE, QUICK_STOP, SHUTDOWN, SWITCH_ON, OPERATE = 0x00, 0x02, 0x06, 0x07, 0x0F
 STEPS = (
     (0x6040, 0, DISABLE, 2),  # disable the drive in any state
     (0x1017, 0, BEAT_MS, 2), (0x1016, 1, OWN_NODE << 16 | SILENT_MS, 4),
-    # If the host is lost, do a quick stop, then switch the current off.
+    # If the connection to the host is lost, the drive does a quick stop, then switches the current
+    # off.
     (0x6007, 0, 3, 2), (0x605A, 0, 2, 2),
-    # Mode: cyclic synchronous position.
+    # Operation mode 8: cyclic synchronous position.
     (0x60C2, 1, CYCLE_MS, 1), (0x60C2, 2, -3, 1), (0x6060, 0, 8, 1),
     (0x1400, 1, PDO_OFF | RPDO, 4), (0x1600, 0, 0, 1), (0x1600, 1, 0x60400010, 4),
     (0x1600, 2, 0x607A0020, 4), (0x1600, 0, 2, 1), (0x1400, 2, 1, 1),
@@ -155,7 +156,8 @@ class Axis:
         ramp of a quick stop either."""
         master, end = self._master, self._master.now + OFF_S
         with uninterrupted():
-            with contextlib.suppress(PlateError):  # the SDOs below report a bus fault
+            # ignore errors of the bus here, because the SDOs below report them
+            with contextlib.suppress(PlateError):
                 brakes = error is not None and not self._deviates
                 while brakes and enabled(self._status) and master.now < end:
                     self._exchange(QUICK_STOP)
@@ -188,7 +190,8 @@ class Axis:
             except Refused:
                 if index != 0x605A:
                     raise
-                # Without a quick stop, the drive must switch the current off at once.
+                # A drive that does not support this quick stop must switch the current off
+                # immediately.
                 master.write(node, 0x6007, 0, 2, 2)
         mode = master.read(node, 0x6061, signed=True)
         if mode != 8:
@@ -196,7 +199,7 @@ class Axis:
         self._command(START)
         master.wait(1e-3 * SILENT_MS, lambda: received.state == OPERATIONAL)
         received.boots, received.emergency, self._due = 0, None, master.now
-        for _ in range(2):  # twice, because the first reply may belong to an earlier SYNC
+        for _ in range(2):  # exchange twice, because the first reply may belong to an earlier SYNC
             self._exchange(None)
         self._missed = self._doubled = 0
 
@@ -214,7 +217,7 @@ class Axis:
             master.send(RPDO + self._node, word.to_bytes(2, "little") + target)
         master.send(SYNC)
         self.late_s = max(self.late_s, master.now - self._due)
-        # Do not catch up on missed cycles.
+        # If cycles were missed, do not send them later.
         self._due = max(self._due + cycle_s, master.now + cycle_s / 2)
         master.wait(self._due - master.now)
         self._missed = 0 if places else self._missed + 1
@@ -279,7 +282,8 @@ class Axis:
             if self._master.now > end:
                 raise PlateError(trouble_text(self._motor, Trouble.NOT_ENABLED, 0, self._status))
             known = {0x21: SWITCH_ON, 0x23: OPERATE}
-            ready = self._status & 0x4F == 0x40  # whether the state is "switch on disabled"
+            # whether the drive is in the state "switch on disabled"
+            ready = self._status & 0x4F == 0x40
             self._cycle(SHUTDOWN if ready else known.get(self._status & 0x6F, 0), self.position)
         self.start, self._led = self._target, True
 

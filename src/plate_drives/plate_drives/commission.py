@@ -56,7 +56,8 @@ def ask(question: str, meanwhile: Callable[[], object]) -> str:
     """Print a question and read the answer from the standard input. Raise a PlateError if the input
     has ended."""
     print(question, end=" ", flush=True)
-    # Read without a buffer, because select does not report lines that are already in a buffer.
+    # Read the standard input without a buffer, because select does not report lines that are
+    # already in a buffer.
     with open(0, "rb", buffering=0, closefd=False) as lines:
         while not select.select([lines], [], [], 0)[0]:
             meanwhile()

@@ -68,7 +68,7 @@ def main() -> None:
     except PlateError as error:
         print(f"error: {error}", file=sys.stderr)
         sys.exit(2)
-    # These sockets form a bus without drives.
+    # The two sockets simulate a CAN bus without drives.
     near, far = socket.socketpair(socket.AF_UNIX, socket.SOCK_DGRAM)
     with near, far:
         transport = HostTransport(

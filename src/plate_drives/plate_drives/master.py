@@ -153,7 +153,8 @@ class Master:
         for node in NODES:
             self.received[node].answers.clear()
             self._request(node, 0x40, index, 0)
-            if node % 16 == 0:  # wait, because adapters buffer only few frames
+            # wait after each 16 requests, because CAN adapters buffer only few frames
+            if node % 16 == 0:
                 self.wait(0.01)
         self.wait(ANSWER_S)
         return [node for node in NODES if self.received[node].answers]

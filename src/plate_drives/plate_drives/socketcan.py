@@ -105,7 +105,8 @@ def program_of(rig: Rig) -> Path:
     header = c_header(DeviceLimits.of_rig(rig), "the rig file", drives)
     try:
         return _built(header, drives[0].kind)[0]
-    except (OSError, subprocess.TimeoutExpired) as error:  # for example if the disk is full
+    # an OSError is raised, for example, if the disk is full
+    except (OSError, subprocess.TimeoutExpired) as error:
         raise PlateError(f"the firmware cannot be compiled: {error}") from None
 
 
@@ -155,7 +156,7 @@ class HostPort:
     ) -> None:
         with socket.socket(socket.AF_UNIX) as lock, opened(channel) as can:
             try:
-                # The lock is held until the process has ended.
+                # The bound socket is a lock. It is released when the firmware's process has ended.
                 lock.bind(f"\0plate_drives {channel}")
             except OSError:
                 raise PlateError(f"{channel} is still in use by another driver process") from None

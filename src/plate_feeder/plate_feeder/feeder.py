@@ -183,22 +183,23 @@ class Feeder:
         self._stop = ""  # reason why no command starts before `resume`
         self._task, self._since = _Task.IDLE, -math.inf  # time of the last command or status
         self._sent, self._in_force = FeedOrder(FeedMode.FEED, task.picks), False
-        self._rested = 0  # number of statuses since the plate rests by order
+        self._rested = 0  # number of status messages since the plate rests because of an order
         # Whether the planner has stopped the plate without an order because enough parts are ready.
         self._planner_rested = False
         self._waiting: _Waiting | None = None
         self._prepared: _Request | None = None
         self._reserved: Reserved | None = None
-        self._late: Reserved | None = None  # ended reservation whose pick is not reported yet
-        # Stamp of the newest status when the reservation of a part ended, by id of the part.
+        # reservation that has ended before the robot reported the pick
+        self._late: Reserved | None = None
+        # For each part id: stamp of the newest status at the end of the part's reservation.
         self._held: dict[str, float] = {}
         self._failures: dict[str, _Failures] = {}
         self._replies: list[tuple[Hashable, Reply]] = []
-        # Number of taken parts, and numbers of discharged and lost parts. The last two numbers
-        # count the parts of earlier tasks only.
+        # Numbers of taken, discharged and lost parts. The numbers of discharged and lost parts
+        # include only earlier tasks.
         self._taken = self._discharged = self._lost = 0
-        self._unreported = 0  # number of reservations that ended without a report on the pick
-        # Total number of parts before the hopper was opened.
+        self._unreported = 0  # number of reservations that ended without a report of the pick
+        # Total number of parts before the hopper was opened; None if no opening is pending.
         self._total_before_opening: int | None = None
         self._evaluate_at, self._vain_openings = -math.inf, 0
 
@@ -210,7 +211,7 @@ class Feeder:
         self._held = {
             part: since
             for part, since in self._held.items()
-            # If the clock was set back far, the part is offered again at once.
+            # If the clock was set back by a long time, the part is offered again immediately.
             if -SEEN_AGAIN_S < status.stamp - since < SEEN_AGAIN_S
         }
         if self._task is _Task.IDLE:
@@ -318,7 +319,8 @@ class Feeder:
         if known is None:
             return Reply(Code.NOT_RESERVED, "no part is reserved")
         if known.client != client and (known.client is not None or part != known.part.id):
-            # The text is the same for all ids, so that ids cannot be guessed.
+            # The text is the same for all part ids, so that clients cannot guess the id of the
+            # reserved part.
             text = "another client has reserved the part, allowed: its id after a disconnection"
             return Reply(Code.NOT_RESERVED, text)
         if part not in ("", known.part.id):
@@ -389,7 +391,8 @@ class Feeder:
             self._give_up()
         if self._waiting is not None:
             self._answer(self._waiting, now)
-        if self._task is _Task.REQUESTED and self.silence(now):  # the task must not start later
+        # without a status from the planner, end the request, so that the task does not start later
+        if self._task is _Task.REQUESTED and self.silence(now):
             self._end()
         open_s = self._open(now)
         self._decide()
@@ -489,7 +492,8 @@ class Feeder:
     def _begin(self, now: float) -> None:
         self._vain_openings = min(self._vain_openings, MAX_OPENINGS - 1)
         if self._task is _Task.IDLE:
-            if now >= self._evaluate_at:  # the parts may have changed since the last opening
+            # discard the old total, because the parts may have changed since the last opening
+            if now >= self._evaluate_at:
                 self._total_before_opening = None
             self._task, self._since, self._ended = _Task.REQUESTED, now, False
             self._sent, self._in_force = FeedOrder(FeedMode.FEED, self._picks()), False
@@ -554,8 +558,8 @@ class Feeder:
     def _answer_purge(self, waiting: _Waiting, now: float) -> None:
         purging = self._in_force and self._sent.mode is FeedMode.PURGE
         left = self._status.total if self._status is not None else 0
-        # `_total_before_opening` is None if no opening is pending. Only then will no more parts
-        # fall.
+        # `_total_before_opening` is None if no opening is pending. In this case, no more parts will
+        # fall on the plate.
         if purging and not left and self._total_before_opening is None:
             self._answer_waiting(Code.DONE, "the plate is empty")
             self._end()

@@ -180,10 +180,10 @@ class State(Enum):
 
     IDLE = "idle"  # no task runs; the next command starts it
     STOPPED = "stopped"  # stopped or failed; the next command restarts it if permitted
-    STARTING = "starting"  # the task was requested
-    FEEDING = "feeding"  # the planner gets parts ready
+    STARTING = "starting"  # the feeder has requested the task from the planner
+    FEEDING = "feeding"  # the planner makes parts ready for picking
     READY = "ready"  # enough parts are ready, and the plate rests
-    WAITING = "waiting"  # a get_part waits
+    WAITING = "waiting"  # a get_part command waits for a part
     RESERVED = "reserved"  # a part is reserved, the plate rests
     PURGING = "purging"
-    SILENT = "silent"  # the planner sends no status
+    SILENT = "silent"  # the planner sends no feed_status

@@ -119,7 +119,7 @@ def answer_line(code: Code, text: str) -> bytes:
     """Return the reply to a command as one line: the code and the text."""
     plain = " ".join(text.encode("ascii", "replace").decode().split())
     line = f"{code:d} {plain}"
-    if len(line) > MAX_ANSWER:  # cut at a space, because a cut number would be wrong
+    if len(line) > MAX_ANSWER:  # cut the line at a space, because a cut number would be wrong
         line = line[: MAX_ANSWER + 1].rpartition(" ")[0]
     return line.encode() + b"\r\n"
 
@@ -149,4 +149,5 @@ def help_text() -> str:
 
 
 def _rounded(value: float) -> str:
-    return f"{round(value, 2) + 0.0:.2f}"  # adding 0.0 avoids -0.00
+    # adding 0.0 changes -0.0 to 0.0, so the text is never -0.00
+    return f"{round(value, 2) + 0.0:.2f}"

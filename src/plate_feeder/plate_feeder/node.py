@@ -122,11 +122,12 @@ class FeederNode(SafeLifecycleNode[Options]):
     def __init__(self) -> None:
         super().__init__("feeder", Options)
         self._server: RobotServer | None = None
-        self._inbox: deque[Callable[[], None]] = deque()  # calls from the server's thread
-        # Results that no client has fetched yet, by goal.
+        # calls that the server's thread has requested
+        self._inbox: deque[Callable[[], None]] = deque()
+        # Results that no client has fetched yet. The keys are the ids of the goals.
         self._results: dict[bytes, tuple[Reply, Part | None]] = {}
         self._enabled_at: Any = None  # last known time of enabling
-        self._stopped = ""  # reason of a stop that was active at deactivation
+        self._stopped = ""  # reason of the stop that was active when the node was deactivated
         self.report(self._find, self._values)
 
     def configure(self) -> None:
@@ -180,11 +181,13 @@ class FeederNode(SafeLifecycleNode[Options]):
         # State and reason in the last task_status.
         self._last_task = TaskStatus.IDLE, TaskStatus.NONE
         self._parts: dict[str, Part] = {}  # ready parts in the newest status, by id
-        self._waiting: dict[int, Replied] = {}  # function that sends the reply, by client
-        self._goal: Any = None  # waiting goal of a ROS client
+        # for each waiting client: the function that sends its reply
+        self._waiting: dict[int, Replied] = {}
+        self._goal: Any = None  # action goal of a ROS client that waits for its result
         self._order, self._ordered = FeedOrder(), -math.inf
         self._hopper_problem = ""
-        self._opening: tuple[Any, float] | None = None  # reply of the hopper, and its deadline
+        # pending reply of the hopper, and its deadline
+        self._opening: tuple[Any, float] | None = None
         self._inbox.clear()
         self._server = RobotServer(
             options.host, options.port, self._on_command, self._on_disconnect
@@ -284,7 +287,8 @@ class FeederNode(SafeLifecycleNode[Options]):
 
     def _on_task(self, msg: TaskStatus) -> None:
         before, self._last_task = self._last_task, (msg.state, msg.reason)
-        # task_status repeats the end of a task, but it reports a stop of an idle planner only once.
+        # task_status reports the end of a task repeatedly, but the stop of an idle planner only
+        # once.
         again = msg.state != TaskStatus.IDLE and self._last_task == before
         if msg.reason in (TaskStatus.STOPPED, TaskStatus.DRIVER_STOPPED) and not again:
             self._wait_for_person(f"the planner was stopped: {msg.text}")

@@ -197,7 +197,7 @@ class _Client:
         )
         try:
             await asyncio.wait((reading, doing, stop), return_when=asyncio.FIRST_COMPLETED)
-            if not doing.done():  # let the last commands of the client end
+            if not doing.done():  # wait until the last commands of the client are processed
                 reading.cancel()
                 drained = asyncio.ensure_future(self._queue.join())
                 await asyncio.wait((drained, doing), timeout=LAST_S,

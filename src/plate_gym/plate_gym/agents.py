@@ -57,11 +57,11 @@ class Ours:
         if not len(parts):  # no part has been detected yet
             return running if running.closes else PlateCycle.rest(IDLE_S)
         self._state = self._planner.see(self._state, parts, time)
-        # The planner receives the feeder's order.
+        # In a feed task, the planner must execute the feeder's order.
         if "order" in info and self._state.memory is not None:
             self._planner = self._planner.order(self._state, info["order"])
         follow = self._state.memory
-        # The evaluation's references replace those of the planner.
+        # In a follow task, the reference paths of the evaluation replace those of the planner.
         if isinstance(follow, FollowMemory):
             before, after = map(float, info["pace"])
             start, path_s = time + running.period, float(info["path_s"])

@@ -123,7 +123,7 @@ def evaluate(
                     result["tasks"][task] = summary([rows[seed] for seed in sorted(rows)])
                     keep(result)
                     kept = time.monotonic()
-        finally:  # the rows so far are also kept if the agent fails, or on Ctrl-C
+        finally:  # also save the existing rows if the agent fails, or after Ctrl-C
             if rows:
                 result["tasks"][task] = summary([rows[seed] for seed in sorted(rows)])
                 keep(result)
@@ -139,7 +139,7 @@ def begun(agent: str, world: str, limits: Limits, done: dict[str, Any] | None) -
     PlateError
         If a name is unknown, or if `done` cannot be continued.
     """
-    if ":" not in agent:  # other agents are imported only in the workers
+    if ":" not in agent:  # agents of users are imported only in the worker processes
         agent_class(agent)
     chosen("world", world, WORLDS)
     result: dict[str, Any] = {
@@ -179,7 +179,7 @@ def episodes(
     if pool is None and not workers:
         yield from map(partial(episode, agent, world, task), seeds)
         return
-    # Threads are sufficient, because they only wait for the processes of the episodes.
+    # Threads are sufficient here, because each thread only waits for the process of an episode.
     shared = nullcontext(pool) if pool is not None else ThreadPoolExecutor(workers)
     with shared as threads:
         found = [threads.submit(isolated, agent, world, task, seed, limits) for seed in seeds]
@@ -269,7 +269,7 @@ def check(
     for name in here | made if "limits" in result else made:
         if made.get(name) != here.get(name):
             tell(shortened(f"{name} is {made.get(name)} in the result, and {here.get(name)} here"))
-    # Nobody must be able to predict the seeds that are repeated.
+    # The seeds that are repeated must be unpredictable, so the generator has no fixed seed.
     wrong, chance = [], np.random.default_rng()
     for task, claimed in result["tasks"].items():
         rows = {row["seed"]: row for row in claimed["rows"]}
@@ -371,7 +371,8 @@ def main() -> int:
         parser.error("--workers is given with --cluster, allowed: without --cluster")
     if args.workers is None:
         args.workers = os.cpu_count() or 1
-    if args.workers < 1:  # in this process, an agent could end the program or falsify results
+    # at least one worker, because in this process an agent could end the program or falsify results
+    if args.workers < 1:
         parser.error(f"--workers is {args.workers}, allowed: 1 or more")
     tell = partial(print, flush=True)
     try:
@@ -384,8 +385,8 @@ def main() -> int:
             print("\n".join(wrong) or "the repeated seeds give the same result")
             return bool(wrong)
 
-        # The file is opened now, so that a file that cannot be written is an error now and not
-        # after hours.
+        # The result file is opened before the runs. If it cannot be written, the error appears now
+        # and not after hours.
         file = OwnFile(args.json) if args.json else None
         done = None
         if args.json and args.json.is_file() and args.json.stat().st_size:
@@ -396,7 +397,8 @@ def main() -> int:
                 file.write(json.dumps(result, indent=1) + "\n")
 
         agent, world = args.agent or "B", args.world or "nominal"
-        begun(agent, world, limits, done)  # before the cluster, for which it may wait
+        # check the arguments before the program waits for the cluster
+        begun(agent, world, limits, done)
         pool: Any = nullcontext()
         if args.cluster:
             other = module_of(agent) if ":" in agent else ""
@@ -433,8 +435,8 @@ def seed_range(text: str) -> range:
 
 
 if __name__ == "__main__":
-    # The program restarts itself, because libraries read these environment variables only at the
-    # start of a process.
+    # The program restarts itself with the environment variables of `ALIKE`. Libraries read these
+    # variables only at the start of a process.
     if not ALIKE.items() <= os.environ.items():
         os.execve(sys.executable, [sys.executable, *sys.orig_argv[1:]], os.environ | ALIKE)
     # SIGTERM has the same effect as Ctrl-C, so that the workers end.

@@ -71,7 +71,7 @@ class Classic:
         weight, _ = solve_weights(matrix, force.T.ravel(), MAX_GAIN)
         share = np.abs(weight) * (RETURN + 1) / (RETURN - 1)
         nearest = self._library.clearance(place)
-        # Order of the rotations as in section 3.1.4.
+        # The rotations are ordered as in section 3.1.4 of the original publication.
         order = np.argsort(-share / nearest, kind="stable")
         out = np.sign(weight)[order, None] * self._library.twist[order] / RETURN
         share = share[order] / max(1.0, float(np.sum(share)))

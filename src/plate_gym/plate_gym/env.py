@@ -268,7 +268,7 @@ def checked_actions(space: gym.Space, actions: Iterable[Any]) -> list[Any]:
     for action in actions:
         try:
             given = np.asarray(action)
-        except ValueError:  # NumPy raises it for rows of different lengths
+        except ValueError:  # NumPy raises a ValueError if the rows have different lengths
             given = np.array(None)
         if fits(given, space.shape):
             close = np.clip(given, low, high)
@@ -351,7 +351,8 @@ class Window:
     def __init__(self) -> None:
         self._root: Any = None
         try:
-            import tkinter  # imported here because some Python installations lack tkinter
+            # tkinter is imported here, because some Python installations do not contain it
+            import tkinter
         except ImportError as problem:
             return gym.logger.warn(NO_WINDOW.format(problem))
         try:

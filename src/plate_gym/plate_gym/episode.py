@@ -109,8 +109,8 @@ def episode(
             total, used = total + reward, max(used, float(info["limit_share"]))
             places.update(plate.simulation.state.position.tobytes())
     except KeyboardInterrupt as problem:
-        # Either Ctrl-C or the agent has raised KeyboardInterrupt. A process of `isolation` ignores
-        # Ctrl-C, so there it was the agent.
+        # Ctrl-C or the agent has caused the KeyboardInterrupt. A process of `isolation` ignores
+        # Ctrl-C. Therefore, in such a process, the agent has raised the exception.
         if signal.getsignal(signal.SIGINT) is not signal.SIG_IGN:
             raise
         raise PlateError(f"{named(agent, task, seed, len(spent))}: KeyboardInterrupt") from problem

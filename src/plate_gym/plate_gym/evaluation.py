@@ -276,7 +276,7 @@ class TaskEvaluator:
         shape = len(states), len(names)
         error, turn = np.zeros(shape), np.zeros(shape)
         near_m, near_rad = SIGHT_M, np.inf
-        if isinstance(rules, Sorter):  # the rules evaluate all plates in one call
+        if isinstance(rules, Sorter):  # the rules of a sort task evaluate all plates in one call
             to_go = rules.distances(names, np.array([state.position for state in states]))
             error = np.where(np.isnan(to_go), 0.0, to_go)
         else:

@@ -65,8 +65,9 @@ class Motions:
         """
         own = self.scale * actions.reshape(len(actions), -1, 3)
         used = self._use(own)
-        # The peaks are not proportional to the coefficients, because rotations have a quadratic
-        # effect. The scaling is therefore repeated, usually once.
+        # The utilisation of the limits is not exactly proportional to the coefficients, because
+        # rotations have a quadratic effect. Therefore the scaling is repeated. Usually one
+        # repetition is sufficient.
         while (beyond := used > CERTAIN).any():
             own[beyond] *= (CERTAIN**2 / used[beyond])[:, None, None]
             used[beyond] = self._use(own[beyond])

@@ -104,12 +104,13 @@ class Plate:
         )
         self.noise = np.random.default_rng((seed, 1))
         self._seed = seed
-        self.solving_s = np.zeros(2)  # total time of this project's solver (see `clocks`)
+        # total computing time of this project's solver (see `clocks`) [s]
+        self.solving_s = np.zeros(2)
         self.image = np.zeros(shared.image_shape, np.uint8)
         self.bare = np.zeros(0)
         self.timeline = Timeline(REST, filling=True)
         self.memory: Memory = shared.evaluator.begin(self.simulation, self.running)
-        # Last observation of each part: x, y, drift along x and y, angle, time.
+        # Last observation of each part: x, y, velocity of the drift along x and y, angle, time.
         self.seen = np.tile(UNSEEN, (len(self.ids), 1))
         if shared.observation == "image" and shared.rig.types:
             bare = [self.simulation.capture_bare() for _ in range(BARE_IMAGES)]
@@ -157,7 +158,8 @@ class Plate:
         """Take an image at the start of the running cycle. If the simulated camera misses this
         image, the previous image remains in `image`."""
         image = self.simulation.capture()
-        self.image = self.image if image is None else image  # a missed image changes nothing
+        # if the camera misses an image, keep the previous image
+        self.image = self.image if image is None else image
 
     def sighted(self) -> tuple[np.ndarray, np.ndarray, np.ndarray] | None:
         """Return what an image would show, as three arrays in the order of the rows: the positions

@@ -71,7 +71,8 @@ def commit() -> str:
     )
     try:
         top = Path(git(["git", "rev-parse", "--show-toplevel"]).stdout.strip())
-        kept = top / "src/plate_gym/plate_gym" / here.name  # the build copies this file to install/
+        # compare with the source file, because the build copies this file to install/
+        kept = top / "src/plate_gym/plate_gym" / here.name
         git(["git", "ls-files", "--error-unmatch", str(kept)])
         same = kept.read_bytes() == here.read_bytes()
         return str(git(["git", "describe", "--always", "--dirty"]).stdout.strip()) if same else ""

@@ -73,7 +73,7 @@ def read(path: Path) -> Any:
     content = read_file(path, RESULT_BYTES)
     try:
         return json.loads(content.decode())
-    # Json raises these errors also for huge numbers and deep nesting.
+    # `json.loads` also raises these errors for huge numbers and deep nesting.
     except (ValueError, RecursionError) as problem:
         raise PlateError(f"{path} is not JSON: {problem}") from problem
 
@@ -174,7 +174,7 @@ def line(task: str, found: dict[str, Any]) -> str:
 def ranges(seeds: list[int]) -> str:
     """Convert ascending seeds to a text that contains ranges `FIRST:END`."""
     ends = [k for k in range(1, len(seeds)) if seeds[k] > seeds[k - 1] + 1]
-    # The type object allows integers of any size.
+    # The NumPy type `object` permits integers of any size.
     runs = np.split(np.array(seeds, object), ends)
     return ", ".join(f"{run[0]}:{run[-1] + 1}" if len(run) > 1 else f"{run[0]}" for run in runs)
 

@@ -152,7 +152,8 @@ class Episode:
                     os.closerange(int(name), int(name) + 1)
             size = int(1e9 * self._limits.memory_gb)
             _limit(resource.RLIMIT_DATA, size)
-            # The memory limit of a process does not include files in memory.
+            # The memory limit of a process does not include files on a file system in memory.
+            # Therefore the file size is limited, too.
             _limit(resource.RLIMIT_FSIZE, size)
             _limit(resource.RLIMIT_NPROC, _tasks_of_user() + MORE_TASKS)
             _limit(resource.RLIMIT_CORE, 0)
@@ -187,8 +188,8 @@ class Episode:
         total_s = EPISODE_FACTOR * self._limits.decision_s
         while True:
             events = dict(poll.poll(1e3 * POLL_S))
-            # If this process was suspended, the episode was suspended too. Therefore a pass counts
-            # as at most 2 POLL_S.
+            # If this process was suspended, the episode was suspended, too. Therefore at most 2
+            # POLL_S are counted per pass of the loop.
             passed = min(time.monotonic() - before, 2 * POLL_S)
             before = time.monotonic()
             waited, checked, sent = waited + passed, checked + passed, sent + passed
@@ -229,7 +230,8 @@ class Episode:
     def _end_of(self, child: int) -> str:
         """Return a text that describes how the forked process ended. If it has not ended, the text
         states that its reply was invalid."""
-        for _ in range(10):  # the pipe closes slightly before the process ends
+        # try several times, because the pipe closes slightly before the process ends
+        for _ in range(10):
             if state := _has_ended(child):
                 if state.si_code == os.CLD_EXITED:
                     return f"died: it exited with code {state.si_status} before its last step"

@@ -96,7 +96,8 @@ class CompileKernels(build_ext):
         first = cache.key_of(*words, *python, _compiler(*words), _named(str(source), places))
         folders = [Path(self.build_temp, "kept"), cache.of_user()]
         made.parent.mkdir(parents=True, exist_ok=True)
-        for folder in folders:  # first the list of the object's source files, then their digest
+        # first read the list of the object's source files, then compute their digest
+        for folder in folders:
             read = cache.take(folder, first)
             content = read and cache.take(folder, _key(first, read, places))
             if content:

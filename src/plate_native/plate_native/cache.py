@@ -91,7 +91,8 @@ def compiler(words: list[str]) -> bytes:
 def _key_of_messages(package: Path, root: str) -> str:
     files = [path for path in sorted(package.rglob("*")) if path.is_file()]
     scripts = [path.read_bytes() for path in sorted(Path(root, "tools").glob("*.sh"))]
-    records = Path(sysconfig.get_path("purelib")).glob("*.dist-info/RECORD")  # digests of files
+    # each RECORD file contains the digests of an installed package's files
+    records = Path(sysconfig.get_path("purelib")).glob("*.dist-info/RECORD")
     tools = [p for p in sorted(records) if p.parent.name.startswith(TOOLS)]
     env = [os.environ.get(name, "") for name in ("CFLAGS", "CXXFLAGS", "LDFLAGS")]
     compilers = [os.environ.get("CC", "cc"), os.environ.get("CXX", "c++")]
@@ -122,7 +123,8 @@ def _packed(built: Path, root: str) -> bytes:
                 raise PermissionError(f"{root} is also a part of other words in {path}")
             content = _moved(path.read_bytes(), os.fsencode(root), ROOT)
             info = tarfile.TarInfo(str(path.relative_to(built)))
-            info.size, info.mtime = len(content), int(path.stat().st_mtime)  # bytecode refers to it
+            # keep the modification time, because compiled bytecode refers to it
+            info.size, info.mtime = len(content), int(path.stat().st_mtime)
             archive.addfile(info, io.BytesIO(content))
     return packed.getvalue()
 
@@ -131,7 +133,7 @@ def _unpack(packed: bytes, built: Path, root: str) -> None:
     with tarfile.open(fileobj=io.BytesIO(packed)) as archive:
         for info in archive:
             path, content = built / info.name, archive.extractfile(info)
-            assert content is not None  # all entries are files
+            assert content is not None  # the archive contains only files
             path.parent.mkdir(parents=True, exist_ok=True)
             path.write_bytes(_moved(content.read(), ROOT, os.fsencode(root)))
             os.utime(path, (info.mtime, info.mtime))
@@ -141,7 +143,9 @@ def main(action: str, package: str, built: str, root: str) -> int:
     """Restore a built package from the cache, or store it in the cache. Return the exit code."""
     key = _key_of_messages(Path(package), root)
     if action == "keep":
-        if root == os.path.realpath(root):  # otherwise files may contain either of two paths
+        # if the path contains links, files may contain one of two different paths, so nothing is
+        # stored
+        if root == os.path.realpath(root):
             with suppress(PermissionError):
                 keep(of_user(), key, _packed(Path(built), root))
         return 0

@@ -144,8 +144,8 @@ class Task:
         if self.accepted:
             return
         self._handle = handle = future.result()
-        # If a goal is sent again, rclpy rejects its repeated id. So a rejection is a refusal only
-        # if the goal was sent once.
+        # rclpy rejects a goal that is sent again with the same id. Therefore a rejection means a
+        # refusal by the planner only if the goal was sent once.
         if not handle.accepted and self._sent == 1:
             self.status = TaskStatus(state=TaskStatus.ABORTED, text="the planner refused the goal")
             return
@@ -155,7 +155,8 @@ class Task:
 
     def _on_result(self, future: Any) -> None:
         status = future.result().result.status
-        # A result with such a state contains only default values.
+        # A result with one of these states contains only default values: the planner has no data
+        # about the goal.
         if status.state in (TaskStatus.IDLE, TaskStatus.RUNNING):
             status.state, status.text = TaskStatus.ABORTED, "the planner no longer knows the goal"
         self.status = status
@@ -325,7 +326,8 @@ class PlateClient:
                     if self._until(task.has_begun, AGAIN_S):
                         break
                     task.send_again()
-            except KeyboardInterrupt:  # the caller has no handle of the task yet
+            # the caller cannot cancel the task, because it has no handle of the task yet
+            except KeyboardInterrupt:
                 raise TaskError(self.cancel(task)) from None
             if not task.accepted:
                 task.cancel()  # cancel the goal in case it still arrives

@@ -56,7 +56,7 @@ class Graph(Services):
 
     def __init__(self, namespace: str) -> None:
         super().__init__(namespace)
-        self._texts: dict[str, str] = {}  # last texts, by topic
+        self._texts: dict[str, str] = {}  # last displayed text of each topic
 
     def run(self, args: argparse.Namespace) -> str:
         """Execute a command, and return its output.
@@ -156,7 +156,7 @@ class Graph(Services):
             if answer.success:
                 self._await_friction(received, drivers, answer.started)
         except (KeyboardInterrupt, OSError, SilentError):
-            # An OSError means that the output was closed.
+            # An OSError is raised if the output was closed.
             self._call(MeasureFriction, "measure_friction", end)
             raise
         if not answer.success:
@@ -317,7 +317,8 @@ class Graph(Services):
             if isinstance(before, float) and type(value) is int:
                 value = float(value)
             allowed = type(value) is kind
-        # The errors after the first mean an invalid date, an escape beyond Unicode, deep nesting.
+        # The last three errors are caused by an invalid date, an escape beyond Unicode, and deep
+        # nesting.
         except (yaml.YAMLError, ValueError, OverflowError, RecursionError):
             allowed = False
         if not allowed:

@@ -177,7 +177,7 @@ class Services:
             self.node.destroy_client(client)
 
     def _answer(self, client: Any, service: str, request: Any, urgent: bool, once: bool) -> Any:
-        def there() -> bool:  # a service may be discovered before its node's name
+        def there() -> bool:  # a service may be discovered before the name of its node
             return urgent or client.service_is_ready() or bool(self._seen())
 
         cut = "; cut the power by hand" if urgent else ""
@@ -212,7 +212,7 @@ class Services:
         """Return the names of the nodes in this namespace."""
         ours = self.node.get_namespace()
         found = self.node.get_node_names_and_namespaces()
-        return sorted(  # names with _ are hidden nodes of tools, such as the ros2 daemon
+        return sorted(  # names that begin with _ belong to hidden nodes, such as the ros2 daemon
             name
             for name, where in found
             if name != NAME and where == ours and not name.startswith("_")
@@ -235,7 +235,7 @@ def no_graph_text() -> str:
         text += (
             f"; ROS domains in use on this machine: {listed}; to choose one, export ROS_DOMAIN_ID="
         )
-        # Some of these graphs may belong to other users.
+        # If several ROS domains are in use, some of them may belong to other users.
         text += listed if len(others) == 1 else "(the domain of your graph)"
     return text
 
@@ -249,6 +249,8 @@ def domains_in_use() -> set[int]:
         for line in path.read_text("ascii").splitlines()[1:] if path.exists() else ():
             port = int(line.split()[1].rsplit(":", 1)[1], 16)
             domain, offset = divmod(port - DDS_PORT, PORTS_PER_DOMAIN)
-            if domain in DOMAINS and offset >= 10:  # ports with a lower offset are for multicast
+            # ports with an offset below 10 are for multicast and do not show that a domain is in
+            # use
+            if domain in DOMAINS and offset >= 10:
                 found.add(domain)
     return found

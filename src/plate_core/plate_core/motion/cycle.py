@@ -53,7 +53,7 @@ class PlateCycle:
     knot_pose: np.ndarray
     knot_twist: np.ndarray
     knot_accel: np.ndarray
-    _coefficients: np.ndarray  # (k, 6, 3), powers of the time since the knot
+    _coefficients: np.ndarray  # (k, 6, 3): coefficients of the powers of the time since the knot
     tail: PlateCycle | None = None
 
     def __post_init__(self) -> None:
@@ -352,7 +352,9 @@ def quintic_pieces(
     ends of each knot interval, in ascending powers of the time since its first knot."""
     h = np.diff(times)[:, None]
     p, v, a = pose[:-1], twist[:-1], accel[:-1]
-    # Errors of the Taylor polynomial about the left end, at the right end, in units of position.
+    # The Taylor polynomial about the left end of an interval has errors at the right end: of the
+    # pose (dp), twist (dv) and acceleration (da). The errors are multiplied by powers of h to have
+    # the unit of the pose.
     dp = pose[1:] - p - h * v - 0.5 * h**2 * a
     dv = (twist[1:] - v - h * a) * h
     da = (accel[1:] - a) * h**2

@@ -72,8 +72,8 @@ def plate_state(
     point, direction = _geometry(rig)
     home = np.sum(direction * point, axis=1)
     pose = np.zeros((len(q), 3))
-    # Newton's method: because theta is small, three steps are exact up to rounding, and the
-    # fourth one is a reserve.
+    # Newton's method. Because theta is small, the result is exact up to rounding after three steps.
+    # The fourth step is a reserve.
     for _ in range(4):
         along, across = _projections(point, direction, pose[:, 2])
         error = q - (pose[:, :2] @ direction.T + along - home)

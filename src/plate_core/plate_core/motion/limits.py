@@ -88,7 +88,7 @@ def usage(rig: Rig, cycle: PlateCycle, thermal_load: np.ndarray | float = 1.0) -
     each = polynomial_peaks(np.concatenate(moves, axis=2), steps)
     stroke, speed, force = (float(np.max(most)) for most in np.split(each, 3))
     accel = _corner_peak(rig, np.concatenate([part.coefficients for part in parts]), steps)
-    # The tail may be played or not, so use the larger load of both cases.
+    # The tail of the cycle may be executed or not. Therefore use the larger load of both cases.
     load = np.maximum(*(mean_square(pushes[:k], steps[:k]) for k in (len(cycle.times) - 1, None)))
     load = load / limits.continuous_force**2
     worst = max(stroke / limits.stroke_m, speed / limits.speed, accel / limits.accel)

@@ -65,7 +65,7 @@ def main() -> None:
         print(f"error: {error}", file=sys.stderr)
         sys.exit(2)
     found = doubts(rig)
-    # Print the report first, because the drawing takes longer.
+    # Print the report before the drawing is made, because the drawing takes longer.
     print(report(rig, path.name, found), flush=True)
     drawing = args.drawing or Path(f"{path.stem if args.rig else 'default'}_rig.svg")
     try:
@@ -163,7 +163,8 @@ def shake(rig: Rig, way: str, hz: float) -> Shake:
     """
     omega, limits = 2 * np.pi * hz, rig.limits
     pose = np.array([way == "x", way == "y", way == "theta"], dtype=float)
-    # The coordinate theta is multiplied by the lever arm [m] of a corner.
+    # For theta, the amplitude is converted to a length by the distance of a corner from the centre
+    # [m].
     radius = float(np.hypot(*rig.plate.half)) if way == "theta" else 1.0
     travel = float(np.max(np.abs(rig.motor_levers @ pose)))
     if travel < 1e-9:

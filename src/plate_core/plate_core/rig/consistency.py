@@ -321,7 +321,7 @@ def _camera(rig: Rig) -> Iterator[Doubt]:
     if rig.camera.lens is not None and rig.camera.lens.bends:
         corners = rig.camera.lens.straighten(corners)
         if not np.all(np.isfinite(corners)):
-            # The corners are outside the lens's field of view, so the other checks are impossible.
+            # Some corners are outside the lens's field of view, so the other checks are impossible.
             return
     wrong = _order(corners) or _shape(rig, corners)
     if wrong is not None:

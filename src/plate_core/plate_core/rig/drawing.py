@@ -30,7 +30,8 @@ def draw(rig: Rig, name: str, path: Path) -> None:
     figure.suptitle(f"{name}: Gamma = {rig.gamma:.1f}, limited by {rig.reach.limit}")
     _draw_plate(above, rig)
     _draw_image(image, rig)
-    with rc_context({"svg.fonttype": "none"}):  # write text as text, not as curves
+    # write the text of the drawing as SVG text, not as curves
+    with rc_context({"svg.fonttype": "none"}):
         figure.savefig(path, dpi=110)
 
 
@@ -40,14 +41,14 @@ def _draw_plate(axes: Axes, rig: Rig) -> None:
     axes.add_patch(Polygon(rig.plate.corners, facecolor="#eeeeee", edgecolor="black"))
     for motor in rig.motors:
         point, way = np.array(motor.point), np.array(motor.direction)
-        # Draw the arrow outside the plate, away from the centre.
+        # Draw the motor's arrow outside the plate, away from the centre.
         out = way if way @ point > 0 else -way
         (x, y), (far_x, far_y) = point, point + 0.14 * size * out
         style = "<|-" if way @ out < 0 else "-|>"
         arrow = {"arrowstyle": style, "color": "#b2182b", "lw": 2}
         axes.annotate("", (far_x, far_y), (x, y), arrowprops=arrow, annotation_clip=False)
         axes.plot(x, y, "o", color="#b2182b", markersize=4)
-        # Offset of the name from the arrow [points].
+        # Offset of the motor's name from the arrow [points].
         beside = (0, 5) if abs(out[0]) > abs(out[1]) else (30, 0)
         axes.annotate(
             motor.name, ((x + 2 * far_x) / 3, (y + 2 * far_y) / 3), beside, ha="center",

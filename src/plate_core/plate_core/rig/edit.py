@@ -66,7 +66,7 @@ def edited(text: str, values: Values) -> str:
         If a mapping is missing or empty.
     """
     root: Any = yaml.compose(text, yaml.SafeLoader)
-    edits = []  # list of (start, end, new text)
+    edits = []  # replacements in the text: start index, end index, new text
     for keys, new in values.items():
         mapping = root
         for key in keys:

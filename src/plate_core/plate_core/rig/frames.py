@@ -161,7 +161,8 @@ def home_pose(image_from_home: np.ndarray, matrix: np.ndarray) -> tuple[np.ndarr
         Origin of plate_home [m].
     """
     columns = np.linalg.solve(matrix, image_from_home)
-    columns *= np.sign(columns[2, 2])  # so that the origin is in front of the camera
+    # choose the sign so that the origin is in front of the camera
+    columns *= np.sign(columns[2, 2])
     left, size, right = np.linalg.svd(columns[:, :2], full_matrices=False)
     axes = left @ right
     rotation = np.column_stack([axes, np.cross(axes[:, 0], axes[:, 1])])

@@ -119,7 +119,7 @@ class Lens:
     def __post_init__(self) -> None:
         values = tuple(float(value) for value in self.distortion)
         if not self.model and not any(values):
-            # drivers of ideal cameras publish an empty model
+            # drivers of cameras without distortion publish an empty model
             object.__setattr__(self, "model", "plumb_bob")
         if self.model not in MODELS:
             raise RigError(
@@ -281,7 +281,8 @@ class Lens:
             np.polynomial.Polynomial([1, k4, k5, k6]),
         )
         twice = np.polynomial.Polynomial([0, 2])
-        growth = up * down + twice * (up.deriv() * down - up * down.deriv())  # d(r c)/dr down^2
+        # derivative of r up / down with respect to r, times down^2
+        growth = up * down + twice * (up.deriv() * down - up * down.deriv())
         return float(np.sqrt(min(_first_root(growth.coef), _first_root(down.coef))))
 
     @cached_property
@@ -303,7 +304,8 @@ class Lens:
             t2 = t * t
             bent = t * (1 + t2 * (k1 + t2 * (k2 + t2 * (k3 + t2 * k4))))
             slope = 1 + t2 * (3 * k1 + t2 * (5 * k2 + t2 * (7 * k3 + t2 * 9 * k4)))
-            steep = (slope / (1 + safe) - bent / r) / (2 * safe)  # d(bent / r)/d(r2)
+            # derivative of bent / r with respect to r2
+            steep = (slope / (1 + safe) - bent / r) / (2 * safe)
             first = k1 - 1 / 3  # Taylor series for points near the axis
             return np.where(far, bent / r, 1 + first * r2), np.where(far, steep, first)
         k1, k2, _, _, k3, k4, k5, k6 = self._all[:8]

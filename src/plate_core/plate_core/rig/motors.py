@@ -68,7 +68,8 @@ def force_per_accel(load: np.ndarray, half: np.ndarray) -> np.ndarray:
     half : (2,)
         Half sides of the plate [m].
     """
-    turn = np.linspace(0, 1, TURN_STEPS + 1) / float(np.hypot(*half))  # r theta'' from 0 to 1 m/s2
+    # angular acceleration, so that the distance r of a corner times `turn` is from 0 to 1 m/s2
+    turn = np.linspace(0, 1, TURN_STEPS + 1) / float(np.hypot(*half))
     return np.array([np.max(_support(np.abs(row), half, turn)) for row in load])
 
 

@@ -219,7 +219,7 @@ def read_part_types(fields: Fields) -> Mapping[str, PartType]:
 
 
 def _part_type(name: str, fields: Fields) -> PartType:
-    # This import is here, because the stop command must not wait for it.
+    # Shapely is imported here, so that the stop command does not wait for this import.
     from shapely import Polygon
 
     outline, radius, holes = np.empty((0, 2)), 0.0, fields.value(PART_TYPE["holes_m"]) or []
@@ -300,7 +300,7 @@ def symmetry_of(outline: np.ndarray) -> int:
     before, after = np.roll(outline, 1, axis=0) - outline, np.roll(outline, -1, axis=0) - outline
     turn = before[:, 0] * after[:, 1] - before[:, 1] * after[:, 0]
     height = np.abs(turn) / np.linalg.norm(after - before, axis=1)
-    outline = outline[height > near / 3]  # remove corners that are on a straight edge
+    outline = outline[height > near / 3]  # remove corners that are nearly on a straight edge
     for count in range(len(outline), 1, -1):
         c, s = np.cos(2 * np.pi / count), np.sin(2 * np.pi / count)
         turned = outline @ np.array([[c, s], [-s, c]])

@@ -33,7 +33,7 @@ def moments(
 def is_simple(corner: np.ndarray) -> bool:
     """Whether a polygon (n, 2) [m] has a positive area and no repeated corner, and its edges
     neither cross nor touch, except neighbours at their common corner."""
-    # This import is here, because the stop command must not wait for it.
+    # Shapely is imported here, so that the stop command does not wait for this import.
     from shapely import Polygon
 
     if len(np.unique(corner, axis=0)) < max(len(corner), 3):

@@ -38,7 +38,8 @@ def never_held() -> Iterator[None]:
     thread = threading.Thread(target=_write_out, args=(read, kept), name="console", daemon=True)
     thread.start()
     traced = faulthandler.is_enabled()
-    if traced:  # after a crash the thread does not run, so write to the original stderr
+    # during a crash, the thread does not run, so write the traceback to the original stderr
+    if traced:
         faulthandler.enable(kept)
     try:
         yield
@@ -47,7 +48,7 @@ def never_held() -> Iterator[None]:
             faulthandler.enable(STDERR)
         with contextlib.suppress(OSError):
             sys.stderr.flush()
-        os.dup2(kept, STDERR)  # this closes the write end of the pipe, so the thread ends
+        os.dup2(kept, STDERR)  # `dup2` closes the write end of the pipe, so the thread ends
         thread.join(LAST_S)
 
 
@@ -62,7 +63,7 @@ def _open_closed() -> None:
 
 
 def _write_out(read: int, kept: int) -> None:
-    with contextlib.suppress(OSError):  # the reader may have closed the original stderr
+    with contextlib.suppress(OSError):  # the program that reads the original stderr may have ended
         while data := os.read(read, CHUNK):
             while data:
                 data = data[os.write(kept, data) :]

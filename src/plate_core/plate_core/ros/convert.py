@@ -326,7 +326,7 @@ def _intervals(
     intervals, in turn. Raise an error if a lower bound exceeds its upper bound."""
     ends = np.array([[getattr(each, key) for key in keys] for each in forces], dtype=float)
     ends = ends.reshape(-1, len(keys))
-    wrong = ~(ends[:, 0::2] <= ends[:, 1::2])  # this condition is also true for NaN
+    wrong = ~(ends[:, 0::2] <= ends[:, 1::2])  # NaN also counts as wrong
     if np.any(wrong):
         row, column = np.argwhere(wrong)[0]
         low, high = ends[row, 2 * column : 2 * column + 2]
@@ -353,7 +353,7 @@ def _checked(
         raise PlateError(f"{what}: ids are {list(ids)}, allowed: each part at most once")
     rows = [[getattr(item, key) for key in keys] for item in items]
     array = np.array(rows, dtype=float).reshape(len(ids), len(keys))
-    sane = np.abs(array) <= MAX_MAGNITUDE  # this condition is false for NaN
+    sane = np.abs(array) <= MAX_MAGNITUDE  # NaN counts as not sane
     if not np.all(sane):
         row, column = np.argwhere(~sane)[0]
         raise PlateError(
@@ -470,7 +470,8 @@ def array_to_image(image: np.ndarray, stamp: Time, encoding: str = "mono8") -> I
     flat = np.ascontiguousarray(image).reshape(-1).view(np.uint8)
     msg.step = flat.size // msg.height
     data = array.array("B")
-    data.frombytes(flat.data)  # an array.array: rclpy copies any other type byte by byte
+    # use an array.array, because rclpy copies any other type byte by byte
+    data.frombytes(flat.data)
     msg.data = data
     return msg
 

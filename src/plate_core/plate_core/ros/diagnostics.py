@@ -103,7 +103,8 @@ class Diagnostics:
             if finding.level.rank > self._level.rank:
                 self._send(finding)
             return
-        # If a stall delayed this report, the next one follows at least half a period after it.
+        # If a stall of the process delayed this report, the next report follows after at least half
+        # a period.
         self._due = max(self._due, now - DIAGNOSTICS_PERIOD_S / 2) + DIAGNOSTICS_PERIOD_S
         self._send(finding)
         self._reported()

@@ -20,7 +20,7 @@ def transform_to_msg(
 ) -> TFMessage:
     """Return the pose of a frame in plate_home as a message. The columns of rotation (3, 3) are the
     frame's axes, translation (3,) [m] is its origin."""
-    # This import is here, because most programs do not need scipy.
+    # SciPy is imported here, because most programs do not need it.
     from scipy.spatial.transform import Rotation
 
     msg = TransformStamped(header=Header(stamp=stamp, frame_id=FRAME), child_frame_id=child)

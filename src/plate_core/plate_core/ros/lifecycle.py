@@ -118,7 +118,7 @@ class SafeLifecycleNode(RclpyLifecycleNode, Generic[Options]):
         remain in use.
         """
 
-    # Methods by which a subclass creates objects
+    # Methods that a subclass calls to create objects
 
     def keep(self, destroy: Callable[[Any], Any], *things: Any) -> None:
         """Register objects. When the node is cleaned up, it calls `destroy` with each object."""
@@ -198,8 +198,9 @@ class SafeLifecycleNode(RclpyLifecycleNode, Generic[Options]):
         if self.count_publishers(full) < 2:
             return ""
         found, own = self.get_publishers_info_by_topic(full), f"{self.get_namespace()}/"
-        # Count names, not publishers: a killed node stays listed for a while, together with its
-        # restarted instance. Ignore unknown names, because a new instance has no name at first.
+        # Count the names of nodes instead of publishers. After a node was killed, it stays listed
+        # for a while, together with its restarted instance. Ignore unknown names, because the name
+        # of a new node is unknown at first.
         names = {
             f"{each.node_namespace}/{each.node_name}".removeprefix(own)
             for each in found
@@ -362,8 +363,8 @@ class SafeLifecycleNode(RclpyLifecycleNode, Generic[Options]):
         self._closed = True
         try:
             if self.context.ok():
-                # Do not start a transition, because the signal may have arrived during a
-                # transition.
+                # Call `_stop` without a lifecycle transition, because the signal may have arrived
+                # during a transition.
                 self._stop()
         finally:
             self.active = False

@@ -78,7 +78,7 @@ def run_nodes(makes: Mapping[str, Callable[[], Node]], args: Sequence[str] | Non
     the node's name.
     """
     nodes: list[Any] = []
-    code = 1  # exit code after an exception, which is a defect
+    code = 1  # exit code after an unexpected exception
     try:
         with never_held():
             code = _run(makes, nodes, args)
@@ -101,24 +101,26 @@ def _run(
 
     def on_signal(number: int, frame: FrameType | None) -> None:
         nonlocal stopped, interrupted
-        again, stopped = stopped, True  # a second signal must not interrupt the clean-up
+        # a second signal has no effect, so that it does not interrupt the clean-up
+        again, stopped = stopped, True
         waiting = spinning and not any(getattr(node, "configuring", False) for node in nodes)
         if not (again or waiting):
             interrupted = True
             raise KeyboardInterrupt
 
-    # Override inherited handlers: a program that a script starts with & would ignore SIGINT.
+    # Replace inherited signal handlers. For example, a program that a script starts with & would
+    # ignore SIGINT.
     for number in ENDING:
         if number != signal.SIGHUP or signal.getsignal(number) != signal.SIG_IGN:
             signal.signal(number, on_signal)
     signal.pthread_sigmask(signal.SIG_UNBLOCK, ENDING)
-    # A program stores its parent's id in PARENT before it loads code, because the parent may end
-    # while the code is loaded.
+    # A program stores the process id of its parent in PARENT before it loads code. The parent may
+    # end while the code is loaded.
     parent = getattr(sys.modules["__main__"], "PARENT", os.getppid())
     try:
         _init(args)
-        # rclpy's EventsExecutor needs half the CPU time, but with it a lifecycle transition under
-        # load can end or crash a node.
+        # rclpy's EventsExecutor would need half the CPU time. However, under load, a lifecycle
+        # transition with this executor can end or crash a node.
         executor = NodeExecutor()
         for make in makes.values():
             nodes.append(make())
@@ -129,7 +131,8 @@ def _run(
         spinning = True
         while rclpy.ok() and not stopped and not (bound and os.getppid() != parent):
             executor.spin_once(timeout_sec=POLL_S)
-        # Deactivation ends the goals. The rounds of the executor below send their results.
+        # Deactivation ends the running action goals. The calls of `spin_once` below send the
+        # results of these goals.
         for node in nodes:
             if isinstance(node, SafeLifecycleNode) and node.active and rclpy.ok():
                 node.trigger_deactivate()
@@ -145,7 +148,8 @@ def _run(
         print(f"error: {error}", file=sys.stderr, flush=True)
         code = 2
     except Exception:
-        # rclpy raises a RuntimeError if a KeyboardInterrupt is raised while it converts a message.
+        # If a KeyboardInterrupt is raised while rclpy converts a message, rclpy raises a
+        # RuntimeError instead.
         if not interrupted:
             raise
     finally:
@@ -170,5 +174,5 @@ def _init(args: Sequence[str] | None) -> None:
             args=list(args) if args is not None else None,
             signal_handler_options=SignalHandlerOptions.NO,
         )
-    except RuntimeError as error:  # rclpy raises RCLError, which has no public name
+    except RuntimeError as error:  # rclpy raises RCLError, a RuntimeError that has no public name
         raise PlateError(str(error).splitlines()[0]) from None

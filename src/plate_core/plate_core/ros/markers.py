@@ -139,7 +139,7 @@ def _arrow(
     stamp: Time,
 ) -> Marker:
     arrow = _marker(kind, number, Marker.ARROW, colour, stamp)
-    arrow.scale.x, arrow.scale.y = LINE_M, 2 * LINE_M  # diameters of shaft and head
+    arrow.scale.x, arrow.scale.y = LINE_M, 2 * LINE_M  # diameters of the arrow's shaft and head
     arrow.points = [_point(start), _point(end)]
     return arrow
 

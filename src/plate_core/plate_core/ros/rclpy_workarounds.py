@@ -32,9 +32,9 @@ def _frame_info(frame: FrameType) -> SimpleNamespace:
     return SimpleNamespace(filename=frame.f_code.co_filename)
 
 
-# The logger needs only the name of the caller's file, but it also reads the source of this file.
-# Therefore the first log line of a program would take 0.2 s of CPU time. We know no issue about
-# this.
+# rclpy's logger needs only the name of the caller's file, but it also reads the source of this
+# file. Therefore the first log line of a program would take 0.2 s of CPU time. No public issue
+# describes this problem.
 rcutils_logger.inspect = SimpleNamespace(  # type: ignore[assignment]
     currentframe=inspect.currentframe, getframeinfo=_frame_info
 )
@@ -123,9 +123,9 @@ class RclpyLifecycleNode(LifecycleNode):
         method for this purpose.
         """
         try:
-            # mypy does not know mangled names.
+            # mypy does not recognise the mangled name of the method.
             return super()._LifecycleNodeMixin__on_change_state(request, response)  # type: ignore[misc]
-        except RuntimeError as error:  # rclpy raises RCLError, which has no public name
+        except RuntimeError as error:  # rclpy raises RCLError, a RuntimeError without a public name
             requested = request.transition.label or request.transition.id
             self.get_logger().error(f"transition {requested} refused: {error}")
             response.success = False
@@ -204,7 +204,7 @@ def deserialized(data: bytes, kind: type) -> Any:
     """
     try:
         return deserialize_message(data, kind)
-    except Exception:  # conversions raise errors of different types
+    except Exception:  # the conversion of a message can raise errors of different types
         raise PlateError(f"{kind.__name__}: {len(data)} bytes are not a valid message") from None
 
 
@@ -246,7 +246,8 @@ class UnlockedSubscription:
                 waiting.clear_entities()
                 waiting.add_subscription(self._handle)
                 waiting.wait(round(1e9 * timeout_s))
-        except RuntimeError:  # ROS was shut down; rclpy raises RCLError, which has no public name
+        # ROS was shut down; rclpy raises RCLError, a RuntimeError without a public name
+        except RuntimeError:
             time.sleep(timeout_s)
 
     def take(self) -> tuple[bytes, int, bytes] | None:

@@ -37,7 +37,7 @@ def answered(node: Any, options: type | None, args: Sequence[str] | None) -> boo
     check_parameter_files(args)
     try:
         words = remove_ros_args(sys.argv if args is None else ["", *args])[1:]
-    except RuntimeError:  # rclpy.init will report the error
+    except RuntimeError:  # the arguments are wrong; rclpy.init will report this error
         return False
     if {"-h", "--help"} & set(words):
         print(usage(command(sys.argv[0]), node, options))

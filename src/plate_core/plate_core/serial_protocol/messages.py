@@ -49,17 +49,19 @@ class Status(IntEnum):
     """The device's reply to a command."""
 
     DONE = 0
-    NO_SESSION = 1  # no session, or the device was reset: send a Hello first
+    NO_SESSION = 1  # no session, or the device was reset: the host must send a Hello first
     OLD = 2  # a later command has already been executed
     WRONG_STATE = 3
     WRONG_TABLE = 4  # another table is open, or the index is beyond its end
     INCOMPLETE = 5  # knots are missing or damaged
-    WRONG_TIMES = 6  # times start above 0 or do not rise; the splice is not at a knot or too late
+    # the first time is not 0, times do not increase, or the splice is not at a knot or too late
+    WRONG_TIMES = 6
     LIMIT = 7  # the spline exceeds a limit of stroke, speed, acceleration, force or heat
-    JUMP = 8  # the table starts neither at rest at home nor at a future splice, or ends in motion
+    # the table starts neither at rest at home nor at a future splice, or it ends in motion
+    JUMP = 8
     TOO_LONG = 9
-    WRONG_STOP = 10  # the number in Enable is not that of the current stop
-    REPEATS = 11  # repeats is 0, lasts longer than allowed, or the table does not close
+    WRONG_STOP = 10  # the number in Enable is not the number of the current stop
+    REPEATS = 11  # `repeats` is 0 or too large, or the table does not end in its initial state
 
 
 class Fault(IntFlag):
@@ -80,9 +82,9 @@ class Fault(IntFlag):
 class Trouble(IntEnum):
     """Fault of a drive that the device commands over a bus."""
 
-    SILENT = 1  # the drive does not reply, or its heartbeat is missing
+    SILENT = 1  # the drive does not reply, or it sends no heartbeat
     RESET = 2  # the drive has restarted
-    NOT_OPERATIONAL = 3  # the heartbeat reports another state; code: the NMT state
+    NOT_OPERATIONAL = 3  # the heartbeat reports another state than operational; code: the NMT state
     REFUSED = 4  # the drive refuses an object during set-up; code: SDO abort
     WRONG_DRIVE = 5  # an object has a wrong value; code: this value
     EMERGENCY = 6  # the drive sent an emergency; code: emergency code; object: error register
@@ -91,12 +93,13 @@ class Trouble(IntEnum):
     NOT_ENABLED = 9  # the drive does not enter the operational state; code: statusword
     KEEPS = 10  # the drive keeps its current although it was disabled; code: statusword
     NO_POSITION = 11  # the drive does not report its position
-    TWICE = 12  # two drives have the same node number
+    TWICE = 12  # two drives on the bus have the same node number
     BUS_OFF = 13
     OTHER_MASTER = 14  # another master commands the drives
     ERROR = 15  # an ODrive has left the operational state or has errors; code: the errors
     NO_WATCHDOG = 16  # an ODrive would keep running if the board failed
-    HOME_LOST = 17  # the zero of a drive's position may have changed; cleared by Home
+    # the zero of a drive's position may have changed; a Home command clears this fault
+    HOME_LOST = 17
     RANGE = 18  # the drive's position would overflow within the stroke; code: its position
     CROOKED = 19  # the reported positions are inconsistent with a rigid plate
     ASTRAY = 20  # the following error is too large; code: the error [um]
@@ -245,15 +248,17 @@ class Telemetry:
     device_us: int = field(metadata=_wire("Q"))
     state: State = field(metadata=_wire("B", kind=State))
     faults: Fault = field(metadata=_wire("B", kind=Fault))
-    stop: int = field(metadata=_wire("H"))  # number of the present or, if none, the last stop
-    table: int = field(metadata=_wire("H"))  # table that plays; 0: none
+    # number of the present stop; without a present stop, number of the last stop
+    stop: int = field(metadata=_wire("H"))
+    table: int = field(metadata=_wire("H"))  # number of the table that plays; 0: no table
     ticks: int = field(metadata=_wire("I"))  # time since this play of the table began [TICK_S]
-    waiting: int = field(metadata=_wire("H"))  # table that plays next; 0: none
+    waiting: int = field(metadata=_wire("H"))  # number of the table that plays next; 0: no table
     refused: int = field(metadata=_wire("H"))  # number of damaged frames, modulo 2^16
     position: tuple[float, ...] = field(metadata=_wire("f", MOTORS))
     acceleration: tuple[float, ...] = field(metadata=_wire("f", MOTORS))
-    heat: float = field(metadata=_wire("f"))  # maximum mean square force over its limit [-]
-    # Maximum following error since the last telemetry.
+    # maximum mean square force of a motor divided by its limit [-]
+    heat: float = field(metadata=_wire("f"))
+    # Maximum following error of a motor since the last telemetry [m].
     following_m: float = field(metadata=_wire("f"))
     # Longest computing time of a tick since the last telemetry, relative to the tick period.
     load: float = field(metadata=_wire("f"))
@@ -264,7 +269,8 @@ class DriveTrouble:
     """Device: the first fault of a drive since the last enable, with the error codes of the
     drive."""
 
-    motor: int = field(metadata=_wire("B", kind=tuple(range(MOTORS + 1))))  # 0: the bus
+    # number of the motor; 0: the bus
+    motor: int = field(metadata=_wire("B", kind=tuple(range(MOTORS + 1))))
     kind: Trouble = field(metadata=_wire("B", kind=Trouble))
     object: int = field(metadata=_wire("H"))
     code: int = field(metadata=_wire("I"))

@@ -45,7 +45,7 @@ def spline_points(point: np.ndarray, closed: bool) -> np.ndarray:
     second derivative is zero at both ends.
     """
     knot = np.vstack([point, point[:1]]) if closed else np.asarray(point, dtype=float)
-    # This import is here, because the stop command must not wait for it.
+    # SciPy is imported here, so that the stop command does not wait for this import.
     from scipy.interpolate import CubicSpline
 
     length = np.hypot(*np.diff(knot, axis=0).T)
@@ -54,8 +54,8 @@ def spline_points(point: np.ndarray, closed: bool) -> np.ndarray:
     pieces = []
     for begin, step in zip(place[:-1], length, strict=True):
         trial = begin + step * np.linspace(0, 1, FEWEST_CHORDS)
-        # The second derivative approximates the curvature, because the first derivative has a
-        # length near 1.
+        # The second derivative is approximately the curvature, because the length of the first
+        # derivative is near 1.
         bend = np.max(np.hypot(*spline(trial, 2).T))
         pieces.append(begin + step * np.linspace(0, 1, _chords(1 / max(bend, 1e-9), step), False))
     ends = place[:0] if closed else place[-1:]

@@ -154,12 +154,13 @@ def _space_problem(pick: Pick, clearance_m: float, rig: Rig) -> str:
 
     (low, high), centre = pick_window(pick, rig), Point(0, 0)
     outline = Polygon(rig.part_type(pick.label).polygon)
-    # The centre may be outside the outline, for example of an L-shaped part.
+    # The centre of a part may be outside its outline, for example if the part is L-shaped.
     if not outline.contains(centre):
         return ""
     free = clearance_m / 2 + outline.exterior.distance(centre)
     most = int(np.prod(high - low + 2 * free) / (np.pi * free**2))
-    # If two parts do not fit on the diagonal, only one part fits into the window.
+    # If two parts do not fit on the diagonal of the pick window, only one part fits into the
+    # window.
     if np.hypot(*(high - low)) < 2 * free:
         most = 1
     if pick.ready <= max(most, 1):
@@ -252,17 +253,19 @@ def free_gap(parts: Parts, rig: Rig) -> np.ndarray:
     if count < 2:
         return np.full(count, np.inf)
     apart = np.hypot(*(parts.position[:, None] - parts.position[None]).transpose(2, 0, 1))
-    # The gap of the circumscribed discs is a lower bound.
+    # The gap between the circumscribed discs of two parts is a lower bound of the gap between the
+    # parts.
     gap = apart - reach[:, None] - reach[None]
     np.fill_diagonal(gap, np.inf)
     if all(kind.radius_m for kind in types):
         return np.asarray(gap.min(axis=1))
-    # This import is here, because the stop command must not wait for it.
+    # Shapely is imported here, so that the stop command does not wait for this import.
     from shapely import distance
 
     shapes = map(PartType.placed, types, parts.position, parts.angle)
     shape, radius = np.array(list(shapes)), np.array([kind.radius_m for kind in types])
-    # An upper bound of the distance to the nearest part excludes most other parts.
+    # `upper` is an upper bound of the distance to the nearest part. Exact distances are computed
+    # only for pairs below this bound.
     upper = np.min(apart + reach[:, None] + reach + np.diag(np.full(count, np.inf)), axis=1)
     i, j = np.nonzero(gap < upper[:, None])
     gap[i, j] = distance(shape[i], shape[j]) - radius[i] - radius[j]

@@ -186,7 +186,7 @@ def _pairs(array: np.ndarray) -> tuple[Point, ...]:
 
 
 def _sort(fields: Fields, parts: tuple[PartGroup, ...]) -> SortTask:
-    # Files with two classes and two sides use the key `sides`.
+    # Scenario files that sort two classes to two sides of the plate use the key `sides`.
     child = fields.child("sides" if fields.has("sides") else "regions")
     regions = {group.label: _region(child, group.label) for group in parts}
     child.finish()
@@ -371,7 +371,7 @@ def check_scenario(scenario: Scenario, rig: Rig) -> None:
         the impossible value and the allowed values.
     """
     task = scenario.task
-    # If the rig has types, the detector recognises only these types.
+    # If the rig file defines part types, the detector recognises only these types.
     known = tuple(rig.types) or keys.CLASSES
     for group in scenario.parts:
         if group.label not in known:
@@ -481,7 +481,7 @@ def _check_apart(
 def _check_bins(scenario: Scenario, task: SortTask, rig: Rig) -> None:
     """Raise an error if every point of a bin is too near to the plate's edges, so that parts at
     these points are lost."""
-    # This import is here, because the stop command must not wait for it.
+    # Shapely is imported here, so that the stop command does not wait for this import.
     from shapely import Polygon, box
 
     for label, region in task.regions.items():

@@ -277,7 +277,8 @@ def saved_response(path: str | Path) -> Response:
         content = read_file(path, MAX_BYTES)
         with ZipFile(BytesIO(content)) as packed:
             size = sum(each.file_size for each in packed.infolist())
-        if size > MAX_BYTES:  # a small file can contain a much larger array
+        # check the unpacked size, because a small file can contain a much larger array
+        if size > MAX_BYTES:
             raise PlateError(f"it unpacks to {size} bytes, allowed: up to {MAX_BYTES}")
         with np.load(BytesIO(content), allow_pickle=False) as data:
             return Response(data["frequency"], data["matrix"], float(data["lever"]))

@@ -104,7 +104,8 @@ class Response:
     def _at(self, matrices: np.ndarray, frequency: np.ndarray) -> np.ndarray:
         """Interpolate matrices in frequency by a cubic spline. At frequency 0, the spline has the
         real part of the first matrix."""
-        # This import is here, because at the top it would double the start time of the driver.
+        # SciPy is imported here, because an import at the top would double the start time of the
+        # driver.
         from scipy.interpolate import CubicSpline
 
         below = np.concatenate([matrices[:1].real.astype(complex), matrices])
@@ -269,8 +270,8 @@ def closed_at_rest(frequency: np.ndarray, amplitude: np.ndarray, cost: np.ndarra
         Weight of the squared change.
     """
     rate = 2 * np.pi * frequency
-    # Coefficients (3, k) that map the amplitudes' real and imaginary parts to pose, twist and
-    # acceleration at the start of the cycle.
+    # `real` and `imag` (3, k) convert the real and imaginary parts of the amplitudes to pose, twist
+    # and acceleration at the start of the cycle.
     real = np.stack([np.ones_like(rate), np.zeros_like(rate), -(rate**2)])
     imag = np.stack([np.zeros_like(rate), -rate, np.zeros_like(rate)])
     rows = np.hstack([real, imag])

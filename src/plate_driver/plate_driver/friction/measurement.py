@@ -425,7 +425,8 @@ class FrictionMeasurement:
         trial, gravity = self.trials[-1], self.rig.friction.gravity
         guess = dict(self.guess)
         for name, value in trial.lag.items():
-            # At accelerations far above mu g, the slip hardly depends on mu.
+            # At accelerations far above mu g, the slip depends only a little on mu. Such pushes
+            # give no estimate of mu.
             known = guess.get(name, np.inf) * gravity
             slid = value > max(SLID_M, NOISE_FACTOR * trial.error)
             if slid and trial.push.accel < ABOVE * known:
@@ -480,7 +481,8 @@ class FrictionMeasurement:
         for axis in (0, 1):
             there = make_push(self.rig, axis, 1, accel, self.slow)
             step = float(np.max(slip(there, mu, 0.0, gravity)))
-            # Parts slip in the direction opposite to the push.
+            # Parts slip in the direction opposite to the push. Therefore use the clearance in this
+            # direction.
             free = {sign: self._clearance(axis, -sign) for sign in (1, -1)}
             sign = max(free, key=lambda one: free[one])
             count = int(np.clip(min(free[sign], TRAVEL_M) / max(step, 1e-6), 1, MAX_STEPS))
@@ -535,7 +537,8 @@ class FrictionMeasurement:
 
     def _dynamic(self, name: str) -> tuple[float, float]:
         """Return mu of a part by least squares over its distance pushes, and its standard error."""
-        # This import is here, because at the top it would double the start time of the driver.
+        # SciPy is imported here, because an import at the top would double the start time of the
+        # driver.
         from scipy.optimize import least_squares
 
         trials = self._of(name, Stage.DISTANCE)
@@ -545,15 +548,16 @@ class FrictionMeasurement:
 
         local, errors, _ = self._local(name)
         fit = least_squares(misses, [float(np.median(local))], diff_step=1e-3)
-        # An error of the position between two pushes changes both lags, so the errors of both lags
-        # are correlated. They have opposite signs if both pushes have the same direction, and equal
-        # signs if the direction changes.
+        # The measured position between two pushes affects the lags of both pushes. Therefore the
+        # errors of both lags are correlated. They have opposite signs if both pushes have the same
+        # direction, and equal signs otherwise.
         correlation = np.eye(len(trials))
         for k, (one, other) in enumerate(pairwise(trials)):
             if one.push.axis == other.push.axis:
                 shared = -0.5 * one.push.sign * other.push.sign
                 correlation[k, k + 1] = correlation[k + 1, k] = shared
-        slopes = fit.jac[:, 0]  # derivatives with respect to mu, in standard errors of a lag
+        # derivatives of the lags with respect to mu, divided by the standard errors of the lags
+        slopes = fit.jac[:, 0]
         noise = slopes @ correlation @ slopes / (slopes @ slopes) ** 2
         uneven = max(0.0, float(np.var(local, ddof=1) - np.mean(errors**2))) / len(trials)
         return float(fit.x[0]), float(np.sqrt(noise + uneven))
@@ -579,7 +583,7 @@ class FrictionMeasurement:
             return np.nan
         local, _, away = self._local(name)
         along = [trial.push.axis == slid.push.axis for trial in self._of(name, Stage.DISTANCE)]
-        # Use pushes along the same axis, because friction may differ along x and y.
+        # Use only pushes along the same axis, because friction may differ along x and y.
         local, away = local[along], away[along]
         mu = float(np.mean(local[away <= np.min(away) + HERE_M]))
         least = grip = mu * self.rig.friction.gravity

@@ -101,11 +101,13 @@ class FrictionServer:
         self._measurement: FrictionMeasurement | None = None
         self._played: Push | None = None
         self._plays: PlateCycle | None = None
-        # Images with this stamp [ns] or later show parts at rest. None if this time is not known.
+        # Images with this stamp [ns] or a later stamp show parts at rest. None if this time is
+        # unknown.
         self._after_ns: int | None = None
         self._images: list[Parts] = []
         self._since = 0.0  # start of the wait for parts at rest [s]
-        self._now, self._still = -1.0, 0  # time of the last `watch` [s], calls of it at this time
+        # time of the last call of `watch` [s], and number of calls at this time
+        self._now, self._still = -1.0, 0
 
     @property
     def running(self) -> bool:
@@ -114,7 +116,7 @@ class FrictionServer:
 
     def configure(self) -> None:
         """Create the services, the topic and the subscriptions."""
-        # Discard an earlier result, which may belong to another rig.
+        # Discard an earlier result, because it may belong to another rig.
         driver, self._result = self._driver, None
         self._publisher = driver.managed_publisher(Friction, "friction", LATCHED)
         driver.managed_subscription(PartsMsg, "parts", self._on_parts, DATA)
@@ -207,7 +209,8 @@ class FrictionServer:
     def watch(self, now: float) -> None:
         """Continue the measurement at the time `now` on the playback clock [s]."""
         try:
-            # The number of stops also shows a stop after which the motors were enabled again.
+            # The comparison of the stop numbers also detects a stop after which the motors were
+            # enabled again.
             if self._latch.number != self._stops:
                 raise PlateError("the motors were stopped")
             self._still = self._still + 1 if now == self._now else 0

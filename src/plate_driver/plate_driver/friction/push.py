@@ -112,7 +112,8 @@ def make_push(rig: Rig, axis: int, sign: int, accel: float, slow: float) -> Push
 def max_accel(rig: Rig, slow: float) -> float:
     """Return the maximum acceleration of a push within the rig's limits [m/s2]."""
     accel = LIMITS_USED * rig.limits.accel
-    for _ in range(8):  # usage is nearly linear in the acceleration or in its square root
+    # usage of the limits is nearly proportional to the acceleration or to its square root
+    for _ in range(8):
         worst = max(
             usage(rig, make_push(rig, axis, 1, accel, slow).cycle).overall for axis in (0, 1)
         )
@@ -156,8 +157,8 @@ def slip(push: Push, mu: np.ndarray, hold: np.ndarray | float, gravity: float) -
     step = np.diff(t)[:, None]
     most, held = grip * step, np.abs(np.diff(plate))[:, None] <= hold * step
     v, stuck, speed = np.zeros_like(grip), np.ones(grip.shape, bool), [np.zeros_like(grip)]
-    # The loop contains only operations that depend on the previous step, because each operation
-    # takes microseconds even with few parts.
+    # Each NumPy operation takes microseconds, even with few parts. Therefore the loop contains only
+    # operations that depend on the previous step.
     for after, change, holds in zip(plate[1:], most, held, strict=True):
         rides = stuck & holds
         v = np.where(rides, after, v + np.minimum(np.maximum(after - v, -change), change))
@@ -171,8 +172,8 @@ def _profile() -> tuple[np.ndarray, np.ndarray]:
     and -`BRAKE`, and linear between these times."""
     gain, cross, lose = RAMP, RAMP * (1 + BRAKE), RAMP * BRAKE
     held = 1.0 - RAMP
-    # Velocity at the time at which the acceleration crosses zero. Braking removes the same
-    # velocity.
+    # `positive` is the velocity at the time when the acceleration becomes zero. Braking must reduce
+    # the velocity by the same value.
     positive = gain / 2 + held + cross / (1 + BRAKE) / 2
     braking = (positive - BRAKE * (cross * BRAKE / (1 + BRAKE) + lose) / 2) / BRAKE
     times = np.cumsum([0.0, gain, held, cross, braking, lose])

@@ -70,7 +70,7 @@ class RawInputs:
         cycles = UnlockedSubscription(node, JointTrajectory, "plate_cycle", DATA, max_bytes)
         tasks = UnlockedSubscription(node, TaskStatus, "task_status", LATCHED, STATUS_BYTES)
         self.cycles, self.tasks = RawInput(cycles, on_cycle), RawInput(tasks, on_task)
-        # Received cycles that wait for the executor, in the order of arrival.
+        # Received cycles that the executor has not processed yet, in the order of arrival.
         self._waiting: deque[tuple[bytes, int, bytes]] = deque()
         self._polled_at = 0.0  # time of the last poll of task_status [s, steady]
         self._closed = threading.Event()

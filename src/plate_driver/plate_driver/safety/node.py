@@ -130,7 +130,8 @@ class SafetyNode:
         with contextlib.suppress(ExternalShutdownException):
             while self._context.ok() and not self._ended:
                 try:
-                    # This call returns when the timer fires or earlier.
+                    # The call returns at the latest when the timer fires. Then the loop condition
+                    # is checked again.
                     self._executor.spin_once()
                 except ExternalShutdownException:
                     raise
@@ -221,7 +222,8 @@ class SafetyNode:
             response.message = f"the driver is {self._driver_status().text}, allowed: active"
             return response
         status = self._driver_status()
-        # The motors are already enabled. A task may run, so nothing is sent to the device.
+        # The motors are already enabled. Nothing is sent to the device, because a task may be
+        # running.
         if status.state is DriverState.READY:
             response.success, response.message = True, status.text
             return response

@@ -180,8 +180,9 @@ class Guard:
         if self.over(now):  # the last table has ended since the last call of `watched`
             return self.resting(now).commanded(cycle, stamp_ns, now)
         thermal = self.thermal.at_time(self.rig, now)
-        # Upper bound of the time until the plate rests. It contains two more plays and the fades,
-        # because the current table is played to its end.
+        # Upper bound of the time until the plate rests. The current table is played to its end
+        # before the new table. Therefore the bound includes two additional plays, and the fade-in
+        # and fade-out.
         longest = (self.hold_cycles + 2) * (self.repeats + 2) * sum(p.period for p in cycle.parts)
         allowed = thermal.allowed_load(self.rig, longest)
         table, fit = prepare(

@@ -289,8 +289,8 @@ def with_fades(cycle: PlateCycle, repeats: int = 1) -> PlateCycle:
         return cycle
     times, pose, twist, accel = _faded_in(cycle)
     period = cycle.period
-    # To compute the fade-out, compute the fade-in of the cycle reversed in time, and then reverse
-    # it in time.
+    # The fade-out is computed in three steps: reverse the cycle in time, compute the fade-in of the
+    # result, and reverse the fade-in in time.
     back_times, back_pose, back_twist, back_accel = _faded_in(reversed_in_time(cycle))
     plays = [
         (

@@ -157,7 +157,8 @@ def densest(table: MotorTable, repeats: int, window_s: float) -> int:
     window = round(window_s / TICK_S)
     parts = [np.array([knot.ticks for knot in refined(part)]) for part in _parts(table)]
     if table.tail is None:
-        parts *= min(repeats, window // int(parts[0][-1]) + 2)  # more plays have the same counts
+        # more repetitions give the same maximum counts
+        parts *= min(repeats, window // int(parts[0][-1]) + 2)
     times = np.array([0])
     for part in parts:
         times = np.append(times, times[-1] + part[1:])

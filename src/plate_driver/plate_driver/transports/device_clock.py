@@ -118,7 +118,8 @@ class DeviceClock:
         if earliest > latest + TICK_S:
             ran, passed = own - self.since[1], now - self.since[0]
             return begun._found(f"ran {ran:.3f} s in {passed:.3f} s", now, strikes=fast)
-        middle = (earliest + latest) / 2  # rounding may make the bounds cross by up to a tick
+        # due to rounding, `earliest` may exceed `latest` by up to a tick
+        middle = (earliest + latest) / 2
         bounds = min(earliest, middle), max(latest, middle)
         return replace(begun, earliest=bounds[0], latest=bounds[1], since=self.since)
 

@@ -298,7 +298,8 @@ class Link:
             return replace(link, trouble=message)
         if isinstance(message, Pulse):
             if now - message.host_ns * 1e-9 > MAX_ROUND_TRIP_S:
-                return link  # the host has stalled, or the pulse is for a heartbeat of another host
+                # the host has stalled, or the pulse is the reply to a heartbeat of another host
+                return link
             clock, line = link.clock.received(message, now), link.line.received(message, now)
             return replace(link, clock=clock, line=line)
         if isinstance(message, Capabilities):
@@ -314,8 +315,8 @@ class Link:
         )  # fmt: skip
         if telemetry.state in MOVABLE:
             return replace(link, trouble=None)
-        # Drop the tables, because a stopped device refuses tables, and an enabled device must not
-        # receive old tables.
+        # Remove the waiting tables. A stopped device refuses tables, and after the next enable the
+        # device must not receive old tables.
         queue = tuple(p for p in self.queue if not isinstance(p.message, Begin | Knots | Commit))
         return replace(link, queue=queue, next_table=())
 
@@ -345,7 +346,7 @@ class Link:
         if self.answer is not None and self.answer.sequence == answer.sequence:
             link = replace(link, answer=replace(self.answer, status=answer.status))
         if answer.status is Status.DONE:
-            # The last telemetry is older than the result of this command, so wait for the next
+            # The last telemetry does not contain the effect of this command, so wait for the next
             # telemetry.
             changed = isinstance(message, Commit | Home | Enable | Stop)
             return replace(link, fresh_telemetry=None if changed else self.fresh_telemetry)
@@ -453,7 +454,8 @@ class Link:
             return self
         telemetry = self.fresh_telemetry
         if self.follows and (telemetry is None or telemetry.waiting == self.follows):
-            return self  # the device refuses the next table until the previous one plays
+            # wait, because the device refuses the next table until the previous table plays
+            return self
         return replace(self, next_table=())._requested(*self.next_table)
 
     def _in_flight(self, pending: Pending, now: float) -> bool:
@@ -504,7 +506,7 @@ class Link:
         if self.device is None or not queue or not isinstance(queue[0].message, Knots):
             return [p for p in queue[:1] if not self._in_flight(p, now)]
         knots = [p for p in queue if isinstance(p.message, Knots)]
-        # Send all knots, because the line loses most of them.
+        # Send all knots again, because the line loses most messages.
         if self.line.lossy and not self.in_order:
             return sorted(knots, key=lambda p: p.sent_at)
         return [p for p in knots if not self._in_flight(p, now)]

@@ -241,14 +241,14 @@ class SerialTransport:
         self._limits, self._trigger = limits, trigger
         self._unfit: Report | None = None
         self._boot: int | None = None
-        self._reset = False  # whether the device was reset and not enabled since
-        # Problem of the device's clock for which the motors were stopped. Empty after the next
-        # enable.
+        self._reset = False  # whether the device was reset after the last enable
+        # Problem of the device's clock that caused a stop of the motors. The next enable clears it.
         self._clock_fault = ""
         self._closed = False
         self._streams, self._baud = streams, baud
         self._streamed: SetpointStream | None = None
-        self._stream_began: float | None = None  # start of the stream on the device's clock [s]
+        # start time of the stream on the device's clock [s]
+        self._stream_began: float | None = None
         # Stream that begins when the current stream has ended.
         self._next: SetpointStream | None = None
         self.min_lead_s = float("inf")
@@ -257,7 +257,7 @@ class SerialTransport:
         self._reader = Reader()
         self._link = Link.begun(self._session, clock(), baud, trigger)
         self._stops: list[Order] = []
-        self._request: Order | None = None  # pending enable or home
+        self._request: Order | None = None  # pending enable or home command
         self._cut = False
         self._table = 0
         self._sent: dict[int, MotorTable] = {}
@@ -358,7 +358,7 @@ class SerialTransport:
         self.min_lead_s = min(self.min_lead_s, self._lead(now))
         try:
             data = self._port.read(READ_BYTES)
-            now = self._clock()  # no byte of `data` arrived later than this
+            now = self._clock()  # time after the arrival of all bytes of `data`
             reader, packets = self._reader.fed(data)
             self.refused += reader.refused - self._reader.refused
             self._reader = reader
@@ -403,7 +403,7 @@ class SerialTransport:
         condition = CONDITIONS[telemetry.state]
         if self._clock_fault:
             halting = condition in (Condition.OFF, Condition.BRAKING)
-            # The stop has not reached the device yet.
+            # If the device does not brake yet, the stop has not reached it.
             condition = condition if halting else Condition.GONE
             return Report(condition, DriverReason.DEVICE_CLOCK, self._clock_fault)
         if telemetry.state is State.OFF and self._reset:
@@ -484,7 +484,7 @@ class SerialTransport:
         report = self.report()
         if report.condition is Condition.GONE or telemetry is None:
             return order.complete(report.text)
-        # Refuse, because it is not known which stop this enable would end.
+        # Refuse the enable command, because it is unknown which stop it would end.
         if self._stops or self._link.fresh_telemetry is None:
             return order.complete(
                 "the device has not reported the last stop yet; call enable again"
@@ -555,7 +555,8 @@ class SerialTransport:
     # The line
 
     def _write(self, port: Port, due: list[Packet]) -> None:
-        # The zero at the start ends a partial frame that noise may have left on the line.
+        # Noise on the line may look like the start of a frame. The zero byte ends this partial
+        # frame.
         data = b"\0" + b"".join(frame(pack(packet)) for packet in due)
         if port.write(data) != len(data):
             self._note("serial line is full: lost messages are repeated")
@@ -665,7 +666,7 @@ class SerialTransport:
                 self._link = self._link.streaming(self._table, first)
             return
         if telemetry.table != self._table or not self._link.clock.known:
-            return  # the stream does not play yet, or the device's clock is not known
+            return  # the stream does not play yet, or the offset of the device's clock is unknown
         if self._stream_began is None:
             self._stream_began = telemetry.device_us * 1e-6
         if stream.ended:
@@ -678,7 +679,7 @@ class SerialTransport:
         self._port, self._reader = port, Reader()
         self._session = (self._session + 1) % 2**32
         self._link = Link.begun(self._session, self._clock(), self._baud, self._trigger)
-        if self._stops:  # send unanswered stops again
+        if self._stops:  # send stops again that the device has not acknowledged
             self._link = self._link.stopping(self._cut)
 
     def _reopen(self, now: float) -> None:

@@ -77,9 +77,12 @@ class Latch:
     def __init__(self) -> None:
         self._lock = threading.Lock()
         self._reason, self._number = DriverReason.NONE, 0
-        self._enabling: list[int] = []  # numbers of the stops that the running enables will clear
-        self.late: Order | None = None  # the last stop, if it was not acknowledged in time
-        self.enabled_ns = 0  # wall time of the last enable [ns]; it differs each time
+        # numbers of the stops that the enable commands in progress will clear
+        self._enabling: list[int] = []
+        # the last stop, if the device did not acknowledge it in time
+        self.late: Order | None = None
+        # system time of the last enable [ns], which is different for each enable
+        self.enabled_ns = 0
 
     @property
     def reason(self) -> DriverReason:
@@ -166,7 +169,8 @@ class TransportThread:
         self._measured_at = float("-inf")
         self._enables: list[_Enable] = []
         self._stop = Order().complete()  # last stop
-        self._owed: list[bool] = []  # one entry per postponed stop: whether to cut the power
+        # one entry per postponed stop, which states whether to switch off the motor current
+        self._owed: list[bool] = []
         self._troubles: list[str] = []
         self._thread = threading.Thread(target=self._run, name="transport", daemon=True)
         self.report: Report = transport.report()
@@ -233,7 +237,8 @@ class TransportThread:
             self._latch.enable_ended(each.number)
             each.result.complete(failure)
             if not opened and (not completed or each.order.done):
-                # The enable has failed, so switch off the motors that it may have switched on.
+                # The enable command has failed. Switch off the motors, because the command may have
+                # switched them on.
                 self._tried(self._transport.stop)
 
     def _tried(self, call: Callable[[], T]) -> T | None:
@@ -251,7 +256,7 @@ class TransportThread:
         except Exception as error:
             why = f"the transport has a defect: {error!r}"
             self.report = Report(Condition.GONE, DriverReason.DEFECT, why)
-            with contextlib.suppress(Exception):  # the same defect may make this call fail
+            with contextlib.suppress(Exception):  # this call may fail because of the same defect
                 self._transport.stop()
             self._on_defect(error)
             return None

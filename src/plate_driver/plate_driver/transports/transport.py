@@ -37,7 +37,7 @@ GROUP = "plate_driver.transports"
 class Condition(Enum):
     """State of the motors."""
 
-    GONE = "gone"  # the motor controller does not answer, so its state is unknown
+    GONE = "gone"  # the motor controller does not reply, so the state of the motors is unknown
     OFF = "off"  # the motors have no current
     ENABLING = "enabling"  # the plate moves home
     READY = "ready"  # the motors hold the plate at home or play a table, and accept a table

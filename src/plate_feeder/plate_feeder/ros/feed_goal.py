@@ -103,7 +103,8 @@ class FeedGoal:
         wanted = self._sent and number == self._number
         if wanted and self.runs:
             return
-        if handle is not None and (handle.accepted or again):  # rclpy refuses a repeated id
+        # rclpy refuses a goal that is sent again with the same id
+        if handle is not None and (handle.accepted or again):
             handle.get_result_async().add_done_callback(lambda done: self._on_end(number, done))
             if wanted:
                 self._handle, self.runs = handle, True
