@@ -55,34 +55,37 @@ CLOCK_PERIOD_S = 0.01
 """Interval between two messages on /clock [s, wall]."""
 
 REPEAT_PERIOD_S = 1.0
-"""In lockstep, the simulator waits for the reply to an image. At this interval, it publishes the
-image and the start of its cycle again [s, wall]."""
+"""In lockstep, the simulator waits for the motor table that results from an image. While this table
+is missing, the simulator publishes the image and the start of its cycle again at this interval [s,
+wall]."""
 
 MIN_NS = 20_000_000
-"""Minimum time between two images during the device's motion [ns]. An image that would follow the
-last one sooner is omitted."""
+"""Minimum time between two images if the simulated device moves the plate [ns]. If the next image
+would be taken earlier, it is omitted."""
 
 GAP_NS = 1_000_000
-"""Tolerance of times of the device's motion [ns]: maximum gap between two consecutive segments, and
-between the end of a segment and the trigger pulse for its image."""
+"""Tolerance of times of the device's motion [ns]. The gap between two consecutive segments must not
+exceed it. The same applies to the gap between the end of a segment and the trigger pulse for its
+image."""
 
 MAX_CLOCK_ERROR_NS = 50_000_000
-"""Maximum difference between the stamps and the system's clock in real time [ns]."""
+"""Maximum difference between the stamps of images and the clock of the system [ns]. This limit
+applies only in real time."""
 
 IMAGE_GROUP = "Effects in the images, see config/nodes.yaml"
-"""Group of the parameters that affect only images."""
+"""Title of the group of parameters that affect only images."""
 
 NO_USE = CycleUsage(0.0, 0.0, 0.0, 0.0)
 
 
 def _disturbance(name: str, description: str, live: bool = True, group: str = "") -> Any:
-    """Return the node's parameter for a field of `Disturbances`."""
+    """Return a parameter of the node that sets the field `name` of `Disturbances`."""
     value = getattr(Disturbances, name)
     return parameter(value, description, *RANGES[name], live=live, group=group)
 
 
 def _image_parameter(name: str, description: str) -> Any:
-    """Return the node's parameter for a disturbance that affects only images."""
+    """Return a parameter of the node that sets a disturbance of the images only."""
     return _disturbance(name, description, group=IMAGE_GROUP)
 
 
@@ -223,8 +226,8 @@ class Options(NodeOptions):
 
 @dataclass
 class Tally:
-    """Counts since the last report: received tables, refused tables, and cycles that started late.
-    `why` is the reason of the last refusal."""
+    """Counts since the diagnostics were last published. They are the numbers of received tables, of
+    refused tables, and of cycles that started late. `why` is the reason of the last refusal."""
 
     tables: int = 0
     refused: int = 0
@@ -233,24 +236,25 @@ class Tally:
 
 
 class SimulatorNode(SafeLifecycleNode[Options]):
-    """Lifecycle node `simulator`. It executes motor tables, simulates the parts and publishes
+    """Lifecycle node `simulator`. The node executes motor tables, simulates the parts and publishes
     images.
 
     The node subscribes to motor_setpoints. If the device drives the plate, the node subscribes to
-    motor_motion and camera_trigger instead. It publishes image_raw, camera_info, cycle_started,
-    diagnostics and ground_truth, and /clock if time is simulated. ground_truth serves only to
-    evaluate a run. The service ~/reset restarts the scenario with the seed of the parameter `seed`
-    if this was set since the last reset, and with the next seed otherwise. The services
-    ~/place_part, ~/remove_part, hopper/open and ~/move_robot change the parts. After a call of
-    these services, or a change of a live parameter, a seed no longer reproduces the run.
+    motor_motion and camera_trigger instead. The node publishes image_raw, camera_info,
+    cycle_started, diagnostics and ground_truth, and /clock if time is simulated. ground_truth
+    contains the true parts and must be used only to evaluate a run. The service ~/reset restarts
+    the scenario. If the parameter `seed` was set since the last reset, the service uses this seed,
+    otherwise the last seed plus 1. The services ~/place_part, ~/remove_part, hopper/open and
+    ~/move_robot change the parts. After a call of one of these services, or a change of a live
+    parameter, the seed alone no longer reproduces the run.
 
-    Cycle k begins at t_k with the newest table, and `cycle_started` has the stamp t_k. Then image k
-    is taken, and the parts are simulated until t_k+1. In real time, cycle k+1 begins at t_k+1. In
-    lockstep, cycle k+1 begins when a table with the stamp of image k arrives, or at once if image k
-    is missing. If no new table has arrived, the plate repeats the last table or executes its tail.
-    If the device drives the plate, the parts follow each segment of `motor_motion`, and an image is
-    taken at the end of the segment or at a trigger pulse. While the node is inactive, simulated
-    time does not advance.
+    Cycle k begins at the time t_k with the newest motor table, and the message cycle_started has
+    the stamp t_k. Then image k is taken, and the parts are simulated until the time t_k+1. In real
+    time, cycle k+1 begins at t_k+1. In lockstep, cycle k+1 begins when a table with the stamp of
+    image k arrives. If image k is missing, it begins at once. If no new table has arrived, the
+    plate repeats the last table or executes the tail of this table. If the device drives the plate,
+    the parts are simulated for each segment of motor_motion. An image is taken at the end of a
+    segment or at a trigger pulse. While the node is inactive, simulated time does not advance.
     """
 
     def __init__(self) -> None:
@@ -264,7 +268,7 @@ class SimulatorNode(SafeLifecycleNode[Options]):
         )  # fmt: skip
 
     def configure(self) -> None:
-        """Load the rig and the scenario, place the parts, and create publishers and
+        """Load the rig and the scenario, place the parts on the plate, and create publishers and
         subscriptions."""
         options = self.options
         self._rig = load_rig(options.rig_file)
@@ -298,7 +302,7 @@ class SimulatorNode(SafeLifecycleNode[Options]):
         self._connect()
 
     def begin(self) -> None:
-        """Continue with the plate at rest. The next cycle begins now."""
+        """Start with the plate at rest. The next cycle begins at once."""
         options = self.options
         self._timeline = Timeline.at_rest(options.idle_period)
         self._tally = Tally()
@@ -319,20 +323,20 @@ class SimulatorNode(SafeLifecycleNode[Options]):
             self._begin_cycle()
 
     def rest(self) -> None:
-        """Bring the plate to rest: simulate the remaining time of the cycle, and then the tail of
-        the cycle."""
+        """Bring the plate to rest. Simulate the remaining time of the running cycle, and then the
+        tail of this cycle."""
         if not self._driven:
             self._move(self._timeline.cycle, self._next_ns)
             if self._timeline.cycle.tail is not None:
                 self._simulation.run(self._timeline.cycle.tail)
 
     def retune(self) -> None:
-        """Apply the changed values of disturbances, noise, friction and rate.
+        """Apply new values of the parameters for disturbances, noise, friction and rate.
 
         Raises
         ------
         PlateError
-            If the rate cannot be changed in this mode, or if a value is out of range.
+            The rate cannot be changed in this mode, or a value is outside its range.
         """
         options, before = self.options, self._rate
         if options.rate != before and (options.lockstep or not self._simulated_time):
@@ -350,7 +354,8 @@ class SimulatorNode(SafeLifecycleNode[Options]):
                 self._wait(self._moved_ns)
 
     def _note_seed(self, parameters: list[Parameter]) -> None:
-        """Store a set seed for the next reset, even if it is equal to the present seed."""
+        """If the parameter `seed` was set, store its value for the next reset, even if it is equal
+        to the present seed."""
         for item in parameters:
             if item.name == "seed":
                 self._next_seed = int(item.value)
@@ -364,8 +369,8 @@ class SimulatorNode(SafeLifecycleNode[Options]):
         )  # fmt: skip
 
     def _warm_up(self) -> None:
-        """Simulate and render once, so that libraries are loaded and tables are computed before the
-        first cycle."""
+        """Simulate one cycle and render one image. All libraries are thus loaded, and all tables
+        are computed, before the first cycle."""
         state = self._simulation.state
         angle, rng = np.zeros(len(state.ids)), np.random.default_rng(0)
         run_cycle(state, PlateCycle.rest(self.options.idle_period), self._rig)
@@ -400,13 +405,14 @@ class SimulatorNode(SafeLifecycleNode[Options]):
     # Time
 
     def _begin_cycle(self) -> None:
-        """Start the next cycle. In lockstep, start further cycles until a cycle has an image."""
+        """Start the next cycle. In lockstep, if the image of this cycle is missing, start further
+        cycles until an image was published."""
         while not self._run_cycle() and self.options.lockstep:
             pass
 
     def _run_cycle(self) -> bool:
-        """Select the table of the next cycle, take its image, and simulate the parts until the next
-        image or the end of the cycle. Return whether the cycle has an image.
+        """Select the table of the next cycle and take its image. Then simulate the parts until the
+        next image or the end of the cycle. Return whether an image was published.
         """
         self._time_ns = self._moved_ns = self._next_ns
         options, before = self.options, self._timeline
@@ -433,8 +439,8 @@ class SimulatorNode(SafeLifecycleNode[Options]):
         return seen
 
     def _advance(self) -> None:
-        """Simulate the parts until the next image is delivered or the cycle ends, and set the timer
-        to this time."""
+        """Simulate the parts until the time at which the next image is delivered or the cycle ends.
+        Set the timer to this time."""
         cycle, end_ns = self._timeline.cycle, self._next_ns
         if self._shot is not None and self._delivered_ns < end_ns:
             end_ns = self._delivered_ns
@@ -443,14 +449,14 @@ class SimulatorNode(SafeLifecycleNode[Options]):
             self._wait(end_ns)
 
     def _wait(self, until_ns: int) -> None:
-        """Set the timer to a simulated time in this cycle [ns]."""
+        """Set the timer to the simulated time `until_ns` in this cycle [ns]."""
         ahead_ns = round((self._next_ns - until_ns) / self.options.rate)
         self._alarm.timer_period_ns = max(1, self._due_ns - ahead_ns - time.monotonic_ns())
         self._alarm.reset()
 
     def _move(self, motion: PlateCycle | PlateMotion, end_ns: int) -> None:
-        """Simulate the parts from `_moved_ns` to `end_ns` on a plate whose `motion` began at
-        `_time_ns`."""
+        """Simulate the parts from the time `_moved_ns` to `end_ns`. The motion `motion` of the
+        plate began at the time `_time_ns`."""
         begin, end = (1e-9 * (t - self._time_ns) for t in (self._moved_ns, end_ns))
         if begin == 0 and end_ns == self._next_ns:
             self._simulation.run(motion)
@@ -484,7 +490,7 @@ class SimulatorNode(SafeLifecycleNode[Options]):
         self._begin_cycle()
 
     def _start_shots(self, begin_ns: int) -> None:
-        """Start the sequence of images of a free-running camera at `begin_ns`."""
+        """Start the sequence of images of a free-running camera at the time `begin_ns`."""
         self._shot = None
         if self.options.image_rate > 0:
             self._shots = self._simulation.shots(0.0)
@@ -514,12 +520,12 @@ class SimulatorNode(SafeLifecycleNode[Options]):
     # Tables
 
     def _record_input(self) -> None:
-        """Count a received table or segment."""
+        """Count a motor table or a segment of motion that was received."""
         self._input = self._input.received(time.monotonic())
         self._tally.tables += 1
 
     def _refuse(self, error: PlateError) -> None:
-        """Count a refused table or segment."""
+        """Count a motor table or a segment of motion that was refused."""
         self._count["refused tables"] += 1
         self._tally.refused += 1
         self._tally.why = str(error)
@@ -546,7 +552,7 @@ class SimulatorNode(SafeLifecycleNode[Options]):
 
     def _on_motion(self, msg: JointTrajectory) -> None:
         """Simulate the parts during a segment of the device's motion, and take the images of this
-        time."""
+        interval."""
         self._record_input()
         try:
             times, *motors = msg_to_knots(msg, [motor.name for motor in self._rig.motors])
@@ -577,8 +583,8 @@ class SimulatorNode(SafeLifecycleNode[Options]):
         self._move(motion, end_ns)
 
     def _on_pulse(self, msg: Header) -> None:
-        """If the parts are already simulated up to the trigger pulse, take an image. Otherwise
-        `_on_motion` takes the image later."""
+        """Process a trigger pulse. If the parts are already simulated up to the time of the pulse,
+        take an image. Otherwise, `_on_motion` takes the image later."""
         self._pulse_ns = nanoseconds(msg.stamp)
         if abs(self._moved_ns - self._pulse_ns) <= GAP_NS:
             self._expose(self._pulse_ns)
@@ -591,8 +597,8 @@ class SimulatorNode(SafeLifecycleNode[Options]):
             self._publish_truth()
 
     def _on_reset(self, _: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
-        """Restart the scenario. The seed is the parameter `seed` if it was set since the last
-        reset, and the next seed otherwise."""
+        """Restart the scenario. If the parameter `seed` was set since the last reset, it is the
+        seed. Otherwise, the seed is the last seed plus 1."""
         self._seed = (self._seed + 1) % 2**31 if self._next_seed is None else self._next_seed
         plate, self._next_seed = self._simulation.plate, None
         self._simulation, self._ahead = self._new_simulation(), []
@@ -603,7 +609,7 @@ class SimulatorNode(SafeLifecycleNode[Options]):
     def _on_place(
         self, request: PlacePart.Request, response: PlacePart.Response
     ) -> PlacePart.Response:
-        """Place a part by hand. The part is visible from the next image on."""
+        """Place a part on the plate, as if by hand. The part is visible from the next image on."""
         place = np.array([request.x, request.y])
         self._ahead = []
         try:
@@ -619,7 +625,7 @@ class SimulatorNode(SafeLifecycleNode[Options]):
     def _on_remove(
         self, request: RemovePart.Request, response: RemovePart.Response
     ) -> RemovePart.Response:
-        """Remove a part from the plate by hand."""
+        """Remove a part from the plate, as if by hand."""
         self._ahead = []
         try:
             self._simulation.remove(request.id)
@@ -645,7 +651,7 @@ class SimulatorNode(SafeLifecycleNode[Options]):
     def _on_move(
         self, request: MoveRobot.Request, response: MoveRobot.Response
     ) -> MoveRobot.Response:
-        """Move the robot. Grip a part if requested."""
+        """Move the robot, and grip a part if this is requested."""
         self._ahead = []
         try:
             done = self._simulation.move_robot(request.to, request.x, request.y, request.angle)
@@ -659,8 +665,8 @@ class SimulatorNode(SafeLifecycleNode[Options]):
     # Messages
 
     def _take_image(self, stamp_ns: int, age: float | None = None) -> bool:
-        """Publish the image of `Simulation.capture`, unless it is missing. Return whether an image
-        was published."""
+        """Publish the image that `Simulation.capture` returns, unless the image is missing. Return
+        whether an image was published."""
         stamp = to_time(stamp_ns)
         pixels = self._ahead.pop() if self._ahead else self._simulation.capture(age)
         if pixels is not None:
@@ -680,13 +686,13 @@ class SimulatorNode(SafeLifecycleNode[Options]):
         self._truths.publish(parts_to_msg(truth, to_time(self._time_ns), Part.SIMULATED))
 
     def _publish_start(self) -> None:
-        """Publish the cycle that the plate executes, with its start time."""
+        """Publish the cycle that the plate has begun, with its start time."""
         if self._starts.get_subscription_count():
             self._starts.publish(cycle_to_msg(self._timeline.cycle, to_time(self._time_ns)))
 
     def _repeat_image(self) -> None:
-        """Publish the last image and the start of its cycle again. This is done in lockstep, while
-        the reply to the image is missing."""
+        """Publish the last image and the start of its cycle again. In lockstep, this is repeated
+        while the motor table that results from the image is missing."""
         self._publish_start()
         self._publish_image()
 
@@ -700,7 +706,7 @@ class SimulatorNode(SafeLifecycleNode[Options]):
             self._repeat.reset()
 
     def _find(self, now: float) -> Finding:
-        """Return the diagnostics of the received tables, the plate and the parts (see
+        """Return the most severe problem of the received tables, the plate and the parts (see
         `plate_core.status`)."""
         tally, dropped = self._tally, self._simulation.dropped
         findings = [

@@ -1,4 +1,5 @@
-"""Record of a part's constants for the kernels (`step.hpp`)."""
+"""Type of the record that contains the constants of one part for the compiled kernels
+(`step.hpp`)."""
 
 import numpy as np
 

@@ -1,7 +1,6 @@
-"""The plate: its motion, its drive, the check of motor tables, and its surface.
-
-This package exports the public names. For compiled code, `pieces.hpp` and `course.hpp` evaluate the
-motion."""
+"""Simulation of the plate. The package contains the plate's motion, its drive, the check of motor
+tables, and its surface. This module exports the public names. In compiled code, `pieces.hpp` and
+`course.hpp` evaluate the motion."""
 
 from .check_table import check_table
 from .drive import PlateState

@@ -7,21 +7,21 @@ from plate_core import CycleError, PlateCycle, Rig
 from plate_core.motion import CycleUsage, usage
 
 SLACK = 1.02
-"""Maximum use of a limit by an accepted table, as a fraction of the limit. It is above 1, because
-the computed peaks of a table are upper bounds that are up to 1 % too high."""
+"""Maximum value in an accepted motor table, as a fraction of the rig's limit. The fraction is above
+1, because the computed peaks of a table are upper bounds that are up to 1 % too high."""
 
 PERIOD = (0.01, 10.0)
-"""Allowed length of a table [s]. One image is taken per table."""
+"""Allowed range of the length of a motor table [s]. The simulator takes one image per table."""
 
 
 def check_table(rig: Rig, cycle: PlateCycle, running: PlateCycle) -> CycleUsage:
-    """Return the fractions of the rig's limits that a table uses.
+    """Check a motor table, and return its peak values.
 
     Raises
     ------
     CycleError
-        If the table starts neither at rest at home nor in the end state of the running table, if it
-        exceeds a limit, or if it is too short or too long.
+        The table starts neither at rest at home nor in the end state of the running table, exceeds
+        a limit, or is too short or too long.
     """
     if not PERIOD[0] <= cycle.period <= PERIOD[1]:
         raise CycleError(f"period is {cycle.period:g} s, allowed: {PERIOD[0]:g} to {PERIOD[1]:g} s")

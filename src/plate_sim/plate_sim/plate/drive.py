@@ -1,15 +1,17 @@
-"""The plate on its flexures and the drive of its motors, modelled as one linear system.
+"""Model of the plate on its flexures and of the drive of its motors, as one linear system.
 
     M q'' + C q' + K q = B f,      f_i' = w (g_i u_i - f_i),
     u = B^+ (s_M M c'' + s_C C c' + s_K K c) + k B^T (c - q) + d B^T (c' - q')
 
-q is the pose of the plate, c the commanded pose, and f the forces of the motors. B is the matrix
-that maps these forces to the wrench on the plate at home, B^+ is its least-squares inverse, and w
-is the bandwidth of the motors. The class `Suspension` defines the other quantities. The state is
-the deviation e = q - c. If the motors have a bandwidth, the state also contains the deviation of
-their forces f - g B^+ (...). The state z follows z' = A z + b(t), where b is the error of the
-feedforward. If the drive knows the plate exactly, and if the motors are equal and have no lag, e is
-exactly 0.
+q is the pose of the plate, c the commanded pose, f the forces of the motors, and u their setpoints.
+B is the matrix that maps these forces to the wrench on the plate at home. B^+ is the least-squares
+inverse of B, and w is the bandwidth of the motors. The class `Suspension` defines the other
+quantities.
+
+The state z of the system contains the deviation e = q - c and its rate. If the motors have a finite
+bandwidth, z also contains the deviation of their forces from the feedforward, f - g B^+ (...). The
+state follows z' = A z + b(t), where b is the error of the feedforward. If the feedforward
+compensates M, C and K exactly, and if the motors are equal and have no lag, e is exactly 0.
 """
 
 from __future__ import annotations
@@ -26,11 +28,11 @@ from plate_core.rig import Suspension
 from .motion import PlateMotion
 
 DEGREE = 5
-"""Degree of the polynomials of the commanded motion in a piece, and of the forces in a piece."""
+"""Degree of the polynomials that describe the commanded motion and the forces in each piece."""
 
 HELD = 1e-6
-"""Minimum ratio of the slowest to the fastest rate of the system. With a smaller ratio, nothing
-holds the plate in place."""
+"""Minimum ratio of the slowest to the fastest rate of the system. If the ratio is smaller, neither
+the flexures nor the servo hold the plate in place."""
 
 
 @dataclass(frozen=True)
@@ -74,15 +76,15 @@ class PlateState:
 
 @dataclass(frozen=True)
 class Plant:
-    """Plate and drive: z' = system z + b. z (n,) is the deviation. n is 6, or 10 if the motors have
-    a lag.
+    """Plate and drive as a linear system z' = A z + b, see the module. z (n,) is the state, with n
+    = 6, or n = 10 if the motors have a lag.
 
     Attributes
     ----------
     suspension : Suspension
     push : (3, 4)
-        The matrix B: force and torque on the plate about home, per newton of force of each motor
-        [N, N, N m].
+        Matrix B. Each column contains force and torque on the plate about home per newton of force
+        of one motor [N, N, N m].
     """
 
     suspension: Suspension
@@ -90,12 +92,13 @@ class Plant:
 
     @classmethod
     def of(cls, rig: Rig, suspension: Suspension) -> Plant:
-        """Return the plant of a rig.
+        """Return the linear system of a rig.
 
         Raises
         ------
         PlateError
-            If nothing holds the plate in place, or if the servo makes it unstable.
+            Neither the flexures nor the servo hold the plate in place, or the servo makes the plate
+            unstable.
         """
         plant = cls(suspension, rig.motor_levers.T)
         rates = np.linalg.eigvals(plant.system)
@@ -125,28 +128,30 @@ class Plant:
 
     @cached_property
     def matrices(self) -> np.ndarray:
-        """K, C and M (3, 3, 3), in the order of the derivatives by which they are multiplied."""
+        """Matrices K, C and M (3, 3, 3). They are multiplied by the pose and its first and second
+        derivative."""
         return np.array([getattr(self.suspension, k) for k in ("stiffness", "damping", "mass")])
 
     @cached_property
     def known(self) -> np.ndarray:
-        """K, C and M, multiplied by the fractions that the feedforward compensates (3, 3, 3)."""
+        """Matrices K, C and M, multiplied by the fractions of them that the feedforward compensates
+        (3, 3, 3)."""
         return self.matrices * np.array(self.suspension.feedforward[::-1])[:, None, None]
 
     @cached_property
     def share(self) -> np.ndarray:
-        """Least-squares inverse B^+ (4, 3)."""
+        """Least-squares inverse B^+ of the matrix B (4, 3)."""
         return np.asarray(np.linalg.pinv(self.push))
 
     @cached_property
     def mobility(self) -> np.ndarray:
-        """Inverse of M (3, 3)."""
+        """Inverse of the mass matrix M (3, 3)."""
         return np.asarray(np.linalg.inv(self.matrices[2]))
 
     @cached_property
     def servo(self) -> np.ndarray:
-        """Servo forces (4, 6) per deviation of pose and twist. The forces include the gains of the
-        motors."""
+        """Matrix (4, 6) that maps the deviations of pose and twist to the servo forces of the
+        motors. The forces include the gains of the motors."""
         stiff, damped = (s * self.push.T for s in self.suspension.servo)
         return np.asarray(-self.gain[:, None] * np.concatenate([stiff, damped], axis=1))
 
@@ -165,13 +170,15 @@ class Plant:
         )
 
     def deviation(self, state: PlateState, command: Command) -> np.ndarray:
-        """Return the deviation z (n,) of a state at the start of a command."""
+        """Convert the state of the plate at the start of a command to the state z (n,) of the
+        linear system."""
         pose, twist, force = command.at(0, 0.0)
         parts = [state.pose - pose, state.twist - twist, state.force - self.gain * force]
         return np.concatenate(parts[: 3 if self.lags else 2])
 
     def end(self, deviation: np.ndarray, command: Command) -> PlateState:
-        """Return the state for a deviation z (n,) at the end of a command."""
+        """Convert the state z (n,) of the linear system at the end of a command to the state of the
+        plate."""
         pose, twist, force = command.at(len(command.steps) - 1, command.steps[-1])
         follow = deviation[6:] if self.lags else self.servo @ deviation
         return PlateState(pose + deviation[:3], twist + deviation[3:6], self.gain * force + follow)
@@ -179,19 +186,19 @@ class Plant:
 
 @dataclass(frozen=True)
 class Command:
-    """A commanded cycle and the errors of its feedforward. Both are described by their derivatives
-    at the starts of the pieces.
+    """A commanded cycle and the errors of its feedforward. Both are polynomials in each piece,
+    which are described by their time derivatives at the start of the piece.
 
     Attributes
     ----------
     times : (k + 1,)
         Ends of the pieces [s].
     pose : (k, 6, 3)
-        Commanded pose c and its derivatives.
+        Commanded pose c and its time derivatives.
     force : (k, 6, 4)
-        Feedforward forces of the motors [N].
+        Feedforward forces of the motors [N], and their time derivatives.
     forcing : (k, 6, n)
-        Error b of the feedforward.
+        Error b of the feedforward, and its time derivatives.
     """
 
     times: np.ndarray
@@ -201,7 +208,7 @@ class Command:
 
     @classmethod
     def of(cls, plant: Plant, cycle: PlateCycle | PlateMotion) -> Command:
-        """Return the command of a cycle for a plant."""
+        """Convert a cycle to a command for a plant."""
         pose = cycle.coefficients * np.array([factorial(i) for i in range(DEGREE + 1)])[:, None]
         derivatives = [_derivative(pose, order) for order in range(3)]
         needed = sum(d @ m for d, m in zip(derivatives, plant.matrices, strict=True))
@@ -219,22 +226,23 @@ class Command:
         return np.diff(self.times)
 
     def at(self, piece: int, offset: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Return pose (3,), twist (3,) and motor forces (4,) at `offset` [s] after the start of a
-        piece."""
+        """Return the commanded pose (3,) and twist (3,), and the feedforward forces (4,). The time
+        is `offset` [s] after the start of the piece `piece`."""
         row, offsets = slice(piece, piece + 1), np.array([offset])
         pose, force = later(self.pose[row], offsets)[0], later(self.force[row], offsets)[0]
         return pose[0], pose[1], force[0]
 
 
 def _derivative(derivatives: np.ndarray, order: int) -> np.ndarray:
-    """Return the time derivative of the given order, (k, 6, d)."""
+    """Return the time derivatives of order `order` of polynomials, (k, 6, d). Both arrays contain
+    derivatives at the starts of the pieces."""
     width = derivatives.shape[1]
     return np.pad(derivatives, ((0, 0), (0, order), (0, 0)))[:, order : order + width]
 
 
 def later(derivatives: np.ndarray, offset: np.ndarray) -> np.ndarray:
-    """Return the derivatives (m, DEGREE + 1, d) of polynomials at a time that is `offset` (m,) [s]
-    later."""
+    """Return the time derivatives (m, DEGREE + 1, d) of m polynomials at times that are later by
+    `offset` (m,) [s]."""
     order = np.arange(DEGREE + 1)
     # In the Taylor series, derivative j contributes to derivative i at the later time. power[i, j]
     # is the exponent of `offset` in this contribution.

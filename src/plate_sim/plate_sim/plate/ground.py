@@ -11,21 +11,21 @@ from typing import NamedTuple
 from plate_core import PlateError
 
 STATIC = (1.0, 10.0)
-"""Allowed ratio of static to dynamic friction."""
+"""Allowed range of the ratio of static to dynamic friction."""
 
 SLOPE = (-5.0, 5.0)
-"""Allowed change of friction with the slip [1/(m/s)]."""
+"""Allowed range of the relative change of friction with the slip speed [1/(m/s)]."""
 
 HEAVE = (-0.1, 0.1)
-"""Allowed ratio of vertical to horizontal motion of the plate. With a larger ratio, the plate would
-throw parts up."""
+"""Allowed range of the ratio of vertical to horizontal motion of the plate. With a larger ratio,
+the plate would throw parts up."""
 
 TILT = 0.5
-"""Maximum tilt [rad], about 29 degrees."""
+"""Maximum tilt of the plate [rad]. It is about 29 degrees."""
 
 
 class GroundEffect(NamedTuple):
-    """Effects of the ground on parts, for compiled code.
+    """Numbers by which compiled code describes the effects of the surface on parts.
 
     - gravity along the plate [m/s2, plate_home]
     - ratio of static to dynamic friction
@@ -47,18 +47,19 @@ class Ground:
     Attributes
     ----------
     static_ratio : float
-        Ratio of static to dynamic friction. A sticking part begins to slip if more than
-        `static_ratio` mu g is required to hold it.
+        Ratio of static to dynamic friction. A sticking part begins to slip if the acceleration that
+        is required to hold it exceeds `static_ratio` mu g.
     tilt : (2,)
-        Tilt of the plate [rad]. Positive values pull parts along +x and +y.
+        Tilt of the plate along x and y [rad]. With positive values, gravity pulls parts along +x
+        and +y.
     friction_slope : float
-        Change of dynamic friction with the slip s [1/(m/s)]. Friction is multiplied by 1 + slope s
-        if the slope is positive, and by 1/(1 - slope s) if it is negative. If a part also rotates,
-        s is the root mean square of the slip over the part.
+        Relative change of dynamic friction with the slip speed s [1/(m/s)]. Friction is multiplied
+        by 1 + slope s if the slope is positive, and by 1/(1 - slope s) if the slope is negative. If
+        a part also rotates, s is the root mean square of the slip over the part.
     heave : float
-        Ratio of the plate's upward motion to its motion along x. At an acceleration a along x, the
-        weight of parts and therefore friction change by the factor 1 + heave a/g. Parts never leave
-        the plate.
+        Ratio of the plate's upward motion to its motion along x. If the plate has the acceleration
+        a along x, the weight of parts and the friction are multiplied by 1 + heave a/g. Parts never
+        leave the plate.
     """
 
     static_ratio: float = 1.0
@@ -82,7 +83,7 @@ class Ground:
             raise PlateError(f"tilt is {self.tilt!r} rad, allowed: two angles, up to {TILT:g}")
 
     def effect(self, gravity: float) -> GroundEffect:
-        """Return the effects of this ground on parts. `gravity` is in m/s2."""
+        """Convert this surface to the numbers for compiled code. `gravity` is in m/s2."""
         x, y = (gravity * sin(angle) for angle in self.tilt)
         return GroundEffect(
             float(x), float(y), float(self.static_ratio), float(self.friction_slope),

@@ -11,15 +11,15 @@ from plate_core import CycleError, PlateCycle, Rig
 from plate_core.motion import evaluate_pieces, plate_state, quintic_pieces
 
 ROUNDING_S = 1e-12
-"""Maximum difference of two times that count as equal [s]."""
+"""Two times count as equal if they differ by at most this value [s]."""
 
 
 @dataclass(frozen=True)
 class PlateMotion:
     """Actual motion of the plate over one cycle in plate_home, described by quintic pieces.
 
-    For a single cycle, integrators accept a `PlateMotion` in place of a `PlateCycle`. Both classes
-    have `period`, `times`, `coefficients`, `pose`, `twist` and `accel`.
+    If only one cycle is simulated, integrators accept a `PlateMotion` in place of a `PlateCycle`.
+    Both classes have the members `period`, `times`, `coefficients`, `pose`, `twist` and `accel`.
 
     Attributes
     ----------
@@ -40,25 +40,26 @@ class PlateMotion:
 
     @classmethod
     def of_cycle(cls, cycle: PlateCycle) -> PlateMotion:
-        """Return the motion that is equal to the commanded cycle."""
+        """Return a motion in which the plate follows the commanded cycle exactly."""
         return cls(cycle.times, cycle.coefficients)
 
     @classmethod
     def of_motors(cls, rig: Rig, times: np.ndarray, motors: np.ndarray) -> PlateMotion:
-        """Return the plate's motion for given motions of the four motors.
+        """Compute the motion of the plate from the motions of the four motors.
 
         Parameters
         ----------
         times : (k + 1,)
             Times [s], increasing from 0.
         motors : (k + 1, 3, 4)
-            Travel [m], speed [m/s] and acceleration [m/s2], with quintic interpolation.
+            Travel [m], speed [m/s] and acceleration [m/s2] of the motors at these times. Between
+            these times, the motion is a quintic polynomial.
 
         Raises
         ------
         CycleError
-            If the motions of the motors are inconsistent, if a value is not finite, or if the times
-            do not increase from 0.
+            The motions of the four motors contradict each other, a value is not finite, or the
+            times do not increase from 0.
         """
         times = np.asarray(times, dtype=float)
         if not (np.all(np.isfinite(motors)) and np.all(np.isfinite(times))):
@@ -69,8 +70,8 @@ class PlateMotion:
 
     @classmethod
     def piece(cls, motion: PlateCycle | PlateMotion, begin: float, end: float) -> PlateMotion:
-        """Return the part of a motion from `begin` to `end` [s]. Both times are within the
-        motion."""
+        """Return the section of a motion from the time `begin` to the time `end` [s]. Both times
+        are within the motion."""
         times = motion.times
         # If a knot is equal to `begin` or `end` up to rounding errors, omit the knot.
         first = int(np.searchsorted(times, begin + ROUNDING_S, "right")) - 1

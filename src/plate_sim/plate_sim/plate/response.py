@@ -1,12 +1,14 @@
-"""Actual motion of the plate on flexures and motors for a commanded cycle. The model is described
-in `drive`.
+"""Computes the actual motion of a plate on flexures for a commanded cycle. The module `drive`
+describes the model and its symbols.
 
-At the ends of the command's pieces, the deviation from the command is computed exactly. Because z'
-= A z + b(t) with b(t) = sum_k b_k t^k/k!, the state and all b_k together form an autonomous linear
-system. The exponential of its matrix advances it by one step (Higham, Functions of Matrices,
-section 10.7.4). Between the ends, the deviation is approximated by a quintic through pose, twist
-and acceleration at both ends. If the quintic differs too much from the exact state in the middle,
-the piece is bisected.
+At the ends of the command's pieces, the deviation z from the command is computed exactly. The
+deviation follows z' = A z + b(t) with b(t) = sum_k b_k t^k/k!. Together, z and all b_k form a
+linear system without input. The exponential of the matrix of this system advances z by one step
+(Higham, Functions of Matrices, section 10.7.4).
+
+Inside a piece, the deviation is approximated by a quintic polynomial. Its pose, twist and
+acceleration are exact at both ends. If the polynomial differs too much from the exact state in the
+middle, the piece is bisected.
 """
 
 from __future__ import annotations
@@ -25,19 +27,19 @@ from .drive import DEGREE, Command, Plant, PlateState, later
 from .motion import PlateMotion
 
 POSE_ERROR = 1e-9
-"""Maximum error of the pose between knots [m, rad]."""
+"""Maximum error of the approximated pose between knots [m, rad]."""
 
 TWIST_ERROR = 1e-6
-"""Maximum error of the twist between knots [m/s, rad/s]. A part that follows such an error moves by
-1 um per second."""
+"""Maximum error of the approximated twist between knots [m/s, rad/s]. A part that moves with such
+an error is displaced by 1 um per second."""
 
 ACCEL_ERROR = 1e-2
-"""Maximum error of the acceleration between knots [m/s2, rad/s2]. This error affects only the time
-at which a part begins to slip."""
+"""Maximum error of the approximated acceleration between knots [m/s2, rad/s2]. This error affects
+only the time at which a part begins to slip."""
 
 HALVINGS = 16
-"""Maximum number of bisections of a piece. With this number, a lag of 1 us is resolved in pieces of
-10 ms."""
+"""Maximum number of bisections of a piece. With this number, the effect of a motor lag of 1 us is
+resolved in pieces of 10 ms."""
 
 STEP_DIGITS = 15
 """Number of decimals to which the lengths of pieces [s] are rounded. The response is computed only
@@ -47,12 +49,14 @@ once for pieces of equal length."""
 def realise(
     rig: Rig, state: PlateState, cycle: PlateCycle | PlateMotion
 ) -> tuple[PlateMotion, PlateState]:
-    """Return the plate's motion during a commanded cycle, and its state at the end.
+    """Compute the actual motion of the plate during a commanded cycle. Return the motion, and the
+    state of the plate at the end.
 
     The motion follows the linear model in `drive`. The motion is exact at the knots and at the end.
     Between the knots, the errors are about `POSE_ERROR`, `TWIST_ERROR` and `ACCEL_ERROR`. The model
-    neglects the friction of parts on the plate, and the change of the motors' levers with the
-    rotation of the plate. Without a suspension, the motion is equal to the commanded motion.
+    neglects the friction of parts on the plate. It also neglects the change of the motors' lever
+    arms with the rotation of the plate. Without a suspension, the motion is equal to the commanded
+    motion.
 
     Raises
     ------
@@ -84,7 +88,7 @@ def motor_record(
 
 
 def overtravel(rig: Rig, motion: PlateMotion) -> float:
-    """Return the maximum distance by which a motor exceeds its stroke [m]. The stroke is checked at
+    """Return the maximum distance by which a motor exceeds its stroke [m]. The travel is checked at
     4 times per piece."""
     t = motion.times[:-1, None] + np.diff(motion.times)[:, None] * np.arange(4) / 4
     travel, _, _ = motor_record(rig, motion, np.append(t, motion.period))
@@ -98,14 +102,14 @@ def _plant(rig: Rig, suspension: Suspension) -> Plant:
 
 @dataclass(frozen=True)
 class _Spans:
-    """Spans of time within the pieces of the command, and the exact deviations at the starts and
-    ends of the spans.
+    """Intervals of time (spans) within the pieces of the command, and the exact deviations at the
+    starts and ends of the spans.
 
     Attributes
     ----------
     piece : (m,)
     offset : (m,)
-        Start of the span relative to its piece [s].
+        Time from the start of the piece to the start of the span [s].
     before, after : (m, n)
         Deviation z at the start and at the end of the span.
     """
@@ -122,8 +126,8 @@ class _Spans:
 def _respond(
     plant: Plant, command: Command, deviation: np.ndarray
 ) -> tuple[PlateMotion, np.ndarray]:
-    """Return the motion for an initial deviation (n,), and the deviation (n,) at the end of the
-    motion."""
+    """Compute the motion for the initial deviation `deviation` (n,). Return the motion, and the
+    deviation (n,) at its end."""
     steps, kind = np.unique(np.round(command.steps, STEP_DIGITS), return_inverse=True)
     whole = step_responses(plant.system, steps)[kind]
     ends = [deviation]
@@ -148,8 +152,8 @@ def _respond(
 
 
 def step_responses(system: np.ndarray, steps: np.ndarray) -> np.ndarray:
-    """Return the responses of the system to a state and a polynomial input, for steps of given
-    lengths.
+    """Return the matrices that compute one step of the system z' = A z + b(t) with a polynomial
+    input b.
 
     Parameters
     ----------
@@ -161,7 +165,8 @@ def step_responses(system: np.ndarray, steps: np.ndarray) -> np.ndarray:
     Returns
     -------
     (u, n, (DEGREE + 2) n)
-        Matrices that map the stacked state and input derivatives to the state after one step.
+        One matrix per step length. It maps the state and the derivatives of the input, stacked in
+        one vector, to the state after the step.
     """
     from scipy.linalg import expm  # SciPy takes 0.2 s to import, and few plates have a suspension
 
@@ -177,7 +182,7 @@ def advance(response: np.ndarray, state: np.ndarray, derivatives: np.ndarray) ->
     Parameters
     ----------
     response : (m, n, (DEGREE + 2) n)
-        Result of `step_responses` for the step of each state.
+        Matrix from `step_responses` for the step length of each state.
     state : (m, n)
     derivatives : (m, DEGREE + 1, n)
         Derivatives of the input at the start of the step.
@@ -189,11 +194,12 @@ def advance(response: np.ndarray, state: np.ndarray, derivatives: np.ndarray) ->
 def _misses(
     plant: Plant, command: Command, spans: _Spans, middle: np.ndarray, step: np.ndarray
 ) -> np.ndarray:
-    """Return for each quintic (m,) whether it differs too much from the exact state (m, n) in the
-    middle.
+    """Return for each span (m,) whether its quintic polynomial differs too much from the exact
+    state `middle` (m, n) in the middle of the span.
 
-    The error of a quintic is proportional to (t (h - t))^3. Therefore the maximum error of the
-    twist is not in the middle. It is 3.4 times the maximum pose error divided by h.
+    Let h be the length of the span and t the time since its start. The error of the pose is
+    proportional to (t (h - t))^3. Therefore, the maximum error of the twist is not in the middle.
+    It is 3.4 times the maximum error of the pose, divided by h.
     """
     h = step[:, None]
     p, q = spans.before[:, :3], spans.after[:, :3]
@@ -212,14 +218,14 @@ def _misses(
 def _accel(
     plant: Plant, command: Command, piece: np.ndarray, offset: np.ndarray, z: np.ndarray
 ) -> np.ndarray:
-    """Return the second derivative (m, 3) of the deviation."""
+    """Return the second time derivative (m, 3) of the deviation of the pose."""
     forcing = later(command.forcing[piece], offset)[:, 0, 3:6]
     return np.asarray(z @ plant.system[3:6].T + forcing)
 
 
 def _halves(spans: _Spans, middle: np.ndarray, half: np.ndarray) -> _Spans:
-    """Cut spans in the middle. The deviation z in the middle is `middle` (m, n), and the time from
-    the start of the span to its middle is `half` (m,) [s]."""
+    """Cut m spans in the middle. `middle` (m, n) is the deviation z in the middle of each span.
+    `half` (m,) [s] is half the length of each span."""
     return _Spans(
         np.concatenate([spans.piece, spans.piece]),
         np.concatenate([spans.offset, spans.offset + half]),
@@ -229,7 +235,8 @@ def _halves(spans: _Spans, middle: np.ndarray, half: np.ndarray) -> _Spans:
 
 
 def _motion(plant: Plant, command: Command, kept: list[_Spans]) -> PlateMotion:
-    """Join spans, in any order, to one motion. The motion is the command plus the deviation."""
+    """Join spans, which may have any order, to one motion. The motion is the command plus the
+    deviation."""
     names = ("piece", "offset", "before", "after")
     spans = _Spans(*(np.concatenate([getattr(part, name) for part in kept]) for name in names))
     spans = spans.take(np.lexsort((spans.offset, spans.piece)))

@@ -1,5 +1,5 @@
-"""Simulated world: the state of the parts, the steps of this state, disturbances, and a run with a
-camera."""
+"""Simulated world. The package contains the state of the parts, the simulation of this state,
+disturbances, and a run with a camera."""
 
 from .bodies import STEP, BodyTrajectory, simulate_bodies
 from .camera_view import Shot, VisibleParts
