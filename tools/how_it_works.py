@@ -52,7 +52,8 @@ def code_cells(notebook: Path) -> list[str]:
 
 
 def run(cells: list[str]) -> tuple[str, dict[str, Figure]]:
-    """Run the cells one after the other. Return their printed output, and their figures by name."""
+    """Run the cells one after the other. Return the printed output of all cells, and the figures by
+    name."""
     names: dict[str, object] = {"__name__": "__main__"}
     printed = io.StringIO()
     with mpl.rc_context(), redirect_stdout(printed):

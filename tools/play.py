@@ -17,7 +17,7 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 
 PAGE_S = 30.0
-"""Maximum wait for the page [s]."""
+"""Maximum wait until the page has started [s]."""
 
 LOOK_S = 0.5
 """Interval at which the program checks that all nodes run [s]."""

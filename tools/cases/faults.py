@@ -142,7 +142,7 @@ class Row:
 
     @property
     def well(self) -> bool:
-        """Whether the task ended in time, the plate came to rest, it did not move without a
+        """Whether the task ended in time, the plate came to rest, the plate did not move without a
         request, and the graph could continue."""
         in_time = self.node == "planner" or (self.task_s is not None and self.task_s <= MAX_S)
         return in_time and self.rest_s is not None and not self.moved_unasked and self.goes_on

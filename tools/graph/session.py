@@ -20,7 +20,8 @@ from .observer import Observer
 from .processes import Processes
 
 START_S = 180.0
-"""Maximum wait for the nodes [s]. A busy computer can take long to load the nodes."""
+"""Maximum wait until all nodes have started [s]. A busy computer can take long to load the
+nodes."""
 
 ANSWER_S = 180.0
 """Maximum wait for the answer to the first image [s]."""

@@ -27,8 +27,8 @@ class Inbox:
         self._waiting.append((browser, command, time.monotonic()))
 
     def take(self) -> tuple[Any, Command, bool]:
-        """Remove the oldest command from the queue. Return the browser that sent it, the command,
-        and whether the command is too old.
+        """Remove the oldest command from the queue. Return the browser that sent the command, the
+        command, and whether the command is too old.
 
         Raises
         ------

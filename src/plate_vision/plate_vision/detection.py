@@ -147,7 +147,7 @@ class DetectorOptions:
         Threshold between black and grey parts, 0.05 to 0.95. The unit is the bare plate's
         brightness.
     min_plate_grey : float
-        Minimum brightness of the plate [grey levels], 1 to 255. If the plate is darker, the light
+        Minimum brightness of the plate [grey levels], 1 to 255. Below this brightness, the light
         counts as off.
     margin_px : float
         Maximum distance of a part's centre outside the region [px], 0 to 10. The distance allows

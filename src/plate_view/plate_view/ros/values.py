@@ -11,7 +11,7 @@ def state_names(kind: type, *names: str) -> dict[int, str]:
 
 
 def plain(value: float) -> float | None:
-    """Return a number, rounded to six decimals. Return None if it is not finite."""
+    """Return a number, rounded to six decimals. Return None if the number is not finite."""
     if isinstance(value, int):
         return value
     return round(float(value), 6) if math.isfinite(value) else None

@@ -47,7 +47,7 @@ def is_opencv(content: bytes) -> bool:
 
 
 def read_opencv(content: bytes, path: Path) -> Fields:
-    """Return the camera in a file of cv::FileStorage.
+    """Return the camera parameters in a file of cv::FileStorage.
 
     If `distortion_model` is missing, the model is determined from the number of coefficients and
     from `fisheye_model`, which OpenCV's example program writes.
@@ -98,8 +98,8 @@ def _model(spelt: Mapping[str, Any], data: Mapping[str, Any]) -> str:
 
 
 def read_ini(content: bytes, path: Path) -> Fields:
-    """Return the camera in an `.ini` file of ROS 1. In this file, each block of numbers follows a
-    line with its name.
+    """Return the camera parameters in an `.ini` file of ROS 1. In this file, each block of numbers
+    follows a line with its name.
 
     Raises
     ------

@@ -116,8 +116,8 @@ class V4l2Source(Camera):
         self._stamps_known = False
 
     def _choose(self, device: V4l2Device) -> str:
-        """Return the format of the settings. If the settings have no format, return the first
-        format that has this size and rate."""
+        """Return the format that the settings contain. If the settings have no format, return the
+        first format that has this size and rate."""
         requested, size_px = self.settings, self.settings.size_px
         has = [form for form in FORMATS if form in device.formats()]
         offers = {form: device.sizes(form) for form in has}

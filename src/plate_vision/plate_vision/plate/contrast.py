@@ -22,8 +22,8 @@ from .light import LitPlate, fit_light
 from .region import Region
 
 MIN_CHANNEL = 20.0
-"""Minimum brightness of the plate in a channel whose contrast is used [grey levels]. If the plate
-is darker, the noise and the dark current of the sensor are too large relative to the plate's
+"""Minimum brightness of the plate in a channel whose contrast is used [grey levels]. In a darker
+channel, the noise and the dark current of the sensor are too large relative to the plate's
 brightness."""
 
 INNER = 0.6

@@ -15,13 +15,13 @@ from .. import _kernels
 from .region import Region
 
 DARK_PERCENTILE = 95
-"""Percentile of an image's brightness. If this percentile is below the plate's minimum brightness,
-there is too little light. The brightest twentieth of the image is ignored, because it may show
-lamps and reflections."""
+"""Percentile of an image's brightness that shows too little light. If this percentile is below the
+plate's minimum brightness, there is too little light. The brightest twentieth of the image is
+ignored, because it may show lamps and reflections."""
 
 BURNT_PERCENTILE = 50
-"""Percentile of an image's brightness. If this percentile is at least `BURNT_GREY`, there is too
-much light, because half of the image is overexposed."""
+"""Percentile of an image's brightness that shows too much light. If this percentile is at least
+`BURNT_GREY`, there is too much light, because half of the image is overexposed."""
 
 BURNT_GREY = 254
 """Minimum grey level of an overexposed pixel."""

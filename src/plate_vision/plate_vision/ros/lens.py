@@ -10,7 +10,8 @@ from ..errors import check_size
 
 
 def lens_of(msg: CameraInfo, size_px: tuple[int, int]) -> Lens | None:
-    """Return the lens of a camera_info. Return None if the camera is not calibrated (K[0] is 0).
+    """Return the lens of a camera_info message. Return None if the camera is not calibrated (K[0]
+    is 0).
 
     Raises
     ------

@@ -72,7 +72,7 @@ RIM_STEP_PX = 2.0
 """Displacement of a part's contour between two successive angles that are tried [px]."""
 
 STRIDE = 0.15
-"""Step between positions that are tried, relative to the part's reach."""
+"""Step between positions that are tried, relative to the part's reach (largest radius) [-]."""
 
 SEEN = 0.3
 """Minimum fraction of a part's contour that coincides with the group's contour."""

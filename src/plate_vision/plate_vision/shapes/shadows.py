@@ -81,8 +81,8 @@ MIN_CAST = (0.06, 0.75)
 shadow's length is not measured."""
 
 MIN_PART = 0.2
-"""Minimum fraction of a patch that cannot be shadow because of its colour. If the fraction is
-smaller, the darker side of the patch is used as the part."""
+"""Minimum fraction of a patch that cannot be shadow because of its colour. Below this fraction, the
+darker side of the patch is used as the part."""
 
 ONE_LAMP = 0.85
 """Minimum cosine of the angle between two shadows from one lamp. The same value is the minimum
