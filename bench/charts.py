@@ -47,7 +47,8 @@ def main() -> int:
 
     folder = args.out / "bench"
     failed: list[str] = []
-    # The project's own pages contain only complete measurements.
+    # The pages of the project contain only complete measurements. Therefore they are updated only
+    # without --quick.
     own = args.out == ROOT / "out" and not args.quick
     if not args.draw:
         needed = dict.fromkeys(name for one in report.CHARTS for name in one.sources)
@@ -68,7 +69,8 @@ def main() -> int:
             return 1
     text = (ROOT if own else args.out) / "docs/results.md"
     data, results = read(folder), text.with_suffix("")
-    for name in data:  # name the current commit, because it has the same code
+    # the measurement is valid for the current commit, because the measured code is unchanged
+    for name in data:
         if is_done(folder, name, args.quick):
             data[name]["commit"] = commit()
     facts, columns = report.read_facts(results, data)

@@ -27,7 +27,7 @@ myst_heading_anchors = 3
 myst_enable_extensions = ["dollarmath"]
 default_role = "code"
 autodoc_member_order = "bysource"
-autodoc_typehints = "none"  # the docstrings tell types, with shapes and units
+autodoc_typehints = "none"  # the docstrings contain the types, with shapes and units
 numpydoc_show_class_members = False  # autodoc does
 
 

@@ -18,7 +18,7 @@ parser.add_argument(
 picture = parser.parse_args().picture
 rig = load_rig()
 
-# Two parts are pushed in different directions. The third one gets no mean force.
+# Two parts receive mean forces in different directions. The mean force on the third part is zero.
 position = np.array([[-0.15, 0.05], [0.15, 0.05], [0.0, -0.08]])  # positions of the parts [m]
 force = np.array([[0.15, 0.0], [0.0, 0.15], [0.0, 0.0]])  # requested mean forces [mu m g]
 
@@ -26,7 +26,7 @@ solution = SinusoidSolver(rig, harmonics=3).solve(position, force)
 print(f"success {solution.success}: {solution.message}")
 print(f"period {solution.cycle.period:.3f} s, condition {solution.condition:.1f}")
 
-# Mean force of this motion at all other points of the plate.
+# Mean force of this motion on parts at a grid of points on the plate.
 half = rig.plate.half
 x, y = np.meshgrid(np.linspace(-half[0], half[0], 31), np.linspace(-half[1], half[1], 16))
 field = average_force(solution.cycle, np.column_stack([x.ravel(), y.ravel()]))

@@ -53,7 +53,7 @@ class OwnPlanner:
 
         tolerance = np.zeros_like(force)
         in_lane = goal[:, 1] == parts.position[:, 1]
-        # Within the lane, any force along y is accepted.
+        # If the goal and the part have the same y, any force along y is accepted.
         tolerance[in_lane, 1] = self._rig.force_unit
         return CycleRequest.make(parts, force, tolerance, period=period)
 
@@ -82,7 +82,8 @@ if __name__ == "__main__":
         def __init__(self) -> None:
             super().__init__("planner")
             self._planner = OwnPlanner(load_rig())
-            # Starts of the running cycle, and of the last one with a request.
+            # Start of the running cycle, and start of the last cycle for which a request was
+            # published.
             self._start = self._answered = None
             self._images = []  # last two images
             self._forces = self.create_publisher(PartForces, "part_forces", DATA)
@@ -103,10 +104,12 @@ if __name__ == "__main__":
             if not self._images:
                 return
             newest = self._images[-1].header.stamp
-            # Until the first cycle_started, the image itself counts as the start.
+            # Before the first cycle_started message, the stamp of the image counts as the start of
+            # a cycle.
             start = newest if self._start is None else self._start
             off = [seconds(msg.header.stamp) - seconds(start) for msg in self._images]
-            # An image of the start itself is repeated if its request must be repeated.
+            # An image that is taken exactly at the start can arrive twice. Then its request must be
+            # published again.
             if off[-1] == 0 or (off[-1] > 0 and start != self._answered):
                 parts = msg_to_parts(self._images[int(np.argmin(np.abs(off)))])
                 self._answered = start

@@ -16,8 +16,8 @@ parser.add_argument("picture", nargs="?", default="simulate.png", help="default:
 picture = parser.parse_args().picture
 rig = load_rig()
 
-# The sum of two sinusoids along x is fast in one direction and slow in the other. Parts drift,
-# because the friction force does not depend on the sliding speed.
+# The plate motion along x is the sum of two sinusoids. It is fast in one direction and slow in the
+# other direction. Parts drift, because the friction force does not depend on the sliding speed.
 period = 0.05
 t = np.arange(256) / 256 * period
 w = 2 * np.pi / period
@@ -25,7 +25,7 @@ pose = np.zeros((len(t), 3))
 pose[:, 0] = 0.002 * (np.sin(w * t) + 0.25 * np.sin(2 * w * t))
 cycle = PlateCycle.from_samples(period, pose)
 
-# Three parts: one at rest, two with initial velocities along x and y.
+# Three parts: the first is at rest, and the others have initial velocities along x and y.
 position = np.array([[0.0, -0.05], [0.0, 0.0], [0.0, 0.05]])  # positions of the parts [m]
 velocity = np.array([[0.0, 0.0], [0.1, 0.0], [0.0, 0.1]])  # velocities of the parts [m/s]
 path = simulate(cycle, position, velocity, rig.friction.mu, cycles=20)

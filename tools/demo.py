@@ -18,12 +18,12 @@ from pathlib import Path
 def main() -> int:
     """Run the command line. Return its exit code."""
     args = arguments()
-    # Until nodes are started, Ctrl-C ends this program at once, also during an import.
+    # Until nodes are started, Ctrl-C ends this program immediately, also during an import.
     signal.signal(signal.SIGINT, signal.SIG_DFL)
     from plate_core import PlateError, load_rig
     from plate_core.tasks import load_scenario
 
-    try:  # report a mistyped name before the slow imports
+    try:  # load the files now, so that a wrong file name is reported before the slow imports
         load_rig(args.rig or load_scenario(args.scenario).rig)
     except PlateError as error:
         print(f"demo: {error}", file=sys.stderr)

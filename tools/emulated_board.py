@@ -243,7 +243,7 @@ class Debugger:
         """Send an order and return its answer."""
         self._send(order)
         while (answer := self._answer())[:1] == b"T":
-            pass  # some QEMU versions also report the stop without a request
+            pass  # ignore stop reports, which some QEMU versions send without a request
         return answer
 
     def _answer(self) -> bytes:

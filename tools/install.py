@@ -34,8 +34,10 @@ def settings() -> dict[str, str]:
     """Return pip's settings as environment variables of uv. Missing folders are omitted, as pip
     does."""
     listed = subprocess.run([*PIP, "config", "list"], capture_output=True, text=True, check=False)
-    found = {"UV_INDEX_STRATEGY": "unsafe-best-match"}  # all indexes have the same priority
-    # Settings of the environment come first and have priority.
+    # with this setting, uv gives all package indexes the same priority, as pip does
+    found = {"UV_INDEX_STRATEGY": "unsafe-best-match"}
+    # pip lists the settings from environment variables before those from files. The first value of
+    # a setting is used.
     for line in listed.stdout.splitlines():
         name, _, value = line.partition("=")
         key = name.rpartition(".")[2]
@@ -54,7 +56,8 @@ def main(arguments: list[str]) -> int:
     """Install packages with the arguments of `pip install`. Return the exit code."""
     if find_spec("uv"):
         uv = [sys.executable, "-m", "uv", "pip", "install", "-q", "--python", sys.executable]
-        if sys.dont_write_bytecode:  # Python would otherwise compile each module at its import
+        # compile the modules now, because in this case Python does not store compiled modules
+        if sys.dont_write_bytecode:
             uv.append("--compile-bytecode")
         own = {name: value for name, value in os.environ.items() if name not in ELSEWHERE}
         for where in (["--offline"], []):

@@ -41,7 +41,8 @@ def tables(folder: Path) -> str:
         If a file is not a result, or its seeds do not start at 0. The message contains the name of
         the file.
     """
-    from plate_gym import TASKS  # imported here, because --help should not need gymnasium
+    # plate_gym is imported here, so that --help works without gymnasium
+    from plate_gym import TASKS
     from plate_gym.result import ranges, read, validate
 
     results = {path.name: read(path) for path in folder.glob("*.json")}
@@ -83,7 +84,8 @@ def row(file: str, result: dict[str, Any], task: str, errors: list[str]) -> tupl
     from plate_gym.result import summary
 
     world = result["world"]
-    found = summary(result["tasks"][task]["rows"])  # the file's own summary can be wrong
+    # compute the summary again, because the summary in the file can be wrong
+    found = summary(result["tasks"][task]["rows"])
     low, high = (100 * share for share in found["success_interval"])
     share, took, count = found["success"], found.get("time_s", np.inf), len(found["rows"])
     ended = [own for own in found["rows"] if "failure" not in own] or found["rows"]

@@ -81,7 +81,8 @@ def machine() -> Iterator[int]:
     """
     words = ["unshare", "--net", "--mount", "sh", "-c", f"{OWN_SHM} && echo made && exec cat"]
     pipe = subprocess.PIPE
-    # The process ends when its standard input is closed, also if this program is killed.
+    # The process ends when its standard input is closed. This happens even if this program is
+    # killed.
     with subprocess.Popen(words, stdin=pipe, stdout=pipe, start_new_session=True) as process:
         assert process.stdout
         if not process.stdout.readline():
@@ -158,7 +159,8 @@ def intrude(machine: int) -> list[str]:
     tries = []
     for reach in ("named", "subnet"):
         own = os.environ | reach_environment(reach, HANDS)
-        del own["FASTRTPS_DEFAULT_PROFILES_FILE"]  # the default profile of DDS searches everywhere
+        # without this profile, DDS uses its default, which searches on all networks
+        del own["FASTRTPS_DEFAULT_PROFILES_FILE"]
         tries.append(subprocess.Popen(words, env=own, stdout=subprocess.PIPE, text=True))
     found = [each.communicate()[0].split() for each in tries]
     if any(each.returncode for each in tries):

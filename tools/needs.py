@@ -95,7 +95,8 @@ def install() -> int:
         else:
             say(f"not root; type: sudo apt-get install --no-install-recommends {debian}")
     for requirements in (WHEELS, BROWSER_WHEELS):
-        if not install_wheels(requirements):  # if one pin is not available, install the others
+        # if one package version is not available, install the other packages one by one
+        if not install_wheels(requirements):
             for pin in pins(requirements):
                 run([sys.executable, "tools/install.py", "--only-binary", ":all:", pin])
     if LAUNCH in lacking:

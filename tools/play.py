@@ -26,7 +26,8 @@ LOOK_S = 0.5
 def main() -> int:
     """Run the command line. Return its exit code."""
     args = arguments()
-    signal.signal(signal.SIGINT, signal.SIG_DFL)  # Ctrl-C can end the program until nodes start
+    # until nodes are started, Ctrl-C ends the program immediately
+    signal.signal(signal.SIGINT, signal.SIG_DFL)
     from graph.processes import Interrupted, signals_raise
 
     from plate_core import PlateError
@@ -93,7 +94,8 @@ def checked(args: argparse.Namespace):
 
     scenario = load_scenario(args.scenario)
     rig = args.rig or scenario.rig
-    known = load_rig(rig)  # report a mistyped name before the slow imports
+    # load the rig now, so that a wrong file name is reported before the slow imports
+    known = load_rig(rig)
 
     import numpy as np
     from graph.demo import absolute, check_camera, check_run, print_unmeasured

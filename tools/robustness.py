@@ -69,7 +69,8 @@ def main() -> int:
                 for last in outcomes:
                     if last.line:
                         print(last.line, flush=True)
-                    if path:  # write after each step, so that an interrupted run has a result
+                    # write the file after each step, so that an interrupted run also has a result
+                    if path:
                         path.write_text(json.dumps(last.result, indent=1), encoding="utf-8")
         except PlateError as error:
             sys.exit(f"{case}: {error}")

@@ -71,7 +71,7 @@ def run_all(names: Iterable[str], quick: bool, out: Path, quiet: bool = False) -
                 await_quiet()
             start = time.perf_counter()
             result = module.measure(quick)
-        except Exception:  # after any error, continue with the other measurements
+        except Exception:  # after any error of a measurement, continue with the next measurement
             print("failed", flush=True)
             traceback.print_exc()
             failed.append(name)

@@ -45,7 +45,9 @@ class Rows:
             self._file = OwnFile(path)
             if path.is_file():
                 self.by_seed = {row["seed"]: row for row in self._read(path)}
-            self._write()  # fail before the first run if the file cannot be written
+            # write once now, so that a file that cannot be written causes an error before the first
+            # run
+            self._write()
 
     def __enter__(self) -> Rows:
         return self

@@ -211,7 +211,8 @@ class SerialLine:
         return segments
 
     def _upload(self, table: MotorTable) -> None:
-        with suppress(CycleError):  # driver_status reports why the device is not ready
+        # ignore a refused table, because driver_status reports the reason
+        with suppress(CycleError):
             self.transport.send(table, HOLD_CYCLES if table.tail is None else 1)
 
 

@@ -103,7 +103,8 @@ def log_ticks(low: float, high: float) -> list[float]:
         ]  # fmt: skip
         if len(found) > MIN_TICKS:
             return found
-    first, last = 10**low, 10**high  # a short axis is nearly linear
+    # the range is so small that a logarithmic axis is nearly linear, so use linear ticks
+    first, last = 10**low, 10**high
     power = 10.0 ** floor(log10((last - first) / MIN_TICKS))
     step = max(k * power for k in (1, 2, 5) if k * power <= (last - first) / MIN_TICKS)
     return [step * k for k in range(ceil(first / step), floor(last / step) + 1)]

@@ -129,7 +129,8 @@ def measured(
     tracker, now, rest = look(tracker, now)
     measurement, true = FrictionMeasurement.start(rig, rest), []
     start = simulation.state.position
-    row_of = {  # the detector assigns its own names
+    # the detector's names of the parts differ from those of the simulation, so match by position
+    row_of = {
         name: int(np.argmin(np.hypot(*(start - place).T))) for name, place in rest.place.items()
     }
     while measurement.push is not None:

@@ -75,7 +75,7 @@ def run_case(case: str, *words: object) -> Any:
             case,
             *map(str, words),
         ]
-        # The exit code is ignored, because the rows contain the same information.
+        # The exit code is ignored, because the rows in the file contain the same information.
         done = subprocess.run(
             [*command, "--json", str(path)], capture_output=True, text=True, check=False
         )

@@ -85,7 +85,8 @@ class MujocoScene:
         twist = cycle.twist((np.arange(round(span / dt) + 1) * dt) % cycle.period)[:, :2]
         self.data.qvel[:] = (np.zeros_like(position) if velocity is None else velocity).ravel()
         self.data.qvel.reshape(-1, 2)[:] -= twist[0]
-        # Use the mean over each step, because the value at its middle causes larger errors.
+        # Use the mean acceleration of the plate over each step. The acceleration in the middle of a
+        # step causes larger errors.
         self.shake = -np.diff(twist, axis=0) / dt
         self.moved = (cycle.pose(span % cycle.period) - cycle.pose(0.0))[0, :2]
 

@@ -134,7 +134,9 @@ def scatter(rig: Rig, parts: int, rng: np.random.Generator) -> np.ndarray:
         for k in range(1, parts):
             gaps = np.linalg.norm(tried[good, :k] - tried[good, k, None], axis=2)
             good = good[np.min(gaps, axis=1) >= 0.04]
-        if len(good):  # the random numbers continue as if scenes were drawn one by one
+        # repeat the draw, so that the random numbers continue as if the scenes were drawn one by
+        # one
+        if len(good):
             rng.bit_generator.state = before
             return rng.uniform(-room, room, (good[0] + 1, parts, 2))[-1]
 

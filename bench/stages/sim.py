@@ -103,7 +103,9 @@ def settings(scene: Scene, exact: float, quick: bool) -> Iterator[Setting]:
         steps = [1 / FREQUENCY / (count + i) for i in repeats]
         errors = [scene.travel_in_steps(step)[0, 0] - exact for step in steps]
         yield STEPS, name, errors, partial(scene.travel_in_steps, steps[0]), SPAN
-        if optional(PYMUNK):  # evaluate the plate's velocity at two different times in a step
+        # measure the other simulator twice: with the plate's velocity at two different times in a
+        # step
+        if optional(PYMUNK):
             spans = [SPAN / (CYCLES * count + 3 * i) for i in repeats]
             both = [
                 [peer_travel(scene, span, offset)[0, 0] - exact for span in spans]

@@ -80,7 +80,7 @@ def solve_all(rig: Rig, parts: int, count: int) -> list[dict[str, Any]]:
             if method == ROTATIONS and index and index % ROTATION_SHARE != 1:
                 continue
             answer, seconds = timed(solver.solve, position, force)
-            if not index:  # the first request is a warm-up
+            if not index:  # do not count the first request, because it includes the warm-up
                 continue
             t = (np.arange(JUDGE_SAMPLES) + 0.5) / JUDGE_SAMPLES
             if isinstance(answer, np.ndarray):
@@ -132,7 +132,8 @@ class ScipySolver:
     ) -> Any:
         still = np.zeros_like(position)
         rows = np.tile([True, True, False], len(position))
-        # 'lm' requires at least as many errors as parameters. The additional errors are zero.
+        # SciPy's method 'lm' requires at least as many errors as parameters. Therefore errors of
+        # zero are added.
         spare = max(0, len(start) - force.size)
 
         def errors(theta: np.ndarray) -> np.ndarray:

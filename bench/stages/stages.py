@@ -68,7 +68,8 @@ def stages_row(rig: Rig, scenario: Scenario, moments: list[Moment]) -> dict[str,
         answer = run_stage("solver", controller.answer, moment.request, running)
         run_stage("driver", prepare, rig, answer.cycle, now, before=(running,))
         run_stage("simulator", run_cycle, world, running, rig)
-        # The next moment's inputs belong to the cycle that the loop played.
+        # The recorded inputs of the next cycle belong to the cycle that the control loop has
+        # played. Therefore continue with this cycle.
         running = prepare(rig, moment.answer.cycle, now, before=(running,))[0].cycle
     medians = {name: 1e3 * float(np.median(seconds[name][FIRST:])) for name in STAGES}
     return {

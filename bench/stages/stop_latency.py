@@ -100,7 +100,8 @@ class Bench(Listener):
         self.stop = self.node.create_client(Trigger, "emergency_stop")
         self.enable = self.node.create_client(SetBool, "enable")
         self.plate = PlateClient(self.node, self.until)
-        if period_s is not None:  # if `period_s` is None, only the solver publishes cycles
+        # publish additional cycles; if `period_s` is None, only the solver publishes cycles
+        if period_s is not None:
             cycles = self.node.create_publisher(JointTrajectory, "plate_cycle", DATA)
             table = shaking(64, 5e-4)
 
@@ -145,7 +146,8 @@ def latencies(
     others = {f"busy_{k}": [sys.executable, "-c", BUSY] for k in range(busy)}
     if points:
         others["flood"] = [sys.executable, "-c", FLOOD, str(points), str(pause_s)]
-    # The planner must receive the cycle starts of the device, not those of the simulator.
+    # The planner must receive the cycle starts from the device. Therefore rename the simulator's
+    # topic.
     unheard = dict.fromkeys((ONE_PROCESS, "simulator"), ("simulator:cycle_started", "unheard"))
     with tempfile.TemporaryDirectory() as folder:
         link = str(Path(folder) / "port")

@@ -116,7 +116,7 @@ def scene_rows(
     """Measure all methods on the same images."""
     rng = np.random.default_rng(count + touching)
     camera, matrix = Camera(rig), homography(rig)
-    # The image of 1 cm in the middle of the plate determines the scale.
+    # The length of 1 cm in the image at the centre of the plate gives the scale.
     centimetre = np.diff(project(matrix, np.array([[0, 0], [0.01, 0]])), axis=0)
     reach = 0.5 * rig.parts.radius_m * float(np.linalg.norm(centimetre)) / 0.01
     images, truths = [], []
@@ -179,7 +179,8 @@ def layout(rig: Rig, count: int, touching: bool, rng: np.random.Generator) -> np
     centre = -room + cell * (np.column_stack([chosen % columns, chosen // columns]) + 0.5)
     if not touching:
         return centre + rng.uniform(-0.5, 0.5, centre.shape) * (cell - 2.5 * radius)
-    # Three discs touch if their centres are 2 r / sqrt(3) from a common point, 120 degrees apart.
+    # Three discs of radius r touch each other if their centres have the distance 2 r / sqrt(3) from
+    # a common point and are 120 degrees apart.
     angle = rng.uniform(0, 2 * np.pi, len(centre))[:, None] + 2 * np.pi / 3 * np.arange(3)
     ray = 2 * radius / np.sqrt(3) * np.stack([np.cos(angle), np.sin(angle)], axis=2)
     return (centre[:, None] + ray).reshape(-1, 2)[:count]

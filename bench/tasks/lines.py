@@ -73,7 +73,8 @@ def line_run(baud: int, lost: float, delay_s: float, play_s: float, stops: int) 
     enables = operator.enables
     run(play_s, True)
     times = []
-    own = operator.enables - enables  # enables after stops that were not requested
+    # number of enable commands after stops that were not requested
+    own = operator.enables - enables
     count = len(played)
     for _ in range(stops):
         run(BEGIN_S, True, lambda: emulator.state is State.PLAYING)

@@ -164,7 +164,8 @@ class Shaker:
             if image is not None:
                 self.parts = observe(self._vision, Tracker(), image, stamp, None).parts
                 self.listed = self._ready()
-            while self.listed or self.robot.place is not None:  # ready parts are left to pick
+            # rest while ready parts remain for the robot
+            while self.listed or self.robot.place is not None:
                 yield self._rest
 
     def _ready(self) -> list[tuple[float, float, float]]:

@@ -94,7 +94,8 @@ def row_of(
     period = solver.steering_period(count)
     speed = 1e-3 * speed_mm
     least = laps(speed) * 2 * np.pi * RADIUS_M / speed
-    # A task begins with one cycle at rest, and ends with the cycle in which the last lap ends.
+    # Three periods are subtracted, because a task begins with one cycle at rest and ends with the
+    # complete cycle of the last lap's end.
     delay = max((run["time_s"] - 3 * period) / least for run in runs)
     row = summed(runs)
     kept = row["good"] == len(runs) and row["worst_rms_mm"] <= 1e3 * MAX_RMS_M

@@ -219,7 +219,8 @@ class Faults:
                 row.rest_s = round(max(0.0, plate.moved_until - at_utc), 1)
             back = time.monotonic()
         self.add_messages(row, at, back)
-        # Wait until the node publishes diagnostics again. The plate must not move before a request.
+        # Wait until the node publishes diagnostics again. Until the operator sends a request, the
+        # plate must not move.
         self.observer.until(
             lambda: (
                 before(diagnostics.get(node, ()), math.inf).at
@@ -229,7 +230,7 @@ class Faults:
         )
         self.wait(UNASKED_S)
         plate.tables_only = False
-        if row.task_s is None:  # the end of the task was published only after the node was back
+        if row.task_s is None:  # the end of the task was not published before the node was back
             self.add_messages(row, at, time.monotonic())
         row.moved_unasked = (
             row.rest_s is not None and plate.moved_until > at_utc + row.rest_s + 0.25
@@ -278,7 +279,8 @@ class Faults:
             observer.start(self.scenario)
         row.to_go_on.append("goal")
         row.goes_on = self.moves()
-        if not row.goes_on and observer.record.ended:  # it ended, because a part left the plate
+        # the task has ended because a part left the plate, so begin again with new parts
+        if not row.goes_on and observer.record.ended:
             row.to_go_on.append("parts")
             observer.begin_anew(self.scenario)
             row.goes_on = self.moves()
@@ -299,19 +301,20 @@ def run(logs: Path, nodes: Iterable[str] = (), transport: str = "sim") -> Iterat
         "faults": [],
     }
     for kinds in (("kill", "freeze"), ("cut",)):
-        # Do not watch the processes, because the test kills them.
+        # The session does not watch the processes, because the test kills them.
         with session(options, logs, watched=False, gated="cut" in kinds) as graph:
             faults = Faults(graph)
             if transport == "serial":
                 graph.observer.enable()
             for kind, name in product(kinds, names):
                 if name == "device" and kind != "kill":
-                    # The device's input is a serial line, which the gate cannot cut. A real
-                    # controller has a watchdog against freezes.
+                    # The gate cannot cut the device's input, because it is a serial line. A freeze
+                    # of the device is not tested, because a real controller has a watchdog.
                     continue
                 try:
                     row = faults.put(kind, name)
-                except GraphError as error:  # no task could be started, or it could not continue
+                # no task could be started, or the task could not continue
+                except GraphError as error:
                     row = Row(kind, name, f"not measured: {error}")
                 rows.append(asdict(row) | {"well": row.well})
                 yield Outcome(result, json.dumps(rows[-1]))

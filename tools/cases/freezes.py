@@ -58,8 +58,8 @@ class Judge(Listener):
         self.tables = self.moving = 0
         self.oldest_s = 0.0
         self.wrong: list[str] = []
-        self.away: list[str] = []  # nodes of the last freeze
-        # Pairs of publication time [ns] and last answered stamp [ns].
+        self.away: list[str] = []  # names of the nodes that were frozen last
+        # For each end of a task: publication time [ns], and stamp of the last answered image [ns].
         self.ends: list[tuple[int, int]] = []
         self.stopped_ns = self._seen_ns = 0
         listen: Any = self.node.create_subscription
@@ -131,7 +131,8 @@ def run(
                         observer.enable()
                     observer.begin_anew(graph.scenario)
                     tasks += 1
-                except GraphError as error:  # on a busy computer a node is possibly still stopped
+                # for example, a node is still stopped on a busy computer
+                except GraphError as error:
                     trouble += 1
                     print(f"no task: {error}", flush=True)
             observer.until(lambda: False, rng.uniform(*PAUSE_S))

@@ -103,7 +103,8 @@ def templates(rig: Rig, rng: np.random.Generator) -> dict[type, bytes]:
     parts = Parts.make(ids, place, 0.01 * rng.normal(size=(count, 2)))
     request = CycleRequest.make(parts, force)
     size_px = (rig.camera.height_px, rig.camera.width_px)
-    if rng.random() < 0.9:  # a full-size image takes 20 ms to change
+    # use mostly small images, because the changes of a full-size image take 20 ms
+    if rng.random() < 0.9:
         size_px = (int(rng.integers(1, 64)), int(rng.integers(1, 64)))
     pixels = rng.integers(0, 255, size_px, np.uint8)
     message = cycle_to_msg(cycle, stamp)
@@ -184,7 +185,8 @@ def topics_of(node: Any) -> list[tuple[str, type, Any]]:
         topics.append((subscription.topic_name, subscription.kind, take_bytes))
     for service in node.services:
         kind = service.srv_type
-        if kind in (PlacePart, RemovePart):  # the other requests are empty or have one bool
+        # only these requests contain numbers; other requests are empty or contain one bool
+        if kind in (PlacePart, RemovePart):
 
             def ask(request: Any, kind: Any = kind, answer: Any = service.callback) -> None:
                 serialize_message(answer(request, kind.Response()))
@@ -263,10 +265,10 @@ def fuzz(name: str, count: int, seed: int) -> Verdict:
             sent = time.thread_time()
             try:
                 give(msg)
-            except Exception as error:  # any exception would have ended the node
+            except Exception as error:  # in a running node, any exception would end the node
                 verdict.crashes += 1
                 verdict.first = verdict.first or f"{topic}: {error!r}"
-            if k > WARM * count:  # all modules and caches are loaded by then
+            if k > WARM * count:  # measure the time only after all modules and caches are loaded
                 verdict.slowest_ms = max(verdict.slowest_ms, 1e3 * (time.thread_time() - sent))
             if k % TICK == 0:
                 judge.tick()

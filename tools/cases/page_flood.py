@@ -131,7 +131,7 @@ async def flood(url: str, rng: random.Random, sent: Any) -> None:
                     number += 1
                     await socket.write_message(json.dumps({"number": number, **command(rng)}))
                 sent.value += BATCH
-                if rng.random() < 0.9:  # otherwise unread replies accumulate
+                if rng.random() < 0.9:  # in the other cases, unread replies accumulate
                     with contextlib.suppress(TimeoutError):
                         while await asyncio.wait_for(socket.read_message(), 0.001) is not None:
                             pass
@@ -188,7 +188,8 @@ async def answered(socket: Any, number: int) -> dict[str, Any]:
 def flooded(graph: Session, verdict: Verdict, seed: int) -> None:
     """Flood the page of a graph, and fill in the verdict."""
     url, context = graph.page(), multiprocessing.get_context("spawn")
-    # No lock: only one process writes, and it can be terminated while it holds a lock.
+    # A lock is not necessary, because only one process writes. The process could also be terminated
+    # while it holds the lock.
     sent = context.Value("q", 0, lock=False)
     given = url, verdict.sockets, seed, sent
     flooding = context.Process(target=flooder, args=given, daemon=True)
@@ -208,10 +209,11 @@ def flooded(graph: Session, verdict: Verdict, seed: int) -> None:
 def run(logs: Path, minutes: float = 3.0, seed: int = 0) -> Iterator[Outcome]:
     """Flood the page for a number of minutes, and call stops at the same time."""
     verdict = Verdict(minutes, SOCKETS)
-    # `save_home` and others write into the rig file, so the graph has a copy of it.
+    # The graph uses a copy of the rig file, because commands such as `save_home` write into it.
     rig = shutil.copy(config_path("rig.yaml"), logs)
     options = RunOptions(scenario="play", rig_file=str(rig), view=True)
-    there = contextlib.chdir(logs)  # `teach` writes its file into the detector's working folder
+    # run in the folder `logs`, because `teach` writes its file into the detector's working folder
+    there = contextlib.chdir(logs)
     with there, session(options, logs, pictures=False) as graph:
         flooded(graph, verdict, seed)
     failed = verdict.ends or any(verdict.late.values()) or verdict.problems or not verdict.stops

@@ -170,7 +170,7 @@ def checked(args: argparse.Namespace) -> Plan:
         raise PlateError(
             f"image rate is {args.image_rate:g}, but --lockstep requires --image-rate 0"
         )
-    # `Disturbances` raises an error if the rate is out of range.
+    # Check the image rate: `Disturbances` raises an error if the rate is out of range.
     Disturbances(image_rate=args.image_rate)
     within("picks", args.picks, 1, MAX_PICKS)
     within("robot cycle", args.robot_cycle, 0.3, 60, " s")
@@ -182,10 +182,10 @@ def checked(args: argparse.Namespace) -> Plan:
                 "--port or --camera is given, but a task of kind feed requires the simulator"
             )
         check_robot(scenario.task, args.robot_cycle)
-    # `Planner` raises an error if the task does not fit on the plate.
+    # Check the task: `Planner` raises an error if the task does not fit on the plate.
     for doubt in Planner(rig, scenario).warnings():
         print(f"demo: warning: {doubt}", flush=True)
-    # This raises if the parts do not fit on the plate.
+    # Check the parts: `start_positions` raises an error if the parts do not fit on the plate.
     start_positions(scenario, rig, np.random.default_rng(args.seed))
     check_camera(args.camera, args.port)
     if args.port:
@@ -214,12 +214,14 @@ def checked(args: argparse.Namespace) -> Plan:
         rig_file=absolute(rig_file),
         autostart=False,
         one_process=args.one_process,
-        # In one process, the page would slow down the nodes.
+        # If all nodes run in one process, the page would slow them down. Therefore it is not
+        # started.
         view=not (args.no_view or args.one_process),
         robot_port=0,
     )
     domain = args.domain
-    # Another node publishes the images, in the domain of this shell.
+    # With a real device but without the project's camera node, another node publishes the images.
+    # This node is in the ROS domain of the present shell, so use the same domain.
     if domain is None and args.port and not args.camera:
         domain = int(os.environ.get("ROS_DOMAIN_ID") or "0")
     return Plan(args, options, scenario, rig, out, domain)
@@ -280,7 +282,7 @@ def await_consent(observer: Observer) -> None:
             observer.until(lambda: False, StatusLine.PERIOD_S)
         try:
             line = os.read(terminal, LINE_BYTES)
-        except OSError:  # the terminal has been closed
+        except OSError:  # the terminal was closed
             line = b""
         if not line:
             raise PlateError("the terminal's input ended before Enter: the motors stay off")
@@ -495,7 +497,7 @@ def watch(plan: Plan, observer: Observer, began: float) -> None:
         now = time.monotonic()
         if len(record.reports("planner")) > count:
             count, news = len(record.reports("planner")), now
-        if now - news > QUIET_S:  # the values of the planner are old
+        if now - news > QUIET_S:  # the last message from the planner is too old
             text = f"no message from the planner for {now - news:.0f} s: {observer.blame()}"
             (line.show if quiet else line.end)(text)
             quiet = True
@@ -507,7 +509,8 @@ def watch(plan: Plan, observer: Observer, began: float) -> None:
         if now > end:
             raise GraphError(f"the task has not ended within {allowed + EXTRA_S:g} s")
     over = record.states[-1]
-    if not over.startswith("done"):  # print it now, because stopping a frozen node takes long
+    # print the result of the task now, because stopping a frozen node takes long
+    if not over.startswith("done"):
         line.end(f"Task {over}")
     observer.until(lambda: record.last("planner", "task_state") == over, 2.0)
     line.end(progress(task, record))
@@ -577,7 +580,8 @@ def point(link: Path, folder: Path) -> None:
         link.rename(own_folder("earlier"))
     fresh = link.with_name(f".{link.name}-{os.getpid()}")
     fresh.symlink_to(folder.name)
-    fresh.replace(link)  # an atomic step, because two demos can end at the same time
+    # replace the link in one atomic step, because two demos can end at the same time
+    fresh.replace(link)
 
 
 def write(path: Path, result: dict[str, Any]) -> None:
@@ -596,7 +600,8 @@ def draw(plan: Plan, record: Record) -> None:
     rig = f", {rig_title(plan.options.rig_file)}" if plan.options.rig_file else ""
     title = f"{plan.scenario.name}, method {plan.options.method}{rig}"
     strip, animation = plan.out / "strip.png", plan.out / "demo.gif"
-    with signals_raise():  # set again, because signals are ignored after the first interrupt
+    # install the signal handlers again, because signals are ignored after the first interrupt
+    with signals_raise():
         draw_strip(scene, strip, title)
         print(f"  {strip}", flush=True)
         draw_film(scene, animation, title)

@@ -68,7 +68,8 @@ class Server:
     def __init__(self, modules: Iterable[str], environment: Mapping[str, str]) -> None:
         self._loaded = _of_loading(environment)
         _libc.prctl(PR_SET_CHILD_SUBREAPER, 1)
-        # If SIGCHLD were ignored, the exit codes of children would be lost.
+        # A parent program may have set SIGCHLD to be ignored. Then the exit codes of children would
+        # be lost, so restore the default.
         signal.signal(signal.SIGCHLD, signal.SIG_DFL)
         self._process = subprocess.Popen(
             [sys.executable, __file__, *modules],
@@ -191,24 +192,28 @@ def _of_loading(environment: Mapping[str, str]) -> dict[str, str]:
 def serve(modules: Iterable[str]) -> None:
     """Run the server until stdin ends."""
     answers = os.dup(1)
-    os.dup2(2, 1)  # modules can print while they are loaded
+    os.dup2(2, 1)  # redirect stdout to stderr, because modules can print while they are loaded
     for name in modules:
-        with contextlib.suppress(Exception, SystemExit):  # the node itself will report the error
+        # ignore errors here, because the node itself will report them
+        with contextlib.suppress(Exception, SystemExit):
             import_module(name)
     for module in list(sys.modules.values()):
         for kind in list(getattr(module, "__dict__", {}).values()):
             if isinstance(kind, type) and hasattr(kind, "__import_type_support__"):
                 kind.__import_type_support__()  # load the type support of the ROS message
-    sys.stdout.flush()  # otherwise each fork would print the buffered output again
+    sys.stdout.flush()  # empty the buffer, because each fork would print its content again
     gc.collect()
-    gc.freeze()  # otherwise a node's first garbage collection would copy all shared pages
-    # Python warns if a process with threads forks. These are threads of rclpy, and each node starts
-    # new ones.
+    # exclude the present objects: the first garbage collection of a node would copy all their
+    # memory pages
+    gc.freeze()
+    # Python warns if a process with threads forks. The threads of this process belong to rclpy.
+    # Each node starts its own threads, so the warning is suppressed.
     warnings.filterwarnings("ignore", "This process .* is multi-threaded", DeprecationWarning)
     while order := sys.stdin.readline():
         if not (child := os.fork()):
             _become(answers, **json.loads(order))
-        if os.waitpid(child, 0)[1]:  # the second fork failed, because no more processes are allowed
+        # the second fork failed, because the limit of processes is reached
+        if os.waitpid(child, 0)[1]:
             return
 
 
@@ -222,11 +227,12 @@ def _become(
         between = os.getpid()
         if os.fork():
             os._exit(0)
-        while os.getppid() == between:  # wait until the requesting program is the parent
+        # wait until the intermediate process has ended and the requesting program is the parent
+        while os.getppid() == between:
             time.sleep(1e-3)
         end_with_parent()
         os.setsid()
-        # This call raises an error if the program has ended.
+        # If the requesting program has ended, this call raises an error.
         os.write(answers, f"{os.getpid()}\n".encode())
         os.close(answers)
         log_file = os.open(log, os.O_WRONLY | os.O_APPEND | os.O_CREAT, 0o644)
@@ -234,7 +240,7 @@ def _become(
             os.dup2(log_file, number)
         os.dup2(os.open(os.devnull, os.O_RDONLY), 0)
         _libc.prctl(PR_SET_NAME, os.path.basename(words[0]).encode())
-        faulthandler.enable()  # with it, a crash prints its traceback
+        faulthandler.enable()  # print a traceback if the process crashes
         for stream in (sys.stdout, sys.stderr):
             assert isinstance(stream, TextIOWrapper)
             stream.reconfigure(line_buffering=True)
@@ -256,7 +262,7 @@ def _become(
         for stream in (sys.stdout, sys.stderr):
             with contextlib.suppress(OSError, ValueError):
                 stream.flush()
-        os._exit(code)  # the usual exit handlers of some libraries crash in a fork
+        os._exit(code)  # exit without the usual exit handlers, because some of them crash in a fork
 
 
 if __name__ == "__main__":

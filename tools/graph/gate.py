@@ -39,7 +39,8 @@ GATE = "gate"
 def inputs(transport: str) -> dict[str, tuple[str, Any]]:
     """Return the topic and the message type of each node's main input."""
     found = dict(zip((*NODES[1:], NODES[0]), CHAIN, strict=True))
-    if transport == "serial":  # the device moves the plate, and publishes its motion
+    # with a serial device, the simulator's main input is the motion that the device publishes
+    if transport == "serial":
         found["simulator"] = ("motor_motion", JointTrajectory)
     return found
 

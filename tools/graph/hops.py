@@ -28,7 +28,8 @@ class Listener:
 
     def __init__(self, name: str) -> None:
         self.node = rclpy.create_node(name)
-        # EventsExecutor does not support raw messages with publication times.
+        # rclpy's EventsExecutor is not used, because it does not support raw messages with
+        # publication times.
         self._executor = SingleThreadedExecutor()
         self._executor.add_node(self.node)
         self._thread = threading.Thread(target=self._executor.spin, daemon=True)

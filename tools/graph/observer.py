@@ -295,7 +295,8 @@ class Observer:
 
     def _on_task(self, msg: TaskStatus) -> None:
         self.record.status = msg
-        if self.record.states[-1:] != [msg.text]:  # the same text is published with each image
+        # record each text once, although it is published with each image
+        if self.record.states[-1:] != [msg.text]:
             self.record.tasks.append(_received(msg))
 
     def _on_driver(self, msg: DriverStatus) -> None:
@@ -475,7 +476,8 @@ class Observer:
             If the driver refuses, or is not ready in time.
         """
         record, starting = self.record, (DriverStatus.UNCONFIGURED, DriverStatus.INACTIVE)
-        # States that end by themselves. Images can be answered before the driver is active.
+        # `soon` contains the states that end without a command. The driver may still be in such a
+        # state when the first image is answered.
         soon = *starting, DriverStatus.BRAKING
         self.until(lambda: record.driver is not None and record.driver.state not in soon, READY_S)
         answer = SetBool.Response()
@@ -523,7 +525,8 @@ class Observer:
             task = self.client.start(scenario, ready_timeout_s, self._waiting)
         except PlateError as refusal:
             raise GraphError(str(refusal)) from None
-        # The status of an earlier task can arrive after the new goal was sent.
+        # Wait for the status of the new task. The status of an earlier task can arrive after the
+        # new goal was sent.
         self.until(lambda: task.ended or self.record.running, ACCEPTED_S)
         return task
 
@@ -574,7 +577,8 @@ class Observer:
         """
         for service in ("stop", "simulator/reset", "detector/reset"):
             self.trigger(service)
-        self.until(lambda: False, SETTLE_S)  # images from before the reset are still in the queues
+        # wait, because images from before the reset may still be in the queues
+        self.until(lambda: False, SETTLE_S)
         self.trigger("detector/reset")
         self.record.tasks.clear()
         self.start(scenario)

@@ -184,7 +184,8 @@ class Processes:
             words = [*prefix.get(name, []), *words, *ROS_ARGS, str(config_path("nodes.yaml"))]
             remap = ["-r", ":=".join(remaps[name])] if name in remaps else []
             self._commands[name] = [*words, "--params-file", str(file), *remap]
-        traced = {"PYTHONFAULTHANDLER": "1"}  # with this variable, a crash prints its traceback
+        # with this variable, a process that crashes prints a traceback
+        traced = {"PYTHONFAULTHANDLER": "1"}
         self._environment = os.environ | traced | ros_environment(domain) | dict(environment or {})
         self._running: dict[str, Fork | subprocess.Popen[bytes]] = {}
 
@@ -201,8 +202,8 @@ class Processes:
         self.stop()
 
     def _start(self, name: str, words: list[str], log_mode: str = "wb") -> None:
-        # Each process has its own session. So Ctrl-C in the terminal reaches only this program,
-        # which then stops the nodes.
+        # Each node process has its own session. Therefore Ctrl-C in the terminal interrupts only
+        # this program, which then stops the nodes.
         with self.log(name).open(log_mode) as log, signals_wait():
             if fork := Fork.start(words, self._environment, self.log(name), self._modules):
                 self._running[name] = fork

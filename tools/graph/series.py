@@ -134,7 +134,8 @@ def one_task(graph: Session, hops: Hops, began: float, longest_s: float) -> Task
     observer.until(lambda: False, 1.2)  # wait for the simulator's next diagnostics
     counts = [int(record.last("simulator", name, "0")) for name in names]
     state, done = record.states[-1], record.done
-    # The plate must rest before the record is cleared, so that the next record begins at rest.
+    # Stop the task, and wait until the plate rests. Then the record of the next task begins at
+    # rest.
     observer.trigger("stop")
     observer.until(lambda: False, SETTLE_S)
     limits = check_limits(record, load_rig(graph.options.rig_file))

@@ -69,7 +69,8 @@ class Session:
         self.observer.check_not_stopped()
         if not driver_triggers(self.options):
             self.observer.activate_driver()
-        self.observer.check_not_stopped()  # check again, because enabling would clear a stop
+        # check again for a stop, because enabling the motors would clear the stop
+        self.observer.check_not_stopped()
         if self.options.transport == "serial":
             print("Calling the service enable: from now on the motors can move.", flush=True)
             self.observer.enable()
@@ -153,7 +154,8 @@ def session(
         seen = observer.await_nodes(loop, START_S)
         if driver_triggers(options) and not options.autostart:
             observer.until(Path(options.port or options.link).exists, START_S)
-            observer.activate_driver()  # the motors stay off until `enable` is called
+            # activation does not switch on the motors; they stay off until `enable` is called
+            observer.activate_driver()
         if "simulator" not in seen:
             observer.await_camera(CAMERA_S)
         observer.await_answers(ANSWER_S, seen)

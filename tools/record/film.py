@@ -65,7 +65,8 @@ class Film:
         there = np.sum(np.isfinite(self.position[:, :, 0]), axis=1)
         if not len(there):
             return 0
-        # The detector can give a lost part a new name later.
+        # Count positions instead of names, because the detector can give a part that was lost a new
+        # name.
         return int((len(self.ids) if self.simulated else np.max(there)) - there[-1])
 
     @property
@@ -92,7 +93,8 @@ def develop(record: Record, rig: Rig) -> Film:
     PlateError
         If no task was started.
     """
-    # A report has the stamp of its image. After the end of the task its `time_s` is constant.
+    # Each report has the stamp of its image. After the end of the task, `time_s` in the reports is
+    # constant.
     reports = [r for r in record.reports("planner") if float(r.values.get("time_s", "0")) > 0]
     if not reports or not record.truth:
         raise PlateError("the task never began: there is nothing to evaluate or draw")
@@ -108,13 +110,14 @@ def develop(record: Record, rig: Rig) -> Film:
     tables, cycles = [], []
     for data in record.tables:
         msg = deserialize_message(data, JointTrajectory)
-        with suppress(PlateError):  # check_limits reports an invalid table
+        with suppress(PlateError):  # omit an invalid table, because `check_limits` reports it
             cycles.append(msg_to_motors(rig, msg))
             tables.append(msg)
     images, pictures = [], []
     for data in record.images.items:
         image = deserialize_message(data, Image)
-        with suppress(PlateError):  # the image is invalid, and the detector has also refused it
+        # omit an invalid image, because the detector has also refused it
+        with suppress(PlateError):
             pictures.append(image_to_array(image))
             images.append(image)
 

@@ -125,7 +125,8 @@ def jumps(starts: Iterable[bytes]) -> list[str]:
     for data in starts:
         msg = deserialize_message(data, JointTrajectory)
         began = nanoseconds(msg.header.stamp)
-        if before is not None and began == began_ns:  # in lockstep, a start can be published twice
+        # in lockstep, the start of a cycle can be published twice
+        if before is not None and began == began_ns:
             continue
         try:
             cycle = msg_to_cycle(msg)

@@ -309,7 +309,7 @@ def draw_film(scene: Scene, path: Path, title: str) -> float:
         canvas = FILM.canvas(scene, bare)
         draw_task(scene, canvas)
         draw_trails(scene, canvas, t)
-        canvas.pixels[part] = view[part]  # draw parts above their trails
+        canvas.pixels[part] = view[part]  # draw the parts on top of their trails
         draw_parts(scene, canvas, t, faces=False)
         there = np.all(np.isfinite(at), axis=1)
         arrows.draw(canvas, at[there], force[there], 1.6, 0.0)
@@ -477,7 +477,8 @@ def from_above(
     ]
     if views[0].ndim == 2:
         views = [view[..., None] for view in views]
-    views = [view[..., ::-1] for view in views]  # convert blue, green, red to red, green, blue
+    # convert the colour order from blue, green, red to red, green, blue
+    views = [view[..., ::-1] for view in views]
     bare = np.percentile(views[:: max(1, len(views) // 31)], BRIGHT, axis=0).astype(np.uint8)
     parts = [np.any(cv2.absdiff(view, bare).reshape(view.shape) > SAME, axis=2) for view in views]
     return np.ascontiguousarray(np.broadcast_to(bare, (*bare.shape[:2], 3))), views, parts

@@ -29,7 +29,7 @@ def make(context: TransportContext) -> Relay:
     names = [motor.name for motor in context.rig.motors]
 
     def command(way: Trajectory) -> None:
-        now = Time()  # the controller starts a trajectory with the stamp zero at once
+        now = Time()  # the controller starts a trajectory whose stamp is zero immediately
         states = (way.position, way.velocity, way.acceleration)
         trajectories.publish(trajectory_to_msg(names, way.times, *states, now))
 

@@ -83,7 +83,7 @@ class Relay:
         self._playing: MotorTable | None = None
         self._left = 0
         self._began = 0.0
-        self._rests_at = float("-inf")  # end of the last braking
+        self._rests_at = float("-inf")  # time at which the last braking ends
         self._stop: tuple[Order, float] | None = None
         self._states: list[tuple[float, np.ndarray]] = []
 
@@ -216,7 +216,7 @@ def brake(rig: Rig, table: MotorTable, along: float) -> Trajectory:
     u = t / length
     rate = (1 - 3 * u**2 + 2 * u**3)[:, None]
     slowing = (6 * u * (u - 1) / length)[:, None]
-    # Integral of the rate. The path ends at the end of the table.
+    # `at` is the integral of `rate`. It stops at the end of the table.
     at = np.minimum(along + length * (u - u**3 + u**4 / 2), cycle.period)
     twist = cycle.twist(at)
     accel = cycle.accel(at) * rate**2 + slowing * twist

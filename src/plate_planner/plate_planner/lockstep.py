@@ -55,7 +55,8 @@ class Lockstep(Generic[Image, Start]):
         self.starts_required = True
         self._goal_received = False
         self._request_before_goal_ns: int | None = None
-        self._image: tuple[Image, int] | None = None  # waiting image and its stamp [ns]
+        # image that waits for its cycle start, and its stamp [ns]
+        self._image: tuple[Image, int] | None = None
         self._image_time = 0.0  # arrival of this image [s, steady clock]
         self._starts: deque[Start] = deque(maxlen=STARTS_KEPT)
         self._start_ns = -1  # stamp of the last cycle start [ns]

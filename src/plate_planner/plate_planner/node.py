@@ -185,18 +185,17 @@ class PlannerNode(SafeLifecycleNode[PlannerParameters]):
         self._forces = self.managed_publisher(PartForces, "part_forces", DATA)
         self._markers = self.managed_publisher(MarkerArray, "markers", DATA)
         self._reports = TaskReports(self)
-        # If several messages wait, the executor processes subscriptions in the order of their
-        # creation. The images come last, because a request must consider all cycles that were sent
-        # or began before its image.
+        # If several messages wait, the executor processes the subscriptions in the order of their
+        # creation. The subscription of images is the last, because a request must consider all
+        # cycles that were sent or began before its image.
         self.managed_subscription(JointTrajectory, "plate_cycle", self._on_cycle, DATA)
         self.managed_subscription(JointTrajectory, "cycle_started", self._on_started, DATA)
-        # If the camera is triggered, only the newest image is planned. Otherwise the estimator uses
-        # all images.
+        # If the camera is triggered, the planner uses only the newest image. Otherwise the
+        # estimator uses all images.
         newest = NEWEST if options.camera_triggered else DATA
         self.managed_subscription(Parts, "parts", self._on_parts, newest)
-        # The node subscribes to its own topic, because `second_publisher` detects a second planner
-        # by its
-        # messages on this topic.
+        # The node subscribes to part_forces, although it publishes this topic itself:
+        # `second_publisher` detects a second planner by its messages.
         self.managed_subscription(PartForces, "part_forces", lambda msg: None, DATA)
         self._alarm: Timer | None = None
         if not options.camera_triggered:
@@ -271,12 +270,13 @@ class PlannerNode(SafeLifecycleNode[PlannerParameters]):
         next cycle."""
         stamp, run = msg.header.stamp, self._tasks.run
         parts = self._record_image(msg)
-        if parts is None:  # an invalid image: request rest, to continue the loop
+        # the image is invalid: request a cycle at rest, so that the control loop continues
+        if parts is None:
             self._request(NOTHING, stamp)
             return
-        # In lockstep, the same image may arrive twice, before and after a goal. The task begins
-        # with the next image, because the driver accepts only a cycle at rest for an image before
-        # the goal.
+        # In lockstep, the same image may arrive twice: before and after a goal. For an image before
+        # the goal, the driver accepts only a cycle at rest. Therefore the task begins with the next
+        # image.
         again = self._lockstep.enabled and (
             self._tasks.seen_without_task(seconds(stamp))
             or self._lockstep.precedes_goal(nanoseconds(stamp))
@@ -296,8 +296,8 @@ class PlannerNode(SafeLifecycleNode[PlannerParameters]):
         self._tasks.see(parts, seconds(msg.header.stamp))
         idle = self._tasks.run is None
         if idle and self._monitor.inputs.starts_problem(time.monotonic()):
-            # Without cycle starts, `_on_due` publishes no request. A request for rest keeps the
-            # loop running.
+            # Without reports of cycle starts, `_on_due` publishes no request. A request for rest
+            # keeps the control loop running.
             self._request(NOTHING, msg.header.stamp)
 
     def _record_image(self, msg: Parts) -> CoreParts | None:
@@ -379,8 +379,8 @@ class PlannerNode(SafeLifecycleNode[PlannerParameters]):
         stamp.
         """
         now = 1e-9 * self.get_clock().now().nanoseconds
-        # In lockstep, simulated time stops until the planner has replied to the message, so the
-        # message cannot be late. The clock's new time may arrive before the message.
+        # In lockstep, simulated time stops until the planner has replied to the message. Therefore
+        # the message cannot be late, even if a new clock time arrives before it.
         same = abs(now - stamp) < SAME_CLOCK_S and not self.options.lockstep
         return now if same else stamp
 
@@ -392,11 +392,12 @@ class PlannerNode(SafeLifecycleNode[PlannerParameters]):
         sorted_before = -1 if run.progress is None else run.progress.parts_sorted
         request = compute(run)
         stalled = self._has_stalled()  # also updates the record of clock steps
-        # The cycle may have begun without a new image, so the last image may be old.
+        # The cycle may have begun without a new image. Therefore check whether the last image is
+        # too old.
         age_ns = nanoseconds(stamp) - self._clock_steps.earliest_ns(nanoseconds(self._stamp))
         old = 1e-9 * age_ns > age_limit(self._tasks.estimator.period)
         if stalled or self._monitor.second_publishers() or old:
-            request = NOTHING  # no motion: positions may be wrong or outdated
+            request = NOTHING  # request no motion, because the positions may be wrong or outdated
         self._request(request, stamp, to_time(round(1e9 * run.state.estimator.next_start)))
         self._reports.publish_feed(run, bool(request.parts.ids), self._stamp)
         if self._markers.get_subscription_count():
@@ -436,7 +437,8 @@ class PlannerNode(SafeLifecycleNode[PlannerParameters]):
         now = self._wake()
         self._check_task(now)
         run = self._tasks.running
-        if run is not None:  # feedback shows that the planner runs, even without images
+        # the feedback shows clients that the planner runs, even if no images arrive
+        if run is not None:
             self._goals.feed_back(run.goal, run_to_msg(run, self._answered()).progress)
         if self._lockstep.image_waits:
             inputs, period = self._monitor.inputs, self._tasks.estimator.period
@@ -582,7 +584,8 @@ class PlannerNode(SafeLifecycleNode[PlannerParameters]):
         self._reports.publish_targets(self._tasks, self._stamp)
         if self._reports.is_new(run.task.text):
             line = f"task {run.name}: {run.task.text}"
-            if run.failed:  # rclpy allows only one severity per line of code
+            # rclpy permits only one severity per call in the code, so there are two calls
+            if run.failed:
                 self.get_logger().error(line)
             else:
                 self.get_logger().info(line)

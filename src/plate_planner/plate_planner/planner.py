@@ -349,7 +349,7 @@ class Planner:
         returned values are the same as in `plan`."""
         estimator = state.estimator
         there, last = estimator.parts, state.last
-        if self.rules.open_ended:  # parts may be removed at any time
+        if self.rules.open_ended:  # in an open-ended task, parts may be removed at any time
             there = self._without_doubles(there, estimator.seen)
         else:
             there = self._without_doubles(there, estimator.seen, NAMELESS)
@@ -416,7 +416,7 @@ class Planner:
         comes_and_goes = self.rules.open_ended
         missing = () if comes_and_goes else missing_parts(self.scenario, state.known, parts)
         seen = set(state.estimator.seen.ids)
-        mine = self._mine(parts.ids)  # other objects do not prevent the start
+        mine = self._mine(parts.ids)  # parts that the task does not move do not prevent its start
         again = comes_and_goes or self._mine(state.known) == mine <= seen
         task = begin(state.task, t, missing, again, self.limits, self.others(parts))
         estimator = self._observe(state, parts, task.active and not state.task.active)

@@ -160,7 +160,8 @@ class PageNode(SafeLifecycleNode[Options]):
             self._listener.tick()
 
     def _tick_slowly(self) -> None:
-        if self._server is not None:  # a simulator may start or end at any time
+        # check repeatedly, because a simulator may start or end at any time
+        if self._server is not None:
             there = self.count_services(self.resolve_service_name("simulator/reset"))
             self._server.hello["simulator"] = bool(there)
         if self._listener is not None:

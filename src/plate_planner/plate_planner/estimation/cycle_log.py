@@ -186,7 +186,7 @@ class CycleLog:
         """Predicted log at the time when the solver's result for the running cycle begins. Results
         that were sent earlier begin before this result."""
         log, before = self, [one.cycle for one in self.sent][::-1]
-        for k in reversed(range(self.delay)):  # the newest result comes last
+        for k in reversed(range(self.delay)):  # the newest result is the last one to be executed
             cycle = log.next(before[k : k + 1])
             log = replace(log, runs=(*log.runs, (log.end, cycle)))
         return log
@@ -271,7 +271,7 @@ class CycleLog:
         if answer is None or not self.sent[answer].cycle.moves:
             return self.delays
         requested = self.sent[answer].requested
-        late = sum(  # do not count rest and tails, because they do not delay results
+        late = sum(  # cycles at rest and tails are not counted, because they do not delay results
             start > requested + SNAP * run.period and run.moves and not _is_tail(run)
             for start, run in kept
         )
@@ -300,7 +300,7 @@ class CycleLog:
             return log
         log = self
         if self.runs and t < (self.runs[0][0] if self.begin == self.last_report else self.begin):
-            log = CycleLog()  # the clock was restarted
+            log = CycleLog()  # the time is before the log, because the clock was restarted
         elif self.runs and t > self.end + MEMORY_S:
             # No image has arrived for a long time.
             log = CycleLog(sent=self.sent, answered_start=self.answered_start, awaited=self.awaited)
@@ -320,7 +320,7 @@ class CycleLog:
         The stamp may be up to `SNAP` cycles before the trigger, and up to 1 - `SNAP` cycles after
         the trigger. If the plate is at rest, the result is the stamp itself.
         """
-        # The start of the next cycle may not be reported yet.
+        # The next cycle may have started, although its start is not reported yet.
         ahead = (self.end, self.runs[-1][1])
         for begin, cycle in (ahead, *reversed(self.runs)):
             taken = begin + phase * cycle.period
@@ -340,7 +340,7 @@ class CycleLog:
         if not (self.runs or waiting):
             return self
         cycle = self.next(waiting) if self.runs else waiting[-1]
-        # Keep the sent cycles, because their starts may be reported later, and a sent cycle may
+        # Keep the sent cycles in two cases: their starts may be reported later, or a sent cycle may
         # follow a tail.
         keeps = math.isfinite(self.last_report) or not any(cycle is each for each in waiting)
         awaited = self.awaited if keeps else self._awaited_after(cycle)
@@ -359,7 +359,8 @@ class CycleLog:
         If the driver has accepted this cycle, it starts at the end of the running cycle.
         """
         one = self.awaited
-        if one is None or one.requested > t + MEMORY_S:  # the clock was set back
+        # this request is in the future, because the clock was set back
+        if one is None or one.requested > t + MEMORY_S:
             return False
         return t < one.requested + MAX_AGE_S + one.cycle.period
 

@@ -342,7 +342,7 @@ class Estimator:
         stamps], as in `CycleLog.started`."""
         hypotheses = self.hypotheses
         if self.rig.camera.trigger is not None and not self.log.free_running:
-            # The trigger determines the exposure times.
+            # The trigger determines the exposure times, so the latency is known.
             hypotheses = LatencyHypotheses.of(0.0)
         log = self.log.started(cycle, begin, triggered)
         return replace(self, log=log, hypotheses=hypotheses)
@@ -362,7 +362,8 @@ class Estimator:
         if self.rig.camera.readout_s > 0:
             delay = row_delay(self.rig, parts.position)
         clock, frames = self.clock.tick(t), self.frames.tick(t)
-        # `stamped` is the corrected stamp. The image is older by the latency.
+        # `stamped` is the corrected stamp of the image. The image was taken earlier, by the
+        # latency.
         stamped, unsure = (frames.instant, frames.deviation) if log.free_running else (t, 0.0)
         camera = self.rig.camera
         if log.free_running and camera.trigger is not None:
@@ -465,7 +466,8 @@ class Estimator:
         cycles or, if the log is empty, from the last request."""
         if self.log.known:
             return self.log.resting_since
-        # A request is executed in the cycle after its image.
+        # Without reports of cycle starts, a request is assumed to be executed in the cycle after
+        # its image.
         requested = self.request.stamp
         return requested + 2 * self.period if requested <= self.stamp else -np.inf
 
@@ -486,7 +488,8 @@ class Estimator:
             default=0.0,
         )
         reports = log.last_report > self.taken - MEMORY_S  # whether there is a recent report
-        # `unanswered` is also false if the clock was set back.
+        # `unanswered` is also false if the clock was set back, because the request then seems to be
+        # in the future.
         unanswered = log.answered_start < requested < self.taken + MEMORY_S
         may_come = unanswered or log.may_move(log.last_report if reports else self.taken)
         return np.inf if may_come or (reports and log.last_report < shown) else log.resting_since
@@ -609,7 +612,7 @@ class Estimator:
         `predicted` (M, 2) [m], which are the positions predicted for the time `next_start`. The
         other parameters are the same as in `DriftBias.update`."""
         seen, latency = rows_of(parts.ids, self.seen.ids) >= 0, self._known_latency
-        # A prediction with a short horizon contains less information.
+        # A prediction over a short time contains less information, so the gain is reduced.
         ahead = min(self.bias.span / self.period, 1.0)
         bias = self.bias.update(parts, seen, self.stamp, latency, axes, gain * ahead, most)
         bias = bias.with_prediction(predicted, self._known_until, self.next_start, latency)

@@ -1,4 +1,4 @@
-// Propagation of part states: kernel of filter.py.
+// C++ kernel of filter.py, which predicts the states of the parts.
 #pragma once
 #include <algorithm>
 #include <cmath>
@@ -8,20 +8,23 @@
 
 namespace plate {
 
-// Small value that is added to a denominator. It prevents a division by zero if the slip is zero.
+// Value that is added to a denominator, to prevent a division by zero if the slip is zero.
 constexpr double TINY = 1e-300;
 
-// Number of states that are propagated in parallel. The last group is filled with states that do
-// not move.
+// Number of states that vector instructions propagate together. The last group is filled with
+// states that do not move.
 constexpr int LANES = 8;
 
 // Propagates states (K, 5) in place by implicit Coulomb steps. The columns are x, y [m] and vx, vy
-// [m/s]. The fifth column is not changed. With the slip d = surface - v, v += d min(1, bound dt /
-// |d|), x += v dt.
+// [m/s]. The fifth column is not changed. One step of length dt is
+//     d = surface - v
+//     v += d min(1, bound dt / |d|)
+//     x += v dt
+// where d is the slip and `surface` is the velocity of the plate at the part.
 //
-// bound (K,): mu g [m/s2], above 0. pose, twist (n, 3): pose and twist of the plate at the middles
-// of n steps of dt [s]. begin, end (K,): interval in which a state is propagated [s since the first
-// step].
+// `bound` (K,) is mu g [m/s2], above 0. `pose` and `twist` (n, 3) are the pose and twist of the
+// plate at the middles of n steps of length dt [s]. Each state is propagated from the time `begin`
+// to the time `end` (K,) [s since the start of the first step].
 PLATE_WIDE inline void stick_slip(View<double, 2> state, const double* bound, Samples pose,
                                   Samples twist, const double* begin, const double* end,
                                   double dt) {

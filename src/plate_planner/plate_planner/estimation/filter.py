@@ -313,8 +313,9 @@ def kalman_update(
     weighted = np.einsum("aki,akij->akj", velocity, inverse)
     information = np.einsum("aki,aki->ak", weighted, velocity)
     lateness = np.einsum("aki,aki->ak", weighted, innovation)
-    # Pushed parts are not used to estimate the error of the stamp. For each part alone, z' (S
-    # + s^2 v v')^-1 z follows from S^-1 by the formula of Sherman and Morrison (1950).
+    # Parts that were pushed are not used to estimate the error of the stamp. For each part, z' (S +
+    # s^2 v v')^-1 z follows from S^-1 by the formula of Sherman and Morrison (1950). z is the
+    # innovation, S its covariance, v the velocity, and s the standard deviation of the stamp.
     usual = np.maximum(square - jitter**2 * lateness**2 / (1 + jitter**2 * information), 0)
     known = usual <= PUSHED_SIGMA**2
     information, lateness = (np.sum(x * known, axis=1) for x in (information, lateness))
@@ -335,8 +336,9 @@ def kalman_update(
     rest[row, part] = np.diag(FIRST_SEEN**2)
     rest[row, part, 4, 4] = covariance[row, part, 4, 4]
     square = np.minimum(square, PUSHED_SIGMA**2)
-    # For all parts together, the same formula gives sum left' S^-1 left + late^2/s^2. The
-    # determinant has the additional factor 1 + s^2 sum v' S^-1 v.
+    # For all parts together, the same formula gives sum left' S^-1 left + late^2/s^2. `late` is the
+    # estimated error of the stamp, and `left` is the remaining innovation. The determinant of the
+    # covariance has the additional factor 1 + s^2 sum v' S^-1 v.
     likelihood = -0.5 * (
         np.sum(square + np.log(np.linalg.det(spread)), axis=1)
         + (late / jitter) ** 2

@@ -36,7 +36,8 @@ class GoalServers:
         on_goal: Callable[[Any], None],
         on_cancel: Callable[[Any], CancelResponse],
     ) -> None:
-        self._results: dict[bytes, TaskStatus] = {}  # results not delivered yet, by goal
+        # results that are not delivered yet; the keys are the ids of the goals
+        self._results: dict[bytes, TaskStatus] = {}
         self._servers = [
             ActionServer(
                 node, action, name, self._result, handle_accepted_callback=on_goal,

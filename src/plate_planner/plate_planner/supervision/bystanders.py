@@ -83,7 +83,7 @@ class Overlooked:
         areas = areas or [np.pi * self.rig.parts.radius_m**2]
         low = np.sqrt(PLAUSIBLE_AREA[0] * min(areas) / np.pi)
         high = np.sqrt(PLAUSIBLE_AREA[1] * max(areas) / np.pi)
-        # An object that extends farther outwards may be the plate's edge.
+        # An object that extends beyond `inner` may be the plate's edge.
         inner = self.rig.plate.half - self.rig.limits.stroke_m
         candidates = []
         for thing in things:

@@ -238,7 +238,7 @@ class Inputs:
             Function that returns the number of publishers of a topic.
         """
         why = self._missing(now, began, period, publishers)
-        # If the driver reports a failed connection, this is the reason, and missing inputs are its
+        # If the driver reports a failed connection, return this failure. The missing inputs are its
         # consequence.
         return self._driver_failure if why and self.error_since is not None else why
 
@@ -265,7 +265,7 @@ class Inputs:
             return Failure(Reason.DRIVER_STOPPED, why)
         silent = self.starts is not None and min(self.starts.age(now), now - began)
         if self.starts is not None and silent > max(self.starts.timeout_s, CYCLES * period):
-            # Missing cycle starts are the reason. Missing inputs of other nodes are their
+            # The missing cycle starts are the cause. Missing inputs from other nodes are a
             # consequence.
             return Failure(Reason.NO_CYCLE, self.starts_problem(now))
         silence = min(self.parts.age(now), now - began)
@@ -277,7 +277,7 @@ class Inputs:
         elif silence > timeout:
             return Failure(Reason.NO_PARTS, self._no_parts(now, silence, publishers))
         seen = self.reports.get("detector")
-        # The detector reports that its positions are wrong.
+        # An error of the detector means that its positions are wrong.
         wrong = seen is not None and seen.level is Level.ERROR
         if seen is not None and wrong and seen.at - max(seen.since, began) > ERROR_TIMEOUT_S:
             return Failure(Reason.CUT_OFF, f"detector: {seen.message}")
@@ -301,7 +301,9 @@ class Inputs:
             for name, report in self.reports.items()
             if report.level is Level.STALE and report.at - began > self.parts.timeout_s
         }
-        if "detector" in stale:  # a simulated device needs its motion for images
+        # if a device drives the simulator, the images come from the simulator, which may be the
+        # cause
+        if "detector" in stale:
             driven = "device" in self.reports and "simulator" in stale
             return "simulator" if driven else "detector"
         if self.parts.age(now) > fresh:

@@ -113,8 +113,8 @@ class InputMonitor:
         failure = self.inputs.problem(now, goal_time, period, self._publishers)
         waited = now - goal_time > self._start_timeout_s + MARGIN_S
         if failure is None and task.began is None and waited:
-            # The time limit of the planner uses stamps. It is never reached if the stamps do not
-            # advance.
+            # The planner has a time limit that is measured by stamps. If the stamps do not advance,
+            # this limit is never reached. Therefore the monitor also measures the time.
             text = f"not all parts were detected within {self._start_timeout_s:g} s after the goal"
             failure = Failure(Reason.PARTS_MISSING, text)
         if several := self.second_publishers():

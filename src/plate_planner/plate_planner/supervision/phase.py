@@ -315,11 +315,11 @@ def evaluate(state: TaskState, t: float, findings: Findings, limits: TaskLimits)
     met_since = state.met_since
     if not (
         findings.missing and findings.goal_met
-    ):  # if parts are missing, it is not known whether the goal is met
+    ):  # if parts are missing, it is unknown whether the goal is met, so keep the last value
         met_since = _since(met_since, findings.goal_met, t)
     state = replace(state, missing_since=missing_since, met_since=met_since)
-    # The distance to the goal omits missing parts. A decrease of the distance would then appear as
-    # progress.
+    # The distance to the goal does not include missing parts. If parts are missing, a smaller
+    # distance is not progress.
     if not findings.missing and findings.to_go_m < state.nearest_m - limits.nearer_m:
         state = replace(state, nearest_m=findings.to_go_m, nearest_at=t)
     timeout = limits.unseen_timeout_s + TIME_TOLERANCE_S
@@ -336,7 +336,8 @@ def evaluate(state: TaskState, t: float, findings: Findings, limits: TaskLimits)
         text = _joined(findings.outcome, findings.unanswered)
         return _end(state, t, Phase.DONE, Reason.NONE, text)
     reason, text = Reason.NONE, ""
-    # If the goal was met within the time limit, allow more time for an image at rest.
+    # If the goal was met within the time limit, allow additional time for an image of the parts at
+    # rest.
     longest = limits.time_limit_s + (limits.unseen_timeout_s if held else 0.0)
     if state.elapsed(t) > longest + TIME_TOLERANCE_S:
         reason, text = Reason.TIME_LIMIT, f"time limit of {limits.time_limit_s:g} s"

@@ -197,7 +197,7 @@ class Feeder(TaskRules):
             for name, (x, y) in zip(parts.ids, parts.position.tolist(), strict=True)
             if name in now.seen.ids or name in memory.place
         }
-        if now.kept:  # missing ready parts are not lost: the robot takes them
+        if now.kept:  # ready parts that are missing are not lost, because the robot takes them
             taken = memory.report.ready.ids
             place = {name: at for name, at in memory.place.items() if name not in taken}
         ready, ordered = len(report.ready), sum(pick.ready for pick in self._picks)
@@ -238,7 +238,7 @@ class Feeder(TaskRules):
         hidden = [i for i, name in enumerate(now.parts.ids) if name not in seen.ids]
         every = _join(
             seen, now.parts.take(hidden)
-        )  # parts that the image does not show also need clearance
+        )  # also keep clearance from parts that the image does not show
         gap = free_gap(every, self.rig)
         here = np.arange(len(every)) < len(seen)
         ready = np.zeros(len(every), dtype=bool)
@@ -291,8 +291,8 @@ class Feeder(TaskRules):
     def _clearing(self, memory: FeedMemory, parts: Parts, near: np.ndarray) -> bool:
         """Whether the unwanted parts must move to the chute now. They must move if there are many
         unwanted parts, or if no other part can get ready."""
-        # The order is to rest. In this case parts are not counted, because vision may detect the
-        # robot as a part.
+        # If the order is to rest, parts are not counted, because vision may detect the robot as a
+        # part.
         if self._chute is None or self._mode is FeedMode.REST:
             return self._chute is not None and memory.clearing
         unwanted = sum(not self._is_wanted(name) for name in parts.ids)

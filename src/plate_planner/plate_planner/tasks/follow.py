@@ -289,8 +289,8 @@ class Follower(TaskRules):
         early = memory is None or now.stamp < memory.began - now.period / 2
         if memory is not None and not memory.leading and not (early and now.motion_known):
             return memory
-        # Until cycles run, begin one cycle later, because the length of a cycle is known only after
-        # the first cycle.
+        # If no cycle has run yet, begin the references one cycle later. The exact period is known
+        # only after the first cycle.
         start = now.start if now.motion_known else now.start + now.period
         again = self.begin(now.parts, start)
         if not now.latency_known:
@@ -386,7 +386,8 @@ class Follower(TaskRules):
         if now.latency_known:
             after = self._scaling(before, worst, float(np.max(lacking, initial=0.0)))
             after = min(after, self._ahead(time, now.period))
-        # Until the result takes effect, the references keep their previous speed.
+        # The references keep their previous speed until the start of the cycle that results from
+        # this request.
         return replace(measured, anchor=now.start, progress=time, scaling=(before, after))
 
     def _scaling(self, before: float, worst: float, lacking: float) -> float:
@@ -504,10 +505,11 @@ class Follower(TaskRules):
         ]
         low, high = (np.column_stack(ends) for ends in zip(*intervals, strict=True))
         path, part = matched_rows(memory.match, now.parts)
-        # While the latency is unknown, prediction errors may exceed the motion of the parts.
+        # While the latency is unknown, prediction errors may be larger than the motion of the
+        # parts.
         scaling = 1.0 if now.latency_known else memory.scaling[1]
-        # A cycle may be executed 1 + late times before the next result begins. All executions
-        # together must make one correction.
+        # A cycle may be executed 1 + `late` times before the cycle of the next result begins. The
+        # sum of these executions must give one correction.
         times = 1 + now.late
         low[part] = high[part] = pd_drift(
             now.predicted[part],

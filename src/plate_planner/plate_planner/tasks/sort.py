@@ -185,15 +185,15 @@ class Sorter(TaskRules):
             displacement[rows] = place - parts.position[rows]
         requested = (low > -half) | (high < half)
         weight = np.where(requested, distance_weight(displacement), 0.0)
-        # Far from their sides, parts that move to the left and parts that move to the right use
-        # different lanes. Therefore one swirl moves all of them.
+        # Parts that are far from their sides use one lane to move to the left and another lane to
+        # move to the right. Therefore a single rotating force field moves all of them.
         most = CROWDED_LANE if len(parts) > CROWD else LANE
         lane = most * np.minimum(displacement[:, 0] / LANE_M, 1) * (sign[:, 0] != 0)
         if not _diagonal(sign):
             lane[sign[:, 1] != 0] = 0
         if np.all(sign[:, 0] >= 0) or np.all(sign[:, 0] <= 0):
             lane[:] = 0  # no lanes are needed if all parts move in one direction
-        # A higher weight of the corner replaces the weight of the lane.
+        # If the weight of the motion along y is higher, it replaces the weight of the lane.
         lane[lane <= np.where(sign[:, 1] != 0, weight[:, 1], 0)] = 0
         upper = hand * sign[:, 0] > 0
         middle = LANE_AT * half[1]
@@ -254,7 +254,7 @@ def _grid(region: Bin, edge_m: float, rig: Rig) -> np.ndarray:
     spacing, clear = SLOT_SPACING * rig.parts.radius_m, SLOT_CLEAR * rig.parts.radius_m
     room = (
         rig.plate.half - edge_m + clear
-    )  # these bounds are `clear` outside the outermost grid points
+    )  # the outermost grid points are `clear` inside these bounds
     low, high = np.reshape(outline.bounds, (2, 2))
     low, high = np.maximum(low, -room), np.minimum(high, room)
     best = np.zeros((0, 2))

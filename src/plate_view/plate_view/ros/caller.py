@@ -65,7 +65,7 @@ class Caller:
     def _poll(self) -> None:
         for poller in list(self.pollers):
             poller()
-        if not self.pollers:  # without calls, the node needs no timer
+        if not self.pollers:  # stop the timer if no calls are pending
             self._timer.cancel()
 
     def client(self, kind: Any, name: str) -> Any:
@@ -89,7 +89,7 @@ class Caller:
         last = 0.0
 
         def answered(future: Any) -> None:
-            if future not in sent:  # an earlier reply has ended the call
+            if future not in sent:  # ignore this reply, because an earlier reply has ended the call
                 return
             self.pollers.discard(tick)
             for each in sent:

@@ -131,7 +131,7 @@ class Listener:
         else:
             self._newest[topic] = msg
 
-    # Messages that are sent at once
+    # Messages that are sent to the browsers immediately
 
     def _on_setpoints(self, msg: JointTrajectory) -> None:
         self._setpoints += 1
@@ -194,7 +194,8 @@ class Listener:
         for topic, msg in newest.items():
             try:
                 TOPICS[topic].take(self, msg)
-            except (PlateError, ValueError) as error:  # a ValueError means NaN in JSON
+            # a ValueError is raised if a value is NaN, because JSON has no NaN
+            except (PlateError, ValueError) as error:
                 warn = self._node.get_logger().warning
                 warn(f"{topic}: {error}", throttle_duration_sec=WARN_S)
 
@@ -231,7 +232,7 @@ class Listener:
 
     def _show_image(self, msg: Image) -> None:
         if not any(map(self._server.wants, TOPICS["image_raw"].watched)):
-            return  # a replay also delivers images that no browser shows
+            return  # ignore images that no browser shows; a replay also delivers such images
         image, stamp = image_to_array(msg), seconds(msg.header.stamp)
         image = image[..., ::-1] if msg.encoding == "rgb8" else image
         now = time.monotonic()

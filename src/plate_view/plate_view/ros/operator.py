@@ -103,9 +103,9 @@ class Operator:
         self._caller = Caller(node)
         self._call = self._caller.call
         self._goal: Goal | None = None  # goal of the task that this page has started
-        # Goal that is sent when this task has ended.
+        # Next goal, which is sent when the present task has ended.
         self._next: tuple[PendingCommand, str, Any] | None = None
-        # Targets that are kept until the task runs.
+        # Targets that are stored until the task runs.
         self._waiting: dict[str, dict[str, Any]] | None = None
         # Requests that wait for the parameters of a node.
         self._requests: dict[str, list[PendingCommand]] = {}
@@ -319,8 +319,8 @@ class Operator:
 
         def never_began(text: str) -> None:
             own.ended = True
-            # This goal did not replace the previous task. Therefore show the previous task again,
-            # unless it has ended.
+            # The new goal did not replace the previous task. Therefore show the previous task
+            # again, unless it has ended.
             if self._goal is own:
                 self._goal = None if before is None or before.ended else before
             reply(False, text)
@@ -332,7 +332,7 @@ class Operator:
             handle = future.result()
             if not handle.accepted:
                 never_began("the planner refused the goal")
-            elif own.ended:  # the goal was accepted too late
+            elif own.ended:  # the goal was accepted after the time limit, so cancel it
                 handle.cancel_goal_async()
             else:
                 own.handle = handle
@@ -354,8 +354,8 @@ class Operator:
         def tick() -> None:
             nonlocal before, end
             if not sent and client.server_is_ready():
-                # Set this before the goal is sent, because task_status reports the task before the
-                # planner accepts the goal.
+                # Set `_goal` before the goal is sent, because task_status reports the task before
+                # the planner accepts the goal.
                 before, self._goal = self._goal, own
                 sent.append(client.send_goal_async(goal, feedback_callback=on_feedback))
                 sent[0].add_done_callback(on_answer)

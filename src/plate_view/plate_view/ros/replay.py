@@ -90,7 +90,7 @@ class Replay:
         self._played_at = time.monotonic()
         latched = [each for each in self._chosen if self._name(each) in LATCHED_TOPICS]
         self._latched: list[Any] = []
-        with contextlib.suppress(PlateError):  # the bag is read up to a damaged place
+        with contextlib.suppress(PlateError):  # a damaged bag is read up to the damaged place
             self._latched.extend(self._messages(latched) if latched else ())
         self.seek(self.begin)
 
@@ -178,13 +178,13 @@ class Replay:
     def _messages(self, chosen: list[Any], *interval: int) -> Iterator[Any]:
         try:
             yield from self._reader.messages(chosen, *interval)
-        except Exception as error:  # the library raises any exception for a damaged file
+        except Exception as error:  # the library can raise any type of exception for a damaged file
             raise _damaged(error) from None
 
     def _pass_on(self, name: str, data: bytes) -> None:
         try:
             msg = deserialize_message(bytes(data), self._kinds[name])
-        except Exception as error:  # rmw raises an error without a public name
+        except Exception as error:  # rmw raises an error that has no public name
             raise _damaged(error) from None
         self._receive(name, msg)
 

@@ -1,4 +1,5 @@
-// Conversion of Python arrays to C++ views without copies. Type, axes and order are checked.
+// Conversion of Python arrays to C++ views without copies. The type, the number of axes and the
+// memory order of the arrays are checked.
 #pragma once
 #include <nanobind/nanobind.h>
 #include <nanobind/ndarray.h>
@@ -36,19 +37,19 @@ Viewed<Source> view(const Source& array) {
     return {array};
 }
 
-// A field of a named tuple.
+// Returns a field of a named tuple.
 inline nb::object field(const nb::tuple& record, size_t at) {
     if (at >= record.size()) throw nb::value_error("a record has too few fields");
     return nb::borrow(record[at]);
 }
 
-// Samples (n, 3).
+// Returns a view of an array (n, 3) as samples of a motion.
 template <class Number>
 SamplesOf<Number> samples(const Array<const Number, 2>& array) {
     return {array.data(), static_cast<int>(array.shape(0)), 3, 1};
 }
 
-// A numpy array that becomes the owner of a vector's memory.
+// Returns a NumPy array that takes over the memory of a vector.
 template <int N, class T = double, class Memory = std::allocator<T>>
 nb::ndarray<nb::numpy, T, nb::ndim<N>> to_numpy(std::vector<T, Memory>&& numbers,
                                                 std::array<size_t, N> shape) {

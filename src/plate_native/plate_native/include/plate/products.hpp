@@ -1,7 +1,6 @@
 // Products of small matrices. The order of summation does not depend on the processor's vector
-// width.
-// Vector instructions compute several columns of a row at once. Each sum is computed term by term,
-// in the order of the source code.
+// width. Vector instructions compute several columns of a row together. The terms of each sum are
+// added one by one, in the order of the source code.
 #pragma once
 #include <algorithm>
 
@@ -9,11 +8,12 @@
 
 namespace plate {
 
-// Number of values in a vector of 256 bits.
+// Number of values of a type in a vector register of 256 bits.
 template <class Number>
 constexpr int LANES_OF = 32 / sizeof(Number);
 
-// A tile of HIGH rows and WIDE columns of the sum over k of a[k] b[k]', kept in registers.
+// Computes a tile of HIGH rows and WIDE columns of a' b, which is the sum over k of a[k] b[k]'. The
+// tile is small enough to stay in the processor's registers.
 template <int HIGH, int WIDE, class Number>
 [[gnu::always_inline]] inline void product_tile(const Number* __restrict a, int a_row, const Number* __restrict b,
                                                 int b_row, int terms, Number* __restrict result, int result_row) {
@@ -27,7 +27,7 @@ template <int HIGH, int WIDE, class Number>
         for (int j = 0; j < WIDE; j++) result[i * result_row + j] = sum[i][j];
 }
 
-// HIGH rows of a result, in tiles of at most VECTORS vectors.
+// Computes HIGH rows of a' b, in tiles with a width of at most VECTORS vector registers.
 template <int HIGH, int VECTORS, class Number>
 [[gnu::always_inline]] inline void product_rows(const Number* a, int a_row, const Number* b, int b_row, int terms,
                                                 int wide, Number* result, int result_row) {
@@ -66,8 +66,8 @@ template <class Number>
     }
 }
 
-// result (high, wide) = a' b, the sum over k of a[k] b[k]'. `a_row`, `b_row` and `result_row` are
-// the distances between consecutive rows of the matrices [numbers].
+// Computes `result` (high, wide) = a' b, which is the sum over k of a[k] b[k]'. `a_row`, `b_row`
+// and `result_row` are the distances between consecutive rows of the matrices, in numbers.
 PLATE_WIDE inline void product(const double* a, int a_row, const double* b, int b_row, int terms, int high, int wide,
                                double* result, int result_row) {
     product_of(a, a_row, b, b_row, terms, high, wide, result, result_row);
@@ -78,8 +78,8 @@ PLATE_WIDE inline void product(const float* a, int a_row, const float* b, int b_
     product_of(a, a_row, b, b_row, terms, high, wide, result, result_row);
 }
 
-// The upper half of a' a (count, count). Entries below the diagonal are computed if they belong to
-// a tile of the upper half.
+// Computes the upper half of a' a (count, count). Entries below the diagonal are also computed if
+// their tile contains entries of the upper half.
 PLATE_WIDE inline void square_product(const double* a, int a_row, int terms, int count, double* result) {
     square_product_of(a, a_row, terms, count, result);
 }

@@ -1,5 +1,5 @@
-// Vectors of numbers for the processor's vector instructions. The operators + - * / act on each
-// number.
+// Types for the processor's vector instructions. The operators + - * / are applied to each number
+// of a vector.
 #pragma once
 #include <cstring>
 
@@ -8,7 +8,7 @@ namespace plate {
 using Four = double __attribute__((vector_size(4 * sizeof(double))));
 using Eight = float __attribute__((vector_size(8 * sizeof(float))));
 
-// Four or eight numbers from memory, which need not be aligned.
+// Loads four or eight numbers from memory. The memory need not be aligned.
 template <class Vector, class Number>
 [[gnu::always_inline]] inline void load(Vector& vector, const Number* from) {
     static_assert(sizeof(vector[0]) == sizeof(Number));

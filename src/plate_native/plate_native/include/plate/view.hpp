@@ -1,5 +1,5 @@
-// Views of arrays that do not own their memory, and a matrix that owns its memory. Both are in row
-// order.
+// View of an array, which does not own its memory, and matrix, which owns its memory. In both, the
+// numbers of a row are consecutive in memory.
 #pragma once
 #include <array>
 #include <cstddef>
@@ -8,7 +8,7 @@
 
 namespace plate {
 
-// A view of an array with N axes in row order.
+// View of an array with N axes. The entries along the last axis are consecutive in memory.
 template <class T, int N>
 struct View {
     T* data;
@@ -25,7 +25,7 @@ struct View {
         return data[offset];
     }
 
-    // Pointer to the entries at an index of the first axis.
+    // Returns a pointer to the entries at an index of the first axis.
     T* operator[](int index) const {
         int each = 1;
         for (int axis = 1; axis < N; axis++) each *= shape[axis];
@@ -33,7 +33,8 @@ struct View {
     }
 };
 
-// Allocator aligned to a cache line, so that no vector spans two lines.
+// Allocator whose memory is aligned to cache lines, so that no vector register is loaded from two
+// lines.
 template <class T>
 struct Aligned {
     using value_type = T;
@@ -50,7 +51,7 @@ struct Aligned {
 template <class Number>
 using AlignedNumbers = std::vector<Number, Aligned<Number>>;
 
-// A matrix that owns its numbers. Its memory does not shrink when it becomes smaller.
+// A matrix that owns its numbers. If the matrix becomes smaller, it keeps its memory.
 template <class Number>
 struct MatrixOf {
     int rows = 0, columns = 0;
@@ -69,7 +70,8 @@ struct MatrixOf {
 
 using Matrix = MatrixOf<double>;
 
-// Three numbers for each instant of a motion: x, y and theta of poses or twists, with strides.
+// View of samples of a motion: three numbers per instant, which are x, y and theta of a pose or
+// twist. `by_sample` and `by_axis` are the distances in memory between samples and between axes.
 template <class Number>
 struct SamplesOf {
     const Number* data;

@@ -1,9 +1,9 @@
-// PLATE_WIDE: the function is compiled for several vector widths. The loader of the operating
-// system selects one.
+// The macro PLATE_WIDE compiles a function for several vector widths. At program start, the loader
+// of the operating system selects the version for the processor.
 //
-// Results do not depend on the width: the order of sums is fixed, and products are not fused with
-// sums. Vectors of 512 bits are excluded, because GCC 12 then loads past the ends of arrays
-// (test_native.py).
+// The results do not depend on the vector width. The order of the terms in sums is fixed, and no
+// instruction combines a product and a sum. Vectors of 512 bits are excluded, because for them GCC
+// 12 generates code that reads beyond the ends of arrays (test_native.py).
 #pragma once
 
 #if defined(__x86_64__) && defined(__gnu_linux__) && defined(__GNUC__) && !defined(__clang__)
