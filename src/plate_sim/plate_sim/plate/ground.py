@@ -1,6 +1,6 @@
-"""Surface effects in addition to one friction coefficient: static friction, friction that depends
-on the slip speed, tilt and heave. `Ground` describes these effects. `Ground.effect` returns the
-numbers that the kernels use."""
+"""Effects of the plate's surface that one friction coefficient does not describe. They are static
+friction, friction that depends on the slip speed, tilt, and heave. `Ground` describes these
+effects. `Ground.effect` returns the numbers that the kernels use."""
 
 from __future__ import annotations
 

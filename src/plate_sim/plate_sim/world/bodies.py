@@ -1,11 +1,13 @@
-"""Simulation of all parts during cycles of the plate. Each step computes friction, then contacts.
+"""Simulation of all parts during cycles of the plate. Each integration step computes friction
+first, and then contacts.
 
-One model covers all scenes. Friction acts on the whole footprint of a part, so that parts slide,
-rotate and stick. The surface under the parts moves as the plate does (equation (2) of the paper,
-with the pose of the plate). All steps have the same length. Within a step, the friction of each
-part is integrated in as many substeps as necessary (`friction.step`). At the end of the step,
+The same model is used for all scenes. Friction acts on the whole footprint of a part, so that parts
+slide, rotate and stick. The surface under the parts has the velocity of equation (2) of the paper,
+with the actual pose of the plate. All steps have the same length. Within a step, the friction of
+each part is integrated in as many substeps as necessary (`friction.step`). At the end of the step,
 touching parts collide (`contacts`). Two parts are checked for contact only if they can have moved
-close enough since their last check. Parts that slide steadily are advanced together.
+close enough since their last check. Parts that slide without sticking during a step are computed
+together.
 """
 
 from __future__ import annotations
@@ -31,17 +33,18 @@ STEP = 2e-4
 """Default maximum integration step [s]. During one step, parts move by at most about 0.2 mm."""
 
 SAMPLES = 64
-"""Default number of output samples per cycle. For usual cycles, this is eight samples per period of
-the highest harmonic."""
+"""Default number of output samples per cycle. For usual cycles, this number gives eight samples per
+period of the highest harmonic."""
 
 START_OVERLAP = 0.1
-"""Maximum overlap of two parts at the start, divided by half the width of the slimmer part."""
+"""Maximum overlap of two parts at the start of a simulation, divided by half the width of the
+slimmer part."""
 
 COLUMNS: tuple[slice | int, ...] = slice(2), 2, slice(3, 5), 5
-"""Columns of position, angle, velocity and spin in a state."""
+"""Indices of the columns that contain position, angle, velocity and spin in an array of states."""
 
 ENDLESS = np.full(2, np.inf)
-"""Half sides of an unbounded plate [m]."""
+"""Half sides of a plate without edges [m]."""
 
 
 @dataclass(frozen=True)
@@ -51,9 +54,9 @@ class BodyTrajectory:
     Attributes
     ----------
     time : (k,)
-        Times [s], from 0.
+        Times since the start of the motion [s].
     position, velocity : (k, M, 2)
-        Centres of mass: positions [m] and velocities [m/s].
+        Positions [m] and velocities [m/s] of the centres of mass.
     angle, spin : (k, M)
         Angles [rad] (not wrapped) and spins [rad/s], counter-clockwise.
     on_plate : (M,)
@@ -71,18 +74,19 @@ class BodyTrajectory:
     def of_states(
         cls, time: np.ndarray, states: np.ndarray, on_plate: np.ndarray
     ) -> BodyTrajectory:
-        """Split states (k, M, 6) into position, angle and their rates."""
+        """Split an array of states (k, M, 6) into position, angle, velocity and spin."""
         position, angle, velocity, spin = (states[..., own] for own in COLUMNS)
         return cls(time, position, angle, velocity, spin, on_plate)
 
     @classmethod
     def recorded(cls, record: np.ndarray, interval: float, on_plate: np.ndarray) -> BodyTrajectory:
-        """Split a record (k, M, 6) of states at equal intervals [s]."""
+        """Convert an array of states (k, M, 6), recorded at equal intervals [s], to a
+        trajectory."""
         return cls.of_states(np.arange(len(record)) * interval, record, on_plate)
 
 
 class Shapes(NamedTuple):
-    """Footprints of M parts, for compiled code.
+    """Footprints of M parts in the form that compiled code needs.
 
     Attributes
     ----------
@@ -92,12 +96,12 @@ class Shapes(NamedTuple):
         Points of all footprints except discs. The rows are x and y [m, part's axes], the fraction
         of the part's weight, and the size of the cell around the point [m] (see `Footprint.blur`).
     pieces : (p, 2)
-        Index of the first corner and index after the last corner, for each convex piece of all
+        Index of the first corner, and index of the last corner + 1, for each convex piece of all
         outlines except discs.
     corners : (c, 5)
-        Corners of the pieces in the part's axes. Columns 0 and 1: position [m]. Columns 2 and 3:
-        outward normal of the side that begins at the corner. Column 4: 1 if this side belongs to
-        the outline, 0 if it adjoins another piece of the part.
+        Corners of the pieces in the part's axes. Columns 0 and 1 contain the position [m]. Columns
+        2 and 3 contain the outward normal of the side that begins at the corner. Column 4 is 1 if
+        this side belongs to the outline, and 0 if it adjoins another piece of the part.
     """
 
     bodies: np.ndarray
@@ -147,21 +151,21 @@ def simulate_bodies(
     ground: Ground = LEVEL,
     half: np.ndarray | None = None,
 ) -> BodyTrajectory:
-    """Integrate the motion of parts.
+    """Simulate the motion of parts on a plate.
 
     Parameters
     ----------
     cycle : PlateCycle or PlateMotion
         Motion of the plate. Only a PlateCycle can be repeated.
     footprint : Footprint, or M of them
-        Footprint of all parts, or of each part.
+        One footprint for all parts, or one footprint for each part.
     position, velocity : (M, 2)
         Positions [m] and velocities [m/s] of the centres of mass at the start of the first cycle,
         plate_home.
     angle, spin : float or (M,)
-        Angles [rad] and spins [rad/s] at the start.
+        Angles [rad] and angular velocities [rad/s] at the start of the first cycle.
     friction : float or (M,)
-        Friction coefficient mu, of all parts or of each part.
+        Friction coefficient mu: one number for all parts, or one number for each part.
     gravity : float
         Gravity [m/s2].
     cycles : int
@@ -175,14 +179,14 @@ def simulate_bodies(
     ground : Ground
         Tilt, static friction, and dependence of friction on the slip speed.
     half : (2,), optional
-        Half sides of the plate [m]. A part is removed if its centre passes an edge, unless the
+        Half sides of the plate [m]. A part is removed if its centre crosses an edge, unless the
         contacts have walls. Default: a plate without edges.
 
     Returns
     -------
     BodyTrajectory
-        Motion at the start and at all samples, k = cycles * samples + 1. If `samples` is 0: motion
-        at the end, k = 1.
+        Motion with k = cycles * samples + 1 samples, including the start. If `samples` is 0, the
+        motion contains only the end, k = 1.
 
     Raises
     ------
@@ -236,8 +240,8 @@ def run_plates(
     names: Sequence[Any],
     threads: int = 1,
 ) -> np.ndarray:
-    """Advance the parts on N plates during cycles of the plates, in place. All plates have the same
-    M parts.
+    """Simulate the parts on N plates during cycles of the plates. The arrays `states` and `here`
+    are modified. All plates have the same M parts.
 
     The kernel sorts the parts by position, so that the results do not depend on the order of the
     parts.
@@ -245,19 +249,19 @@ def run_plates(
     Parameters
     ----------
     motions, steps, grounds : N of each
-        Motion, number of equal steps per cycle, and ground of each plate.
+        Motion, number of equal integration steps per cycle, and surface of each plate.
     shapes : Shapes
     states : (N, M, 6)
-        x, y, angle and their rates. The array is modified.
+        x, y, angle and their time derivatives. The array is modified.
     here : (N, M) bool
-        Whether each part is on the plate. The array is modified. A removed part remains at its
-        place at rest, and does not touch other parts.
+        Whether each part is on the plate. The array is modified. A removed part stays at rest at
+        its place, and does not touch other parts.
     limit : (N, M)
         mu g of each part [m/s2].
     contacts, half
         The same as in `simulate_bodies`.
     every : int
-        Number of steps between recorded states. 0 records none.
+        Number of steps between two recorded states. With 0, no states are recorded.
     names : M
         Names of the parts, for messages.
     threads : int
@@ -266,7 +270,7 @@ def run_plates(
     Returns
     -------
     (N, k, M, 6)
-        States at the start and after every `every` steps. If `every` is 0, k is 0.
+        Recorded states at the start and after each group of `every` steps. If `every` is 0, k is 0.
 
     Raises
     ------
@@ -296,8 +300,9 @@ def run_plates(
 
 
 def columns(starts: Sequence[tuple[Any, Any, Any, Any]]) -> np.ndarray:
-    """Check the starts of N plates, and return their states (N, M, 6). Each start consists of
-    position, angle, velocity and spin of the parts, with the shapes of `simulate_bodies`."""
+    """Check the initial states of the parts on N plates, and convert them to an array (N, M, 6).
+    Each item of `starts` contains position, angle, velocity and spin of the parts, with the array
+    shapes of `simulate_bodies`."""
     count = len(starts[0][0])
     shapes = (count, 2), (count,), (count, 2), (count,)
     fields = [np.asarray(each) for each in zip(*starts, strict=True)]
@@ -314,7 +319,8 @@ def columns(starts: Sequence[tuple[Any, Any, Any, Any]]) -> np.ndarray:
 def _columns(
     position: np.ndarray, angle: float | np.ndarray, velocity: np.ndarray, spin: float | np.ndarray
 ) -> np.ndarray:
-    """Check position, angle, velocity and spin of the parts, and return their states (M, 6)."""
+    """Check position, angle, velocity and spin of the parts, and convert them to an array (M,
+    6)."""
     position = pairs("position", position)
     count = len(position)
     velocity = pairs("velocity", velocity, count)
@@ -323,7 +329,8 @@ def _columns(
 
 
 def equal_steps(time: float, step: float) -> int:
-    """Return the number of equal steps of at most `step` [s] in `time` [s]."""
+    """Return the minimum number of equal steps into which the time `time` [s] is divided, if no
+    step is longer than `step` [s]."""
     if not 0 < step < np.inf:
         raise PlateError(f"step is {step!r} s, allowed: a positive number")
     return max(1, ceil(time / step - 1e-9))

@@ -1,5 +1,5 @@
-"""Camera of the simulated world: times and contents of images. From the state and history of parts,
-plate and robot, `CameraView` computes images, or the exact positions of the parts that an image
+"""Camera of the simulated world. The inputs are the present and past states of parts, plate and
+robot. From them, `CameraView` computes images, or the exact positions of the parts that an image
 would show."""
 
 from __future__ import annotations
@@ -26,25 +26,25 @@ EXPOSURES = 5
 """Minimum number of times at which parts and plate are sampled during the exposure of an image."""
 
 MAX_STEP_S = 3e-3
-"""Maximum time between two samples [s]. It is short compared with the periods of the plate's
-motion, which are at least 20 ms."""
+"""Maximum time between two of these samples [s]. It is short compared with the periods of the
+plate's motion, which are at least 20 ms."""
 
 NEEDS_NEW_CAMERA = ("plate_grey", "room_grey", "defocus_px")
-"""Disturbances whose change requires a new `Camera`, because the images that the camera caches
+"""Disturbances whose change requires a new object `Camera`, because a `Camera` caches drawings that
 depend on them."""
 
 FINEST_STAMP_S = 1e-4
 """Minimum difference between the stamps of two consecutive images [s]."""
 
 BANDS = 8
-"""Number of bands of image rows. If the camera has a rolling shutter, each band has separate
-plate poses."""
+"""Number of bands of image rows. If the camera has a rolling shutter, the poses of the plate are
+computed separately for each band."""
 
 
 @dataclass(frozen=True)
 class Shot:
-    """Times of an image of a free-running camera: the middle of its exposure, its stamp, and its
-    delivery [s]."""
+    """Times of one image of a free-running camera [s]. They are the middle of the exposure, the
+    stamp, and the delivery."""
 
     middle: float
     stamp: float
@@ -52,7 +52,7 @@ class Shot:
 
 
 class VisibleParts(NamedTuple):
-    """Exact positions of the parts in an image.
+    """Exact positions of the parts that an image shows.
 
     Attributes
     ----------
@@ -63,7 +63,7 @@ class VisibleParts(NamedTuple):
     seen : (M,)
         Whether the image shows each part.
     false : (F, 2)
-        Positions of false parts [m, plate_home].
+        Positions of false parts, which do not exist on the plate [m, plate_home].
     """
 
     position: np.ndarray
@@ -73,26 +73,27 @@ class VisibleParts(NamedTuple):
 
 
 class CameraView:
-    """Camera of a simulation, with the appearance and the history of the parts.
+    """Camera of a simulation. The object also stores the appearance and the past motion of the
+    parts.
 
     Parameters
     ----------
     rig : Rig
     seed : int
-        Random seed of the sizes of the parts.
+        Random seed from which the sizes of the parts are computed.
     marked : bool
-        Whether round parts show their angle.
+        Whether round parts have a mark that shows their angle.
     disturbances : Disturbances
     noise : float
         Standard deviation of the noise of a pixel [grey values].
     pixels, images, parts, stamps : Generator
-        Random generators for pixel noise, for missed images, for missed and false parts, and for
-        stamps.
+        Random number generators for pixel noise, for missed images, for missed and false parts, and
+        for stamps.
 
     Attributes
     ----------
     history : History
-        Past motion of parts and plate, as far back as an image can show.
+        Past motion of parts and plate, over the time that images can show.
     past : float
         Maximum age of the states that an image can show [s].
     """
@@ -117,7 +118,7 @@ class CameraView:
         self.history = History()
 
     def set_types(self, ids: tuple[str, ...], types: list[PartType]) -> None:
-        """Set the appearance of the current parts, and `past`."""
+        """Set the appearance of the parts that exist now, and the attribute `past`."""
         world, camera = self._disturbances, self._rig.camera
         anytime = world.image_rate > 0 or camera.trigger is not None
         needed = anytime or camera.readout_s > 0
@@ -134,7 +135,7 @@ class CameraView:
         self._nothing = np.zeros(len(ids), bool), np.zeros((0, 2)), np.zeros(0, np.int64)
 
     def change(self, disturbances: Disturbances, noise: float) -> None:
-        """Apply new disturbances. Afterwards the caller must call `set_types`."""
+        """Apply new disturbances. The caller must then call `set_types`."""
         before, self._disturbances, self._noise = self._disturbances, disturbances, noise
         if any(getattr(before, name) != getattr(disturbances, name) for name in NEEDS_NEW_CAMERA):
             # the cached renderer has the old settings, so create a new one
@@ -143,8 +144,9 @@ class CameraView:
 
     @cached_property
     def _camera(self) -> Camera:
-        """Renderer. It is created at the first image, because its creation takes as long as a
-        hundred cycles and simulations without images do not need it."""
+        """Renderer of images. The renderer is created when the first image is requested. Its
+        creation takes as long as a hundred cycles, and simulations without images do not need
+        it."""
         world = self._disturbances
         return Camera(
             self._rig, self._noise, plate=world.plate_grey, room=world.room_grey,
@@ -152,8 +154,8 @@ class CameraView:
         )  # fmt: skip
 
     def shots(self, begin: float) -> Iterator[Shot]:
-        """Yield the times of the images of a free-running camera from `begin` [s] on, without
-        end."""
+        """Yield the times of the images of a free-running camera from the time `begin` [s] on. The
+        sequence has no end."""
         camera, world, rng = self._rig.camera, self._disturbances, self._stamp_rng
         interval, last = 1 / max(world.image_rate, 1e-9), -np.inf
         shown = camera.exposure_s + camera.readout_s
@@ -169,8 +171,8 @@ class CameraView:
     def capture(
         self, state: WorldState, plate: PlateState, robot: Robot, now: float, age: float | None
     ) -> np.ndarray | None:
-        """Return the image (height, width), uint8, that is delivered at `now` [s], or None if it is
-        missing. See `Simulation.capture`."""
+        """Return the image (height, width), uint8, that is delivered at the time `now` [s]. Return
+        None if this image is missing. See `Simulation.capture`."""
         shown = self._draw_errors()
         if shown is None:
             return None
@@ -200,8 +202,8 @@ class CameraView:
     def visible_parts(
         self, state: WorldState, plate: PlateState, age: float | None
     ) -> VisibleParts | None:
-        """Return the exact positions of the parts in the image that `capture` would return, or None
-        if the image is missing."""
+        """Return the exact positions of the parts in the image that `capture` would return. Return
+        None if this image is missing."""
         shown = self._draw_errors()
         if shown is None:
             return None
@@ -214,17 +216,17 @@ class CameraView:
         return VisibleParts(position, state.angle, seen, place)
 
     def capture_bare(self, now: float) -> np.ndarray:
-        """Return an image of the bare plate at home at `now` [s]."""
+        """Return an image of the plate without parts, at home, at the time `now` [s]."""
         return self._camera.render(
             np.zeros((0, 2)), self._grey[:0], self._pixel_rng,
             lighting=self._disturbances.lighting(now),
         )  # fmt: skip
 
     def _draw_errors(self) -> tuple[np.ndarray, np.ndarray, np.ndarray] | None:
-        """Draw the random errors of an image, or return None if the image is missing. The first
-        result states for each part whether it is hidden (M,). The second result contains the
-        positions of the false parts (F, 2) [m]. The third result contains for each false part the
-        index (F,) of a part with the same appearance."""
+        """Generate the random errors of an image. Return None if the image is missing, otherwise
+        three arrays. The first array states for each part whether it is hidden (M,). The second
+        array contains the positions of the false parts (F, 2) [m]. The third array contains, for
+        each false part, the index (F,) of a part with the same appearance."""
         count, world = len(self._types), self._disturbances
         if not (world.missed_images or world.missed_parts or world.false_parts):
             return self._nothing
@@ -237,20 +239,21 @@ class CameraView:
 
     @property
     def _shows_past(self) -> bool:
-        """Whether an image shows an earlier state."""
+        """Whether images show an earlier state than the present one."""
         return bool(self.past and self.history.passages)
 
     @property
     def _exposure(self) -> float:
-        """Exposure time in which parts move [s]."""
+        """Exposure time during which the motion of parts is visible [s]. 0 without motion blur."""
         return self._rig.camera.exposure_s if self._disturbances.blur else 0.0
 
     def _view(
         self, state: WorldState, plate: PlateState, age: float | None
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray | None]:
-        """Return four arrays: positions of the parts over the exposure (s, M, 2), their angles
-        (M,), whether each part is on the plate (M,), and poses of the plate. The poses are (s, 3),
-        or (b, s, 3) for b bands of image rows, or None if the plate is at home."""
+        """Return what an image shows, as four arrays. They are the positions of the parts over the
+        exposure (s, M, 2), the angles (M,), whether each part is on the plate (M,), and the poses
+        of the plate. The poses have the shape (s, 3), or (b, s, 3) for b bands of image rows. If
+        the plate is at home, the poses are None."""
         camera, exposure = self._rig.camera, self._exposure
         if self._shows_past:
             shown = exposure + camera.readout_s
@@ -266,10 +269,11 @@ class CameraView:
     def _past_view(
         self, state: WorldState, first: float, exposure: float, shown: float
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-        """Return the arrays of `_view` for an image that shows an earlier time. The exposure of its
-        first row started `first` [s] ago.
+        """Return the four arrays of `_view` for an image that shows an earlier time. The exposure
+        of the image's first row started `first` [s] ago.
 
-        The exposure of its last row ended `shown` [s] after the exposure of its first row started.
+        The exposure of the image's last row ended `shown` [s] after the exposure of the first row
+        had started.
         """
         count = max(EXPOSURES, 1 + int(np.ceil(shown / MAX_STEP_S)))
         time = shown * np.linspace(0, 1, count)
@@ -321,7 +325,7 @@ def check_height(rig: Rig, disturbances: Disturbances) -> None:
 
 
 def _own_number(seed: int, part_id: str) -> float:
-    """Return a random number for a part, uniformly distributed from -1 to 1. It depends only on the
-    seed and on the id of the part."""
+    """Return a random number from -1 to 1 (uniform distribution) for a part. The number depends
+    only on the seed and on the id of the part."""
     rng = np.random.default_rng([seed, zlib.crc32(part_id.encode())])
     return float(rng.uniform(-1, 1))

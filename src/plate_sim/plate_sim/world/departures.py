@@ -12,35 +12,36 @@ from plate_core.tasks import Side
 from .state import WorldState
 
 OVER_EDGE_M = 0.03
-"""A part that left the plate counts as having left over a side if its last position is at most this
-distance inside the side at home [m]. The distance is necessary because the plate moves."""
+"""A part counts as having left the plate over a side if it was outside this side, or at most this
+distance inside it [m]. The side is that of the plate at home. The distance is necessary because the
+plate moves."""
 
 
 def went_over(side: Side, position: np.ndarray, rig: Rig) -> np.ndarray:
-    """Return for each part whether it left over the side (M,). `position` contains the positions at
-    which the parts left (M, 2) [m, plate_home]."""
+    """Return for each part that left the plate whether it left over the side `side` (M,).
+    `position` (M, 2) [m, plate_home] contains the positions at which the parts left."""
     sign = np.array([side.x, side.y])
     return np.asarray(np.any(sign * position > rig.plate.half - OVER_EDGE_M, axis=1))
 
 
 class Departures:
-    """Counts of the parts that left the plate. Parts that the hand or the robot removed are not
+    """Counts the parts that leave the plate. Parts that the hand or the robot removes are not
     counted.
 
     Parameters
     ----------
     rig : Rig
     chute : Side or None
-        Side of the plate with the task's chute.
+        Side of the plate at which the task's chute is located.
 
     Attributes
     ----------
     dropped : int
-        Number of parts that did not leave over the chute, without the parts that are still in the
-        state.
+        Number of parts that left the plate but not over the chute. Parts that are still in the
+        state are not counted.
     chuted : Counter of str
-        Number of parts that left over the chute, by class, without the parts that are still in the
-        state.
+        Number of parts that left the plate over the chute, by class. Parts that are still in the
+        state are not counted.
     """
 
     def __init__(self, rig: Rig, chute: Side | None) -> None:
@@ -48,8 +49,9 @@ class Departures:
         self.dropped, self.chuted = 0, Counter[str]()
 
     def count(self, state: WorldState, left: np.ndarray) -> tuple[int, Counter[str]]:
-        """Count the parts of the mask `left` (M,). Return the number of parts that did not leave
-        over the chute, and the numbers of parts that left over the chute, by class."""
+        """Count those parts of the state for which the mask `left` (M,) is True. Return the number
+        of parts that did not leave over the chute, and the numbers of parts that left over the
+        chute, by class."""
         if self._chute is None:
             return int(np.count_nonzero(left)), Counter()
         over = went_over(self._chute, state.position, self._rig)
@@ -57,7 +59,7 @@ class Departures:
         return int(np.count_nonzero(left & ~over)), labels
 
     def forget(self, state: WorldState, left: np.ndarray) -> None:
-        """Add the parts of the mask `left` (M,) to the counts. Afterwards the caller removes them
-        from the state."""
+        """Add those parts of the state for which the mask `left` (M,) is True to the counts. The
+        caller then removes these parts from the state."""
         dropped, chuted = self.count(state, left)
         self.dropped, self.chuted = self.dropped + dropped, self.chuted + chuted

@@ -1,5 +1,5 @@
-"""Disturbances: effects of a real rig that the model neglects. By default, all disturbances are
-off."""
+"""Disturbances of the simulation. They are effects of a real rig that the model neglects. By
+default, all disturbances are off."""
 
 from __future__ import annotations
 
@@ -59,8 +59,8 @@ RANGES: dict[str, tuple[float, float]] = {
 """Allowed range of each disturbance."""
 
 FLICKER_HZ = 97.0
-"""Default frequency of flicker [Hz]. It is close to the frequency of lamps on mains power, and is
-not a multiple of usual image rates."""
+"""Default frequency of flicker [Hz]. This frequency is close to the flicker of lamps on mains
+power, and is not a multiple of usual image rates."""
 
 SLOWEST_RATE = 1.0
 """Minimum image rate of a free-running camera [1/s]. At a lower rate, the other nodes would report
@@ -69,69 +69,72 @@ missing images."""
 
 @dataclass(frozen=True)
 class Disturbances:
-    """Deviations of the simulated world from the model.
+    """Deviations of the simulated world from the rig model.
 
     Attributes
     ----------
     friction_spread : float
-        Maximum relative deviation of friction between parts, uniformly distributed.
+        Maximum relative deviation of a part's friction from the model. The deviations of the parts
+        have a uniform distribution.
     friction_patches : float
-        Maximum relative deviation of friction over the plate, uniformly distributed
-        (`friction_field`).
+        Maximum relative deviation of the friction at a place of the plate from the model. The
+        deviations have a uniform distribution over the plate (`friction_field`).
     static_ratio : float
         Ratio of static to dynamic friction.
     friction_slope : float
-        Relative change of friction per slip speed [1/(m/s)], see `Ground`.
+        Relative change of friction with the slip speed [1/(m/s)], see `Ground`.
     heave : float
         Upward motion of the plate divided by its motion along x, see `Ground`.
     tilt_x, tilt_y : float
-        Tilt of the plate [rad]. Positive values pull parts along +x and +y.
+        Tilt of the plate along x and y [rad]. With positive values, gravity pulls parts along +x
+        and +y.
     latency : float
-        Age of an image at its delivery [s]. The image is stamped with the time of its delivery, as
-        by a real camera driver that does not know the time of exposure.
+        Time from the exposure of an image to its delivery [s]. The stamp of the image is the time
+        of delivery, as with a real camera driver that does not know the time of exposure.
     image_rate : float
-        Image rate of a free-running camera [1/s]. 0 means that the start of each cycle triggers an
-        image. The latency of a free-running camera counts from the middle of the exposure. The
-        latency of a triggered camera counts from the beginning of the exposure.
+        Image rate of a free-running camera [1/s]. With 0, the start of each cycle triggers an
+        image. The latency of a free-running camera begins in the middle of the exposure. The
+        latency of a triggered camera begins at the start of the exposure.
     stamp_jitter : float
-        Standard deviation of the stamps of a free-running camera [s]. The stamps keep their order.
+        Standard deviation of the stamps of a free-running camera [s]. The order of the stamps does
+        not change.
     blur : bool
-        Whether motion blurs images over the exposure time of the rig.
+        Whether images show motion blur over the camera's exposure time.
     missed_images : float
         Fraction of images that are not delivered.
     missed_parts : float
-        Fraction of the parts that an image does not show.
+        Fraction of the parts on the plate that an image does not show.
     false_parts : float
-        Number of false parts per true part in an image. False parts are reflections and specks.
+        Number of false parts in an image, divided by the number of true parts. False parts
+        represent reflections and specks of dirt.
     highlights : float
-        Fraction of the area of each part that shows a highlight.
+        Fraction of the area of each part that a highlight covers.
     shadows : float
-        Fraction of the light that is missing in the shadows of parts.
+        Fraction by which the plate is darker in the shadows of parts.
     pick_failure : float
         Fraction of the robot's grips in which the part slips.
     part_height_m : float
-        Height of all parts in images [m]. 0 means that the height in the rig file is used. The
-        height affects only images, because parts neither roll nor topple.
+        Height of all parts in images [m]. With 0, the height in the rig file is used. The height
+        affects only images, because simulated parts neither roll nor topple.
     side_shade : float
         Brightness of the parts' side faces, divided by the brightness of their top faces.
     size_spread : float
-        Maximum relative deviation of the sizes of parts from their types in images, uniformly
-        distributed. In contacts, parts have the sizes of their types.
+        Maximum relative deviation of a part's size from the size of its type in images. The
+        deviations have a uniform distribution. In contacts, parts have the sizes of their types.
     gloss : float
-        Radius of the lamp's image on each part, divided by the part's radius (see `Lighting`).
+        Radius of the lamp's reflection on each part, divided by the part's radius (see `Lighting`).
     shadow_length_m, shadow_deg, penumbra_m : float
-        Length of the shadows [m], their direction from x [degrees], and the width of their soft
-        edge [m].
+        Length of the shadows [m], their direction as an angle from the x axis [degrees], and the
+        width of their soft edge [m].
     light_step, light_step_s : float
-        Relative change of the light, and the time from the start of the simulation to this change
-        [s]. The change is permanent.
+        Relative change of the brightness, and the time from the start of the simulation to this
+        change [s]. The change is permanent.
     flicker, flicker_hz : float
-        Relative amplitude and frequency [Hz] of a sinusoidal change of the light from image to
-        image.
+        Relative amplitude and frequency [Hz] of a sinusoidal change of the brightness over time.
     defocus_px : float
-        Standard deviation of the Gaussian blur of images [px].
+        Standard deviation of the Gaussian blur that simulates defocus [px].
     plate_grey, room_grey, black_grey, grey_grey : float
-        Grey values of the plate, the surroundings, black parts and grey parts at full light.
+        Grey values of the plate, the surroundings, black parts and grey parts at full brightness.
 
     Raises
     ------
@@ -197,7 +200,7 @@ class Disturbances:
         return {"black": self.black_grey, "grey": self.grey_grey}
 
     def lighting(self, time_s: float) -> Lighting:
-        """Return the light of an image that is taken `time_s` [s] after the start of the
+        """Return the lighting of an image that is taken `time_s` [s] after the start of the
         simulation."""
         level = 1 + self.flicker * math.sin(2 * math.pi * self.flicker_hz * time_s)
         if time_s >= self.light_step_s:
@@ -209,8 +212,8 @@ class Disturbances:
 
     @property
     def summary(self) -> str:
-        """Non-default values as text, such as `latency 0.05, tilt_x 0.01`. The text is `none` if
-        all values are default."""
+        """Text that lists all values that differ from their defaults, such as `latency 0.05, tilt_x
+        0.01`. The text is `none` if all values are defaults."""
         unlike = [
             f"{f.name} {getattr(self, f.name)}"
             for f in fields(self)

@@ -1,13 +1,15 @@
 """Variation of friction between parts and over the plate.
 
-Friction varies from part to part. It also varies over the plate, as a smooth field that is fixed to
-the plate. The field is evaluated once per cycle at the position of each part, although the plate
-moves by up to 1 cm under the part. This was compared with 200 evaluations per cycle in 34 cycles of
-each of two scenarios with a variation of 10 %. After a cycle, the positions differ by 0.02 mm in
-sort_4 and by 0.08 mm in sort_10 (maximum over the parts, median over the cycles). The largest
-difference in any cycle is 0.2 mm, and 0.3 mm in random cycles that use the whole stroke. An error
-of mu of 1 to 3 % has the same effect. For comparison: the field displaces the most affected part by
-0.1 to 0.2 mm per cycle.
+Friction varies from part to part. Friction also varies over the plate, as a smooth field that moves
+with the plate.
+
+The field is evaluated only once per cycle at the position of each part, although the plate moves by
+up to 1 cm under the part. To measure this error, the field was also evaluated 200 times per cycle,
+in 34 cycles of each of two scenarios with a variation of 10 %. After a cycle, the positions differ
+by 0.02 mm in sort_4 and by 0.08 mm in sort_10 (maximum over the parts, median over the cycles). The
+largest difference in any cycle is 0.2 mm. In random cycles that use the whole stroke, it is 0.3 mm.
+An error of the friction coefficient mu of 1 to 3 % has the same effect. For comparison, the field
+itself displaces the most affected part by 0.1 to 0.2 mm per cycle.
 """
 
 from __future__ import annotations
@@ -22,11 +24,12 @@ from plate_core.rig import to_plate
 from .disturbances import Disturbances
 
 WAVELENGTH = 0.1
-"""Wavelength of the variation of friction over the plate [m]. The plate is a few wavelengths
-long."""
+"""Wavelength of the variation of friction over the plate [m]. The length of the plate is a few
+wavelengths."""
 
 WAVES = 32
-"""Number of waves in the field. With this number, the field is nearly isotropic and homogeneous."""
+"""Number of plane waves whose sum is the field. With this number, the field has nearly the same
+statistics in all directions and at all places."""
 
 
 @dataclass(frozen=True)
@@ -36,11 +39,12 @@ class FrictionField:
     Attributes
     ----------
     unit : (M,)
-        Relative deviation of each part's friction divided by `spread`, -1 to 1.
+        Relative deviation of each part's friction from the nominal friction, divided by `spread`.
+        The value is from -1 to 1.
     spread : float
         Maximum relative deviation of friction between parts.
     share : float
-        Maximum relative deviation of friction over the plate.
+        Maximum relative deviation of friction between places of the plate.
     wave : (K, 2)
         Wave vectors of the field [rad/m], in the plate's frame.
     phase : (K,)
@@ -57,8 +61,8 @@ class FrictionField:
     def draw(
         cls, disturbances: Disturbances, count: int, rng: np.random.Generator
     ) -> FrictionField:
-        """Draw the field of the plate and the friction of `count` parts. The random numbers do not
-        depend on `friction_spread` and `friction_patches`."""
+        """Generate a random field of the plate and random friction of `count` parts. The random
+        numbers do not depend on `friction_spread` and `friction_patches`."""
         unit = rng.uniform(-1, 1, count)
         direction, phase = rng.uniform(0, 2 * pi, (2, WAVES))
         wave = 2 * pi / WAVELENGTH * np.column_stack([np.cos(direction), np.sin(direction)])
@@ -66,7 +70,8 @@ class FrictionField:
 
     @property
     def part(self) -> np.ndarray:
-        """Friction of each part (M,), divided by the nominal friction."""
+        """Friction of each part (M,), divided by the nominal friction. The field of the plate is
+        not included."""
         return 1 + self.spread * self.unit
 
     def friction(
@@ -74,17 +79,17 @@ class FrictionField:
     ) -> np.ndarray:
         """Return the friction coefficients (M,) of parts.
 
-        For a part with the deviation u at the place p on the plate, with K waves k_j and phases
-        f_j, the friction coefficient is
+        Let u be the deviation of a part (`unit`), and p its place in the frame of the plate. Let
+        k_j be the K wave vectors, and f_j the phases of the waves. The friction coefficient is
 
             mu (1 + spread u) (1 + share erf(h / sqrt(2))), h = sqrt(2/K) sum_j cos(k_j . p + f_j).
 
         Parameters
         ----------
         mu : float or (M,)
-            Nominal coefficient, of all parts or of each part.
+            Nominal friction coefficient: one number for all parts, or one number for each part.
         position : (M, 2)
-            Parts [m], plate_home.
+            Positions of the parts [m, plate_home].
         pose : (3,)
             Pose of the plate [m, m, rad].
         """

@@ -24,7 +24,7 @@ class Hand:
     ----------
     rig : Rig
     rng : Generator
-        Generator for the friction of new parts.
+        Random number generator for the friction of new parts.
     """
 
     def __init__(self, rig: Rig, rng: np.random.Generator) -> None:
@@ -39,14 +39,15 @@ class Hand:
         angle: float,
         number: Callable[[str], int],
     ) -> tuple[WorldState, str, float | None]:
-        """Place a part at rest. The other parameters are those of `Simulation.place`.
+        """Place a part at rest on the plate. `Simulation.place` describes the parameters that are
+        not described here.
 
-        `number` is a function that returns the number of the next part of a class.
+        `number` is a function that returns the number for the id of the next part of a class.
 
         Returns
         -------
         state : WorldState
-            New state. The placed part may overlap other parts.
+            State with the placed part. The part may overlap other parts.
         part_id : str
         unit : float or None
             Relative friction of a new part (see `FrictionField.unit`). None for an existing part.
@@ -54,8 +55,8 @@ class Hand:
         Raises
         ------
         PlateError
-            If there is no such part or type, if no more parts are allowed, or if the part would be
-            off the plate.
+            There is no part with this id or no such type, no more parts are allowed, or the part
+            would be outside the plate.
         """
         label = self._checked(state, part_id, label, position, angle)
         unit = None
@@ -101,7 +102,7 @@ class Hand:
 
 
 def check_id(state: WorldState, part_id: str) -> None:
-    """Raise a PlateError if there is no part with this id."""
+    """Raise a PlateError if the state contains no part with the id `part_id`."""
     if part_id not in state.ids:
         hint = did_you_mean(part_id[:50], state.ids)
         known = ", ".join(state.ids) or "none"

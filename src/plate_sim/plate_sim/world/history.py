@@ -1,5 +1,5 @@
-"""Recent motion of parts and plate. A camera with latency needs it, because its images show an
-earlier time.
+"""Recent motion of parts and plate. A camera with latency needs these data, because its images show
+an earlier time.
 
 `History` stores the motions of the last cycles. `History.ago` interpolates the positions and angles
 of the parts and the pose of the plate at an earlier time.
@@ -24,7 +24,7 @@ class Passage:
     motion : PlateMotion
         Motion of the plate.
     run : BodyTrajectory
-        Motion of the parts from the start to the end of the cycle.
+        Motion of the parts during the cycle.
     on_plate : (M,)
         Whether each part was on the plate at the end of the cycle.
     """
@@ -36,7 +36,7 @@ class Passage:
 
 @dataclass(frozen=True)
 class View:
-    """Parts and plate at one time, in plate_home.
+    """States of the parts and of the plate at one time, in plate_home.
 
     Attributes
     ----------
@@ -58,13 +58,13 @@ class View:
 
 @dataclass(frozen=True)
 class History:
-    """The last cycles, oldest first."""
+    """Motions of the last cycles, oldest first."""
 
     passages: tuple[Passage, ...] = ()
 
     def after(self, passage: Passage, keep: float) -> History:
-        """Return the history with one more cycle, but without the cycles that ended more than
-        `keep` [s] ago."""
+        """Return the history after one more cycle. Cycles that ended more than `keep` [s] before
+        are removed."""
         kept: tuple[Passage, ...] = (passage,)
         age = passage.motion.period
         for older in reversed(self.passages):
@@ -74,7 +74,7 @@ class History:
         return History(kept)
 
     def take(self, rows: np.ndarray) -> History:
-        """Return the history of the parts of the mask `rows` (M,)."""
+        """Return the history of those parts for which the mask `rows` (M,) is True."""
         return History(
             tuple(
                 Passage(
@@ -91,8 +91,8 @@ class History:
         )  # fmt: skip
 
     def joined(self, position: np.ndarray) -> History:
-        """Return the history with one more part at (2,) [m], which was not on the plate before
-        now."""
+        """Return the history with one more part at the position `position` (2,) [m]. In all past
+        cycles, this part was not on the plate."""
 
         def beside(values: np.ndarray, value: np.ndarray | float) -> np.ndarray:
             new = np.broadcast_to(value, (len(values), 1, *values.shape[2:]))
@@ -115,16 +115,17 @@ class History:
         )  # fmt: skip
 
     def shows(self, count: int) -> np.ndarray:
-        """Return for each of `count` parts whether it was on the plate at the end of any cycle in
-        the history."""
+        """Return for each of the `count` parts whether it was on the plate at the end of any cycle
+        in the history."""
         return np.any([np.zeros(count, bool), *(each.on_plate for each in self.passages)], axis=0)
 
     def ago(self, age: float) -> View:
-        """Return parts and plate `age` [s] before the end of the last cycle.
+        """Return the states of parts and plate at the time `age` [s] before the end of the last
+        cycle.
 
-        For times before the first cycle in the history, parts and plate are assumed to be at rest.
-        If `age` is below 0, they continue with their last velocities. The history must contain at
-        least one cycle.
+        Before the first cycle in the history, parts and plate are assumed to be at rest. If `age`
+        is below 0, parts and plate are assumed to continue with their last velocities. The history
+        must contain at least one cycle.
         """
         first = self.passages[0]
         for passage in reversed(self.passages):
@@ -148,11 +149,11 @@ class History:
 def _between(
     time: np.ndarray, place: np.ndarray, rate: np.ndarray, t: float
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Return positions and rates (M, ...) at t [s].
+    """Interpolate positions and velocities of samples. Return both (M, ...) at the time t [s].
 
-    Between two samples 0 and 1, the rate is linear: v = v_0 + u (v_1 - v_0), with u from 0 to 1.
-    With the interval h between the samples, the position is x = x_0 + u (x_1 - x_0) - h u (1 - u)
-    (v_1 - v_0)/2.
+    Between two samples 0 and 1, the velocity v is a linear function of time: v = v_0 + u (v_1 -
+    v_0), with u from 0 to 1. Let h be the interval between the samples. The position is x = x_0 + u
+    (x_1 - x_0) - h u (1 - u) (v_1 - v_0)/2.
     """
     k = int(np.clip(np.searchsorted(time, t, "right") - 1, 0, len(time) - 2))
     h = time[k + 1] - time[k]

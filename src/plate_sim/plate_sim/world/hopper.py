@@ -1,7 +1,7 @@
 """Simulated hopper that drops parts onto the plate.
 
-A part that falls on another part slides off it. Therefore no part lies on another part, but parts
-can touch and form dense heaps.
+A part that falls on another part slides off this part. Therefore, parts never lie on each other,
+but they can touch and form dense heaps.
 """
 
 from __future__ import annotations
@@ -19,14 +19,14 @@ from plate_core.tasks import MAX_OPEN_S, Hopper
 from .state import WorldState
 
 WHOLE = 1e-6
-"""Rounding tolerance of the number of parts that have dropped. The number is computed from a sum of
-rounded times."""
+"""Tolerance for rounding errors in the number of parts that have dropped. This number is computed
+from a sum of rounded times."""
 
 TRIES = 20
-"""Maximum number of places that are tried for a dropped part."""
+"""Maximum number of random places that are tried for a dropped part."""
 
 SLIDE_STEP_M = 1e-3
-"""Length of the steps in which a part slides off another part [m]."""
+"""Length of the steps in which the simulation moves a part that slides off another part [m]."""
 
 TOUCH_M = 1e-6
 """Maximum gap between two parts after one part has slid off the other [m]."""
@@ -41,15 +41,16 @@ class Flow:
     left_s : float
         Remaining time for which the hopper is open [s].
     waited_s : float
-        Time for which the hopper has been open since the last part fell [s].
+        Time for which the hopper has been open after the last part fell [s].
     """
 
     left_s: float = 0.0
     waited_s: float = 0.0
 
     def after(self, time_s: float, rate: float) -> tuple[Flow, np.ndarray]:
-        """Return the state `time_s` [s] later, and the times from now at which parts drop until
-        then (n,) [s]. While the hopper is open, parts drop at `rate` [1/s]."""
+        """Advance the state by `time_s` [s]. Return the new state, and the times from now at which
+        parts drop in this interval (n,) [s]. While the hopper is open, parts drop at the rate
+        `rate` [1/s]."""
         open_s = min(self.left_s, time_s)
         waited = self.waited_s + open_s
         count = int(waited * rate + WHOLE)
@@ -90,11 +91,11 @@ def check_duration(duration_s: float) -> None:
 def drop_part(
     hopper: Hopper, state: WorldState, rig: Rig, rng: np.random.Generator
 ) -> Dropped | None:
-    """Drop a part. Return None if there is no free place for the part.
+    """Drop a part. Return None if no free place for the part was found.
 
-    The place of the fall is drawn uniformly from the disc of radius `spread_m` around the place of
-    the hopper. If the part falls on another part, it slides away from the centre of the other part
-    until it touches no part.
+    The part falls at a random place. The distribution of the places is uniform in a disc of radius
+    `spread_m` around the place of the hopper. If the part falls on another part, it slides away
+    from the centre of the other part until it no longer overlaps any part.
     """
     label = str(rng.choice(list(hopper.mix), p=list(hopper.mix.values())))
     kind, angle, unit = rig.part_type(label), rng.uniform(-np.pi, np.pi), rng.uniform(-1, 1)
@@ -111,8 +112,8 @@ def drop_part(
 def _slid_off(
     others: PartsOnPlate, kind: PartType, place: np.ndarray, angle: float, room: np.ndarray
 ) -> np.ndarray | None:
-    """Return the final position of a part that falls on the place (2,) [m]. Return None if the part
-    slides off the plate."""
+    """Return the final position of a part that falls at the place `place` (2,) [m]. Return None if
+    the part is not completely on the plate in the end."""
     hit = others.met(kind, place, angle)
     if not hit:
         return place if np.all(np.abs(place) <= room) else None
@@ -147,7 +148,8 @@ class PartsOnPlate:
         `reach` is the maximum distance of a part's outline from its centre [m]. `radius` is the
         radius of a disc [m], and 0 for other parts.
     shape : (M,)
-        Outline of each part. For a disc: its centre (see `PartType.placed`) [m, plate_home].
+        Outline of each part [m, plate_home]. The outline of a disc is represented by its centre
+        (see `PartType.placed`).
     """
 
     position: np.ndarray
@@ -157,7 +159,8 @@ class PartsOnPlate:
 
     @classmethod
     def of(cls, state: WorldState, rig: Rig, but: str = "") -> PartsOnPlate:
-        """Return the parts on the plate, without the part with the id `but`."""
+        """Return the parts of the state that are on the plate, except the part with the id
+        `but`."""
         rows = [i for i, name in enumerate(state.ids) if state.on_plate[i] and name != but]
         types = [rig.part_type(part_class(state.ids[i])) for i in rows]
         shapes = map(PartType.placed, types, state.position[rows], state.angle[rows])
@@ -165,8 +168,8 @@ class PartsOnPlate:
         return cls(state.position[rows], reach, radius, np.array(list(shapes), dtype=object))
 
     def met(self, kind: PartType, place: np.ndarray, angle: float) -> list[int]:
-        """Return the indices of the parts that a part of type `kind` at `place` and `angle` would
-        overlap. The nearest part is first."""
+        """Return the indices of the parts that another part of type `kind` would overlap at the
+        pose `place`, `angle`. The nearest part is first."""
         apart = np.hypot(*(self.position - place).T)
         near = np.argsort(apart)
         near = near[apart[near] < self.reach[near] + kind.reach_m]
@@ -186,7 +189,7 @@ class Dispenser:
         Hopper of the task. None if the task has no hopper.
     rig : Rig
     rng : Generator
-        Generator for the dropped parts.
+        Random number generator for the dropped parts.
     """
 
     def __init__(self, hopper: Hopper | None, rig: Rig, rng: np.random.Generator) -> None:
@@ -194,7 +197,7 @@ class Dispenser:
 
     @property
     def is_open(self) -> bool:
-        """Whether the hopper is open, so that parts drop."""
+        """Whether the hopper is open."""
         return self._flow.left_s > 0
 
     def open(self, duration_s: float, state: WorldState) -> int:
@@ -227,7 +230,7 @@ class Dispenser:
         return drops
 
     def drop(self, state: WorldState) -> Dropped | None:
-        """Drop a part. Return None if there is no free space for the part."""
+        """Drop a part. Return None if the plate is full or no free place for the part was found."""
         assert self._hopper is not None
         if np.count_nonzero(state.on_plate) >= MAX_PARTS:
             return None

@@ -1,4 +1,4 @@
-"""Simulated robot that grips parts. In images, its arm hides the plate below it."""
+"""Simulated robot that grips parts. In images, the robot's arm hides the plate below it."""
 
 from __future__ import annotations
 
@@ -15,10 +15,11 @@ from .hopper import PartsOnPlate
 from .state import WorldState
 
 GRIP_REACH_M = 5e-3
-"""Maximum distance of a part's centre from the gripper for a grip [m]."""
+"""Maximum distance of a part's centre from the gripper at which the robot can grip the part [m]."""
 
 FINGER_M = 3e-3
-"""Thickness of a finger of the gripper [m]. A finger must fit between a part and its neighbours."""
+"""Thickness of a finger of the gripper [m]. There must be enough space for a finger between a part
+and its neighbours."""
 
 NUDGE_M = 2e-3
 """Maximum displacement of a part that slips from the gripper [m]."""
@@ -42,17 +43,17 @@ class Grip:
     Attributes
     ----------
     success : bool
-        Whether the robot has taken a part. True for moves without a grip.
+        Whether the robot has taken a part. For moves without a grip, the value is True.
     id : str
-        Id of the part that was taken or that slipped. Empty if no part was in reach.
+        Id of the part that was taken or that slipped. Empty if no part was near enough.
     error_m : float
-        True distance of the part's centre from the gripper [m]. If no part was in reach, this is
-        the distance of the nearest part. It is infinite if the plate is empty.
+        True distance of the part's centre from the gripper [m]. If no part was near enough, the
+        distance of the nearest part. Infinite if the plate is empty.
     error_rad : float
-        True angle from the gripper to the part [rad], -pi to pi, reduced by the symmetry of the
-        part. 0 if no part was in reach.
+        True angle of the part minus the angle of the gripper [rad], -pi to pi. Equivalent angles of
+        a symmetric part count as equal. 0 if no part was near enough.
     message : str
-        Description of the result or of the failure.
+        Text about the result or the failure.
     """
 
     success: bool
@@ -63,7 +64,7 @@ class Grip:
 
 
 def check_gripper(x: float, y: float, angle: float, rig: Rig) -> None:
-    """Raise a PlateError if the gripper would not be over the plate."""
+    """Raise a PlateError if the pose of the gripper is not above the plate."""
     half = rig.plate.half
     if not (abs(x) <= half[0] and abs(y) <= half[1]):
         raise PlateError(
@@ -75,10 +76,10 @@ def check_gripper(x: float, y: float, angle: float, rig: Rig) -> None:
 
 
 def grip(state: WorldState, rig: Rig, gripper: Sequence[float], slips: bool, marked: bool) -> Grip:
-    """Grip the nearest part with a gripper at (x, y, angle) [m, m, rad, plate_home]. If `slips`,
-    the part slips and is not taken.
+    """Compute the result of a grip of the nearest part. `gripper` is the pose x, y, angle of the
+    gripper [m, m, rad, plate_home]. If `slips` is True, the part slips and is not taken.
 
-    If `marked`, round parts have marks and thus an angle.
+    If `marked` is True, round parts have marks, so that they have an angle.
     """
     x, y, turn = gripper
     apart = np.where(state.on_plate, np.hypot(*(state.position - (x, y)).T), np.inf)
@@ -109,9 +110,9 @@ def grip(state: WorldState, rig: Rig, gripper: Sequence[float], slips: bool, mar
 def nudged(
     state: WorldState, rig: Rig, part_id: str, rng: np.random.Generator
 ) -> tuple[np.ndarray, float]:
-    """Return the position (2,) [m, plate_home] and the angle [rad] of a part that slipped from the
-    gripper. The part is displaced and rotated at random. It is not moved if it would overlap
-    another part or leave the plate."""
+    """Return the new position (2,) [m, plate_home] and the new angle [rad] of a part that slipped
+    from the gripper. The part is displaced and rotated at random. If it would then overlap another
+    part or leave the plate, it stays at its place."""
     row = state.ids.index(part_id)
     place, angle = state.position[row], float(state.angle[row])
     radius, way = NUDGE_M * np.sqrt(rng.random()), rng.uniform(-np.pi, np.pi)
@@ -125,23 +126,26 @@ def nudged(
 
 
 class Robot:
-    """Robot, with its past positions and the ids of the parts that it has taken.
+    """Robot. The object stores past positions of the robot, and the ids of the parts that the robot
+    has taken.
 
     Parameters
     ----------
     rig : Rig
     marked : bool
-        Whether round parts have an angle.
+        Whether round parts have marks, so that they have an angle.
     rng : Generator
-        Generator for the grips.
+        Random number generator for the grips.
 
     Attributes
     ----------
     taken : frozenset of str
-        Ids of the parts that the robot has taken. An id is kept while its part is in the state.
+        Ids of the parts that the robot has taken. An id is removed when the part is removed from
+        the state.
     stations : list of (float, (2,) or None)
-        Past positions of the robot: the time from which the robot was at the position [s], and the
-        position [m, plate_home]. While the robot is away, the position is None.
+        Past positions of the robot. Each item contains the time since which the robot was at a
+        position [s], and the position [m, plate_home]. While the robot is away from the plate, the
+        position is None.
     """
 
     def __init__(self, rig: Rig, marked: bool, rng: np.random.Generator) -> None:
@@ -158,7 +162,8 @@ class Robot:
         now: float,
         shown: float,
     ) -> tuple[WorldState, Grip]:
-        """Move the robot. If `to` is `Move.GRIP`, grip a part there.
+        """Move the robot. If `to` is `Move.GRIP`, the robot then grips a part. Return the new state
+        of the parts, and the result.
 
         Parameters
         ----------
@@ -168,15 +173,15 @@ class Robot:
         gripper : tuple of float
             Pose x, y [m, plate_home] and angle [rad] of the gripper.
         failure : float
-            Probability that a part slips.
+            Probability that a gripped part slips.
         now, shown : float
-            Time of the move, and the earliest time that later images can show [s]. Positions that
-            the robot left before `shown` are deleted.
+            `now` is the time of the move. `shown` is the earliest time that later images can show
+            [s]. Positions that the robot left before `shown` are deleted.
 
         Raises
         ------
         PlateError
-            If the move is unknown, or if the gripper would not be over the plate.
+            The move is unknown, or the pose of the gripper is not above the plate.
         """
         x, y, _ = gripper
         if to not in set(Move):
@@ -211,8 +216,8 @@ class Robot:
         self.stations = [*self.stations[oldest:], (now, place)]
 
     def at(self, time: float) -> np.ndarray | None:
-        """Return the position of the gripper (2,) [m, plate_home] at a time [s], or None if the
-        robot is away."""
+        """Return the position of the gripper (2,) [m, plate_home] at the time `time` [s]. Return
+        None if the robot was away from the plate."""
         return [place for since, place in self.stations if since <= max(time, 0.0)][-1]
 
     def has(self, ids: tuple[str, ...]) -> np.ndarray:

@@ -1,5 +1,6 @@
-"""One run of the simulated world. The simulator node and the bench pass plate cycles, and commands
-to the hand, the hopper and the robot. They obtain images and the state of the parts."""
+"""One run of the simulated world. The simulator node and the benchmark programs use this class. Its
+inputs are cycles of the plate, and commands to the hand, the hopper and the robot. Its outputs are
+images and the state of the parts."""
 
 from __future__ import annotations
 
@@ -32,43 +33,43 @@ WORLD_RANGES = {"noise": (0.0, 50.0), "mu_scale": (0.1, 10.0)}
 """Allowed ranges of a simulation's parameters."""
 
 TRIAL_S = 1e-3
-"""Length of a rest that is simulated on trial, to check whether a placed part overlaps other parts
-[s]."""
+"""Duration of a test simulation with the plate at rest [s]. It checks whether a placed part
+overlaps other parts."""
 
 MIN_S = 1e-6
 """Minimum length of a piece of a cycle that is simulated separately [s]."""
 
 
 class Simulation:
-    """Parts of a scenario on a rig's plate.
+    """Simulation of the parts of a scenario on the plate of a rig.
 
     Parameters
     ----------
     rig : Rig
-        Rig model that all stages use. If the rig has a suspension, the plate does not follow its
-        setpoints exactly.
+        Rig file that all other programs also use. If the rig has a suspension, the plate does not
+        follow its setpoints exactly.
     scenario : Scenario
         Scenario with the parts.
     seed : int
-        Random seed. Each kind of disturbance has a separate random generator.
+        Random seed. Each kind of disturbance has a separate random number generator.
     disturbances : Disturbances
         Deviations of the world from the rig model.
     noise : float
         Standard deviation of the noise of a pixel [grey values].
     mu_scale : float
-        True friction divided by the friction in the rig.
+        True friction divided by the friction in the rig file.
     contacts : Contacts
 
     Raises
     ------
     PlateError
-        If noise or mu_scale is out of range.
+        The value of `noise` or `mu_scale` is outside its range.
 
     Attributes
     ----------
     state : WorldState
-        State of the parts. Parts that the robot has taken are removed from the state when no later
-        image can show them. In a feed task, this also applies to parts that left the plate.
+        State of the parts. Parts that the robot has taken stay in the state until no later image
+        can show them. In a feed task, the same applies to parts that left the plate.
     plate : PlateState
     disturbances : Disturbances
     dropped, chuted : int
@@ -120,7 +121,7 @@ class Simulation:
         self._set_types()
 
     def _set_types(self) -> None:
-        """Set shapes, friction and appearance of the current parts."""
+        """Set shapes, friction and appearance of the parts in the state."""
         # cached result of `_limit`, if it does not depend on the positions of the parts
         self._even_limit: np.ndarray | None = None
         types = [self._rig.part_type(part_class(name)) for name in self.state.ids]
@@ -148,13 +149,13 @@ class Simulation:
         """Apply new disturbances, except `latency` and `image_rate`, which determine the times of
         the images.
 
-        Afterwards, the seed alone no longer reproduces the run.
+        After this call, the seed alone no longer reproduces the run.
 
         Raises
         ------
         PlateError
-            If noise or mu_scale is out of range, or if parts get a height and the rig does not
-            contain the position of the camera.
+            The value of `noise` or `mu_scale` is outside its range, or parts get a height although
+            the rig file does not contain the position of the camera.
         """
         _check(noise=noise, mu_scale=mu_scale)
         check_height(self._rig, disturbances)
@@ -172,7 +173,7 @@ class Simulation:
         ----------
         part_id : str
             Id of a part on the plate, or of a part that left the plate and is still in the state.
-            Empty for a new part.
+            For a new part, the id is an empty text.
         label : str
             Type of a new part.
         position : (2,)
@@ -188,8 +189,8 @@ class Simulation:
         Raises
         ------
         PlateError
-            If there is no such part or type, if no more parts are allowed, or if the part would be
-            off the plate or overlap another part. Then nothing is changed.
+            There is no such part or type, no more parts are allowed, or the part would be outside
+            the plate or overlap another part. The state is then unchanged.
         """
         state, unit = self.state, self._field.unit
         state, part_id, own = self._hand.put(
@@ -204,8 +205,8 @@ class Simulation:
         return part_id
 
     def show(self, state: WorldState) -> None:
-        """Replace the parts by the parts of another run. All these parts have the nominal friction,
-        without individual deviations."""
+        """Replace the parts by the parts of another run, given by their state. These parts have the
+        nominal friction, without individual deviations."""
         self._take_over(state, np.zeros(len(state.ids)), History())
 
     def remove(self, part_id: str) -> None:
@@ -222,7 +223,8 @@ class Simulation:
         self._take_over(state.take(keep), self._field.unit[keep], History())
 
     def _take_over(self, state: WorldState, unit: np.ndarray, history: History) -> None:
-        """Replace the parts, their relative friction (M,) and their history."""
+        """Replace the state of the parts, their values `FrictionField.unit` (M,) and their
+        history."""
         for name in self.state.ids:
             label = part_class(name)
             self._last_number[label] = max(_number(name), self._last_number.get(label, 0))
@@ -231,21 +233,21 @@ class Simulation:
         self._set_types()
 
     def _next_number(self, label: str) -> int:
-        """Return the number of the next part of a class. No number is used twice."""
+        """Return the number for the id of the next part of a class. No number is used twice."""
         there = max((_number(i) for i in self.state.ids if part_class(i) == label), default=0)
         return 1 + max(there, self._last_number.get(label, 0))
 
     def open_hopper(self, duration_s: float) -> int:
-        """Open the hopper for `duration_s` from now [s]. If it is still open, the new duration
-        replaces the remaining time.
+        """Open the hopper for the time `duration_s` from now [s]. If the hopper is still open, the
+        new duration replaces the remaining time.
 
-        While the hopper is open, one part drops every 1/rate [s]. If `MAX_PARTS` are on the plate,
-        or if the heap reaches the edge of the plate, the part stays in the hopper.
+        While the hopper is open, one part drops every 1/rate [s]. If `MAX_PARTS` parts are on the
+        plate, or if the heap reaches the edge of the plate, no part drops.
 
         Returns
         -------
         int
-            Number of parts that will drop if there is enough space.
+            Number of parts that will drop if there is enough free space.
 
         Raises
         ------
@@ -280,7 +282,7 @@ class Simulation:
 
     @property
     def dropped(self) -> int:
-        """Number of parts that left the plate, but not over the side of the chute."""
+        """Number of parts that left the plate over another side than that of the chute."""
         return self._departures.dropped + self._departures.count(self.state, self._left)[0]
 
     @property
@@ -295,12 +297,13 @@ class Simulation:
 
     @property
     def _left(self) -> np.ndarray:
-        """Whether each part left the plate (M,). It is false for parts that the robot took."""
+        """Whether each part left the plate (M,). The value is False for parts that the robot has
+        taken."""
         return ~self.state.on_plate & ~self._robot.has(self.state.ids)
 
     def _forget(self) -> None:
-        """Remove parts from the state that later images cannot show: parts that the robot took and,
-        in a feed task, parts that left the plate."""
+        """Remove from the state those parts that later images cannot show. These are parts that the
+        robot has taken and, in a feed task, parts that left the plate."""
         state, history = self.state, self._view.history
         if np.all(state.on_plate) or not (self._feeds or self._robot.taken):
             return
@@ -314,7 +317,7 @@ class Simulation:
         self._robot.taken &= set(self.state.ids)
 
     def _drop(self) -> None:
-        """Drop a part from the hopper if there is free space for the part."""
+        """Drop one part from the hopper onto the plate, if there is free space."""
         part = self._hopper.drop(self.state)
         if part is None:
             return
@@ -324,12 +327,13 @@ class Simulation:
         self._take_over(state, unit, self._view.history.joined(part.position))
 
     def shots(self, begin: float) -> Iterator[Shot]:
-        """Yield the times of the images of a free-running camera from `begin` [s] on, without
-        end."""
+        """Yield the times of the images of a free-running camera from the time `begin` [s] on. The
+        sequence has no end."""
         return self._view.shots(begin)
 
     def capture(self, age: float | None = None) -> np.ndarray | None:
-        """Return the image (height, width), uint8, that is delivered now, or None if it is missing.
+        """Return the image (height, width), uint8, that is delivered now. Return None if this image
+        is missing.
 
         `age` is the time since the middle of the image's exposure [s]. If `age` is None, the
         exposure began `latency` ago.
@@ -337,19 +341,19 @@ class Simulation:
         return self._view.capture(self.state, self.plate, self._robot, self._time, age)
 
     def visible_parts(self, age: float | None = None) -> VisibleParts | None:
-        """Return the exact positions of the parts in the image that `capture` would return, or None
-        if the image is missing. For each image, call either `capture` or this method."""
+        """Return the exact positions of the parts in the image that `capture` would return. Return
+        None if this image is missing. For each image, call either `capture` or this method."""
         return self._view.visible_parts(self.state, self.plate, age)
 
     def capture_bare(self) -> np.ndarray:
-        """Return an image of the bare plate at home, (height, width) or (height, width, 3),
-        uint8."""
+        """Return an image of the plate without parts, at home. The shape is (height, width), or
+        (height, width, 3) for an image in colour."""
         return self._view.capture_bare(self._time)
 
     def run(self, cycle: PlateCycle | PlateMotion) -> None:
         """Simulate a commanded cycle, or a motion that a motor controller has executed.
 
-        The parts move until the end of the cycle. Parts may drop from an open hopper.
+        If the hopper is open, parts may drop onto the plate during the cycle.
         """
         self._forget()
         if not self._hopper.is_open:
@@ -368,7 +372,7 @@ class Simulation:
             self._run(PlateMotion.piece(cycle, begin, end))
 
     def _run(self, cycle: PlateCycle | PlateMotion) -> None:
-        """Simulate the parts until the end of a cycle or of a piece of a cycle."""
+        """Simulate the parts until the end of a cycle, or of a section of a cycle."""
         self._time += cycle.period
         motion: PlateCycle | PlateMotion = cycle
         limit = self._limit
@@ -385,8 +389,8 @@ class Simulation:
     def run_together(
         simulations: Sequence[Simulation], cycles: Sequence[PlateCycle], threads: int
     ) -> None:
-        """Run several simulations with the same rig for one cycle each, in parallel threads. The
-        results are identical to those of `run`."""
+        """Simulate one cycle of each of several simulations with the same rig, in parallel threads.
+        The results are identical to those of `run`."""
         plain: dict[tuple[str, ...], list[tuple[Simulation, PlateCycle]]] = {}
         for own, cycle in zip(simulations, cycles, strict=True):
             if own._view.past or own._feeds or own._robot.taken or own._rig.suspension is not None:
@@ -406,8 +410,8 @@ class Simulation:
         threads: int,
         every: int = 0,
     ) -> list[BodyTrajectory]:
-        """Move the parts of several simulations with the same rig and the same ids of parts, see
-        `step.run_together`."""
+        """Simulate the parts of several simulations that have the same rig and the same ids of
+        parts, see `step.run_together`."""
         own = worlds[0]
         states, paths = run_together(
             [world.state for world in worlds], motions, own._shapes, limits, own._rig,

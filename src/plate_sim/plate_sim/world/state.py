@@ -1,4 +1,4 @@
-"""State of all parts of a run at the start of a plate cycle. A state is never modified: each change
+"""State of all parts of a run at the start of a plate cycle. A state is never modified. Each change
 returns a new state."""
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ class WorldState:
     ids : tuple of str
         True names of the M parts, such as `black_3`.
     position : (M, 2)
-        Positions of the centres [m], plate_home. A part that left the plate has the position at
+        Positions of the centres [m, plate_home]. For a part that left the plate, the position at
         which it left.
     velocity : (M, 2)
         Velocities of the centres [m/s], plate_home.
@@ -76,7 +76,7 @@ class WorldState:
         return replace(state, angle=rng.uniform(-np.pi, np.pi, len(ids)))
 
     def take(self, rows: np.ndarray) -> WorldState:
-        """Return the parts of the mask `rows` (M,)."""
+        """Return the state of those parts for which the mask `rows` (M,) is True."""
         ids = tuple(name for name, kept in zip(self.ids, rows, strict=True) if kept)
         return WorldState(
             ids, self.position[rows], self.velocity[rows], self.on_plate[rows], self.angle[rows],
@@ -84,8 +84,8 @@ class WorldState:
         )  # fmt: skip
 
     def joined(self, part_id: str, position: np.ndarray, angle: float) -> WorldState:
-        """Return the state with one more part, which is at rest at `position` (2,) [m,
-        plate_home]."""
+        """Return the state with one more part. This part is at rest at the position `position` (2,)
+        [m, plate_home]."""
         return WorldState(
             (*self.ids, part_id), np.vstack([self.position, position]),
             np.vstack([self.velocity, np.zeros(2)]), np.append(self.on_plate, True),

@@ -1,4 +1,4 @@
-"""Steps of the state of the parts from one plate cycle to the next, as pure functions.
+"""Pure functions that compute the state of the parts after a plate cycle.
 
 `run_cycle` returns the next state, `record_cycle` also returns the motion of the parts, and
 `run_together` returns the next states on several plates.
@@ -30,15 +30,15 @@ def run_cycle(
     contacts: Contacts = INELASTIC,
     cycles: int = 1,
 ) -> WorldState:
-    """Return the state after a plate cycle.
+    """Return the state of the parts after a plate cycle.
 
     Parameters
     ----------
     cycle : PlateCycle or PlateMotion
         Motion of the plate. Only a PlateCycle can be repeated.
     mu : float or (M,), optional
-        True friction coefficient of all parts or of each part. Default: the coefficients of the
-        parts' types.
+        True friction coefficient: one number for all parts, or one number for each part. Default:
+        the coefficients of the parts' types.
     step : float
         Maximum integration step [s].
     contacts : Contacts
@@ -65,7 +65,8 @@ def record_cycle(
     contacts: Contacts = INELASTIC,
     cycles: int = 1,
 ) -> tuple[WorldState, BodyTrajectory]:
-    """Return the state of `run_cycle`, and the motion of the parts with one sample per step."""
+    """Return the same state as `run_cycle`, and the motion of the parts with one sample per
+    integration step."""
     after, (path,) = _run(state, cycle, rig, mu, step, contacts, cycles, 1)
     return after, path
 
@@ -109,9 +110,9 @@ def run_together(
     cycles: int = 1,
     every: int = 0,
 ) -> tuple[list[WorldState], list[BodyTrajectory]]:
-    """Apply `run_cycle` to the same parts on many plates in one call. Return the states and the
-    motions. The motions contain a sample after every `every` steps; if `every` is 0, there are no
-    motions.
+    """Compute `run_cycle` for the same parts on many plates in one call. Return the states and the
+    motions of the parts. The motions contain one sample for each group of `every` integration
+    steps. If `every` is 0, no motions are returned.
 
     Parameters
     ----------
