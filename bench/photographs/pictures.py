@@ -37,9 +37,9 @@ TRUTH = np.dtype(
     ]
 )
 """Data of a marked part: centre of its area with filled holes, radius of the disc with the same
-area [px], angle (NaN if undefined), order of its rotational symmetry, class, and whether it touches
-another part. The order of symmetry is 0 for a disc, and for a part that is seen too much from the
-side."""
+area [px], angle (NaN if undefined), and order of its rotational symmetry. Then follow its class,
+and whether the part touches another part. The order of symmetry is 0 for a disc, and for a part
+that is seen too much from the side."""
 
 
 @dataclass(frozen=True, eq=False)

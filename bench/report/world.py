@@ -30,9 +30,9 @@ SIMULATED = (
     ("body", "case", "1 {} that slides and rotates, 0.2 s", "error of centre or edge [mm]",
      "error_mm", None, "-"),
 )  # fmt: skip
-"""Groups of panels: case, column whose values select the panels, title of a panel, label of the
-vertical axis, column of the drawn numbers, minimum drawn number (None: no minimum), and line
-style."""
+"""Groups of panels. Each group has a case, a column whose values select the panels, a title of a
+panel, and a label of the vertical axis. Then follow the column of the drawn numbers, the minimum
+drawn number (None: no minimum), and the line style."""
 
 
 def sim_rows(data: Data) -> Sheet:

@@ -56,8 +56,8 @@ def measure(quick: bool) -> Result:
 
 
 def apart(one: np.ndarray, other: np.ndarray) -> float:
-    """Return the difference of two poses (3,) [m, m, rad] of the disc [m]: the distance of the
-    centres or the distance of a point of the contour, whichever is larger."""
+    """Return the difference of two poses (3,) [m, m, rad] of the disc as a distance [m]. This is
+    the distance of the centres or the distance of a point on the contour, whichever is larger."""
     x, y, turn = one - other
     return max(float(np.hypot(x, y)), RADIUS * abs(turn))
 

@@ -2,8 +2,8 @@
 
 Parts start at rest. Each request contains a different drift of each part over one cycle, without
 tolerance and without a warm start. `plate_sim` checks all results. The baselines are scipy's least
-squares with Method B's unknowns and the same prediction, once with scipy's finite differences, and
-once with the project's derivatives.
+squares with Method B's unknowns and the same prediction. One baseline uses scipy's finite
+differences, the other the project's derivatives.
 """
 
 from __future__ import annotations

@@ -45,8 +45,8 @@ visible too."""
 OURS, PEER, ROTATIONS = METHODS = "SinusoidSolver", "scipy lm", "RotationSolver"
 """Methods. scipy is least_squares(method='lm') with the project's Jacobian on the same samples,
 from random starts, with the same final steps on fine samples. The times of the project's solvers
-include the computation of the final PlateCycle within the rig's limits, and for RotationSolver also
-closure and ramps. scipy's times include only the computation of the parameters."""
+include the computation of the final PlateCycle within the rig's limits. For RotationSolver, they
+also include closure and ramps. scipy's times include only the computation of the parameters."""
 
 
 def measure(quick: bool) -> Result:

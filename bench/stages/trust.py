@@ -1,8 +1,8 @@
 """Creep compared with baselines, neglected effects, and other laws of friction.
 
-Three measurements show how accurate the simulator is: the creep of parts that should stick, the
-size of the effects that the model neglects, and the results of tasks under laws of friction that
-the loop does not assume.
+Three measurements show how accurate the simulator is. The first is the creep of parts that should
+stick. The second is the size of the effects that the model neglects. The third is the result of
+tasks under laws of friction that the loop does not assume.
 """
 
 from __future__ import annotations

@@ -18,7 +18,7 @@ SEEDS = {
 """Number of runs, by scenario."""
 
 FIRST_SEED = 73_000
-"""First seed. No parameter was tuned with this seed or a larger one."""
+"""First seed. No parameter was tuned with this seed or larger seeds."""
 
 
 def measure(quick: bool) -> Result:

@@ -27,7 +27,7 @@ METHODS = ("ours", "vibrated", "thrown")
 
 SEEDS = range(60_000, 60_003)
 TIME_S, QUICK_S = 60.0, 10.0
-"""Simulated duration of a production run [s], and of a quick one."""
+"""Simulated duration of a production run, and of a quick production run [s]."""
 
 
 @dataclass(frozen=True)

@@ -16,7 +16,7 @@ from plate_core.rig import Suspension, mass_matrix, modal_matrices
 from tasks.runs import UNEVEN, runs_of, summed
 
 FIRST_SEED = 20_000
-"""First seed. No parameter of the project was chosen by runs with this seed or a larger one."""
+"""First seed. No parameter of the project was chosen by runs with this seed or larger seeds."""
 
 LATE, LOST = {"latency": "0.05"}, {"missed_parts": "0.05", "false_parts": "0.01"}
 

@@ -156,8 +156,8 @@ class Setup:
         default of `Controller` applies.
     own_planner : str
         Python file with a class `OwnPlanner`, which requests the forces. The project's planner then
-        only supervises the task: it decides whether the task is done or stuck and whether a part is
-        lost, and it requests a cycle at rest for the image that confirms the result.
+        only supervises the task. It decides whether the task is done or stuck, and whether a part
+        is lost. It requests a cycle at rest for the image that confirms the result.
     """
 
     scenario: str | Scenario

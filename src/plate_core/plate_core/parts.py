@@ -33,8 +33,8 @@ largest part. Smaller objects are dust or reflections, larger objects are tools 
 
 
 class OverlookedThing(NamedTuple):
-    """An object that vision detects but does not accept as a part: its centre x, y [m, plate_home],
-    the radius of a disc of equal area [m], and the reason as text."""
+    """An object that vision detects but does not accept as a part. The fields are its centre x, y
+    [m, plate_home], the radius of a disc of equal area [m], and the reason as text."""
 
     x: float
     y: float

@@ -1,9 +1,9 @@
 """Logging that never blocks a node.
 
-ROS writes to stderr while it holds Python's global interpreter lock. If the terminal is paused with
-Ctrl-S, a pipe is not read, or a connection hangs, the next log line would block all threads,
-including the threads that stop the motors. Therefore `never_held` redirects stderr to a
-non-blocking pipe. A thread writes the content of the pipe to the original stderr.
+ROS writes to stderr while it holds Python's global interpreter lock. A write blocks if the terminal
+is paused with Ctrl-S, a pipe is not read, or a connection hangs. The next log line would then block
+all threads, including the threads that stop the motors. Therefore `never_held` redirects stderr to
+a non-blocking pipe. A thread writes the content of the pipe to the original stderr.
 """
 
 from __future__ import annotations

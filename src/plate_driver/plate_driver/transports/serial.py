@@ -204,8 +204,8 @@ def trigger_message(trigger: CameraTrigger | None) -> Trigger | None:
 class SerialTransport:
     """Transport to a motor controller with the protocol of docs/protocol.md.
 
-    The transport never enables the motors without a call of `enable`, even after a restart of the
-    link, after a reset of the device, and after a time without messages to the device.
+    The transport never enables the motors without a call of `enable`. This is also true after a
+    restart of the link, a reset of the device, or a time without messages to the device.
 
     Parameters
     ----------
