@@ -47,8 +47,8 @@ def main() -> int:
 
     folder = args.out / "bench"
     failed: list[str] = []
-    # The pages of the project contain only complete measurements. Therefore they are updated only
-    # without --quick.
+    # The pages of the project contain only complete measurements. Therefore the pages are updated
+    # only without --quick.
     own = args.out == ROOT / "out" and not args.quick
     if not args.draw:
         needed = dict.fromkeys(name for one in report.CHARTS for name in one.sources)

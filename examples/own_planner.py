@@ -108,8 +108,8 @@ if __name__ == "__main__":
             # a cycle.
             start = newest if self._start is None else self._start
             off = [seconds(msg.header.stamp) - seconds(start) for msg in self._images]
-            # An image that is taken exactly at the start can arrive twice. Then its request must be
-            # published again.
+            # An image that is taken exactly at the start can arrive twice. When the image arrives
+            # again, its request must be published again.
             if off[-1] == 0 or (off[-1] > 0 and start != self._answered):
                 parts = msg_to_parts(self._images[int(np.argmin(np.abs(off)))])
                 self._answered = start

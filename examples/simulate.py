@@ -16,8 +16,9 @@ parser.add_argument("picture", nargs="?", default="simulate.png", help="default:
 picture = parser.parse_args().picture
 rig = load_rig()
 
-# The plate motion along x is the sum of two sinusoids. It is fast in one direction and slow in the
-# other direction. Parts drift, because the friction force does not depend on the sliding speed.
+# The plate motion along x is the sum of two sinusoids. This motion is fast in one direction and
+# slow in the other direction. Parts drift, because the friction force does not depend on the
+# sliding speed.
 period = 0.05
 t = np.arange(256) / 256 * period
 w = 2 * np.pi / period

@@ -43,8 +43,8 @@ def shoot(page: Any, graph: Session, out: Path) -> None:
         print(path)
 
     page.get_by_role("tab", name="Camera").click()
-    # The page compares the sharpness with the best value so far. Therefore it must receive sharp
-    # images first.
+    # The page compares the sharpness with the best value so far. Therefore the page must receive
+    # sharp images first.
     page.wait_for_timeout(1e3 * STEADY_S)
     for name, blur in (("focus", DEFOCUS_PX), ("ready", 0.0)):
         graph.observer.set_parameter("simulator", "defocus_px", blur)

@@ -81,8 +81,8 @@ def machine() -> Iterator[int]:
     """
     words = ["unshare", "--net", "--mount", "sh", "-c", f"{OWN_SHM} && echo made && exec cat"]
     pipe = subprocess.PIPE
-    # The process ends when its standard input is closed. This happens even if this program is
-    # killed.
+    # The process ends when its standard input is closed. The input is also closed if this program
+    # is killed.
     with subprocess.Popen(words, stdin=pipe, stdout=pipe, start_new_session=True) as process:
         assert process.stdout
         if not process.stdout.readline():

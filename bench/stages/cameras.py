@@ -385,8 +385,8 @@ def row_of(kind: Kind, count: int) -> dict[str, Any]:
             began = time.process_time()
             if not kind.typed and number < len(one.images) - 1:
                 continue
-            # A part that is published with the class unknown counts as not detected. The program
-            # counts such parts separately.
+            # A part that is published with the class unknown counts as not detected. `said` states
+            # whether the detector has reported such a problem.
             named = [not name.startswith("unknown") for name in tracker.parts.ids]
             found = tracker.parts.position[named]
             ids = [name for name, kept in zip(tracker.parts.ids, named, strict=True) if kept]

@@ -143,7 +143,7 @@ def disc_rows(tray: Scene, quick: bool) -> list[dict[str, Any]]:
     for _ in range(1 + (MIN_ROUNDS if quick else 7)):
         for (name, n), spent in times.items():
             if name == MUJOCO and len(spent) > 1:
-                continue  # MuJoCo is slow, so it is timed only once
+                continue  # MuJoCo is timed only once, because MuJoCo is slow
             run = partial(ours, tray, n) if name == OURS else build[name](n).run
             repeats = REPEATS if name == OURS else 1
             began = cpu_time()

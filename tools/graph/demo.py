@@ -214,8 +214,8 @@ def checked(args: argparse.Namespace) -> Plan:
         rig_file=absolute(rig_file),
         autostart=False,
         one_process=args.one_process,
-        # If all nodes run in one process, the page would slow them down. Therefore it is not
-        # started.
+        # If all nodes run in one process, the page would slow the nodes down. Therefore the page is
+        # not started.
         view=not (args.no_view or args.one_process),
         robot_port=0,
     )

@@ -68,8 +68,8 @@ class Server:
     def __init__(self, modules: Iterable[str], environment: Mapping[str, str]) -> None:
         self._loaded = _of_loading(environment)
         _libc.prctl(PR_SET_CHILD_SUBREAPER, 1)
-        # A parent program may have set SIGCHLD to be ignored. Then the exit codes of children would
-        # be lost, so restore the default.
+        # A parent program may have set SIGCHLD to be ignored. With this setting, the exit codes of
+        # children would be lost, so restore the default.
         signal.signal(signal.SIGCHLD, signal.SIG_DFL)
         self._process = subprocess.Popen(
             [sys.executable, __file__, *modules],

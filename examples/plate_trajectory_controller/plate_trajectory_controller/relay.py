@@ -216,7 +216,7 @@ def brake(rig: Rig, table: MotorTable, along: float) -> Trajectory:
     u = t / length
     rate = (1 - 3 * u**2 + 2 * u**3)[:, None]
     slowing = (6 * u * (u - 1) / length)[:, None]
-    # `at` is the integral of `rate`. It stops at the end of the table.
+    # `at` is the integral of `rate`. The path `at` stops at the end of the table.
     at = np.minimum(along + length * (u - u**3 + u**4 / 2), cycle.period)
     twist = cycle.twist(at)
     accel = cycle.accel(at) * rate**2 + slowing * twist

@@ -159,8 +159,8 @@ class OwnFile:
     """
 
     def __init__(self, path: str | Path) -> None:
-        # /dev/stdout can be a link to a regular file that the shell has opened. Such a file must
-        # not be replaced.
+        # /dev/stdout can be a link to a regular file that the shell has opened. A file that the
+        # shell has opened must not be replaced.
         of_system = os.path.abspath(path).startswith(("/dev/", "/proc/"))
         self._path = Path(path)
         self._place = self._path if of_system else self._path.resolve()

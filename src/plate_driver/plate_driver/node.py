@@ -168,7 +168,7 @@ class DriverNode(SafeLifecycleNode[Options]):
         )
         self.raw_inputs: tuple[RawInput, ...] = ()
         self._measured: Measured | None = None  # last measurement, which is not published yet
-        # This clock also advances while simulated time is paused.
+        # The steady clock also advances while simulated time is paused.
         self._steady = Clock(clock_type=ClockType.STEADY_TIME)
         self._diagnostics = Diagnostics(
             self, self._find, self._values, lambda: "plate", self._report.reported

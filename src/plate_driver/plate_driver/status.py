@@ -58,8 +58,8 @@ def driver_status(
     if latch.unanswered and condition is Condition.GONE:
         return status(DriverState.ERROR, UNCERTAIN, DriverReason.STOP_UNANSWERED)
     current = Report(condition) if report is None else report
-    # The motors can be ready although a stop is active. Then the transport has not processed the
-    # stop yet, or an enable is still in progress.
+    # The motors can be ready although a stop is active. In this case, the transport has not
+    # processed the stop yet, or an enable is still in progress.
     stopping = condition is Condition.READY and bool(requested) and not latch.enabling
     if condition is Condition.BRAKING or (active and stopping):
         why = requested or current.reason

@@ -217,7 +217,7 @@ class Axis:
             master.send(RPDO + self._node, word.to_bytes(2, "little") + target)
         master.send(SYNC)
         self.late_s = max(self.late_s, master.now - self._due)
-        # If cycles were missed, do not send them later.
+        # Do not send missed cycles later.
         self._due = max(self._due + cycle_s, master.now + cycle_s / 2)
         master.wait(self._due - master.now)
         self._missed = 0 if places else self._missed + 1

@@ -156,7 +156,8 @@ class HostPort:
     ) -> None:
         with socket.socket(socket.AF_UNIX) as lock, opened(channel) as can:
             try:
-                # The bound socket is a lock. It is released when the firmware's process has ended.
+                # The bound socket is a lock. The lock is released when the firmware's process has
+                # ended.
                 lock.bind(f"\0plate_drives {channel}")
             except OSError:
                 raise PlateError(f"{channel} is still in use by another driver process") from None

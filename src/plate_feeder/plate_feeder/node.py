@@ -430,8 +430,8 @@ class FeederNode(SafeLifecycleNode[Options]):
             response.discharged, response.lost = quantity.discharged, quantity.lost
         return response
 
-    # The functions for TCP are called on the server's thread. They pass the commands to the thread
-    # of the ROS node.
+    # The functions for TCP are called on the server's thread. These functions pass the commands to
+    # the thread of the ROS node.
 
     def _on_command(self, client: int, command: Command, answer: Answer) -> None:
         self._soon(lambda: self._do(client, command, answer))

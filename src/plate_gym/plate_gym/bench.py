@@ -385,8 +385,8 @@ def main() -> int:
             print("\n".join(wrong) or "the repeated seeds give the same result")
             return bool(wrong)
 
-        # The result file is opened before the runs. If it cannot be written, the error appears now
-        # and not after hours.
+        # The result file is opened before the runs. If the file cannot be written, the error
+        # appears now and not after hours.
         file = OwnFile(args.json) if args.json else None
         done = None
         if args.json and args.json.is_file() and args.json.stat().st_size:

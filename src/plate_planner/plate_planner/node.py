@@ -380,7 +380,7 @@ class PlannerNode(SafeLifecycleNode[PlannerParameters]):
         """
         now = 1e-9 * self.get_clock().now().nanoseconds
         # In lockstep, simulated time stops until the planner has replied to the message. Therefore
-        # the message cannot be late, even if a new clock time arrives before it.
+        # the message cannot be late, even if a new clock time arrives before the message.
         same = abs(now - stamp) < SAME_CLOCK_S and not self.options.lockstep
         return now if same else stamp
 

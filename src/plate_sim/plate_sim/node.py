@@ -425,8 +425,8 @@ class SimulatorNode(SafeLifecycleNode[Options]):
         self._next_ns += period_ns
         self._due_ns += round(period_ns / options.rate)
         self._count["cycles"] += 1
-        # `alone` is true if no new table has arrived. Then the simulator repeats the last table or
-        # executes its tail.
+        # `alone` is true if no new table has arrived. In this case, the simulator repeats the last
+        # table or executes the tail of the last table.
         tail_alone = before.waiting is None and cycle is before.cycle.tail
         alone = self._timeline.repeats > 0 or tail_alone
         self._count["held cycles"] += alone

@@ -23,7 +23,7 @@ constexpr double EQUAL_WEIGHT[] = {1.0};
 // this point counts twice.
 constexpr double HULL_WEIGHT[] = {2.0, 1, 1, 1, 1};
 
-// The rig's limits, or a fraction of them.
+// The rig's limits, or a fraction of these limits.
 struct Limits {
     double motors[MOTORS][2][2];  // point of application [m] and direction of each motor
     double half[2];               // half side lengths of the plate [m]
@@ -65,8 +65,8 @@ PLATE_WIDE inline double motion_use(Samples pose, Samples twist, Samples accel,
     for (int k = 0; k < pose.count; k++) {
         const double angle = pose(k, 2), spin = twist(k, 2), spin_rate = accel(k, 2);
         double s = 0, c = 1;
-        // For angles below 0.1 rad, Taylor series replace sine and cosine. Their error is about
-        // 1e-9.
+        // For angles below 0.1 rad, Taylor series replace sine and cosine. The error of these
+        // series is about 1e-9.
         if (!linear && std::abs(angle) < 0.1) {
             s = angle * (1 - angle * angle * (1.0 / 6 - angle * angle / 120));
             c = 1 - angle * angle * (0.5 - angle * angle / 24);

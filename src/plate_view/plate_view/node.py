@@ -168,8 +168,8 @@ class PageNode(SafeLifecycleNode[Options]):
             self._listener.tick_slowly()
         self._publish_replay()
 
-    # These functions are called on the server's thread. They pass commands to the thread of the ROS
-    # node.
+    # The functions below are called on the server's thread. These functions pass commands to the
+    # thread of the ROS node.
 
     def _take(self, browser: Socket, command: Command) -> None:
         if command.name in URGENT and self._replay is None:

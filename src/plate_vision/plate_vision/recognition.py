@@ -148,9 +148,9 @@ def find_types_under(
     patches, found = seen.segments.patches, seen.found
     whole = seen.segments.uncertain(is_named(found))
     if whole is not None:
-        # The areas in `whole` were removed as shadows, but they may belong to parts, because the
-        # edges of a moving part are as soft as the edges of a shadow. Therefore, recognise these
-        # areas again without removing shadows.
+        # The areas in `whole` were removed as shadows, but may belong to parts. The reason is that
+        # the edges of a moving part are as soft as the edges of a shadow. Therefore, recognise
+        # these areas again without removing shadows.
         more = segment(image, background, region, whole=whole).patches
         again = recognise(image, more, catalogue, calibration, seen.conditions)
         patches, found = _joined(patches, found, more, again)
@@ -240,7 +240,7 @@ def model_plate(image: np.ndarray, region: Region) -> Background:
     """
     x0, y0, x1, y1 = region.box
     plate = model_background(np.asarray(image)[y0:y1, x0:x1])
-    # Pixels outside the plate are not evaluated. Their limit is set to the maximum.
+    # Pixels outside the plate are not evaluated: the limit of these pixels is set to the maximum.
     lab = colours(image).copy()
     lab[y0:y1, x0:x1] = plate.lab
     limit = np.full(lab.shape[:2], 255, np.uint8)

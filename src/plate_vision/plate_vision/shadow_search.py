@@ -183,13 +183,13 @@ def find_shadow(
     if not one_sense or left > GOOD_FIT or left > BETTER * plain:
         return None
     # If most parts are about as dark as their shadows, parts and shadows cannot be distinguished.
-    # Then the sign of the shadow's direction is unknown.
+    # In this case, the sign of the shadow's direction is unknown.
     unlike = np.abs(fitted(best)["darkness"] - best.darkness) > UNLIKE
     if np.count_nonzero(unlike) < UNLIKE_FRACTION * len(unlike):
         return None
     # The misfit evaluates only pixels near the contours of the discs. A long shadow ends far from
     # the contours, so its length is measured along the shadow. If the misfit with the measured
-    # length is too large, the shadow is short. Then the fitted length is used.
+    # length is too large, the shadow is short. For a short shadow, the fitted length is used.
     measured = _measured(contrast, best, fitted(best), parts)
 
     def darkened(change: np.ndarray) -> Shadow:

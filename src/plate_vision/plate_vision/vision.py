@@ -216,7 +216,8 @@ def observe(
         ).T
         scale = vision.calibration.scale(np.column_stack([things["x"], things["y"]]))
         size = things["radius_px"] / scale
-        # The objects in `unknown` may be parts. The planner must not move other parts into them.
+        # The objects in `unknown` may be parts. The planner must not move other parts into these
+        # objects.
         unknown = may_be_parts(things, size, vision.radius, vision.inner, centre)
         more, none = things[unknown], np.zeros(np.count_nonzero(unknown))
         centre = np.vstack([centre, np.column_stack([more["x"], more["y"]])])

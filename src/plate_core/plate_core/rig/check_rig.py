@@ -69,7 +69,7 @@ def main() -> None:
     print(report(rig, path.name, found), flush=True)
     drawing = args.drawing or Path(f"{path.stem if args.rig else 'default'}_rig.svg")
     try:
-        from .drawing import draw  # imported here, because matplotlib may be missing
+        from .drawing import draw  # `draw` is imported here, because matplotlib may be missing
 
         drawing.parent.mkdir(parents=True, exist_ok=True)
         draw(rig, path.name, drawing)

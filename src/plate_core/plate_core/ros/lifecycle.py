@@ -93,7 +93,7 @@ class SafeLifecycleNode(RclpyLifecycleNode, Generic[Options]):
         self._kept: list[tuple[Callable[[Any], Any], Any]] = []
         self.options = self._given = declare(self, kind)
         self._follow = follow(self, self._given, self._on_options, self._fixed_now)
-        # This callback is added last, because rclpy calls the callbacks in reverse order.
+        # `_keep_clock` is added last, because rclpy calls the callbacks in reverse order.
         self.add_on_set_parameters_callback(self._keep_clock)
 
     # Methods that a subclass implements
@@ -198,9 +198,9 @@ class SafeLifecycleNode(RclpyLifecycleNode, Generic[Options]):
         if self.count_publishers(full) < 2:
             return ""
         found, own = self.get_publishers_info_by_topic(full), f"{self.get_namespace()}/"
-        # Count the names of nodes instead of publishers. After a node was killed, it stays listed
-        # for a while, together with its restarted instance. Ignore unknown names, because the name
-        # of a new node is unknown at first.
+        # Count the names of nodes instead of publishers. A killed node stays listed for a while,
+        # together with its restarted instance. Ignore unknown names, because the name of a new node
+        # is unknown at first.
         names = {
             f"{each.node_namespace}/{each.node_name}".removeprefix(own)
             for each in found

@@ -99,7 +99,8 @@ def declare(node: Node, kind: type[Options]) -> Options:
         If a value given at start has the wrong type or is out of range, or if the node has no
         parameter of this name. The message states the parameter, its value and the allowed values.
     """
-    values, given = {}, node._parameter_overrides  # rclpy has no public name for the overrides
+    # rclpy has no public attribute for the parameter overrides
+    values, given = {}, node._parameter_overrides
     for item in fields(kind):  # type: ignore[arg-type]  # mypy has no bound for "a dataclass"
         spec: Spec = item.metadata["spec"]
         assert item.default is not MISSING

@@ -87,7 +87,8 @@ def logged(transition: Transition) -> Transition:
             # All exceptions are caught, so that the error state always has a reason.
             self.failure = error
             wrong_input = isinstance(error, PlateError)
-            if not self.starting:  # `start_nodes` raises this error, so do not log it twice
+            # while nodes are started, `start_nodes` raises this error, so do not log the error here
+            if not self.starting:
                 text = str(error) if wrong_input else traceback.format_exc()
                 self.get_logger().error(f"{transition.__name__}: {text}")
             if wrong_input:

@@ -54,7 +54,7 @@ def edge_problem(label: str, point: Point, rig: Rig) -> str:
     if this is possible."""
     least = rig.edge_margin(label).least_m
     limit, (x, y) = rig.plate.half - least, point
-    # This condition is false for NaN.
+    # For NaN, the following condition is false.
     if abs(x) <= limit[0] + ROUNDING_M and abs(y) <= limit[1] + ROUNDING_M:
         return ""
     away = float(np.min(rig.plate.half - np.abs(point)))

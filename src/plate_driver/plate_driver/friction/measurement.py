@@ -425,8 +425,8 @@ class FrictionMeasurement:
         trial, gravity = self.trials[-1], self.rig.friction.gravity
         guess = dict(self.guess)
         for name, value in trial.lag.items():
-            # At accelerations far above mu g, the slip depends only a little on mu. Such pushes
-            # give no estimate of mu.
+            # At accelerations far above mu g, the slip depends only a little on mu. Pushes with
+            # such accelerations give no estimate of mu.
             known = guess.get(name, np.inf) * gravity
             slid = value > max(SLID_M, NOISE_FACTOR * trial.error)
             if slid and trial.push.accel < ABOVE * known:
@@ -549,8 +549,8 @@ class FrictionMeasurement:
         local, errors, _ = self._local(name)
         fit = least_squares(misses, [float(np.median(local))], diff_step=1e-3)
         # The measured position between two pushes affects the lags of both pushes. Therefore the
-        # errors of both lags are correlated. They have opposite signs if both pushes have the same
-        # direction, and equal signs otherwise.
+        # errors of both lags are correlated. The errors have opposite signs if both pushes have the
+        # same direction, and equal signs otherwise.
         correlation = np.eye(len(trials))
         for k, (one, other) in enumerate(pairwise(trials)):
             if one.push.axis == other.push.axis:

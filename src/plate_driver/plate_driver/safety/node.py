@@ -130,8 +130,8 @@ class SafetyNode:
         with contextlib.suppress(ExternalShutdownException):
             while self._context.ok() and not self._ended:
                 try:
-                    # The call returns at the latest when the timer fires. Then the loop condition
-                    # is checked again.
+                    # The call returns at the latest when the timer fires. After each return, the
+                    # loop condition is checked again.
                     self._executor.spin_once()
                 except ExternalShutdownException:
                     raise

@@ -242,7 +242,8 @@ class SerialTransport:
         self._unfit: Report | None = None
         self._boot: int | None = None
         self._reset = False  # whether the device was reset after the last enable
-        # Problem of the device's clock that caused a stop of the motors. The next enable clears it.
+        # Problem of the device's clock that caused a stop of the motors. The next enable clears
+        # this text.
         self._clock_fault = ""
         self._closed = False
         self._streams, self._baud = streams, baud
@@ -733,7 +734,7 @@ def wired(table: MotorTable, before: Mapping[int, MotorTable]) -> tuple[tuple[Kn
             break
     if table.cycle.tail is None:
         return (first, *rest), 0, follows
-    # The tail's first knot equals the cycle's last knot, so it is omitted.
+    # The tail's first knot is omitted, because it is equal to the cycle's last knot.
     end = len(table.cycle.times) - 1
     return (first, *rest[:end], *rest[end + 1 :]), rest[end].ticks, follows
 

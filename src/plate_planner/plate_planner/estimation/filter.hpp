@@ -20,7 +20,7 @@ constexpr int LANES = 8;
 //     d = surface - v
 //     v += d min(1, bound dt / |d|)
 //     x += v dt
-// where d is the slip and `surface` is the velocity of the plate at the part.
+// Here, d is the slip, and `surface` is the velocity of the plate at the part.
 //
 // `bound` (K,) is mu g [m/s2], above 0. `pose` and `twist` (n, 3) are the pose and twist of the
 // plate at the middles of n steps of length dt [s]. Each state is propagated from the time `begin`

@@ -314,7 +314,7 @@ def kalman_update(
     information = np.einsum("aki,aki->ak", weighted, velocity)
     lateness = np.einsum("aki,aki->ak", weighted, innovation)
     # Parts that were pushed are not used to estimate the error of the stamp. For each part, z' (S +
-    # s^2 v v')^-1 z follows from S^-1 by the formula of Sherman and Morrison (1950). z is the
+    # s^2 v v')^-1 z follows from S^-1 by the formula of Sherman and Morrison (1950). Here, z is the
     # innovation, S its covariance, v the velocity, and s the standard deviation of the stamp.
     usual = np.maximum(square - jitter**2 * lateness**2 / (1 + jitter**2 * information), 0)
     known = usual <= PUSHED_SIGMA**2

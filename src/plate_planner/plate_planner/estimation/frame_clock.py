@@ -141,8 +141,8 @@ class FrameClock:
             clock = replace(self, time=np.array([[stamps[0], interval]]), covariance=covariance)
             for each in stamps[1:]:
                 clock = clock._next(each)
-        # If the standard deviation of the stamps is larger, they contain no information about the
-        # frame times. Then restart the clock.
+        # If the standard deviation of the stamps is larger, the stamps contain no information about
+        # the frame times. Then restart the clock.
         if not clock.scatter <= WIDEST * clock.interval:
             return FrameClock.at(stamp)
         return replace(clock, stamps=stamps)

@@ -186,7 +186,7 @@ class Sorter(TaskRules):
         requested = (low > -half) | (high < half)
         weight = np.where(requested, distance_weight(displacement), 0.0)
         # Parts that are far from their sides use one lane to move to the left and another lane to
-        # move to the right. Therefore a single rotating force field moves all of them.
+        # move to the right. Therefore a single rotating force field moves all these parts.
         most = CROWDED_LANE if len(parts) > CROWD else LANE
         lane = most * np.minimum(displacement[:, 0] / LANE_M, 1) * (sign[:, 0] != 0)
         if not _diagonal(sign):

@@ -56,8 +56,8 @@ PLATE_WIDE inline void expose(View<const float, 1> canvas, View<const float, 1> 
     }
 }
 
-// Batch of pixels at an edge. For each pixel, it contains the point of the plate's plane that the
-// pixel shows [m], the covered fraction, and the index in the image.
+// Batch of pixels at an edge. For each pixel, the batch contains the point of the plate's plane
+// that the pixel shows [m], the covered fraction, and the index in the image.
 struct Pixels {
     static constexpr int ROOM = 64;
     double x[ROOM]{}, y[ROOM]{}, cover[ROOM];
@@ -72,9 +72,9 @@ struct Pixels {
 };
 
 // Position on the path of a moving shape. The path has `last` pieces of equal duration. For motion
-// blur, it is divided into `copies` intervals of equal duration. The position is in the middle of
-// interval k. `piece` is the index of the piece that contains the position. `part` is the fraction
-// of this piece before the position, from 0 to 1.
+// blur, the path is divided into `copies` intervals of equal duration. The position is in the
+// middle of interval k. `piece` is the index of the piece that contains the position. `part` is the
+// fraction of this piece before the position, from 0 to 1.
 struct Along {
     int piece;
     double part;
@@ -207,7 +207,7 @@ struct Shape {
 };
 
 // Computes the fraction of each pixel that the polygons with the indices `begin` to `end` - 1
-// cover. x, y are the pixels' points in the part's frame [m].
+// cover. The coordinates x, y are the pixels' points in the part's frame [m].
 [[gnu::always_inline]] inline void polygons_cover(const double* x, const double* y,
                                                   const Shape& shape, int begin, int end,
                                                   double* cover) {

@@ -141,9 +141,9 @@ def _swept_piece(
             if piece.radius
             else _tangents(piece.corners, rotation, size, growth, shift)
         )
-        # If the section of a piece at one end is inside the section at the other end, they have no
-        # common tangents. In this case, the first edge of the piece is repeated, so that the array
-        # has the same shape.
+        # If the section of a piece at one end is inside the section at the other end, the two
+        # sections have no common tangents. In this case, the first edge of the piece is repeated,
+        # so that the array has the same shape.
         lacking = np.isnan(touch)
         tangent[lacking] = np.broadcast_to(normal[:, :1], tangent.shape)[lacking]
         touch = np.where(lacking, distance[:, :1], touch)

@@ -1,5 +1,5 @@
-// Broad phase of collision detection. It makes a list of pairs of parts that are near each other.
-// The list stays valid for many time steps.
+// Broad phase of collision detection: makes a list of pairs of parts that are near each other. The
+// list stays valid for many time steps.
 //
 // The skin is a safety distance around the parts. Parts are sorted by x, and all pairs with a gap
 // below the width of the skin are listed. No other pair can touch until two parts have approached

@@ -1,15 +1,15 @@
 // Impulses between rotating rigid parts, and removal of their overlaps.
 //
 // If touching parts approach each other, normal impulses at one or two points stop the approach.
-// The minimum impulses are computed for both points together. They are multiplied by 1 + e, where e
-// is the restitution. This method never adds energy, for any shapes of the parts. For e = 0, the
-// result is the nearest velocity without approach in the energy norm. For e = 1, the result is the
-// mirror image of the initial velocity at this velocity. Then friction acts at each point. An
-// impulse of up to mu_c times the normal impulse reduces the tangential speed, but never reverses
-// it. Both parts receive their impulses at the same point and at the time of the contact, which is
-// within the time step. Therefore momentum and angular momentum are conserved. If many parts touch
-// each other, an overlap may remain. It is removed by a displacement that does not change the
-// velocities.
+// The minimum impulses are computed for both points together. The impulses are multiplied by 1 + e,
+// where e is the restitution. This method never adds energy, for any shapes of the parts. For e =
+// 0, the result is the nearest velocity without approach in the energy norm. For e = 1, the result
+// is the mirror image of the initial velocity at this velocity. Then friction acts at each point.
+// An impulse of up to mu_c times the normal impulse reduces the tangential speed, but never
+// reverses it. Both parts receive their impulses at the same point and at the time of the contact,
+// which is within the time step. Therefore momentum and angular momentum are conserved. If many
+// parts touch each other, an overlap may remain. A displacement, which does not change the
+// velocities, removes this overlap.
 //
 // discs.hpp contains a simpler method for two discs.
 #pragma once
@@ -29,15 +29,16 @@ namespace plate::contacts {
 constexpr double KEPT = 5e-6;
 
 // Maximum number of impulse iterations in a collision. More than one iteration can be necessary if
-// a contact point is not on the line between the centres. Then friction changes the closing speed.
+// a contact point is not on the line between the centres. In this case, friction changes the
+// closing speed.
 constexpr int REBOUNDS = 20;
 
-// The closing speed is the speed at which two parts approach each other. It counts as 0 below this
-// fraction of its initial value.
+// The closing speed is the speed at which two parts approach each other. A closing speed below this
+// fraction of its initial value counts as 0.
 constexpr double ROUNDING = 1e-12;
 
-// If the relative determinant of the compliance matrix of two contact points is below this value,
-// they count as one point.
+// Two contact points count as one point if the relative determinant of their compliance matrix is
+// below this value.
 constexpr double RANK = 1e-9;
 
 // Constants of the bodies, in the order of the state's columns. The last body represents the walls.
@@ -82,7 +83,7 @@ inline bool closes(const State& state, int i, int j, const Manifold& contact) {
 }
 
 // Return the time [s] since the first contact of two approaching parts. The time is estimated from
-// the depths of the overlap and the closing speeds. It is at most `step`.
+// the depths of the overlap and the closing speeds. The result is at most `step`.
 inline double touched(const State& state, int i, int j, const Manifold& contact, double step) {
     double ago = 0.0;
     for (int k = 0; k < contact.count; k++) {
@@ -205,10 +206,9 @@ inline void bounce(const State& state, int i, int j, const Arm arms[2], Vec n,
 
 // Apply the collision of two parts, or of a part and a wall, to the state.
 //
-// i and j are the indices of the bodies. At most one of them is a disc, and this disc is i. If one
-// of the bodies is a wall, it is j, and i is not a disc. The walls are the last body. The last
-// column of the state contains the pose and twist of the plate. `step` is the length of the time
-// step [s].
+// i and j are the indices of the bodies. At most one of these bodies is a disc, and the disc is i.
+// A wall is always j. In this case, i is not a disc. The walls are the last body. The last column
+// of the state contains the pose and twist of the plate. `step` is the length of the time step [s].
 inline void collide(const State& state, Bodies bodies, int i, int j, Manifold contact,
                     const Rules& rules, double step) {
     const Body &a = bodies[i], &b = bodies[j];

@@ -1,8 +1,9 @@
 // Contact points of two rigid parts in the plane. The parts are discs or convex polygons.
 //
 // The contact of two convex polygons is at the side whose outward normal gives the maximum
-// separation (method of separating axes: Gottschalk, Lin and Manocha 1996). This side is the
-// reference side. The nearest side of the other polygon is clipped to the reference side.
+// separation (method of separating axes: Gottschalk, Lin and Manocha 1996). The side with the
+// maximum separation is called the reference side. The nearest side of the other polygon is clipped
+// to the reference side.
 #pragma once
 #include <algorithm>
 #include <cmath>
@@ -74,8 +75,8 @@ inline Manifold disc_polygon(double cx, double cy, double radius, Corners corner
 }
 
 // Maximum separation `gap` of two polygons along the normal of an open side of the first polygon,
-// and the index of this side. The gap is negative if the polygons overlap. It is set to 0 if any
-// side separates the polygons.
+// and the index of this side. The gap is negative if the polygons overlap. If any side separates
+// the polygons, the gap is set to 0.
 struct Separation {
     double gap;
     int side;
@@ -110,7 +111,8 @@ inline Manifold clip(Corners flat, int side, Corners other) {
     }
     const Corner &end = flat[next(side, flat)], &a = other[k], &b = other[next(k, other)];
     const double length = tx * (end.x - x0) + ty * (end.y - y0);
-    // Coordinates along the reference side and normal to it.
+    // Coordinates of the other side's ends, along the reference side (`along`) and perpendicular to
+    // the reference side (`out`).
     const double along[] = {tx * (a.x - x0) + ty * (a.y - y0), tx * (b.x - x0) + ty * (b.y - y0)};
     const double out[] = {nx * (a.x - x0) + ny * (a.y - y0), nx * (b.x - x0) + ny * (b.y - y0)};
     Manifold contact{0, {nx, ny}};
@@ -158,7 +160,7 @@ inline Manifold polygon_wall(Corners rim, Vec wall, Vec n) {
     for (const Corner& corner : rim) {
         const double depth = n.x * (wall.x - corner.x) + n.y * (wall.y - corner.y);
         if (depth <= 0) continue;
-        // Keep the two deepest points.
+        // Keep the two contact points with the greatest depth.
         int at = contact.count;
         if (at < 2) {
             contact.count++;

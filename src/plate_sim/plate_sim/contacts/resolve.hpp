@@ -24,7 +24,7 @@ constexpr int SWEEPS = 24;
 // pixel.
 constexpr double OVERLAP = 1e-5;
 
-// Each pass examines all pairs whose gap is below this fraction of the sum of their radii. These
+// Each pass examines all pairs whose gap is below this fraction of the sum of their radii. Such
 // pairs do not touch yet, but other parts may push them together.
 constexpr double MARGIN = 0.03;
 
@@ -38,8 +38,8 @@ struct Convex {
     std::int64_t first, end;
 };
 
-// Outlines of all parts except discs. `corners` contains them in the parts' frames. The buffer
-// `placed` contains them in the frame plate_home.
+// Outlines of all parts except discs. `corners` contains the corners in the parts' frames. The
+// buffer `placed` contains the corners in the frame plate_home.
 struct Outlines {
     std::span<const Convex> pieces;
     Corners corners;
@@ -66,7 +66,7 @@ struct Outlines {
 };
 
 // Contact of two parts: its maximum depth [m] and its manifold. If only one of the parts is a disc,
-// it is the first part.
+// the disc is the first part.
 struct Touch {
     int i, j;
     double depth = 0.0;

@@ -75,7 +75,8 @@ class Recorder:
     def __init__(self, now: float = 0.0) -> None:
         self._start = now
         self._ticks: list[tuple[float, np.ndarray]] = [(now, np.zeros((3, MOTORS)))]
-        # Segment that contains a whole table. Its start time is the start time of the table.
+        # Segment that contains a whole table. The start time of the segment is the start time of
+        # the table.
         self._whole: Segment | None = None
         self._play: tuple[int, int] | None = None
 

@@ -1,5 +1,5 @@
 // Time steps of discs that slide steadily, which is the most frequent case. The method is the
-// explicit midpoint rule (see `stepping::midpoint`) with the friction from `disc::series`. It
+// explicit midpoint rule (see `stepping::midpoint`) with the friction from `disc::series`. The code
 // processes several discs at the same time and has no branches. If a disc does not meet the
 // conditions of the method in a step, `advance` computes this step.
 #pragma once

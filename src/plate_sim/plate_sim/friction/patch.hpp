@@ -14,8 +14,9 @@
 // without overshooting, for any length of the step.
 //
 // A primal-dual Newton method solves the problem (Andersen, Christiansen, Conn and Overton 2000).
-// Its unknowns are the slip and the forces at the points. The method converges, although the norms
-// |d_i| are not smooth at 0. The iteration ends when the duality gap guarantees the accuracy.
+// The unknowns of this method are the slip and the forces at the points. The method converges,
+// although the norms |d_i| are not smooth at 0. The iteration ends when the duality gap guarantees
+// the accuracy.
 //
 // The terms of a sum over the points are computed for several points at the same time, and then
 // added one by one. Therefore the sums do not depend on the processor's vector width.

@@ -18,9 +18,9 @@ constexpr double STEP_SHARE = 0.05;
 // A slow part is stopped if its remaining sliding distance is at most this fraction of the allowed
 // error of a step.
 constexpr double SNAP_SHARE = 0.1;
-// Determines which slip counts as zero (see `zero_slip`). While such a slip vanishes, friction
-// changes the part's velocity by at most ZERO_SHARE e / T. e is the allowed error of a step, and T
-// is the period.
+// Determines which slip counts as zero (see `zero_slip`). While a slip that counts as zero
+// vanishes, friction changes the part's velocity by at most ZERO_SHARE e / T. Here, e is the
+// allowed error of a step, and T is the period.
 constexpr double ZERO_SHARE = 0.2;
 // A part with zero slip sticks only if friction can still hold it a short time later. AHEAD is this
 // time as a fraction of the period.
@@ -153,7 +153,7 @@ inline bool dips(Table table, double t, int k, double h, const Step& made, const
     const double s = b + root > 0 ? -down / (b + root) : 0.5;
     const double least = r + s * (down + s * (b + s * c)), turn = bounds.rate * h;
     // The error of the cubic (Hermite interpolation) is at most h^4/384 times the fourth derivative
-    // of the slip. This derivative is about accel rate^3. The factor 0.01 is about four times
+    // of the slip. The fourth derivative is about accel rate^3. The factor 0.01 is about four times
     // 1/384, as a safety margin.
     return least < 0.01 * bounds.accel * h * (turn * (turn * turn));
 }
@@ -198,7 +198,7 @@ inline Slid slide(Table table, double t, int k, double h, double hint, const Poi
             continue;
         }
         // The error of a step is proportional to h^5. The next step is at most 6 times longer,
-        // because the error is near 0 for a straight motion. Such an error gives no information
+        // because the error is near 0 for a straight motion. An error near 0 gives no information
         // about longer steps.
         const double grown =
             error * 4000 < now.allowed ? 6 : 0.9 * std::pow(now.allowed / error, 0.2);

@@ -1,16 +1,16 @@
 // Time step of a disc whose slip reverses its direction. The disc and the plate do not rotate.
 //
 // The slip w(t) is the velocity of the plate minus the velocity of the disc. Friction accelerates
-// the disc by mu g along w/|w|. The time t is 0 at the start and 1 at the end of the step. s + a t
-// + b t^2 is the slip without friction. With friction, the slip is
+// the disc by mu g along w/|w|. The time t is 0 at the start and 1 at the end of the step. The slip
+// without friction is s + a t + b t^2. With friction, the slip is
 //
 //     w(t) = s + a t + b t^2 - dv int_0^t w/|w|, dv = mu g dt.
 //
 // If the plate accelerates much more than mu g, the path of the vector w is nearly straight. The
 // step is split at the minimum of |w|. Before and after this time, the path of w is approximated by
 // a straight segment. The mean of w/|w| along a segment has a closed form, which is also valid near
-// w = 0. Therefore the method does not need shorter steps. It is exact for a slip that reverses on
-// a line. For a slip that rotates quickly, it is of second order.
+// w = 0. Therefore the method does not need shorter steps. The method is exact for a slip that
+// reverses on a line. For a slip that rotates quickly, the method is of second order.
 #pragma once
 #include <algorithm>
 #include <cmath>
@@ -69,8 +69,8 @@ struct Reversal {
 // step. `fall`, `static_dv` and `dv` [m/s] are the velocity changes in the step by gravity along
 // the plate, by static friction and by dynamic friction.
 inline Reversal reversal(const PlateSample* plate, Vec fall, double static_dv, double dv, Vec v) {
-    // The slip without friction is s + a t + b t^2, with t from 0 to 1. Its rate of change at t = 1
-    // is z.
+    // The slip without friction is s + a t + b t^2, with t from 0 to 1. z is the rate of change of
+    // this slip at t = 1.
     const Vec s = Vec{plate[0].vx, plate[0].vy} - v;
     const Vec m = Vec{plate[1].vx, plate[1].vy} - v - 0.5 * fall;
     const Vec e = Vec{plate[2].vx, plate[2].vy} - v - fall;

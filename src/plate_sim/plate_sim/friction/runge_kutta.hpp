@@ -1,9 +1,9 @@
 // Integration steps for a part that is modelled as a point and slides on the plate: Runge-Kutta
 // 5(4), the event at which the slip vanishes, and the restart from zero slip.
 //
-// A sliding part at the position p with the velocity v obeys p' = v and v' = mu g w/|w|. w = v_s(p,
-// t) - v is the slip, and v_s is the velocity of the plate's surface (pieces.hpp). The right-hand
-// side is smooth while w is not 0.
+// A sliding part at the position p with the velocity v obeys p' = v and v' = mu g w/|w|. The slip
+// is w = v_s(p, t) - v, where v_s is the velocity of the plate's surface (pieces.hpp). The
+// right-hand side is smooth while w is not 0.
 #pragma once
 #include <algorithm>
 #include <cmath>
@@ -62,7 +62,8 @@ struct Step {
 };
 
 // A stage of a Runge-Kutta step: velocity of the part, friction, and whether the component of the
-// slip along n is still positive. n is the direction of the slip at the start of the step.
+// slip along n is still positive. The vector n is the direction of the slip at the start of the
+// step.
 struct Stage {
     Vec velocity, force;
     bool on;
@@ -137,8 +138,8 @@ struct Landing {
 // Compute the time within the next h [s] at which the component of the slip along its present
 // direction vanishes. Friction is assumed to be constant.
 //
-// `r` is the present slip [m/s]. If the component of the slip along its present direction is below
-// `none` [m/s], it counts as 0.
+// `r` is the present slip [m/s]. A component of the slip along its present direction that is below
+// `none` [m/s] counts as 0.
 inline Landing landing(Table table, double t, int k, double h, const Point& part, Vec force,
                        double r, double limit, double none) {
     const Vec n{force.x / limit, force.y / limit};
@@ -170,9 +171,9 @@ inline Landing landing(Table table, double t, int k, double h, const Point& part
     }
     const Vec half = straight(table, t, k, 0.5 * tau, part, force, n);
     rest = std::abs(rest);
-    // The magnitude of the slip decreases approximately linearly to 0 at t = tau. Then the rate of
-    // the slip's angle is proportional to 1/(tau - t). The integral of this rate is the logarithm
-    // in `share`.
+    // The magnitude of the slip decreases approximately linearly to 0 at t = tau. Under this
+    // assumption, the rate of the slip's angle is proportional to 1/(tau - t). The integral of this
+    // rate is the logarithm in `share`.
     double share = rest > 0 ? rest / r * (1 + std::log(std::max(1.0, r / rest))) : 0;
     share += half.x > 0 ? std::abs(half.y) / half.x : 1;
     return {tau, rest, limit * tau * share};
@@ -213,7 +214,7 @@ inline Restart restart(Table table, double t, int k, double h, const Point& part
         const Vec w = slip(table, t + h, piece, {p, u});
         const double r = std::sqrt(dot(w, w));
         // If the direction of a rotates at the rate c, the direction of the slip lags behind by the
-        // angle r c/|a|. r is the magnitude of the slip.
+        // angle r c/|a|. The magnitude of the slip is r.
         const double error = r * (std::abs(n2.x - n0.x) + std::abs(n2.y - n0.y));
         if (error > allowed) {
             h *= std::max(0.1, std::min(0.7, 0.9 * std::pow(allowed / error, 1. / 3)));

@@ -2,11 +2,12 @@
 // begins to stick.
 //
 // The midpoint rule, which is of second order, advances a part that slides steadily. If the
-// friction changes only a little with the slip, the explicit form of the rule is used. Otherwise
-// the implicit form is used. If the direction of the slip changes quickly, the step is bisected, at
-// most `HALVINGS` times. If the slip reverses, the step is split just before the reversal. The
-// shortest substeps use the implicit Euler method (patch.hpp). A part that sticks at both ends of a
-// step moves exactly with the plate. Therefore a sticking part does not creep.
+// friction changes only a little with the slip, the explicit form of the rule is used. If the
+// friction changes much with the slip, the implicit form is used. If the direction of the slip
+// changes quickly, the step is bisected, at most `HALVINGS` times. If the slip reverses, the step
+// is split just before the reversal. The shortest substeps use the implicit Euler method
+// (patch.hpp). A part that sticks at both ends of a step moves exactly with the plate. Therefore a
+// sticking part does not creep.
 //
 // In most steps, most parts are discs that slide steadily. `glide` (glide.hpp) advances these discs
 // together. `advance` advances the other parts one by one.
@@ -47,9 +48,9 @@ static_assert(sizeof(Body) == 10 * sizeof(double));
 // Group of parts that are advanced together: their states, and constants for `glide` (glide.hpp).
 struct Group {
     double state[6][LANES];
-    // `dv` is mu g times the step [m/s]. `least` is the minimum squared slip for `glide` [m2/s2];
-    // it is infinite for parts that are not discs. `radius2` and `gyration2` are the squared radius
-    // and the squared radius of gyration [m2]. `ratio` is radius2 / gyration2.
+    // `dv` is mu g times the step [m/s]. `least` is the minimum squared slip for `glide` [m2/s2].
+    // For parts that are not discs, `least` is infinite. `radius2` and `gyration2` are the squared
+    // radius and the squared radius of gyration [m2]. `ratio` is radius2 / gyration2.
     double dv[LANES], least[LANES], radius2[LANES], gyration2[LANES], ratio[LANES];
     double moved[LANES];    // 1 if `glide` has advanced the part in this step, else 0
     double away[LANES];     // 0 if the part is on the plate, else infinite
@@ -105,7 +106,7 @@ inline Slip operator*(double scale, const Slip& a) {
 }
 
 // `to_part` transforms a slip from plate_home to the frame of a part, and `from_part` transforms it
-// back. c and s are the cosine and sine of the part's angle.
+// back. Here, c and s are the cosine and sine of the part's angle.
 inline Slip to_part(const Slip& a, double c, double s) {
     return {c * a.x + s * a.y, c * a.y - s * a.x, a.turn};
 }
@@ -221,8 +222,8 @@ inline Attempt ride(const PlateSample* plate, Vec fall, double static_dv, const 
     // At the end of the step, the plate may accelerate so much that the part begins to slide.
     // Therefore the rate of change of the slip at the end is checked, too. Without friction, the
     // slip is approximated by the parabola a s + b s^2, with s from 0 to 1. `half` is its value at
-    // s = 1/2, and `gain` is its value at s = 1. This gives a = 4 half - gain and b = 2 gain - 4
-    // half. The rate of the parabola at s = 1 is a + 2 b = 3 gain - 4 half.
+    // s = 1/2, and `gain` is its value at s = 1. From these values, a = 4 half - gain and b = 2
+    // gain - 4 half. The rate of the parabola at s = 1 is a + 2 b = 3 gain - 4 half.
     turn = middle.theta - start.theta;
     const Slip half =
         slip(middle, middle.x + rx - turn * ry, middle.y + ry + turn * rx, m.vx, m.vy, m.spin);
@@ -311,7 +312,7 @@ inline Motion advance_in_parts(const Course& course, double start, double step, 
         done += size;
         if (done == FINEST) return motion;
         // If a substep ends just before a reversal, the next substep has the minimum length and
-        // passes the reversal. One more substep computes the rest of the step.
+        // passes the reversal. After the reversal, one more substep computes the rest of the step.
         size = !to_end ? 2 * size : size > 1 ? 1 : FINEST - done;
         to_end = to_end && size == 1;
         size = std::min(size, FINEST - done);

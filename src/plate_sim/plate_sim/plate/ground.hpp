@@ -1,5 +1,5 @@
 // Effects of the plate's surface that a constant friction coefficient does not describe. ground.py
-// describes them.
+// describes these effects.
 #pragma once
 
 #include <algorithm>

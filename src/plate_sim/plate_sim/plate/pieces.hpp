@@ -40,7 +40,7 @@ struct Point {
 constexpr double STRAIGHT = 1e-11;
 
 // `place`, `slope` and `bend` return the value, the first derivative and the second derivative of
-// the polynomial with coefficients c. u [s] is the time since its knot.
+// the polynomial with coefficients c. The argument u [s] is the time since the polynomial's knot.
 inline double place(const double* c, double u) {
     return c[0] + u * (c[1] + u * (c[2] + u * (c[3] + u * (c[4] + u * c[5]))));
 }
@@ -67,8 +67,9 @@ inline int seek(Table table, double t, int k) {
     return k;
 }
 
-// If t [s] is after the end of a closed cycle, subtract the period. Return the result, and set k to
-// the piece that contains it. If t is not in piece k, the search starts at an estimated piece.
+// If t [s] is after the end of a closed cycle, subtract the period. Return the reduced time, and
+// set k to the piece that contains this time. If t is not in piece k, the search starts at an
+// estimated piece.
 inline double locate(Table table, double t, int& k) {
     const double period = table.back().end;
     if (t >= period) {
@@ -82,9 +83,9 @@ inline double locate(Table table, double t, int& k) {
     return t;
 }
 
-// Return the slip w = v_s - v [m/s] of a part with position P and velocity v at time t. v_s = O' +
-// theta' x (P - O) is the velocity of the plate's surface at P. The function sets k to the piece
-// that contains t.
+// Return the slip w = v_s - v [m/s] of a part with position P and velocity v at time t. The
+// velocity of the plate's surface at P is v_s = O' + theta' x (P - O). The function sets k to the
+// piece that contains t.
 inline Vec slip(Table table, double t, int& k, const Point& part) {
     t = locate(table, t, k);
     const Piece& piece = table[k];
@@ -99,7 +100,7 @@ inline Vec slip(Table table, double t, int& k, const Point& part) {
 }
 
 // Return the rate of change [m/s2] of the surface's velocity under a part with position P and
-// velocity v. It is O'' + theta'' x (P - O) + theta' x (v - O').
+// velocity v. The rate of change is O'' + theta'' x (P - O) + theta' x (v - O').
 inline Vec surface_rate(Table table, double t, int k, const Point& part) {
     t = locate(table, t, k);
     const Piece& piece = table[k];

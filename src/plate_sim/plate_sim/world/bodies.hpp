@@ -41,7 +41,8 @@ struct Job {
     View<double, 3> record;
 };
 
-// Factor slightly above 1. It is larger than the rounding errors of a few sums and products.
+// Factor slightly above 1. The difference from 1 is larger than the rounding errors of a few sums
+// and products.
 constexpr double ROUNDED = 1 + 1e-12;
 
 // Minimum and maximum of four values over all parts on the plate. The values are x and y of the

@@ -312,7 +312,7 @@ def columns(starts: Sequence[tuple[Any, Any, Any, Any]]) -> np.ndarray:
             states[..., own] = field
         if np.abs(states).max(initial=0.0) <= LARGEST:
             return states
-    # At least one value is wrong. `_columns` raises an error that names it.
+    # At least one value is wrong. `_columns` raises an error that names the wrong value.
     return np.stack([_columns(*start) for start in starts])
 
 

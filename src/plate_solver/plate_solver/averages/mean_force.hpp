@@ -50,7 +50,7 @@ constexpr int EIGHT = 8;  // each sum has eight partial sums, for vector instruc
 }
 
 // Computes the derivatives of a panel's contribution to the mean slip direction with respect to the
-// coefficients of the slip. Adds them to `gradient` (3, DEGREE + 1).
+// coefficients of the slip. Adds these derivatives to `gradient` (3, DEGREE + 1).
 template <int DEGREE>
 [[gnu::always_inline]] inline void panel_slopes(const double (&slip)[DEGREE + 1][2], double middle,
                                                 double half, double (*gradient)[DEGREE + 1]) {
@@ -73,9 +73,10 @@ template <int DEGREE>
 }
 
 // Returns the mean f of the slip's unit vector for s from `first` to `first` + 1. The slip w is a
-// polynomial of s. A Gauss-Legendre panel is bisected if the slip nearly vanishes in or near it. If
-// `gradient` is not null, the derivatives with respect to the coefficients of w are added to its
-// rows: d f_x / d w_x, d f_x / d w_y = d f_y / d w_x, and d f_y / d w_y.
+// polynomial of s. A Gauss-Legendre panel is bisected if the slip nearly vanishes in or near the
+// panel. If `gradient` is not null, the derivatives with respect to the coefficients of w are added
+// to `gradient`. The rows of `gradient` are d f_x / d w_x, d f_x / d w_y = d f_y / d w_x, and d f_y
+// / d w_y.
 template <int DEGREE>
 [[gnu::always_inline]] inline Force mean_direction(const double (&slip)[DEGREE + 1][2],
                                                    double first, double (*gradient)[DEGREE + 1]) {

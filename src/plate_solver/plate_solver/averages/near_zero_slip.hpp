@@ -18,9 +18,9 @@
 //     -2/pi Re integral of w / sqrt(Q) q / (1 + q) du from 0 to infinity, with q = exp(i n t) and
 //     Q = (wx^2 + wy^2) / (-(b sinh u)^2)
 //
-// The integrand is an even function of u and decreases like exp(-n b cosh u). Its poles are at Im u
-// = pi/2 for any b. Therefore the same equal steps of u are sufficient for any b. The time steps do
-// not have to be shortened near a dip.
+// The integrand is an even function of u and decreases like exp(-n b cosh u). The poles of the
+// integrand are at Im u = pi/2 for any b. Therefore the same equal steps of u are sufficient for
+// any b. The time steps do not have to be shortened near a dip.
 #pragma once
 #include <algorithm>
 #include <array>
@@ -54,9 +54,9 @@ constexpr double NARROWEST = 1e-10;
 // further nodes, the integrand is below 4e-8 and is neglected.
 constexpr double FADED = 17.0;
 
-// Maximum product n b for which the mean over equal steps needs a correction. n is the number of
-// steps per period, and b [rad] is the distance of the branch point from the real axis. The error
-// of the mean is exp(-n b). For larger products, this error is negligible.
+// Maximum product n b for which the mean over equal steps needs a correction. Here, n is the number
+// of steps per period, and b [rad] is the distance of the branch point from the real axis. The
+// error of the mean is exp(-n b). For larger products, this error is negligible.
 constexpr double NEAR = 14.0;
 
 // Value of b^2/2 for n b = NEAR, if the unit of b is one time step. `dip_of` estimates b^2/2 from
@@ -173,7 +173,7 @@ inline BranchPoint branch_point(View<const double, 2> slip, Complex start, doubl
     const double radius = std::sqrt(square(z)) + 1e-300;
     const bool done = last < 1e-8 * off * off || last < 1e-22;
     // At a zero z of the polynomial, bend / slope is the sum of 1 / (z - z_k) over all other zeros
-    // z_k. This sum is large if another zero is close.
+    // z_k. The sum is large if another zero is close.
     const bool lonely = square(bend) * close * close < square(slope);
     return {1 / radius * z, std::max(std::abs(std::log(radius)), NARROWEST), done && lonely};
 }
@@ -275,8 +275,8 @@ inline void add_pole(Complex phase, double b, int n, std::vector<Turned>& turned
 }
 
 // The derivatives in `turned` belong to harmonics whose time is measured from a. The function
-// converts them to derivatives with respect to the slip's coefficients of sines and cosines. It
-// subtracts the result from `gradient` (3, 2 N).
+// converts these derivatives to derivatives with respect to the slip's coefficients of sines and
+// cosines. The result is subtracted from `gradient` (3, 2 N).
 inline void take_off(const std::vector<Turned>& turned, View<double, 2> gradient) {
     const int number = static_cast<int>(turned.size()) - 1;
     for (int j = 1; j <= number; j++) {

@@ -156,8 +156,9 @@ PLATE_WIDE inline Force by_panels(View<const double, 2> slip, const Rules& rule,
 
 // Returns the average friction force [mu m g] for a slip with coefficients (2 N + 1, 2) [m/s].
 // `grid` selects the quadrature (see `Grid`). `work` (5, K) is a buffer. If `gradient` (3, 2 N) is
-// not empty, it receives the derivatives [s/m] with respect to the first 2 N rows of `slip`. Its
-// rows are d f_x / d slip_x, d f_x / d slip_y = d f_y / d slip_x, and d f_y / d slip_y.
+// not empty, it receives the derivatives [s/m] with respect to the first 2 N rows of `slip`. The
+// rows of `gradient` are d f_x / d slip_x, d f_x / d slip_y = d f_y / d slip_x, and d f_y / d
+// slip_y.
 PLATE_WIDE inline Force force_of(View<const double, 2> slip, const Rules& rule, int grid,
                                  View<double, 2> work, View<double, 2> gradient) {
     if (grid == PANELS) return by_panels(slip, rule, gradient);

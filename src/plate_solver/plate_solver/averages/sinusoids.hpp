@@ -53,7 +53,8 @@ constexpr int LEG_STEPS = 8;
 // A leg of a continuation ends if the force error is below this fraction of the requested forces.
 constexpr double LEG_ERROR = 0.03;
 
-// h sinusoidal motions of N harmonics. Each motion of the search is a linear combination of them.
+// h sinusoidal motions of N harmonics. Each motion of the search is a linear combination of these h
+// motions.
 struct Motions {
     Matrix waves, taylor;  // the same as in `Rules`
     int few, pieces;
@@ -257,8 +258,8 @@ private:
                 const Damping& damping, double tolerance, int iterations) {
         const auto evaluate = [&](std::vector<double>& trial, std::vector<double>& error) {
             if (moving) to_full_amplitude(trial);
-            // The same call computes the derivatives for `slopes`, because they add little
-            // computing time.
+            // The same call computes the derivatives for `slopes`, because the derivatives add
+            // little computing time.
             force_error(grid, force, trial, error, &now);
         };
         const auto slopes = [&](Matrix& jacobian) { std::swap(jacobian, now); };

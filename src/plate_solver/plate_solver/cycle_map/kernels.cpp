@@ -39,8 +39,8 @@ static void check_spins(const Table& position, const Numbers& spin, const Table&
     check("spread", spread, {position.shape(0), 3});
 }
 
-// Returns the derivatives of `each` results with respect to pose, twist and step length dt. Their
-// shapes are (2, n, each), (3, n, each) and (n, each).
+// Returns the derivatives of `each` results with respect to pose, twist and step length dt. The
+// shapes of the derivatives are (2, n, each), (3, n, each) and (n, each).
 template <class Find>
 static nb::tuple gradient_of(size_t n, size_t each, Find find) {
     std::vector<double> by_pose(2 * n * each), by_twist(3 * n * each), by_dt(n * each);

@@ -109,8 +109,8 @@ PLATE_WIDE inline void end_state_gradient(Matrix& parts, int count, Samples pose
     }
     for (int axis = 0; axis < 2; axis++) {
         // Adjoints at the end of step k: derivatives of the extrapolated final position with
-        // respect to position (a) and velocity (b). They overwrite the rows X, Y, VX and VY of
-        // `parts`.
+        // respect to position (a) and velocity (b). The adjoints overwrite the rows X, Y, VX and VY
+        // of `parts`.
         double *__restrict ax = px, *__restrict ay = py, *__restrict bx = vx, *__restrict by = vy;
         std::fill_n(ax, wide, 1.0 - axis), std::fill_n(ay, wide, 1.0 * axis);
         std::fill_n(bx, wide, coast * ax[0]), std::fill_n(by, wide, coast * ay[0]);

@@ -241,8 +241,8 @@ PLATE_WIDE inline void end_turning_gradient(Matrix& parts, int count, Samples po
     }
     for (int axis = 0; axis < 3; axis++) {
         // Adjoints at the end of step k: derivatives of the extrapolated final position or rotation
-        // with respect to position and angle (a), and velocity and spin (b). They overwrite rows of
-        // `parts`.
+        // with respect to position and angle (a), and velocity and spin (b). The adjoints overwrite
+        // rows of `parts`.
         double *__restrict ax = px, *__restrict ay = py, *__restrict aw = angle;
         double *__restrict bx = vx, *__restrict by = vy, *__restrict bw = w;
         std::fill_n(ax, wide, axis == 0 ? 1.0 : 0.0), std::fill_n(bx, wide, coast * ax[0]);

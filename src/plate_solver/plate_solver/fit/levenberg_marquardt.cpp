@@ -13,10 +13,10 @@ namespace plate {
 
 // Solves a symmetric linear system in place by Cholesky's method. On entry, the upper half of
 // `root` (count, wide) contains the matrix, and `right` contains the right-hand side. The matrix is
-// replaced by its Cholesky root, where matrix = root' root. Its diagonal is stored as reciprocals.
-// `right` is replaced by the solution. The root is stored in the upper half so that loops run along
-// rows. Each row is padded to a multiple of the vector length. Entries left of the diagonal that
-// belong to the same vector are set to zero.
+// replaced by its Cholesky root, where matrix = root' root. The reciprocals of the root's diagonal
+// are stored. `right` is replaced by the solution. The root is stored in the upper half so that
+// loops run along rows. Each row is padded to a multiple of the vector length. Entries left of the
+// diagonal that belong to the same vector are set to zero.
 template <class Number>
 [[gnu::always_inline]] inline void solve_of(MatrixOf<Number>& root, int count, Number* right) {
     constexpr int VECTOR = LANES_OF<Number>;

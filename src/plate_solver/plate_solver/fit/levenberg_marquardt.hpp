@@ -56,7 +56,7 @@ inline void transpose(const Matrix& matrix, Matrix& across) {
 
 // Computes damped steps of minimum norm for a Jacobian J:
 //     step = J' (J J' + damping m I)^-1 error
-// m is the mean of the diagonal of J J', and I is the identity matrix. If there are fewer
+// Here, m is the mean of the diagonal of J J', and I is the identity matrix. If there are fewer
 // parameters than errors, an equivalent smaller system with J' J is solved. An object reuses its
 // buffers for the next Jacobian.
 template <class Number>
@@ -87,8 +87,8 @@ using Slopes = std::function<void(MatrixOf<Number>& jacobian)>;
 
 // Searches for parameters (P,) whose errors do not exceed `tolerance`. The search evaluates
 // `start`, and then at most `iterations` other parameter vectors. `evaluate(parameters, error)`
-// first changes the parameters to values that the rig can run. Then it computes the errors (R,) of
-// these parameters. `slopes(jacobian)` computes the negative derivatives (R, P) at the last
+// first changes the parameters to values that the rig can run. Then `evaluate` computes the errors
+// (R,) of these parameters. `slopes(jacobian)` computes the negative derivatives (R, P) at the last
 // evaluated parameters. The search calls `slopes` at the start and after each accepted step.
 template <class Number>
 FitOf<Number> levenberg_marquardt(const Evaluate& evaluate, const Slopes<Number>& slopes,

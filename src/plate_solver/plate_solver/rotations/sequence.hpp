@@ -46,8 +46,8 @@ struct Line {
 
 // Computes the durations of the ramps between twists (J, 3). The first ramp begins at rest, and the
 // last ramp ends at rest. `half` (2,) contains the half side lengths of the plate [m]. The
-// durations limit the acceleration of the plate's corners to `accel`. They also limit the products
-// of the rows of `loads` (m, 3) and the plate's acceleration to `accel`.
+// durations limit the acceleration of the plate's corners to `accel`. The durations also limit the
+// products of the rows of `loads` (m, 3) and the plate's acceleration to `accel`.
 inline Ramps ramps(View<const double, 2> twists, const double* half, View<const double, 2> loads,
                    double accel) {
     const int count = twists.size(0);
@@ -120,9 +120,9 @@ inline Matrix knot_poses(const Line& line) {
     return pose;
 }
 
-// The middle of a time step. x is this time as a fraction of the segment, and y is this time as a
-// fraction of the period. The closing function rises smoothly from 0 to 1 during the period. `bump`
-// is its value at this time. `rate` and `accel` are its first and second time derivatives.
+// The middle of a time step. Here, x is this time as a fraction of the segment, and y is this time
+// as a fraction of the period. The closing function rises smoothly from 0 to 1 during the period.
+// `bump` is its value at this time. `rate` and `accel` are its first and second time derivatives.
 struct Place {
     double x, y, bump, rate, accel;
 
@@ -308,8 +308,8 @@ PLATE_WIDE inline ByRotations timeline_back(const std::vector<double>& holds, co
     const double total = sum(holds), scale = (period - sum(ramp.length)) / total;
     ByRotations found{Matrix(count + 1, results), Matrix(3 * count, results)};
     Matrix by_ramp(count + 1, results), sums(2, results);
-    // `after` is the derivative with respect to the duration of segment k, which shifts all later
-    // knots.
+    // `after` contains the derivatives with respect to the duration of segment k. A longer segment
+    // shifts all later knots.
     double *__restrict after = sums[0], *__restrict shared = sums[1];
     for (int k = 2 * count + 1; k >= 0; k--) {
         const double* __restrict time = by.time[k + 1];

@@ -115,7 +115,7 @@ public:
     }
 
     // Computes the negative derivatives (R + K, 3 h) of R position errors and K limit violations.
-    // They belong to the motion of the last `evaluate` call.
+    // The derivatives belong to the motion of the last `evaluate` call.
     void slopes(MatrixOf<float>& jacobian) {
         find_slopes_of_ends();
         const int rows = room.by_place.rows, wide = 3 * motions.size();

@@ -26,8 +26,8 @@ static MatrixOf<Number> transposed(const Table& array) {
 }
 
 // Converts samples (n, h) of the basis motions at the instants at which limits are checked. The
-// last `tail` instants belong to the tail of the cycle. They do not count for the heat of the
-// motors.
+// last `tail` instants belong to the tail of the cycle. These instants do not count for the heat of
+// the motors.
 static SampledBasis sampled_basis_of(const Table& pose, const Table& twist, const Table& accel,
                                      int tail) {
     check("twist", twist, {pose.shape(0), pose.shape(1)});

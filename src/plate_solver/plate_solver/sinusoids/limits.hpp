@@ -72,9 +72,9 @@ inline void look(const double* coefficients, const SampledBasis& basis, SampledM
 inline int max_excesses(int checks) { return checks * (2 * MOTORS + 4); }
 inline int max_force_excesses(int checks) { return (checks + 1) * MOTORS; }
 
-// Adds the violations of the motors' strokes and speeds, and of the corners' accelerations. q = (x,
-// y, theta) is the pose, l the lever of a motor, and b the acceleration of a corner. The violations
-// are the positive values of
+// Adds the violations of the motors' strokes and speeds, and of the corners' accelerations. Let q =
+// (x, y, theta) be the pose, l the lever of a motor, and b the acceleration of a corner. The
+// violations are the positive values of
 //     |l . q| / stroke - AIM, |l . q'| / speed limit - AIM, |b| / acceleration limit - AIM.
 // `used` is a buffer.
 PLATE_WIDE inline void excess(const SampledMotion& at, const SampledBasis& basis,
@@ -144,7 +144,7 @@ PLATE_WIDE inline void excess(const SampledMotion& at, const SampledBasis& basis
     }
 }
 
-// Adds a violation. Its gradient is `factor` times `rows` (3, h).
+// Adds a violation. The gradient of the violation is `factor` times `rows` (3, h).
 [[gnu::always_inline]] inline void add(double value, const Matrix& rows, double factor,
                                        Excess& result) {
     double* slope = result.slope[result.found];

@@ -233,8 +233,8 @@ class SinusoidSteering:
                 index += 1
             found = running.popleft()()
             if found is None:
-                # The deadline has passed. `most` = 0 ends the search. `cut_short` increases at most
-                # once per search.
+                # The deadline has passed. Setting `most` to 0 ends the search. `cut_short`
+                # increases at most once per search.
                 self.cut_short += most > 0
                 most = 0
             else:

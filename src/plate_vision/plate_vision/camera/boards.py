@@ -275,8 +275,8 @@ def _corners_beside(found: Mapping[int, np.ndarray], board: Board) -> Corners:
     middle = known[numbers].mean(axis=1)
     for k, corner in enumerate(board.corners if len(numbers) > 1 else ()):
         near = np.argsort(np.linalg.norm(middle - corner, axis=1))[:NEAR]
-        # Use a corner only if the nearest visible marker touches it. Otherwise something may cover
-        # the corner.
+        # Use a corner only if the nearest visible marker touches it. If the nearest visible marker
+        # does not touch the corner, something may cover the corner.
         if np.linalg.norm(middle[near[0]] - corner) > 0.75 * board.square_m:
             continue
         place = known[[numbers[i] for i in near]].reshape(-1, 2)

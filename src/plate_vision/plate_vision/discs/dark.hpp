@@ -30,8 +30,8 @@ constexpr double RIM_DIRT_PX2 = 0.5;
 // part is not evenly dark.
 constexpr double EVEN_MISFIT = 0.06;
 
-// Returns the distances (n,) [px] of image points (n, >= 2) [px] from the plate's edge. They are
-// negative outside the plate.
+// Returns the distances (n,) [px] of image points (n, >= 2) [px] from the plate's edge. The
+// distances are negative outside the plate.
 inline std::vector<double> depths(View<const double, 2> edges, View<const double, 2> bows,
                                   View<const double, 2> places) {
     const int count = places.size(0);

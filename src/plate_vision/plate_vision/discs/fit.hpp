@@ -3,8 +3,8 @@
 //
 // The model of a pixel's darkness is the part's darkness times the cover c(u) of the pixel:
 //     c(u) = 1/2 + 3/4 u - 1/4 u^3
-// u is the pixel's depth inside the contour divided by the half width of the edge, limited to -1 to
-// 1. The sum of the weighted squared errors of all pixels in a window is minimised by damped
+// Here, u is the pixel's depth inside the contour divided by the half width of the edge, limited to
+// -1 to 1. The sum of the weighted squared errors of all pixels in a window is minimised by damped
 // Gauss-Newton steps.
 #pragma once
 #include <algorithm>
@@ -21,7 +21,7 @@ namespace plate {
 
 // Minimum, initial and maximum half width [px] of a disc's blurred edge. Across the edge, the cover
 // of the pixels rises from 0 to 1 as a cubic. Without blur the half width is 0.5 px. With a blur of
-// 0.6 px (standard deviation) it is 1.1 px.
+// 0.6 px (standard deviation), the half width is 1.1 px.
 constexpr double EDGE_PX[] = {0.4, 0.8, 4.5};
 
 // EDGE_FRACTION is the maximum half width of the edge, as a fraction of the disc's radius. If
@@ -39,14 +39,15 @@ inline double rim_of(const Silhouette& part) {
 constexpr double MAX_STEP_PX = 1.0;
 
 // The fit of a disc ends if a step changes position and radius by less than this value [px]. The
-// next change would be about 0.001 px. This is a tenth of the error that the image noise causes.
+// next change would be about 0.001 px. A change of 0.001 px is a tenth of the error that the image
+// noise causes.
 constexpr double SETTLED_PX = 0.01;
 
 constexpr int MAX_ITERATIONS = 25;
 
-// Damping of the normal equations. It is added to the diagonal twice: as an absolute value, and as
-// a fraction of the diagonal. With damping, the equations are solvable even if a disc is almost
-// completely hidden.
+// Damping of the normal equations. Damping is added to the diagonal twice: as an absolute value,
+// and as a fraction of the diagonal. With damping, the equations are solvable even if a disc is
+// almost completely hidden.
 constexpr double FIT_DAMPING = 1e-3;
 
 // A pixel inside a part is ignored if its darkness deviates by more than two limits from the part's
@@ -112,8 +113,8 @@ struct DiscWindow {
         };
         float *xs = x(), *ys = y(), *levels = dark();
         for (int row = y0 - reach; row <= y0 + reach; row++) {
-            // The window is convex. Therefore it contains all pixels between its first and its last
-            // pixel in a row.
+            // The window is convex. Therefore the window contains all pixels between its first and
+            // its last pixel in a row.
             int first = x0 - reach, last = x0 + reach;
             while (first <= last && !is_inside(first, row)) first++;
             while (last > first && !is_inside(last, row)) last--;
@@ -226,8 +227,8 @@ inline double first_darkness(DiscWindow& window, double x, double y, double radi
     return std::max<double>(*middle, MIN_DARKNESS);
 }
 
-// Returns the fraction of a pixel that a disc covers. u is the pixel's depth inside the contour
-// divided by the half width of the edge, from -1 to 1.
+// Returns the fraction of a pixel that a disc covers. The argument u is the pixel's depth inside
+// the contour divided by the half width of the edge, from -1 to 1.
 [[gnu::always_inline]] inline float cover_at(float u) {
     return 0.5f + u * (0.75f - 0.25f * u * u);
 }
@@ -244,8 +245,8 @@ struct Contour {
 
     // Returns the depth of a pixel inside the contour, divided by the half width of the edge. The
     // function also sets a vector (wx, wy) and its length `far` [px, disc's frame]. The vector
-    // points to the pixel. It begins at the nearest point of the line from the centre of the part's
-    // base to the centre of its top.
+    // points to the pixel. The vector begins at the nearest point of the line from the centre of
+    // the part's base to the centre of its top.
     template <bool LEANS>
     [[gnu::always_inline]] float depth(float x, float y, float& wx, float& wy, float& far) const {
         const float dx = x - cx, dy = y - cy;
@@ -280,7 +281,7 @@ struct Shadows {
 
     bool any() const { return darkness > 0; }
 
-    // Returns the contour of a disc's shadow. It is the contour of the disc while it moves along
+    // Returns the contour of a disc's shadow. This contour encloses all positions of the disc along
     // the shadow's displacement.
     Contour contour(const DiscFit& disc, const Silhouette& part, int k) const {
         DiscFit soft = disc;

@@ -27,8 +27,8 @@ constexpr double WORST_NOISE = 0.12;
 
 // Maximum misfit that light, noise and the pixel grid cause. If the misfit is larger, the
 // difference is about the position error of the part, in units of its radius. For example, parts
-// that are 10 mm high but are described as flat have a misfit of 0.18. Their position errors are
-// 0.15 to 0.2 radii.
+// that are 10 mm high but are described as flat have a misfit of 0.18. The position errors of these
+// parts are 0.15 to 0.2 radii.
 constexpr double GOOD_MISFIT = 0.06;
 
 // Minimum visible fraction of a part's contour. With a smaller fraction, the measured position is
@@ -36,7 +36,7 @@ constexpr double GOOD_MISFIT = 0.06;
 constexpr double MIN_SEEN = 0.3;
 
 // A part counts as bright if its brightness exceeds the plate's brightness by at least this
-// fraction. A part that is about as bright as the plate differs from it only in colour.
+// fraction. A part that is about as bright as the plate differs from the plate only in colour.
 constexpr double EQUAL = 0.02;
 
 // Limits for the properties of a part. `DetectorOptions` describes the fields.

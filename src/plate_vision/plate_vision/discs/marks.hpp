@@ -1,5 +1,5 @@
-// C++ kernels of marks.py. A mark is a spot beside the centre of a part. Its position shows the
-// part's angle.
+// C++ kernels of marks.py. A mark is a spot beside the centre of a part. The position of the mark
+// shows the part's angle.
 #pragma once
 #include <algorithm>
 #include <cmath>
@@ -24,7 +24,7 @@ constexpr double MARK_PLACE[] = {0.25, 0.75};
 constexpr double MARK_AREA[] = {0.5, 1.6};
 
 // Maximum distance between a mark's centre and the pixels that belong to the mark, in units of the
-// mark's radius. This distance includes the mark's blurred edge, but not the part's edge.
+// mark's radius. This maximum includes the mark's blurred edge, but not the part's edge.
 constexpr double MARK_REACH = 1.5;
 
 // Minimum difference between the brightness of a mark and of its part, relative to the part's
@@ -35,9 +35,9 @@ constexpr double CONTRAST = 0.3;
 // Minimum contrast of a mark, relative to the standard deviation of the image's noise.
 constexpr double MARK_SIGMAS = 6;
 
-// A pixel belongs to a mark if it deviates from the part's grey level by more than this fraction of
-// the mark's contrast. Smaller deviations count as noise. For a noise of 2 grey levels, this limit
-// is five standard deviations.
+// A pixel belongs to a mark if the pixel deviates from the part's grey level by more than this
+// fraction of the mark's contrast. Smaller deviations count as noise. For a noise of 2 grey levels,
+// this limit is five standard deviations.
 constexpr double MARK_NOISE = 0.25;
 
 // Maximum brightness of a mark, relative to the bare plate. A brighter spot counts as a highlight.
@@ -91,7 +91,7 @@ inline void find_marks(const LitPlate& plate, View<const double, 2> seeds, const
         const auto [darkest, lightest] = std::minmax_element(inner.begin(), inner.end());
         const double below = *darkest, above = *lightest;
         const double clear = MARK_SIGMAS * noise * empty;
-        // This check is fast, because it does not need the median. Therefore it is done first.
+        // This check is done first, because it is fast: it does not need the median.
         if (above - below < std::max(CONTRAST * (empty - above), clear)) continue;
         const double part = median(inner);
         const double contrast = above - part > part - below ? above - part : below - part;
@@ -99,8 +99,8 @@ inline void find_marks(const LitPlate& plate, View<const double, 2> seeds, const
         double x = u, y = v, mass = 0;
         for (int turn = 0; turn < ROUNDS; turn++) {
             // Only pixels whose `excess` is above MARK_NOISE are used. The first iteration uses
-            // such pixels within `core` [px] of the part's centre. The other iterations use such
-            // pixels near the last centre of the mark.
+            // such pixels within `core` [px] of the part's centre. The other iterations use only
+            // such pixels near the last centre of the mark.
             const double reach = turn == 0 ? core : MARK_REACH * mark, at_x = x, at_y = y;
             const Box box(plate.grey, at_x, at_y, reach);
             x = y = 0, mass = 1e-9;

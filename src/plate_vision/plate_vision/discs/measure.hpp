@@ -14,9 +14,9 @@
 
 namespace plate {
 
-// Distance [px] by which the evaluated window extends beyond a part's radius. It is the sum of 0.7
-// px for the rounding of the window's position, 1 px for the error of the estimated centre (seed),
-// and 1.3 px for the blurred edge.
+// Distance [px] by which the evaluated window extends beyond a part's radius. This distance is a
+// sum: 0.7 px for the rounding of the window's position, 1 px for the error of the estimated centre
+// (seed), and 1.3 px for the blurred edge.
 constexpr double RIM_PX = 3.0;
 
 // Distance [px] from a part's contour at which the outer ring of the window begins. The outer ring

@@ -14,8 +14,8 @@
 
 namespace plate {
 
-// Minimum gradient of the darkness [1/px] at an edge, computed by the Sobel operator. It is seven
-// times the gradient that noise causes.
+// Minimum gradient of the darkness [1/px] at an edge, computed by the Sobel operator. This minimum
+// is seven times the gradient that noise causes.
 constexpr double MIN_SLOPE = 0.03;
 
 // In a Hough transform, the edges vote for the centres of parts. MIN_VOTES is the minimum number of
@@ -72,7 +72,7 @@ struct Blob {
 };
 
 // Return the blobs of connected pixels that are true in `core` (h, w). Before the call, `number`
-// (h, w) must be 0. The function sets it to the number of each pixel's blob, from 1 on. The
+// (h, w) must be 0. The function sets `number` to the number of each pixel's blob, from 1 on. The
 // function sets all pixels of `core` to false.
 inline std::vector<Blob> find_blobs(View<bool, 2> core, View<int32_t, 2> number) {
     const int height = core.size(0), width = core.size(1);

@@ -62,8 +62,8 @@ def find_seeds(
         Returns the silhouettes of a part at image points.
     """
     stride = max(1, int(radius_px / COARSE_RADIUS_PX))
-    # Pixels outside the plate count as dark. Otherwise the erosion would remove pixels of parts at
-    # the plate's edge.
+    # Pixels outside the plate count as dark. Without this rule, the erosion would remove pixels of
+    # parts at the plate's edge.
     outside = region.outside(stride)
     if outside.size == 0:
         return np.empty((0, 2)), np.empty(0, SILHOUETTE)

@@ -222,8 +222,8 @@ class CameraNode(SafeLifecycleNode[CameraParameters]):
                 self._refuse(str(error))
                 continue
             except Exception as error:
-                # Also catch errors of the cameras' libraries. Otherwise the thread would end
-                # without a message.
+                # Also catch errors of the cameras' libraries. An error that is not caught would end
+                # the thread without a message.
                 if not self.context.ok():  # the shutdown of ROS has caused the error
                     break
                 self._fail(error)

@@ -16,13 +16,13 @@ namespace plate {
 constexpr double BRIGHT_PERCENTILE = 75;
 
 // The brightness is fitted twice. Only pixels with a brightness in these ranges count as bare
-// plate. The first range is relative to the first estimate. It includes a shading of +-15 %, but
-// excludes a part with 2/3 of the plate's brightness. The second range is relative to the result of
-// the first fit. It also excludes the blurred edges of parts.
+// plate. The first range is relative to the first estimate. The first range includes a shading of
+// +-15 %, but excludes a part with 2/3 of the plate's brightness. The second range is relative to
+// the result of the first fit. The second range also excludes the blurred edges of parts.
 constexpr std::pair<double, double> BRIGHT_RANGES[] = {{0.72, 1.3}, {0.92, 1.08}};
 
-// Value that is added to the diagonal of the normal equations. With it, the fit is solvable for
-// images that are one pixel high or wide. It has no effect on other images.
+// Value that is added to the diagonal of the normal equations. With this value, the fit is solvable
+// for images that are one pixel high or wide. The value has no effect on other images.
 constexpr double RIDGE = 1e-9;
 
 // Minimum fraction of the sampled pixels that must show the bare plate.

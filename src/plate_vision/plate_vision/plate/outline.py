@@ -183,8 +183,8 @@ class OutlineGrid:
         point = foot[:, :, None] + offset[:, None] * OUTWARD[:, None, None]
         place = calibration.to_image(point.reshape(-1, 2)).reshape(*point.shape)
         # The model of a lens with strong distortion can map points outside its valid range back
-        # into the image. There, the image point moves in the wrong direction along the profile.
-        # Such points are excluded.
+        # into the image. At such points, the image point moves in the wrong direction along the
+        # profile. Such points are excluded.
         step = np.diff(place, axis=2)
         middle = step[:, :, count : count + 1]
         folded = np.sum(step * middle, axis=3) <= 0

@@ -9,12 +9,12 @@
 namespace plate {
 
 // Minimum distance of a usable pixel from the plate's edge [px]. Pixels that are nearer to the edge
-// show both the plate and its surround.
+// show both the plate and the surround of the plate.
 constexpr double SEAM_PX = 1;
 
-// A polynomial describes an edge that the lens bends. It is evaluated up to this distance from the
-// middle of the edge, in units of half the edge's length. Beyond this distance, its value is
-// constant.
+// A polynomial describes an edge that the lens bends. The polynomial is evaluated up to this
+// distance from the middle of the edge, in units of half the edge's length. Beyond this distance,
+// its value is constant.
 constexpr double BOW_REACH = 1.05;
 
 // Compute the distance of each point from the nearest edge of the region [px]. The distance is

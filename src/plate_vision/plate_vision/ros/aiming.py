@@ -242,7 +242,8 @@ class AimingView:
         try:
             fit = lens.pictures.fit(lens.model)
         except Exception as error:
-            # Also catch errors of OpenCV. Otherwise the state would remain FITTING forever.
+            # Also catch errors of OpenCV. An error that is not caught would leave the state FITTING
+            # forever.
             if self._lens is lens:
                 self._lens = replace(lens, state=LensPictures.TAKING, text=f"no lens: {error}")
             return
@@ -443,8 +444,8 @@ class AimingView:
             return response
         self._lens = None
         self._home, self._corners = "", ()
-        # If the rig has markers, each image shows the pose of the home position. Then a stored home
-        # cannot be too old.
+        # If the rig has markers, each image shows the pose of the home position. With markers, a
+        # stored home cannot be too old.
         self._home_is_old = before.fiducials is None
         response.success = True
         response.message = f"written: {self._path}; {OTHER_NODES}"

@@ -285,8 +285,8 @@ def _compared(
         ]
         tint = np.array(tints)[which].swapaxes(0, 1)
         tint = np.nan_to_num(colour_distance(tint, catalogue.colour, image.ndim == 3))
-        # Blur or a shadow can fill a hole. Then the measured colour of the part includes the colour
-        # in the hole, so the colour has less weight.
+        # Blur or a shadow can fill a hole. In such an image, the measured colour of the part
+        # includes the colour in the hole. Therefore the colour has less weight.
         holed = np.array([bool(one.part.holes) for one in catalogue.templates])
         weight = np.where(holed & (hole_check is not None), FILLED_COLOUR, 1.0)
         least = (weight * tint / COLOUR_LAB) ** 2 + np.maximum(swell_px - SLACK_PX, 0) ** 2 / size

@@ -181,8 +181,8 @@ def fit_light(lit: Lit, before: Light | None = None) -> Light:
     limit = lit.limit[rows, columns].astype(np.float32)
     origin = np.array([0.0] if seen.shape[1] == 1 else [-LIGHTNESS_0, 128, 128], np.float32)
     weight = np.ones(len(rows))
-    # The last result is used only if the number of pixels is the same. Otherwise the region of the
-    # plate has changed.
+    # The last result is used only if the number of pixels is the same. Another number of pixels
+    # means that the region of the plate has changed.
     if before is not None and len(before.shown) == len(rows):
         weight[~before.shown] = COVERED_WEIGHT
     last = EVEN[:, : seen.shape[1]] if before is None else before.surface

@@ -1,4 +1,4 @@
-// C++ kernels of outlines.py. They measure the outlines of patches with an accuracy of a fraction
+// C++ kernels of outlines.py, which measure the outlines of patches with an accuracy of a fraction
 // of a pixel, and fit polygons to these outlines. A patch is a connected area of the image that
 // deviates from the bare plate.
 #pragma once
@@ -18,7 +18,8 @@
 namespace plate {
 
 // Number of harmonics of an outline's spectrum, from the 0th harmonic on. A hexagon differs from a
-// disc in the 6th and 12th harmonic, and a square differs from it in the 4th, 8th, 12th and 16th.
+// disc in the 6th and 12th harmonic, and a square differs from a disc in the 4th, 8th, 12th and
+// 16th harmonic.
 constexpr int HARMONICS = 17;
 
 // The exact edge is searched within REACH_PX [px] on both sides of a patch's contour. STEPS is the
@@ -28,7 +29,7 @@ constexpr int STEPS = 11;
 
 // Minimum difference between the first and the last sample across an edge, relative to the
 // difference between part and surround. Where two parts touch, the difference is smaller, because
-// there is no edge. There, the contour of the patch is used instead.
+// there is no edge. At such places, the contour of the patch is used instead.
 constexpr double MIN_STEP = 0.25;
 
 // Maximum squared error of a point in a sum of squares. The unit is the sum of two squares: the
@@ -64,7 +65,7 @@ struct Complex {
 //
 // `mask`, `inner` and `around` (h + 2, w + 2) have a frame of one pixel. `mask` is 1 in the patch.
 // `inner` is 1 in the area that certainly belongs to the patch. `around` is 1 in the area that may
-// belong to it.
+// belong to the patch.
 inline void contrast(View<const uint8_t, 3> pixels, View<const uint8_t, 2> mask,
                      View<const uint8_t, 2> inner, View<const uint8_t, 2> around,
                      View<float, 2> field, double* colour) {
@@ -186,7 +187,7 @@ inline void find_edge(View<const float, 2> field, View<const int32_t, 2> ring, b
     }
 }
 
-// Properties of an outline. `Outline` in outlines.py describes them.
+// Properties of an outline. `Outline` in outlines.py describes these properties.
 struct OutlineMeasures {
     double area, x, y;
     std::array<Complex, HARMONICS> spectrum;
@@ -320,8 +321,8 @@ PLATE_WIDE inline void edge_distances(View<const double, 2> edges, Places& place
                 const double along = std::min(std::max(vx * ux + vy * uy, 0.0), length);
                 const double dx = vx - along * ux, dy = vy - along * uy;
                 // If the nearest point is the common corner of two edges, the distances are equal.
-                // Then the small additional term selects the edge whose line is farther from the
-                // point. This edge gives the correct sign.
+                // In this case, the small additional term selects the edge whose line is farther
+                // from the point. The selected edge gives the correct sign.
                 nearest.keep(i, dx * dx + dy * dy - 1e-6 * across * across, e, dx, dy);
             }
         }

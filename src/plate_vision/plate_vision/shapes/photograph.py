@@ -80,7 +80,7 @@ def find_outlines(image: np.ndarray) -> np.ndarray:
         filled = cv2.contourArea(outline) / max(cv2.contourArea(hull), 1)
         compact = 4 * np.pi * cv2.contourArea(hull) / max(cv2.arcLength(hull, True), 1) ** 2
         # In the original image and in the smaller image, the centre of the first pixel has the
-        # coordinate 0. Their pixels have different sizes.
+        # coordinate 0. The pixels of both images have different sizes.
         one["x_px"], one["y_px"] = scale * (patch.centre_px + 0.5) - 0.5
         one["radius_px"] = np.mean(scale) * patch.radius_px
         one["round"] = compact > ROUND and filled > ROUND

@@ -25,8 +25,8 @@ constexpr double OUTSIDE_PX = 1.6;
 // Maximum fraction of a part's area that may be outside the group.
 constexpr double MAX_OUTSIDE = 0.06;
 
-// Start value of the number of contour points at an excluded place. With it, the number remains
-// negative.
+// Start value of the number of contour points at an excluded place. With this value, the number
+// remains negative after the points are counted.
 constexpr int16_t BARRED = -30'000;
 
 // Number of places along a row of pixels that are processed together.
@@ -39,8 +39,8 @@ constexpr double MAX_MARGIN = 1e4;
 // in this area [px].
 inline int is_outside(double free) { return free < -OUTSIDE_PX; }
 
-// Returns 1 if a contour point of a part is on the group's contour, -1 if it is outside the group,
-// else 0. `border` is the depth of the point in the group [px].
+// Returns 1 for a contour point of a part on the group's contour, -1 for a point outside the group,
+// and 0 for other points. `border` is the depth of the point in the group [px].
 inline int is_on_rim(double border) {
     if (border < -OUTSIDE_PX) return -1;
     return border < NEAR_PX;
@@ -48,8 +48,8 @@ inline int is_on_rim(double border) {
 
 // Returns the value of a field (h, w) at the pixel that is nearest to a point of a part. The result
 // is -99 outside the field. `place` is the point in the part's frame, and `pose` is the pose of the
-// part. c and s are the cosine and sine of the part's angle. `to_px` (2, 3) converts positions to
-// pixels.
+// part. The arguments c and s are the cosine and sine of the part's angle. `to_px` (2, 3) converts
+// positions to pixels.
 inline double level(View<const float, 2> field, View<const double, 2> to_px, const double* place,
                     const double* pose, double c, double s) {
     const double u = pose[0] + c * place[0] - s * place[1];
@@ -107,7 +107,7 @@ inline void find_offsets(View<const double, 2> points, View<const double, 2> to_
     }
 }
 
-// For each of `count` places in a row of the field, move a part to this place and sum the values of
+// For each of `count` places in a row of the field: move a part to the place, and sum the values of
 // the field at all points of the part. The sum is added to `total` (count,). `row` points to the
 // first place. `offsets` contains the indices of the points relative to the place. Elements after
 // the end of `total` are also changed, up to a multiple of PLACES.

@@ -75,8 +75,8 @@ def simplified(name: str, what: str, ring: np.ndarray, reach: float, scale: floa
         loose *= 1.1
     corner, rms = _fitted(corner, ring)
     most = max(WORSE * rms, PLAIN_PX / scale, PLAIN * reach)
-    # Blur rounds the corners of a part. Then the first polygon often has two corners instead of
-    # one.
+    # Blur rounds the corners of a part. Due to the rounding, the first polygon often has two
+    # corners instead of one.
     while len(corner) > 3:
         side = np.hypot(*(np.roll(corner, -1, axis=0) - corner).T)
         i = int(np.argmin(side))

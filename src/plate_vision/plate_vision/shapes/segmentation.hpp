@@ -33,7 +33,8 @@ constexpr double EVEN = 0.3;
 constexpr double BRIDGE = 0.3;
 
 // Minimum step in the lightness L between two colours of a part, relative to the larger of their
-// contrasts. It applies if one colour is brighter and the other colour is darker than the plate.
+// contrasts. This minimum applies if one colour is brighter and the other colour is darker than the
+// plate.
 constexpr double LEAP = 1.2;
 
 // Call `visit(i)` for each pixel i that is not 0. Blocks of pixels that are all 0 are skipped.
@@ -117,7 +118,7 @@ struct PatchContrasts {
 
 // Write the fraction of each pixel that a part covers to `cover` (h, w). The fraction is the
 // deviation of the pixel from the background, divided by the deviation of the part around the
-// pixel. It is 0 outside of parts.
+// pixel. Outside of parts, the fraction is 0.
 inline void find_cover(View<const uint8_t, 2> away, View<const uint8_t, 2> around,
                        View<const uint8_t, 2> brighter, View<const uint8_t, 2> slope,
                        View<const int32_t, 2> labels, const PatchContrasts& patches,

@@ -385,9 +385,9 @@ def _window(
             area, hull = cv2.contourArea(contour), cv2.contourArea(cv2.convexHull(contour))
             around = 4 * np.pi * area / max(cv2.arcLength(contour, True), 1) ** 2
             convex = area > max(CONVEX_HOLE * hull, LARGE_HOLE_PX2)
-            # The area may be a gap between touching parts. Then the outer contour of the parts has
-            # concave corners. Without such corners, the area is a hole. It looks narrow because the
-            # camera sees a high part obliquely.
+            # The area may be a gap between touching parts. Around a gap, the outer contour of the
+            # parts has concave corners. If the outer contour has no concave corners, the area is a
+            # hole. The hole looks narrow because the camera sees a high part obliquely.
             if not convex and around <= ROUND and alone is None:
                 alone = traits(inside)[2] > CONVEX
             (holes if convex or around > ROUND or alone else gaps)[part][one > 0] = 1
@@ -407,8 +407,9 @@ def _patch(piece: Piece, window: Window, region: Region | None) -> Patch | None:
     here = np.s_[y0 : top + height + 1, x0 : left + width + 1]
     inside = piece.inside[here].astype(np.uint8)
     mask = (inside > 0) & ~window.holes[here]
-    # If a piece was cut from a patch, it may be only a thin ring around a hole. Such a ring is not
-    # a part. Therefore the thickness of such a piece is measured without the pixels of holes.
+    # If a piece was cut from a patch, it may be only a thin ring around a hole. A thin ring around
+    # a hole is not a part. Therefore the thickness of such a piece is measured without the pixels
+    # of holes.
     body = inside if piece.alone else mask.astype(np.uint8)
     framed = cv2.copyMakeBorder(body, 1, 1, 1, 1, cv2.BORDER_CONSTANT, value=0)
     if np.max(cv2.distanceTransform(framed, cv2.DIST_L2, 3)) < MIN_DEPTH_PX:

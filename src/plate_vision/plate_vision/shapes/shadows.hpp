@@ -22,8 +22,8 @@ constexpr int MIN_UNIFORM = 12;
 // causes the shadow.
 constexpr double LIGHTER = 0.8;
 
-// This fraction of a patch's even pixels deviates more from the background than the value that is
-// computed for its dark side.
+// The deviation of a patch's dark side is a quantile: DARKER is the fraction of the patch's even
+// pixels that deviate more from the background.
 constexpr double DARKER = 0.3;
 
 // Pixels belong to the edge of a shadow if their deviation is in this range, relative to the
@@ -98,8 +98,8 @@ inline void find_shadow_edges(View<const uint8_t, 3> lab, View<const uint8_t, 3>
 }
 
 // A patch may consist of a part (dark side) and its shadow (light side). For each patch (count,),
-// compute the deviation from the background of the light side and of the dark side, as `light` and
-// `dark`. `bound` is the deviation that separates the two sides, or 0 if there is only one side.
+// compute how much both sides deviate from the background: `light` and `dark`. `bound` is the
+// deviation that separates the two sides, or 0 if there is only one side.
 //
 // The pixels of even areas are separated by the method of Otsu (1979).
 inline void part_sides(View<const uint8_t, 2> away, View<const bool, 2> like,

@@ -26,7 +26,7 @@ struct Neck {
     double one, other, width;
 };
 
-// Pixels are sorted by their rounded distance. This is the maximum number of different rounded
+// Pixels are sorted by their rounded distance. MAX_STEPS is the maximum number of different rounded
 // distances.
 constexpr double MAX_STEPS = 1e6;
 
@@ -62,7 +62,7 @@ inline std::vector<int> from_the_deepest(View<const float, 2> depth, int levels)
 
 // Computes the watershed of the distance `depth` (h, w). A flood begins at each peak and spreads
 // downwards. The function sets `labels` (h, w), which must be 0 before the call, to the number of
-// each pixel's basin. It returns the number of basins and the necks between them.
+// each pixel's basin. The function returns the number of basins and the necks between the basins.
 //
 // Where two floods meet, there is a saddle. The floods are merged, unless both peaks are
 // sufficiently high above the saddle.

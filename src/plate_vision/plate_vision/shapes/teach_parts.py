@@ -174,7 +174,7 @@ def _teach(args: argparse.Namespace) -> None:
         )
     if args.box:
         # If the scale is given and there is no bare plate, the position of the part in the picture
-        # has no effect. Then the picture can be cut.
+        # has no effect. In this case, the picture can be cut.
         cuts = args.scale is not None and bare is None
         examples = [
             _boxed(picture, box, f"{name}, box {','.join(map(str, box))}", cuts) for box in args.box

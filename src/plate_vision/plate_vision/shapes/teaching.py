@@ -514,7 +514,8 @@ def _mean_outline(
     rad] of the mean outline in the first example. The second property is the RMS distance of the
     outlines from the mean outline [m]. The third property is the same RMS distance after the sizes
     of the outlines were made equal [m]."""
-    # The first mean outline is the outline of median size. The other outlines are fitted to it.
+    # The first mean outline is the outline of median size. The other outlines are fitted to the
+    # mean outline.
     first = int(np.argsort([outline.area for outline in outlines])[len(outlines) // 2])
     mean = _shifted(outlines[first], outlines[first].centre)
     scatter = unlike = 0.0

@@ -12,8 +12,8 @@ namespace plate {
 
 inline double length_of(double x, double y) { return std::sqrt(x * x + y * y); }
 
-// Returns |(x, y)| = m sqrt((x/m)^2 + (y/m)^2) with m = max(|x|, |y|). It is valid for any finite x
-// and y.
+// Returns |(x, y)| = m sqrt((x/m)^2 + (y/m)^2) with m = max(|x|, |y|). The formula is valid for any
+// finite x and y.
 inline double scaled_length(double x, double y) {
     const double most = std::max(std::abs(x), std::abs(y));
     return most > 0 ? most * length_of(x / most, y / most) : 0;

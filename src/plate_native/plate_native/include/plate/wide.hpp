@@ -2,7 +2,7 @@
 // of the operating system selects the version for the processor.
 //
 // The results do not depend on the vector width. The order of the terms in sums is fixed, and no
-// instruction combines a product and a sum. Vectors of 512 bits are excluded, because for them GCC
+// instruction combines a product and a sum. Vectors of 512 bits are excluded. For such vectors, GCC
 // 12 generates code that reads beyond the ends of arrays (test_native.py).
 #pragma once
 
