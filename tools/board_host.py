@@ -106,8 +106,8 @@ class Host:
         self.board, self._pace = board, pace
         self._reader = Reader()
         self.waiting = b""
-        # Each host object uses other sequence numbers. Late bytes for an earlier host of the same
-        # board then do not match.
+        # Each host object uses other sequence numbers. Therefore late replies to an earlier host of
+        # the same board do not match.
         self._sequence = self._session = 1000 * next(HOSTS)
         self._ticks = self._beat_at = 0
         self.telemetry: list[Telemetry] = []

@@ -129,7 +129,7 @@ def measured(
     tracker, now, rest = look(tracker, now)
     measurement, true = FrictionMeasurement.start(rig, rest), []
     start = simulation.state.position
-    # the detector's names of the parts differ from those of the simulation, so match by position
+    # the detector and the simulation name the parts differently, so match them by position
     row_of = {
         name: int(np.argmin(np.hypot(*(start - place).T))) for name, place in rest.place.items()
     }

@@ -476,8 +476,8 @@ class Observer:
             If the driver refuses, or is not ready in time.
         """
         record, starting = self.record, (DriverStatus.UNCONFIGURED, DriverStatus.INACTIVE)
-        # `soon` contains the states that end without a command. The driver may still be in such a
-        # state when the first image is answered.
+        # `soon` contains the states that end without a command. When the first image is answered,
+        # the driver may still be in one of these states.
         soon = *starting, DriverStatus.BRAKING
         self.until(lambda: record.driver is not None and record.driver.state not in soon, READY_S)
         answer = SetBool.Response()

@@ -11,7 +11,8 @@ __all__ = ["of_median", "of_share", "share"]
 
 def of_share(good: int, runs: int) -> tuple[float, float]:
     """Return the Wilson interval of the fraction of successful runs, 0 to 1."""
-    from scipy.stats import binomtest  # imported here, because loading scipy takes half a second
+    # SciPy is imported here, because the import takes half a second
+    from scipy.stats import binomtest
 
     found = binomtest(good, runs).proportion_ci(method="wilson")
     return float(found.low), float(found.high)

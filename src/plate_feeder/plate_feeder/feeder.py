@@ -513,7 +513,7 @@ class Feeder:
             self._unreported += 1
 
     def _hold(self, part: ReadyPart) -> None:
-        assert self._status is not None  # the part comes from a status
+        assert self._status is not None  # a part is known only from a status, so there is a status
         self._held[part.id] = self._status.stamp
 
     # Replies to waiting commands

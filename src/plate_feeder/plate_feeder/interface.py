@@ -178,8 +178,9 @@ class Reserved:
 class State(Enum):
     """State of the feeder."""
 
-    IDLE = "idle"  # no task runs; the next command starts it
-    STOPPED = "stopped"  # stopped or failed; the next command restarts it if permitted
+    IDLE = "idle"  # no task runs; the next command starts a task
+    # the task was stopped or has failed; the next command restarts the task if this is permitted
+    STOPPED = "stopped"
     STARTING = "starting"  # the feeder has requested the task from the planner
     FEEDING = "feeding"  # the planner makes parts ready for picking
     READY = "ready"  # enough parts are ready, and the plate rests

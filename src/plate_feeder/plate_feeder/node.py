@@ -126,7 +126,7 @@ class FeederNode(SafeLifecycleNode[Options]):
         self._inbox: deque[Callable[[], None]] = deque()
         # Results that no client has fetched yet. The keys are the ids of the goals.
         self._results: dict[bytes, tuple[Reply, Part | None]] = {}
-        self._enabled_at: Any = None  # last known time of enabling
+        self._enabled_at: Any = None  # last known time at which the motors were enabled
         self._stopped = ""  # reason of the stop that was active when the node was deactivated
         self.report(self._find, self._values)
 

@@ -61,7 +61,8 @@ class Ours:
         if "order" in info and self._state.memory is not None:
             self._planner = self._planner.order(self._state, info["order"])
         follow = self._state.memory
-        # In a follow task, the reference paths of the evaluation replace those of the planner.
+        # In a follow task, the reference paths of the evaluation replace the reference paths of the
+        # planner.
         if isinstance(follow, FollowMemory):
             before, after = map(float, info["pace"])
             start, path_s = time + running.period, float(info["path_s"])

@@ -416,7 +416,8 @@ class Planner:
         comes_and_goes = self.rules.open_ended
         missing = () if comes_and_goes else missing_parts(self.scenario, state.known, parts)
         seen = set(state.estimator.seen.ids)
-        mine = self._mine(parts.ids)  # parts that the task does not move do not prevent its start
+        # parts that the task does not move cannot prevent the start of the task
+        mine = self._mine(parts.ids)
         again = comes_and_goes or self._mine(state.known) == mine <= seen
         task = begin(state.task, t, missing, again, self.limits, self.others(parts))
         estimator = self._observe(state, parts, task.active and not state.task.active)

@@ -1,4 +1,5 @@
-// Python module `_kernels`. Each folder binds its kernels in a `kernels.cpp` of its own.
+// Python module `_kernels`. The file `kernels.cpp` in each folder contains the bindings of the
+// folder's kernels.
 #include <plate/bind.hpp>
 
 namespace plate {

@@ -150,9 +150,9 @@ inline void push(const State& state, int i, int j, const Arm& arm, Vec n, double
 }
 
 // Minimum impulses j >= 0 along n at two contact points after which the parts do not approach at
-// either point. j is the solution of
+// either point. The impulses j solve
 //     j >= 0,  v + H j >= 0,  j . (v + H j) = 0
-// v = (v0, v1) are the relative speeds [m/s] along n at the points, and H is the matrix of
+// Here, v = (v0, v1) are the relative speeds [m/s] along n at the points, and H is the matrix of
 // compliances.
 struct Least {
     double at[2] = {0.0, 0.0};
@@ -207,8 +207,9 @@ inline void bounce(const State& state, int i, int j, const Arm arms[2], Vec n,
 // Apply the collision of two parts, or of a part and a wall, to the state.
 //
 // i and j are the indices of the bodies. At most one of these bodies is a disc, and the disc is i.
-// A wall is always j. In this case, i is not a disc. The walls are the last body. The last column
-// of the state contains the pose and twist of the plate. `step` is the length of the time step [s].
+// A wall is always j. In this case, i is not a disc. The last body represents the walls. The last
+// column of the state contains the pose and twist of the plate. `step` is the length of the time
+// step [s].
 inline void collide(const State& state, Bodies bodies, int i, int j, Manifold contact,
                     const Rules& rules, double step) {
     const Body &a = bodies[i], &b = bodies[j];

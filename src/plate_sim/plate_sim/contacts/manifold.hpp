@@ -16,8 +16,8 @@ namespace plate::contacts {
 
 constexpr double INFINITE = std::numeric_limits<double>::infinity();
 
-// A side of the second part becomes the reference side only if its separation exceeds that of the
-// first part's side by this value [m].
+// A side of the second part becomes the reference side only if its separation is larger than the
+// separation by the first part's side. The difference must exceed this value [m].
 constexpr double PREFER = 1e-6;
 
 // Contact of two parts:

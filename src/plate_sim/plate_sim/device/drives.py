@@ -85,7 +85,7 @@ class _Node:
         if command != 0x40:
             self.objects[index, sub] = value
             if index == MODE:
-                # the operation mode that the drive displays changes at once
+                # the operation mode that the drive reports changes immediately
                 self.objects[MODE + 1, 0] = value
             command, value = 0x60, 0
         elif (index, sub) in self.objects:

@@ -41,8 +41,8 @@ def _footprint(part: PartType) -> Footprint:
     holes = [np.array(hole) for hole in part.holes]
     place, area = _cells(part.polygon, holes)
     weight = area / area.sum()
-    # Transform the grid points so that their first and second moments are those of the part. With
-    # this transformation, the centre of mass and the inertia are exact.
+    # Transform the grid points so that their first and second moments are equal to the moments of
+    # the part. With this transformation, the centre of mass and the inertia are exact.
     place = place - weight @ place
     wanted, _, second = moments(part.polygon, holes)
     own = np.linalg.cholesky((weight[:, None] * place).T @ place)

@@ -59,7 +59,8 @@ constexpr double TINY = 1e-200;
 // The friction at a point is smoothed if the slip of the point is below this fraction of dv. Then
 // Newton's method converges.
 constexpr double ROUND = 1e-4;
-// Number of points whose terms of a sum are computed together before they are added.
+// The terms of a sum are computed together for this number of points. Then the terms are added one
+// by one.
 constexpr int BLOCK = 64;
 // If a part has fewer points than this number, for example a part on feet, each point is computed
 // and added separately.

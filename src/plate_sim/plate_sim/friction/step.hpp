@@ -221,9 +221,9 @@ inline Attempt ride(const PlateSample* plate, Vec fall, double static_dv, const 
     if (!holds(gain - pull, m.angle, static_dv, body, mesh)) return {false, after};
     // At the end of the step, the plate may accelerate so much that the part begins to slide.
     // Therefore the rate of change of the slip at the end is checked, too. Without friction, the
-    // slip is approximated by the parabola a s + b s^2, with s from 0 to 1. `half` is its value at
-    // s = 1/2, and `gain` is its value at s = 1. From these values, a = 4 half - gain and b = 2
-    // gain - 4 half. The rate of the parabola at s = 1 is a + 2 b = 3 gain - 4 half.
+    // slip is approximated by the parabola a s + b s^2, with s from 0 to 1. `half` is the value of
+    // the parabola at s = 1/2, and `gain` is the value at s = 1. From these values, a = 4 half -
+    // gain and b = 2 gain - 4 half. The rate of the parabola at s = 1 is a + 2 b = 3 gain - 4 half.
     turn = middle.theta - start.theta;
     const Slip half =
         slip(middle, middle.x + rx - turn * ry, middle.y + ry + turn * rx, m.vx, m.vy, m.spin);

@@ -50,8 +50,8 @@ constexpr int PLACES = 44;
 // this value, because the slip's direction practically jumps there.
 constexpr double NARROWEST = 1e-10;
 
-// Maximum value of n b cosh u at a node of the sum over u. n is the number of steps per period. At
-// further nodes, the integrand is below 4e-8 and is neglected.
+// Maximum value of n b cosh u at a node of the sum over u. n is the number of steps per period.
+// Nodes with a larger value are neglected, because the integrand is below 4e-8 there.
 constexpr double FADED = 17.0;
 
 // Maximum product n b for which the mean over equal steps needs a correction. Here, n is the number
@@ -258,7 +258,7 @@ inline void add_slopes(Complex share, Complex x, Complex y, double depth,
 }
 
 // Corrects the derivatives for the double pole of their integrand at u = 0. The nodes of the sum
-// over u are at half steps beside this pole. Therefore the sum differs from the integral by pi^2 /
+// over u begin half a step beside this pole. Therefore the sum differs from the integral by pi^2 /
 // STEP times the coefficient of the pole.
 inline void add_pole(Complex phase, double b, int n, std::vector<Turned>& turned) {
     const ComplexSlip at = complex_slip(turned, b, n);

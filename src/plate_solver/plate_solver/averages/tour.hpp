@@ -32,9 +32,9 @@ inline Matrix changes(View<const double, 2> twists, const double* half) {
     return change;
 }
 
-// Returns a short closed tour through all indices. The tour begins and ends at index 0.
-// change[i][j] is the distance between the indices i and j. The initial tour always continues with
-// the nearest unvisited index. Then the 2-opt method reverses sections of the tour as long as this
+// Returns a short closed tour through all indices. The tour begins and ends at index 0. The
+// distance between the indices i and j is change[i][j]. The initial tour always continues with the
+// nearest unvisited index. Then the 2-opt method reverses sections of the tour as long as this
 // makes the tour shorter.
 inline std::vector<int> short_tour(const Matrix& change) {
     const int count = change.rows;

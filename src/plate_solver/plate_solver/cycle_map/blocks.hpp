@@ -90,10 +90,10 @@ PLATE_WIDE inline void adjoint(View<const float, 3> steps, SamplesOf<float> twis
                     const Eight gx = xx * cx + xy * cy, gy = xy * cx + yy * cy;
                     vx = cx - gx, vy = cy - gy;
                     // The twist of this step also shifts the plate in all later steps. For the
-                    // motion relative to the plate, this has the same effect as the opposite shift
-                    // of the part. Therefore `end_x` minus `x` is the derivative with respect to a
-                    // plate shift in x. Half of this step's own contribution, `more_x`, belongs to
-                    // the time after the middle of the step.
+                    // motion relative to the plate, such a shift has the same effect as the
+                    // opposite shift of the part. Therefore `end_x` minus `x` is the derivative
+                    // with respect to a plate shift in x. Half of this step's own contribution,
+                    // `more_x`, belongs to the time after the middle of the step.
                     const Eight more_x = w * gy, more_y = w * gx;
                     on_u += gx + dt * (end_x - x - 0.5f * more_x);
                     on_v += gy + dt * (end_y - y + 0.5f * more_y);

@@ -12,8 +12,8 @@
 
 namespace plate::library {
 
-// A column enters the basis only if its gain per unit exceeds this value. The unit is that of the
-// costs.
+// A column enters the basis only if its gain per unit exceeds this value. The gain has the unit of
+// the costs.
 constexpr double OPTIMAL = 1e-9;
 
 // Minimum absolute value of a pivot. A basis is unusable if an entry of its inverse is 1 / PIVOT or
@@ -116,7 +116,7 @@ private:
 // Computes the inverse and the amounts of the basis, and sets `sense`. Returns whether the basis is
 // usable. If the amount of a column is negative, the column is multiplied by -1. For a column of
 // the matrix, `sense` becomes -1, so the rotation is reversed. The slack variable of an unmet
-// amount is replaced by that of the exceeded amount, or the other way round.
+// amount is replaced by the slack variable of the exceeded amount, or the other way round.
 inline bool Programme::restart() {
     chosen.resize(rows(), rows());
     columns_of(matrix, {basis.data, basis.shape}, {chosen[0], {rows(), rows()}});

@@ -122,7 +122,7 @@ inline void measure_alone(const LitPlate& plate, View<const double, 2> seeds,
         const float wide = sum[RoundWindow::WIDE] / mass - right * right - down * down;
         // Consider an ellipse with the half axes a and b. `flat` / `wide` and `askew` / `wide` are
         // (a^2 - b^2) / (a^2 + b^2) times the cosine and the sine of twice its direction. If the
-        // values differ from those of the silhouette, there is a shadow or another object.
+        // values differ from the values of the silhouette, there is a shadow or another object.
         const float flat = sum[RoundWindow::FLAT] / mass - right * right + down * down;
         const float askew = sum[RoundWindow::ASKEW] / mass - 2 * right * down;
         const auto [expected_flat, expected_askew] = parts[k].flatness();

@@ -45,8 +45,8 @@ class Shadow:
         drawn = parts.copy()
         cast = self.cast(places_px, parts)
         # A silhouette can extend in only one direction. `lean_px` is the vector from the image of
-        # the part's base to that of its top. If the shadow is longer than this vector, the shadow
-        # replaces it. In this case, the shadow covers almost all of the side faces.
+        # the part's base to the image of its top. If the shadow is longer than this vector, the
+        # shadow replaces it. In this case, the shadow covers almost all of the side faces.
         longer = np.hypot(*cast.T) > np.hypot(*parts["lean_px"].T)
         drawn["lean_px"][longer] = cast[longer]
         drawn["growth"][longer] = 1

@@ -10,8 +10,8 @@
 namespace plate {
 
 // Write the deviations (n,) between the colours `lab` and `bare` (n, CHANNELS) to `out`, clipped to
-// 255. The unit is that of L (lightness, 0 to 255). With three channels, the squared differences in
-// a and b are multiplied by `weight`.
+// 255. The deviations have the unit of the lightness L (0 to 255). With three channels, the squared
+// differences in a and b are multiplied by `weight`.
 template <int CHANNELS>
 [[gnu::always_inline]] inline void deviation_of(const uint8_t* __restrict lab,
                                                 const uint8_t* __restrict bare, float weight,

@@ -25,8 +25,9 @@ constexpr double OUTSIDE_PX = 1.6;
 // Maximum fraction of a part's area that may be outside the group.
 constexpr double MAX_OUTSIDE = 0.06;
 
-// Start value of the number of contour points at an excluded place. With this value, the number
-// remains negative after the points are counted.
+// The number of a part's contour points on the group's contour is counted for each place. At
+// excluded places, the count starts at this value. With this value, the number remains negative
+// after the points are counted.
 constexpr int16_t BARRED = -30'000;
 
 // Number of places along a row of pixels that are processed together.
@@ -124,8 +125,8 @@ PLATE_WIDE inline void add_rows(const int16_t* row, const std::vector<int>& offs
     }
 }
 
-// A possible place of a part: x, y [m], angle with the largest `Support.seen` [rad], and this
-// value.
+// A possible place of a part: x, y [m], the angle with the largest `Support.seen` [rad], and this
+// largest value as `seen`.
 struct PlaceFound {
     double x, y, angle, seen;
 };
