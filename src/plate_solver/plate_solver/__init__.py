@@ -40,7 +40,8 @@ __all__ = [
 if not TYPE_CHECKING:
 
     def __getattr__(name: str) -> Any:
-        """Import `averages` on first use, because the controller does not need it."""
+        """Import the subpackage `averages` when it is first used, because the controller does not
+        need it."""
         if name not in __all__:
             raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
         from . import averages

@@ -1,8 +1,7 @@
-"""The paper's averaged forces: the mean friction over a cycle, and motions of Methods A and B that
-produce requested forces.
+"""Averaged forces as in the paper. An averaged force is the mean friction on a part over a cycle.
 
-This package computes the averaged forces of a motion, finds motions for requested forces, and
-proves that a request is infeasible. The controller does not use this package.
+This package computes the averaged forces of a motion, finds motions of Methods A and B for
+requested forces, and proves that a request is infeasible. The controller does not use this package.
 """
 
 from .manipulability import Manipulability, library_force, manipulability

@@ -1,8 +1,8 @@
-"""Base class of the solvers for requested mean forces, common to both methods.
+"""Base class of the solvers for requested mean forces. Methods A and B both use it.
 
 `ForceSolver.solve` checks a request and searches for a motion on one of three force maps (`none`,
 `velocity` or `cycle`). If it finds no motion for the request, it searches for the largest feasible
-fraction of the request. Subclasses implement the search on the map `none`.
+fraction of the request. Subclasses implement the search on the force map `none`.
 """
 
 from __future__ import annotations
@@ -37,7 +37,7 @@ class ForceSolver(MotionSolver):
     Attributes
     ----------
     library : Library
-        Library whose rotations bound the feasible forces.
+        Library of rotations, from which bounds of the feasible forces are computed.
     """
 
     library: Library
@@ -54,10 +54,10 @@ class ForceSolver(MotionSolver):
     ) -> Solution:
         """Find a closed motion with the requested average forces, equations (5) and (9).
 
-        If the request is infeasible, the solver returns a motion for the largest feasible fraction
-        that it finds. There is one exception on the maps `velocity` and `cycle`: if the motion for
-        the whole request has a smaller error, the solver returns this motion. If zero force is
-        requested, the plate rests.
+        If the solver finds no motion for the request, it returns a motion for the largest fraction
+        of the request that it finds feasible. There is one exception on the maps `velocity` and
+        `cycle`. If the motion for the whole request has a smaller error, the solver returns this
+        motion. If zero force is requested, the plate rests.
 
         Parameters
         ----------
@@ -70,8 +70,8 @@ class ForceSolver(MotionSolver):
         curl : (M,), optional
             Requested curl of the averaged field [mu m g / m]; NaN accepts any curl.
         tolerance : (M, 2), optional
-            Tolerance [mu m g] per part and axis. Forces within +-tolerance have no error. Infinity
-            accepts any force. Default: 0.
+            Tolerance of the force for each part and axis [mu m g]. Force errors within +-tolerance
+            count as 0. Infinity accepts any force. Default: 0.
         refine : str
             Force map for the search and for `residual`:
             `none`: (5) for parts with constant position and velocity;
@@ -111,13 +111,13 @@ class ForceSolver(MotionSolver):
         return largest_fraction(request, self.library, attempt, nothing, 3 * own, most, prove)
 
     def proven_out_of_reach(self, request: Request) -> bool:
-        """Whether it is proven that no motion of this method meets a request. False means that
-        there is no proof."""
+        """Whether it is proven that no motion of this method meets a request. False means only that
+        no proof was found."""
         return False
 
     def _map(self, refine: str) -> tuple[float, float, Callable[[Request], Solution]]:
-        """Return three properties of a map: its tolerance [mu m g], its maximum force [mu m g], and
-        the function that solves a request on it."""
+        """Return three properties of the force map `refine`. They are its tolerance [mu m g], its
+        maximum force [mu m g], and the function that solves a request on this map."""
         own, friction = self.options.tolerance, self._rig.friction.accel
         wide = max(own, REFINED_TOLERANCE)
 
@@ -150,4 +150,4 @@ class ForceSolver(MotionSolver):
 
     @abstractmethod
     def _solve(self, request: Request) -> Solution:
-        """Solve a checked request on the map `none`. The request has zero tolerance."""
+        """Solve a checked request on the force map `none`. The tolerances of the request are 0."""

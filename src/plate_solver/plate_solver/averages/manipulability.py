@@ -1,15 +1,16 @@
 """Manipulability of parts at given positions (section 3.3 of the paper).
 
-The average forces on parts at rest are a mean of unit forces. Each twist in the plate's motion
-contributes one column of unit forces. This module evaluates all columns of a library of twists in
-two ways:
+A twist of the plate exerts friction of the magnitude mu m g on each part at rest. The unit forces
+of all parts for one twist form a column of a matrix. The average forces of a motion are a mean of
+the columns of its twists. This module evaluates the columns of a library of twists in two ways:
 
-- Their second moment describes the forces of random motions. The condition number is the square
-  root of the ratio of its maximum and minimum eigenvalues. The eigenvector of the minimum
-  eigenvalue is the direction in which a force is the most difficult to produce.
-- Their convex hull contains the forces of all motions that combine the library's twists. The
-  maximum force in a direction is the extent of the hull in this direction. A linear programme
-  computes the minimum time for a unit of force. The maximum force is the reciprocal of this time.
+- The second moment of the columns describes the forces of random motions. The condition number is
+  the square root of the ratio of the maximum to the minimum eigenvalue of this moment. In the
+  direction of the eigenvector of the minimum eigenvalue, a force is the most difficult to produce.
+- The convex hull of the columns contains the forces of all motions that combine the library's
+  twists. The maximum force in a direction is the extent of the hull in this direction. A linear
+  programme computes the minimum time that is needed for a unit of force. The maximum force is the
+  reciprocal of this time.
 
 A real cycle may produce less force, because the model neglects several effects: the ramps between
 rotations, the closure of the motion, the limits, and the displacement of parts within a cycle. A
@@ -29,20 +30,21 @@ from ..library import Library, least_time
 from ..library.condition import columns_of, second_moment, unit
 
 DEAR = 1e6
-"""Price of a unit of unmet force [cycles / (mu m g)]. The price is higher than the cost of any
-feasible force, so that no feasible force is left unmet."""
+"""Cost of a unit of requested force that is not produced [cycles / (mu m g)]. It is higher than the
+cost of any feasible force, so that every feasible force is produced."""
 
 DESCENTS = 12
-"""Maximum number of steps of a search from one face of the hull to a nearer one."""
+"""Maximum number of steps in a search for the nearest face of the hull. Each step leads to a nearer
+face."""
 
 STARTS = 8
-"""Number of random start directions of the search for the nearest face. The most difficult
-direction is an additional start."""
+"""Number of random start directions of the search for the nearest face of the hull. The most
+difficult direction is an additional start direction."""
 
 
 @dataclass(frozen=True)
 class Manipulability:
-    """Measures for pushing M parts independently in different directions.
+    """Measures of how independently M parts can be pushed in different directions.
 
     The forces on all parts form one vector (2 M,): part 1 x, part 1 y, part 2 x, and so on. A unit
     of force is a vector whose mean square over the parts is one (mu m g)^2.
@@ -50,17 +52,17 @@ class Manipulability:
     Attributes
     ----------
     condition : float
-        Ratio of the forces in the easiest and in the most difficult direction, at least 1. Infinite
-        if no force is possible in some direction.
+        Ratio of the force in the easiest direction to the force in the most difficult direction, at
+        least 1. Infinite if no force is possible in some direction.
     worst_direction : (2 M,)
         Most difficult direction according to the second moment of the forces. The length of this
         vector is a unit of force.
     weakest_force : float
-        Maximum force of the library in its weakest direction [mu m g]. The force is a local
-        minimum, because the search may miss a smaller one. It neglects ramps between rotations, the
-        closure of the motion, and the limits.
+        Maximum force of the library in its weakest direction [mu m g]. The value is a local
+        minimum, because the search may miss a direction with a smaller force. It neglects the ramps
+        between rotations, the closure of the motion, and the limits of the rig.
     weakest_direction : (2 M,)
-        Direction of `weakest_force`. The direction is a unit of force.
+        Direction of `weakest_force`. The length of this vector is a unit of force.
     """
 
     condition: float
@@ -78,10 +80,11 @@ def manipulability(
     ----------
     rig : Rig
     position : (M, 2)
-        Parts at rest [m], plate_home.
+        Positions of the parts, which are at rest [m, plate_home].
     library : Library, optional
-        Rotations that the plate may use. Default: a grid of centres over the plate. Two parts
-        closer than the grid's spacing count as hard to push independently.
+        Rotations that the plate may use. Default: a grid of centres over the plate. If the distance
+        of two parts is less than the spacing of the grid, the result indicates that they are hard
+        to push independently.
     seed : int
         Random seed of the start directions in the search for `weakest_direction`.
     """
@@ -98,10 +101,11 @@ def manipulability(
 def library_force(
     rig: Rig, position: np.ndarray, direction: np.ndarray, library: Library | None = None
 ) -> np.ndarray:
-    """Return the library's maximum force [mu m g] in each direction (D, 2 M).
+    """Return the maximum force of the library [mu m g] in each of the D directions `direction` (D,
+    2 M).
 
-    Ramps between rotations, the closure of the motion, and the limits of stroke, speed and
-    acceleration are neglected. Directions must not be zero. Each direction is scaled to a unit of
+    The result neglects the ramps between rotations, the closure of the motion, and the limits of
+    stroke, speed and acceleration. Directions must not be 0. Each direction is scaled to a unit of
     force, see `Manipulability`.
     """
     columns = columns_of(rig, position, library)
@@ -114,8 +118,9 @@ def library_force(
 
 
 def _force_along(columns: np.ndarray, direction: np.ndarray) -> tuple[float, np.ndarray]:
-    """Return the maximum multiple of a direction (2 M,) that is in the hull, and the normal of the
-    hull's face at this point."""
+    """Find the point at which the ray in the direction `direction` (2 M,) leaves the convex hull.
+    Return its distance from 0 as a multiple of the direction, and the normal of the hull's face at
+    this point."""
     rows, count = columns.shape
     dear = np.full(rows, DEAR)
     plan = least_time(columns, direction, np.ones(count), dear, dear)
@@ -125,8 +130,8 @@ def _force_along(columns: np.ndarray, direction: np.ndarray) -> tuple[float, np.
 
 
 def _nearest_face(columns: np.ndarray, direction: np.ndarray) -> tuple[float, np.ndarray]:
-    """Find a face of the hull with a locally minimum distance from 0. Return this distance and the
-    direction.
+    """Search for the face of the convex hull with the minimum distance from 0. Return the distance
+    and the direction. The result is a local minimum.
 
     Each step searches along the normal of the last face. The search ends when the next face is not
     nearer to 0.

@@ -2,10 +2,10 @@
 
     f(P) = 1/T integral of (v_s(P, t) - v_p) / |v_s(P, t) - v_p| dt,   v_s = (u1 - y u3, u2 + x u3)
 
-in units of mu m g. u is the plate's twist, and v_p is the part's velocity. The paper sets v_p = 0.
-Here v_p is kept, because the velocity of a part changes the friction on it. The curl of the
-friction field is the average of u3 / |v_s - v_p|. This is equation (11) if the plate rotates about
-a fixed centre.
+in units of mu m g. P = (x, y) is the position of the part, v_p its velocity, u the plate's twist,
+v_s the velocity of the surface, and T the period. The paper sets v_p = 0. Here, v_p may differ from
+0, because the velocity of a part changes the friction on it. The curl of the friction field is the
+average of u3 / |v_s - v_p|. If the plate rotates about a fixed centre, this is equation (11).
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ def average_force(
     cycle : PlateCycle
         The plate's motion.
     position : (M, 2)
-        Positions of the parts [m], plate_home. The plate's displacement is neglected, as in
+        Positions of the parts [m, plate_home]. The displacement of the plate is neglected, as in
         equation (3).
     velocity : (M, 2), optional
         Velocities of the parts [m/s]. Default: 0.
@@ -60,12 +60,13 @@ def average_force(
 def step_forces(
     position: np.ndarray, velocity: np.ndarray, twist: np.ndarray, dt: np.ndarray
 ) -> np.ndarray:
-    """Return average force x, y [mu m g] and curl [mu m g / m] at each part, (M, 3).
+    """Return the average force along x and y [mu m g] and the average curl [mu m g / m] at each
+    part, (M, 3).
 
     Parameters
     ----------
     position, velocity : (M, 2)
-        Parts [m], [m/s], plate_home.
+        Positions [m] and velocities [m/s] of the parts, in plate_home.
     twist : (n, 3)
         Twist of the plate at the middles of the steps [m/s, m/s, rad/s].
     dt : (n,)

@@ -1,8 +1,8 @@
 """Search for the feasible part of a request.
 
-`easiest_force` is a linear programme. The programme selects the forces within the tolerance that
-take the minimum time. `largest_fraction` finds the largest fraction of an infeasible request by
-bisection.
+The function `easiest_force` solves a linear programme. It selects those forces within the tolerance
+that need the minimum time. The function `largest_fraction` finds the largest feasible fraction of a
+request by bisection.
 """
 
 from __future__ import annotations
@@ -18,27 +18,29 @@ from ..library import Library
 from .request import Request
 
 LEFT_OUT = 1.15
-"""Maximum fraction that is tried, divided by the upper bound that the library gives. The value is
-above 1 because the finite number of rotations makes the bound a few per cent too low."""
+"""Maximum fraction of a request that is tried, divided by the upper bound from the library of
+rotations. The value is above 1, because this bound is a few per cent too low. The reason is that
+the library contains a finite number of rotations."""
 
 BISECTIONS = 5
 """Maximum number of bisections. The bisections determine the largest fraction to within 1/32 of the
 upper bound."""
 
 CAUTION = 0.95
-"""First fraction that is tried, divided by the fraction that the solution for the whole request
-achieves."""
+"""First fraction of a request that is tried, divided by the fraction that the solution for the
+whole request achieves."""
 
 WORTH_IT = 0.5
-"""If the error of the best motion exceeds this fraction of the request (both root mean square), the
-plate rests instead."""
+"""If the root mean square error of the best motion exceeds this fraction of the root mean square of
+the request, the plate rests instead."""
 
 
 def easiest_force(request: Request, library: Library) -> np.ndarray:
-    """Return the forces (M, 2) within the request's tolerance that need the minimum time.
+    """Return those forces (M, 2) within the tolerance of the request that need the minimum time.
 
-    The minimum time with the library's rotations is a linear programme: minimise the sum of the
-    absolute weights w subject to `force - tolerance <= A w <= force + tolerance`.
+    A linear programme computes them. Let w be the weights of the library's rotations, and A the
+    matrix of their unit forces. The programme minimises the sum of abs(w) subject to `force -
+    tolerance <= A w <= force + tolerance`.
 
     If no force within the tolerance is feasible, the requested forces are returned.
     """
@@ -66,27 +68,30 @@ def largest_fraction(
     most: float,
     prove: Callable[[Request], bool] | None,
 ) -> Solution:
-    """Solve the request, or the largest fraction of it that a bisection finds to be feasible.
+    """Solve a request. If this fails, solve the largest fraction of the request that a bisection
+    finds feasible.
 
     Parameters
     ----------
     request : Request
-        Forces and curls are scaled by the same fraction. Tolerances are not scaled.
+        Forces and curls are multiplied by the same fraction. Tolerances do not change.
     library : Library
         Library that gives an upper bound of the fraction.
     attempt : function
-        Solver of a request. The function returns the best motion found, even if the request is
+        Function that solves a request. It returns the best motion found, even if the request is
         infeasible.
     nothing : function
-        Returns the solution at rest, which is used if no fraction is met.
+        Function that returns the solution in which the plate rests. This solution is used if no
+        fraction is feasible.
     least : float
-        Force difference at which the bisection ends [mu m g].
+        The bisection ends when the force difference between both bounds is less than this value [mu
+        m g].
     most : float
         Maximum force that a motion can exert on a part [mu m g].
     prove : function, optional
-        Function that returns whether a request is proven infeasible. The function is slow and
-        called at most once. Without it, the result is the solution for the whole request if this
-        solution has the smaller error for the whole request.
+        Function that returns whether a request is proven infeasible. The function is slow and is
+        called at most once. If it is not given, the solution for the whole request is returned if
+        its error for the whole request is smaller than that of the fraction's solution.
     """
     fits = min(1.0, most / max(request.flags.loaded, 1e-300))
     whole = attempt(request if fits == 1 else request.times(fits))
@@ -147,13 +152,13 @@ def largest_fraction(
 
 
 def _along(requested: np.ndarray, missed: np.ndarray) -> float:
-    """Return the component of the achieved force in the direction of the request, as a fraction of
-    the request."""
+    """Return the component of the achieved forces in the direction of the requested forces, as a
+    fraction of the requested forces."""
     size = float(np.sum(requested**2))  # no overflow, because the request was scaled
     return float(np.sum((requested - missed) * requested)) / size if size > 0 else 0.0
 
 
 def _size(force: np.ndarray) -> float:
-    """Return the root mean square of forces (M, 2) without overflow."""
+    """Return the root mean square of forces (M, 2). The computation does not overflow."""
     most = float(np.max(np.abs(force)))
     return most * float(np.sqrt(np.mean((force / most) ** 2))) if most > 0 else 0.0

@@ -1,8 +1,8 @@
-"""Solution of a request on refined force maps by repeated correction.
+"""Solves a request on refined force maps. A solution on a simpler map is corrected repeatedly.
 
-There are three maps: `none`, `velocity` and `cycle`. `velocity` is more accurate and more expensive
-than `none`, and `cycle` more than `velocity`. The functions return a `Solution` with the errors on
-the refined map.
+There are three force maps. `velocity` is more accurate than `none` and needs more computing time.
+`cycle` is more accurate than `velocity` and needs still more computing time. The functions return a
+`Solution` with the errors on the refined map.
 """
 
 from __future__ import annotations
@@ -23,29 +23,29 @@ REFINEMENTS = ("none", "velocity", "cycle")
 """Names of the force maps, see `ForceSolver.solve`."""
 
 CYCLE_CORRECTIONS = 6
-"""Maximum number of corrections on the map `cycle`. Each correction compensates the error found
-with finer steps."""
+"""Maximum number of corrections on the force map `cycle`. Each correction compensates the force
+error of the last motion, which is computed with finer time steps."""
 
 VELOCITY_CORRECTIONS = 20
-"""Maximum number of corrections on the map `velocity`. Each correction uses the mean velocities of
-the parts under the last motion. Each correction approximately halves the error."""
+"""Maximum number of corrections on the force map `velocity`. Each correction uses the mean
+velocities of the parts under the last motion. It approximately halves the force error."""
 
 REFINED_TOLERANCE = 1e-3
-"""Maximum force error that counts as success on a refined map [mu m g]. A larger tolerance of the
-solver replaces this value."""
+"""Maximum force error that counts as success on the force maps `velocity` and `cycle` [mu m g]. If
+the tolerance of the solver is larger, it is used instead."""
 
 MISSED = 0.1
-"""Error that counts as success on a refined map, as a fraction of the request (root mean square
-over parts and axes). Most requests can be met only approximately on the maps `velocity` and
-`cycle`. A motion that was solved on the map `none` and is not corrected has an error that is larger
-than the request."""
+"""Maximum error that counts as success on the force maps `velocity` and `cycle`, as a fraction of
+the request (root mean square over parts and axes). On these maps, most requests can be met only
+approximately. For comparison, a solution for the map `none` without corrections has an error on
+these maps that is larger than the request."""
 
 STALE = 4
-"""Maximum number of consecutive corrections without an improvement. After that, the search ends."""
+"""Number of consecutive corrections without an improvement after which the search ends."""
 
 MAX_ON_CYCLE = 0.5
-"""Maximum force on the map `cycle` [mu m g]. A part that starts at rest moves by at most mu g T^2 /
-2, because friction is at most mu m g."""
+"""Maximum force on the force map `cycle` [mu m g]. During a cycle of length T, a part that starts
+at rest moves by at most mu g T^2 / 2, because friction is at most mu m g."""
 
 
 def force_solution(
@@ -56,8 +56,8 @@ def force_solution(
     iterations: int,
     condition: float,
 ) -> Solution:
-    """Return the solution for a motion within the limits. `error` contains the errors of the
-    requested rows [mu m g]."""
+    """Return the `Solution` for a motion that is within the limits of the rig. `error` contains the
+    errors of the requested components (`Request.rows`) [mu m g]."""
     worst = float(np.max(np.abs(error)))
     every = np.zeros(len(request.rows))
     every[request.rows] = error
@@ -74,8 +74,8 @@ def force_solution(
 
 
 def evaluated(request: Request, solution: Solution, error: np.ndarray, bound: float) -> Solution:
-    """Return the solution with given force errors (M, 2) [mu m g]. The solution is a success if no
-    error exceeds the request's tolerance by more than `bound` [mu m g]."""
+    """Return a copy of the solution with the force errors `error` (M, 2) [mu m g]. It is a success
+    if no error exceeds the tolerance of the request by more than `bound` [mu m g]."""
     worst = float(np.max(np.abs(error) - request.tolerance))
     success = worst <= bound
     message = f"force error {np.max(np.abs(error)):.2g} mu m g"
@@ -92,9 +92,9 @@ def evaluated(request: Request, solution: Solution, error: np.ndarray, bound: fl
 
 
 def refined(request: Request, solution: Solution, error: np.ndarray, bound: float) -> Solution:
-    """Return the solution with given force errors (M, 2) [mu m g] on a refined map. The solution is
-    a success as in `evaluated`, or if the root mean square error is at most `MISSED` times the
-    request."""
+    """Return a copy of the solution with the force errors `error` (M, 2) [mu m g] on the map
+    `velocity` or `cycle`. It is a success under the condition of `evaluated`. It is also a success
+    if the root mean square error is at most `MISSED` times the request."""
     allowed = MISSED * float(np.sqrt(np.mean(request.force**2)))
     enough = _spill(request, error) <= allowed
     return evaluated(
@@ -105,8 +105,8 @@ def refined(request: Request, solution: Solution, error: np.ndarray, bound: floa
 def on_mean_velocity(
     request: Request, solve: Callable[[Request], Solution], friction_accel: float, bound: float
 ) -> Solution:
-    """Solve on the map `velocity`. The velocities are the parts' mean velocities over the cycle
-    under the returned motion.
+    """Solve a request on the force map `velocity`. This map uses the mean velocities that the parts
+    have over the cycle under the returned motion.
 
     A fixed-point iteration computes the motion from the velocities, then the velocities from the
     motion, and repeats both.
@@ -130,8 +130,9 @@ def on_cycle(
     friction_accel: float,
     bound: float,
 ) -> Solution:
-    """Solve on the map `cycle`. After each solution, the part of the error beyond the tolerance is
-    added to the requested force. The error is computed with finer steps."""
+    """Solve a request on the force map `cycle`. After each solution, the error is computed with
+    finer time steps. The portion of the error that exceeds the tolerance is then added to the
+    requested force."""
     unit = friction_accel * period**2
     position, velocity, slack = request.position, request.velocity, request.tolerance
     good = max(bound, MISSED * float(np.sqrt(np.mean(request.force**2)))) / 4
@@ -158,8 +159,8 @@ def on_cycle(
 def _best_of(
     request: Request, correct: Callable[[], tuple[Solution, np.ndarray]], most: int, bound: float
 ) -> Solution:
-    """Repeat a correction until the result is good enough or no longer improves. Return the best
-    result."""
+    """Call `correct` repeatedly, until the result is good enough or no longer improves. Return the
+    best result."""
     best: Solution | None = None
     least, stale, iterations = np.inf, 0, 0
     for _ in range(most):
@@ -176,5 +177,6 @@ def _best_of(
 
 
 def _spill(request: Request, error: np.ndarray) -> float:
-    """Return the root mean square of the errors (M, 2) [mu m g] beyond the tolerance."""
+    """Return the root mean square of the portions of the errors (M, 2) that exceed the tolerance
+    [mu m g]."""
     return float(np.sqrt(np.mean(np.maximum(np.abs(error) - request.tolerance, 0.0) ** 2)))

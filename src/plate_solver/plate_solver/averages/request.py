@@ -1,5 +1,5 @@
-"""A request for average forces on parts, and its properties. `Request.check` raises an error for
-wrong shapes and values."""
+"""A request for average forces on parts. `Request.check` raises an error if a shape or a value is
+wrong."""
 
 from __future__ import annotations
 
@@ -22,20 +22,20 @@ FASTEST_MPS: float = _kernels.FASTEST_MPS
 
 
 class RequestFlags(NamedTuple):
-    """Properties of a request. C++ computes them in one pass, because the same checks in numpy
-    would take longer than a search from a good start.
+    """Properties of a request. C++ code computes all of them in one pass, because the same checks
+    in numpy would take longer than a search from a good start.
 
     Attributes
     ----------
     sound : bool
         Whether all values are allowed.
     moving, curled, slack : bool
-        Whether any part moves, whether any curl is requested, and whether any force has a
-        tolerance.
+        `moving` states whether any part moves, `curled` whether any curl is requested, and `slack`
+        whether any force has a tolerance above 0.
     within : bool
-        Whether zero force is within all tolerances.
+        Whether zero force is within the tolerances of all parts.
     loaded : float
-        Maximum over all parts of the requested force minus its tolerance [mu m g].
+        Requested force minus its tolerance [mu m g], maximum over all parts.
     """
 
     sound: bool
@@ -53,7 +53,7 @@ def request_flags(
     curl: np.ndarray,
     tolerance: np.ndarray,
 ) -> RequestFlags:
-    """Return the `RequestFlags` of a request."""
+    """Compute the properties of a request."""
     return RequestFlags(*_kernels.request_flags(position, force, velocity, curl, tolerance))
 
 
@@ -66,9 +66,9 @@ class Request:
     position, force, velocity : (M, 2)
         Positions [m, plate_home], requested forces [mu m g] and velocities [m/s] of the parts.
     curl : (M,)
-        Requested curls [mu m g / m]. NaN accepts any curl.
+        Requested curls of the friction field at the parts [mu m g / m]. NaN accepts any curl.
     tolerance : (M, 2)
-        Forces within +-tolerance [mu m g] of `force` have no error.
+        Tolerances of the forces [mu m g]. Errors within +-tolerance count as 0.
     """
 
     position: np.ndarray
@@ -79,19 +79,21 @@ class Request:
 
     @property
     def rows(self) -> np.ndarray:
-        """Mask of the requested rows (3 M,), bool: force x, force y and curl of each part."""
+        """Mask (3 M,) that states which components are requested. The components are force x, force
+        y and curl of each part."""
         mask = np.ones((len(self.position), 3), bool)
         mask[:, 2] = np.isfinite(self.curl)
         return mask.ravel()
 
     @property
     def requested(self) -> np.ndarray:
-        """Requested force x, force y and curl (3 M,), part by part."""
+        """Requested force x, force y and curl of part 1, then of part 2, and so on (3 M,)."""
         return np.column_stack([self.force, self.curl]).ravel()
 
     @property
     def scale(self) -> np.ndarray:
-        """Factors (3 M,) that convert errors in `requested` to force errors [mu m g]."""
+        """Factors (3 M,) that convert errors of the components in `requested` to force errors [mu m
+        g]."""
         return np.tile([1.0, 1.0, CURL_LENGTH_M], len(self.position))
 
     @cached_property
@@ -106,8 +108,8 @@ class Request:
 
     @property
     def must_move(self) -> bool:
-        """Whether the plate must move to meet the request. A plate at rest brakes moving parts, and
-        its friction field has no curl."""
+        """Whether only a moving plate can meet the request. A plate at rest brakes moving parts,
+        and its friction field has no curl."""
         return self.flags.moving or self.flags.curled
 
     def times(self, fraction: float) -> Request:
@@ -128,8 +130,8 @@ class Request:
         Raises
         ------
         PlateError
-            If a shape is not (M, 2), or (M,) for the curl, or if a value is not finite or out of
-            range.
+            An array does not have the shape (M, 2), or (M,) for the curl. Or a value is not finite
+            or is outside its range.
         """
         # the C++ kernels need this memory layout
         position = np.array(position, dtype=float, order="C")
@@ -153,7 +155,7 @@ class Request:
         return request
 
     def _refuse(self) -> None:
-        """Raise an error that names the invalid value and the allowed range."""
+        """Raise an error that names the first invalid value and the allowed range."""
         greatest = {"position": FARTHEST_M, "force": np.inf, "velocity": FASTEST_MPS}
         for name, most in greatest.items():
             array = getattr(self, name)

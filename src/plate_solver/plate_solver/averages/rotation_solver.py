@@ -1,4 +1,5 @@
-"""Method A (section 3.1 of the paper) on the averaged map: rotations with requested mean forces.
+"""Method A (section 3.1 of the paper) on the averaged map. The solver finds rotations that exert
+requested mean forces.
 
 A linear programme plans the rotations. Then the Levenberg-Marquardt method corrects their durations
 and twists until the mean forces match the request. Basin hopping provides further starts. The input
@@ -27,19 +28,22 @@ from .rotations import fit_mean_force, mean_force_error
 from .tour import filled, nearest_order
 
 COARSE = (20, 4)
-"""Number of steps in each ramp and in each hold of the sequence during the search. A ramp needs
-more steps than a hold, because the slip of a part may nearly vanish during a ramp."""
+"""Numbers of time steps in each ramp and in each hold of a sequence of rotations, during the
+search. A ramp needs more steps than a hold, because the slip of a part may nearly vanish during a
+ramp."""
 
 FINE = (60, 20)
-"""Number of steps in each ramp and in each hold of the sequence during the final correction."""
+"""Numbers of time steps in each ramp and in each hold of a sequence of rotations, during the final
+correction."""
 
 FINEST = (600, 200)
-"""Number of steps in each ramp and in each hold of the sequence for the evaluation of curls."""
+"""Numbers of time steps in each ramp and in each hold of a sequence of rotations, for the
+evaluation of curls."""
 
 
 @dataclass(frozen=True)
 class RotationForceOptions(RotationOptions):
-    """Options of `RotationSolver`: all options of `RotationOptions`, and the following one.
+    """Options of `RotationSolver`. They are all options of `RotationOptions`, and `tolerance`.
 
     Attributes
     ----------
@@ -120,8 +124,9 @@ class RotationSolver(ForceSolver, RotationCycles):
     def _evaluated(
         self, request: Request, family: RotationFamily, parameters: np.ndarray
     ) -> tuple[PlateCycle, np.ndarray]:
-        """Return the motion within the limits, and its errors in the requested rows [mu m g].
-        `average_force` evaluates the forces. The curls are evaluated with `FINEST` steps."""
+        """Return the motion within the limits of the rig, and the errors of the requested
+        components (`Request.rows`) [mu m g]. The forces are evaluated with `average_force`. The
+        curls are evaluated with the time steps `FINEST`."""
         cycle = within_limits(family.cycle(parameters), self._full)
         error = np.zeros(np.count_nonzero(request.rows))
         if np.any(np.isfinite(request.curl)):

@@ -1,4 +1,4 @@
-"""Fit of a sequence of rotations to requested mean forces, on the averaged map.
+"""Fits a sequence of rotations to requested mean forces, on the averaged map.
 
 One call runs the whole Levenberg-Marquardt search in C++ (rotations.hpp). The inputs are a
 `Request` and the initial parameters of a `RotationFamily`. The output is a `Fit`.
@@ -24,11 +24,12 @@ class SequenceForces(NamedTuple):
     family : Sequences
     position, velocity : (M, 2)
     rows : (3 M,) bool
-        Whether force x, force y and curl of each part are requested, part by part.
+        Mask that states which components are requested: force x, force y and curl of part 1, then
+        of part 2, and so on.
     requested : (R,)
-        Requested values, one for each true entry of `rows`.
+        Requested values of the R components for which `rows` is True.
     scale : (R,)
-        Factors that convert the errors of these values to force errors [mu m g].
+        Factors that convert the errors of these R components to force errors [mu m g].
     """
 
     family: Sequences
@@ -40,7 +41,7 @@ class SequenceForces(NamedTuple):
 
     @classmethod
     def of(cls, request: Request, family: RotationFamily) -> SequenceForces:
-        """Convert a request to this form."""
+        """Convert a request and a family of sequences to this form."""
         rows = request.rows
         return cls(
             family.plain, request.position, request.velocity, rows,
@@ -55,8 +56,8 @@ def fit_mean_force(
     tolerance: float,
     iterations: int,
 ) -> Fit:
-    """Adjust a sequence until its average forces (5) match the request. `tolerance` and `Fit.error`
-    have the unit mu m g."""
+    """Adjust a sequence of rotations until its average forces (5) match the request. `tolerance`
+    and `Fit.error` have the unit mu m g."""
     forces = SequenceForces.of(request, family)
     return Fit(*_kernels.fit_mean_force(forces, parameters, tolerance, iterations))
 
@@ -64,7 +65,7 @@ def fit_mean_force(
 def mean_force_error(
     request: Request, family: RotationFamily, parameters: np.ndarray
 ) -> np.ndarray:
-    """Return the errors of the requested rows [mu m g]. Errors of curls are multiplied by
-    `CURL_LENGTH_M`."""
+    """Return the errors of the requested components (`Request.rows`) [mu m g]. Errors of curls are
+    multiplied by `CURL_LENGTH_M`."""
     _, twist, dt = family.samples(parameters)
     return _kernels.mean_force_error(SequenceForces.of(request, family), twist, dt)

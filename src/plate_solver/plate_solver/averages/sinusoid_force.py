@@ -1,14 +1,16 @@
 """Averaged force map of sinusoidal motions: equations (3) to (5) with (13).
 
-The mean of a smooth periodic function over n equal steps has an error of exp(-n b). b is the
-distance between the real axis and the nearest singularity of the function. Here the singularities
-are the complex times at which the slip of the part is zero. At a dip, the slip nearly vanishes and
-b is small. Therefore dips are detected in the samples, and the error that each dip causes is
-subtracted (near_zero_slip.hpp). If two dips are too close to be separated, the adaptive quadrature
-of `mean_force` is used instead. The quadrature represents the slip by Taylor polynomials.
+If the mean of a smooth periodic function is computed from n equal steps, its error is about exp(-n
+b). b is the distance of the function's nearest singularity from the real axis, in the plane of
+complex times. Here, the singularities are the complex times at which the slip of a part is 0.
 
-The slip of a part is an array `slip` (2 N + 1, 2): rows sin 1..N, cos 1..N, constant; columns x, y
-[m/s].
+At a real time at which the slip nearly vanishes (a dip), b is small. Therefore, dips are detected
+in the samples, and the error that each dip causes is subtracted (near_zero_slip.hpp). If two dips
+are too close to each other, the adaptive quadrature of `mean_force` is used instead. This
+quadrature represents the slip by Taylor polynomials.
+
+The slip of a part is described by an array `slip` (2 N + 1, 2) of coefficients [m/s]. The rows
+belong to sin 1..N, cos 1..N and the constant. The columns are x and y.
 """
 
 from __future__ import annotations
@@ -22,14 +24,15 @@ import numpy as np
 from .. import _kernels
 
 STEPS_PER_HARMONIC = 64
-"""Number of equal steps per harmonic. With this value, most random motions with N = 2 need at most
-one correction."""
+"""Number of equal time steps per harmonic of the motion. With this value, most random motions with
+N = 2 harmonics need at most one correction for a dip."""
 
 FEW_STEPS_PER_HARMONIC = 16
-"""Number of equal steps per harmonic for a rough comparison of motions."""
+"""Number of equal time steps per harmonic of the motion, for a rough comparison of motions."""
 
 PIECES_PER_HARMONIC = 8
-"""Number of pieces of the period per harmonic in the adaptive quadrature."""
+"""Number of pieces into which the adaptive quadrature divides the period, per harmonic of the
+motion."""
 
 DEGREE = 10
 """Degree of the Taylor polynomials in the pieces of the adaptive quadrature. Their error in the
@@ -37,19 +40,20 @@ highest harmonic of the slip is (pi/8)^11 / 11! = 1e-12."""
 
 
 class Rules(NamedTuple):
-    """Sample points of the slip for N harmonics.
+    """Values of the harmonics at the sample points, for motions with N harmonics.
 
     Attributes
     ----------
     waves : (2 N, K)
-        Rows sin 1..N, cos 1..N at equal steps of the period. The first `few` columns are the coarse
-        grid; the usual grid follows.
+        Values of sin 1..N and cos 1..N (rows) at equal steps of the period (columns). The first
+        `few` columns are a coarse grid, and the other columns are the usual grid.
     few : int
         Number of steps of the coarse grid.
     taylor : (D + 1, N)
         Taylor coefficients of each harmonic about the middle of a piece. The unit of time is the
-        length of the piece. Even rows are factors of the harmonic's value at the middle. Odd rows
-        are factors of the harmonic shifted by a quarter of its period.
+        length of the piece. Coefficients in even rows are multiplied by the value of the harmonic
+        at the middle. Coefficients in odd rows are multiplied by the value of the harmonic that is
+        shifted by a quarter of its period.
     pieces : int
         Number of pieces of the period in the adaptive quadrature.
     """
@@ -62,7 +66,7 @@ class Rules(NamedTuple):
 
 @lru_cache(maxsize=32)
 def force_rules(number: int) -> Rules:
-    """Return the sample points for `number` harmonics."""
+    """Return the values at the sample points for motions with `number` harmonics."""
     counts = [steps * max(number, 2) for steps in (FEW_STEPS_PER_HARMONIC, STEPS_PER_HARMONIC)]
     times = np.concatenate([2 * pi * (np.arange(n) + 0.5) / n for n in counts])
     order, pieces = np.arange(1, number + 1), PIECES_PER_HARMONIC * max(number, 2)
@@ -78,14 +82,15 @@ def force_rules(number: int) -> Rules:
 def sinusoid_forces(
     coefficients: np.ndarray, position: np.ndarray, velocity: np.ndarray, rule: Rules
 ) -> np.ndarray:
-    """Return the average forces (C, 2) [mu m g] of C cases. Each case has one motion and one part.
+    """Return the average forces (C, 2) [mu m g] for C cases. Each case is a combination of one
+    motion and one part.
 
     Parameters
     ----------
     coefficients : (C, 2 N, 3)
-        Rows sin 1..N, cos 1..N of equation (13) [m/s, m/s, rad/s].
+        Coefficients of sin 1..N and cos 1..N (rows) in equation (13) [m/s, m/s, rad/s].
     position, velocity : (C, 2)
-        [m], [m/s], plate_home.
+        Positions [m] and velocities [m/s] of the parts, in plate_home.
     rule : Rules
         `force_rules(N)`.
     """

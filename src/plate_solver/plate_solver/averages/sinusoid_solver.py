@@ -1,8 +1,9 @@
-"""Method B (section 3.2 of the paper) on the averaged map: sinusoids with requested mean forces.
+"""Method B (section 3.2 of the paper) on the averaged map. The solver finds sums of sinusoids that
+exert requested mean forces.
 
 Requests without curls are solved in C++ (`sinusoids.invert`). For requests with curls, a motion is
-fitted on equal steps by the Levenberg-Marquardt method and basin hopping. The input is a `Request`,
-and the output is a `Solution`.
+sampled at equal time steps and fitted by the Levenberg-Marquardt method and basin hopping. The
+input is a `Request`, and the output is a `Solution`.
 """
 
 from __future__ import annotations
@@ -29,30 +30,34 @@ from .sinusoids import FEW_CANDIDATES, Motions, invert, motions_of
 from .unreachable import is_out_of_reach
 
 CURL_SAMPLES = 8192
-"""Number of samples for the evaluation of curls. A curl is the mean of u3/slip. Therefore times at
-which the slip nearly vanishes change a curl more than a force."""
+"""Number of samples for the evaluation of curls. A curl is the mean of u3/slip, where u3 is the
+angular velocity of the plate. Therefore, times at which the slip nearly vanishes have more
+influence on a curl than on a force."""
 
 SPREAD = 0.7
-"""Size of a perturbation of the best motion, as a fraction of a random motion. It applies only to
-requests with curls."""
+"""Size of the random perturbation of the best motion, as a fraction of a random motion. It is used
+only for requests with curls."""
 
 STARTS = 3
-"""Number of starts of the averaged search per restart. One start takes a tenth of a millisecond."""
+"""Number of starts of the search on the averaged map for each restart in the options. One start
+takes a tenth of a millisecond."""
 
 MAX_STARTS = 200
-"""Maximum number of random starts that are drawn. If a search needs more starts, it uses the same
-starts again."""
+"""Maximum number of different random starts. If a search needs more starts, it uses the same starts
+again."""
 
 
 @dataclass(frozen=True)
 class SinusoidForceOptions(SinusoidOptions):
-    """Options of `SinusoidSolver`: all options of `SinusoidOptions`, and the following ones.
+    """Options of `SinusoidSolver`. They are all options of `SinusoidOptions`, and the following
+    options.
 
     Attributes
     ----------
     at_rest : bool
         Whether cycles start and end with the plate at home and at rest. This condition reduces the
-        number of parameters by two per degree of freedom. The cycles of `steer` always satisfy it.
+        number of parameters by two per degree of freedom. The cycles of the method `steer` always
+        satisfy it.
     tolerance : float
         Maximum force error that counts as success [mu m g].
 
@@ -94,11 +99,12 @@ class SinusoidSolver(ForceSolver, SinusoidCycles):
         self._warm.clear()
 
     def harmonics(self, constraints: int) -> int:
-        """Return the number of harmonics for a number of requested force components."""
+        """Return the number of harmonics that is used for `constraints` requested force
+        components."""
         return self._key(constraints)[0]
 
     def search_of(self, constraints: int) -> tuple[Motions, np.ndarray]:
-        """Return the motions and the random starts of `invert`, for this number of requested force
+        """Return the arguments `motions` and `pool` of `invert`, for `constraints` requested force
         components."""
         key = self._key(constraints)
         if key not in self._searches:
@@ -110,7 +116,7 @@ class SinusoidSolver(ForceSolver, SinusoidCycles):
 
     def _key(self, constraints: int) -> tuple[int, float, bool]:
         """Return the number of harmonics, the period [s], and whether motions start at rest, for
-        this number of requested force components."""
+        `constraints` requested force components."""
         if self.options.at_rest:
             return *self._rest_key(constraints), True
         # Motions of N harmonics can control 6 N - 2 independent force components.
@@ -196,8 +202,8 @@ class SinusoidSolver(ForceSolver, SinusoidCycles):
 
 
 def curl_error(request: Request, twist: np.ndarray) -> np.ndarray:
-    """Return the errors of the requested rows [mu m g]. The twists (n, 3) are sampled at equal
-    steps."""
+    """Return the errors of the requested components (`Request.rows`) [mu m g]. The twists (n, 3) of
+    the plate are sampled at equal time steps."""
     got = step_forces(request.position, request.velocity, twist, np.ones(len(twist))).ravel()
     return np.asarray(((request.requested - got) * request.scale)[request.rows])
 
@@ -207,8 +213,8 @@ def fit_curl(
 ) -> Fit:
     """Adjust a motion until its average forces and curls match the request, equations (5) and (12).
 
-    The errors of the requested rows are in mu m g. The search stops when the largest error is at
-    most `tolerance`.
+    The errors of the requested components (`Request.rows`) have the unit mu m g. The search stops
+    when the largest error is at most `tolerance`.
     """
     rows, scale = request.rows, request.scale[request.rows]
 

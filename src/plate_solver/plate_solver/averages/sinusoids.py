@@ -1,15 +1,16 @@
-"""Inversion of the averaged map with Method B (section 3.2.3), from the first start to the finished
-spline.
+"""Finds a motion of Method B (section 3.2.3) that exerts requested averaged forces. The result is a
+finished spline.
 
-The first start is the last solution. After that, the search consists of rounds. Each round has one
-fresh start and several perturbations of the best motion of this round. A fresh start is moved
-towards the request by continuation: it is solved for increasing fractions of the request. The
-result of the search is converted to a spline within the rig's limits. The forces of this spline are
-evaluated with another quadrature than in the search.
+The search first starts from the solution of the last request. Then it consists of rounds. Each
+round starts once from a new random motion, and then several times from perturbations of the best
+motion of this round. From a random motion, the search solves increasing fractions of the request
+one after the other (continuation). The result of the search is converted to a spline within the
+rig's limits. The forces of this spline are evaluated with another quadrature than in the search.
 
-The averaged forces of parts at rest do not change if the motion is scaled or shifted in time. Steps
-of minimum norm are orthogonal to these two directions. All motions have the largest amplitude that
-the limits allow, because the velocities of the parts then have the smallest influence.
+The averaged forces on parts at rest do not change if the amplitude of the motion is changed, or if
+the motion is shifted in time. The steps of the search have minimum norm, so that they are
+orthogonal to these two changes. All motions have the largest amplitude that the limits allow,
+because the velocities of the parts then have the smallest influence.
 """
 
 from __future__ import annotations
@@ -24,14 +25,15 @@ from ..sinusoids.basis import SinusoidBasis
 from .sinusoid_force import force_rules
 
 FEW_CANDIDATES = 12
-"""Number of random motions that are compared for each fresh start."""
+"""Number of random motions that are compared to select each random start."""
 
 Motions = _kernels.AveragedMotions
-"""A basis of sinusoidal motions and the limits, in the form that the C++ kernels use."""
+"""A basis of sinusoidal motions and the limits of the rig, in the form that the C++ kernels use."""
 
 
 def motions_of(number: int, basis: SinusoidBasis, limits: Limits) -> Motions:
-    """Return the motions of a basis with `number` harmonics, within limits."""
+    """Convert a basis with `number` harmonics and the limits of a rig to the form that the C++
+    kernels use."""
     return _kernels.averaged_motions(force_rules(number), basis, limits, FEW_CANDIDATES)
 
 
@@ -41,7 +43,7 @@ class Found(NamedTuple):
     Attributes
     ----------
     theta : (3 h,)
-        Parameters of the motion. Its amplitude reaches the limits.
+        Parameters of the motion, whose amplitude reaches the limits.
     pose, twist, accel : (k + 1, 3)
         Pose, twist and acceleration of the motion at its knots.
     spline : (k, 6, 3)
@@ -81,20 +83,22 @@ def invert(
 ) -> Found:
     """Find a motion with the requested average forces.
 
-    The quadrature of the search may count two close dips as one. Then the error of the finished
-    spline may exceed the tolerance. In this case the motion is corrected with adaptive panels. If
-    this also fails, the search is repeated from other starts.
+    If the slip of a part nearly vanishes at two close times, the quadrature of the search may count
+    both as one. In this case, the error of the finished spline may exceed the tolerance. The motion
+    is then corrected with an adaptive quadrature. If this also fails, the search is repeated from
+    other starts.
 
     Parameters
     ----------
     warm : (F, 3 h)
-        The last solution. F is 1 if there is a last solution, otherwise 0.
+        Parameters of the last solution. F is 1 if there is a last solution, otherwise 0.
     pool : (S, 3 h)
-        Pool of random motions. For a fresh start, the next `FEW_CANDIDATES` motions of the pool and
-        their opposites are compared, and the best one is used. Perturbations are also taken from
-        the pool.
+        Parameters of random motions (pool). To select a random start, the next `FEW_CANDIDATES`
+        motions of the pool and their opposites are compared, and the best motion is used.
+        Perturbations also come from the pool.
     position, velocity, force : (M, 2)
-        Positions [m] and velocities [m/s] of the parts, plate_home; requested forces [mu m g].
+        Positions [m] and velocities [m/s] of the parts, in plate_home, and requested forces [mu m
+        g].
     motions : Motions
     tolerance : float
         Maximum force error that counts as success [mu m g].
