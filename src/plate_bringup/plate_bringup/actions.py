@@ -240,7 +240,7 @@ def rigs_in(parameters: Sequence[Any], space: str, names: Sequence[str]) -> list
         try:
             data = _Loader(read_file(str(each), YAML_BYTES)).get_single_data()
             sections = list(_sections(data))
-        # PyYAML raises OverflowError for an escape beyond Unicode.
+        # PyYAML raises an OverflowError for an escape sequence beyond the range of Unicode.
         except (PlateError, yaml.YAMLError, OverflowError, RecursionError):
             continue
         rigs += [

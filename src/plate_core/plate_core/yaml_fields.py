@@ -488,7 +488,7 @@ def parse_yaml(content: bytes, path: str | Path, error: type[PlateError]) -> Fie
         raise error(f"{path}: broken YAML{line}: {reason}") from None
     except RecursionError:
         raise error(f"{path}: broken YAML: nested too deeply") from None
-    # PyYAML's scanner raises these errors for an escape beyond Unicode.
+    # PyYAML raises these errors for an escape sequence beyond the range of Unicode.
     except (ValueError, OverflowError) as problem:
         raise error(f"{path}: broken YAML: {problem}") from None
     if mistake:

@@ -180,7 +180,8 @@ class FeederNode(SafeLifecycleNode[Options]):
         self._driver: DriverStatus | None = None
         # State and reason in the last task_status.
         self._last_task = TaskStatus.IDLE, TaskStatus.NONE
-        self._parts: dict[str, Part] = {}  # ready parts in the newest status, by id
+        # ready parts in the newest status; the keys are the ids of the parts
+        self._parts: dict[str, Part] = {}
         # for each waiting client: the function that sends its reply
         self._waiting: dict[int, Replied] = {}
         self._goal: Any = None  # action goal of a ROS client that waits for its result

@@ -49,10 +49,11 @@ inline double greatest(const Four& value) {
     return std::max(std::max(value[0], value[1]), std::max(value[2], value[3]));
 }
 
-// Returns the largest utilisation of the limits of stroke, speed and acceleration. 1 means exactly
-// at the limit. limits.py defines these three ratios. R is the rotation matrix for the plate's
-// angle theta. If `linear` is true, the displacement R p - p of a point p is linearised at theta =
-// 0. Vector instructions compute the four motors together, and the four corners together.
+// Returns the largest utilisation of the limits of stroke, speed and acceleration. A utilisation of
+// 1 means exactly at the limit. The file limits.py defines these three ratios. R is the rotation
+// matrix for the plate's angle theta. If `linear` is true, the displacement R p - p of a point p is
+// linearised at theta = 0. Vector instructions compute the four motors together, and the four
+// corners together.
 PLATE_WIDE inline double motion_use(Samples pose, Samples twist, Samples accel,
                                     const Limits& limits, bool linear) {
     Four px, py, ex, ey, corner_x, corner_y, stroke{}, speed{}, peak{};
@@ -87,9 +88,9 @@ PLATE_WIDE inline double motion_use(Samples pose, Samples twist, Samples accel,
                      std::sqrt(greatest(peak)) / limits.accel});
 }
 
-// Returns the largest utilisation of the motors' peak force and continuous force. 1 means exactly
-// at the limit. limits.py defines these two ratios. Vector instructions compute the four motors
-// together.
+// Returns the largest utilisation of the motors' peak force and continuous force. A utilisation of
+// 1 means exactly at the limit. The file limits.py defines these two ratios. Vector instructions
+// compute the four motors together.
 PLATE_WIDE inline double force_use(Samples pose, Samples twist, Samples accel,
                                    View<const double, 1> weight, const Limits& limits) {
     Four loads[3][3], most{}, square{};
@@ -112,9 +113,9 @@ PLATE_WIDE inline double force_use(Samples pose, Samples twist, Samples accel,
     return std::max(greatest(most), limits.heat * std::sqrt(hottest));
 }
 
-// Returns the largest utilisation of any rig limit by the samples (n, 3) of a motion. 1 means
-// exactly at the limit. The weight of a sample is the relative duration that it represents. The
-// weights `weight` (m,) repeat after m samples.
+// Returns the largest utilisation of any rig limit by the samples (n, 3) of a motion. A utilisation
+// of 1 means exactly at the limit. The weight of a sample is the relative duration that it
+// represents. The weights `weight` (m,) repeat after m samples.
 inline double limit_use(Samples pose, Samples twist, Samples accel, View<const double, 1> weight,
                         const Limits& limits, bool linear) {
     const double used = motion_use(pose, twist, accel, limits, linear);

@@ -317,8 +317,8 @@ class Graph(Services):
             if isinstance(before, float) and type(value) is int:
                 value = float(value)
             allowed = type(value) is kind
-        # The last three errors are caused by an invalid date, an escape beyond Unicode, and deep
-        # nesting.
+        # The last three errors are caused by an invalid date, an escape sequence beyond the range
+        # of Unicode, and deep nesting.
         except (yaml.YAMLError, ValueError, OverflowError, RecursionError):
             allowed = False
         if not allowed:

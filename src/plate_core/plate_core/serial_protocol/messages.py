@@ -52,7 +52,7 @@ class Status(IntEnum):
     NO_SESSION = 1  # no session, or the device was reset: the host must send a Hello first
     OLD = 2  # a later command has already been executed
     WRONG_STATE = 3
-    WRONG_TABLE = 4  # another table is open, or the index is beyond its end
+    WRONG_TABLE = 4  # another table is open, or the index of a knot is beyond the table's end
     INCOMPLETE = 5  # knots are missing or damaged
     # the first time is not 0, times do not increase, or the splice is not at a knot or too late
     WRONG_TIMES = 6
@@ -96,7 +96,7 @@ class Trouble(IntEnum):
     TWICE = 12  # two drives on the bus have the same node number
     BUS_OFF = 13
     OTHER_MASTER = 14  # another master commands the drives
-    ERROR = 15  # an ODrive has left the operational state or has errors; code: the errors
+    ERROR = 15  # an ODrive has left the operational state or has errors; code: the error flags
     NO_WATCHDOG = 16  # an ODrive would keep running if the board failed
     # the zero of a drive's position may have changed; a Home command clears this fault
     HOME_LOST = 17

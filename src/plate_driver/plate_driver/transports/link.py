@@ -200,8 +200,8 @@ class Link:
 
         `baud` is the speed of the line [bit/s].
         """
-        # Each session starts with a different sequence number, so that answers to commands of an
-        # older session are not confused with answers to commands of this session.
+        # Each session starts with a different sequence number. Therefore replies to commands of an
+        # older session are not confused with replies to commands of this session.
         number = session * SESSION_STEP % 2**16
         link = cls(session, now, LineModel(baud), sequence=number)
         link = link._requested(Hello(VERSION, session))

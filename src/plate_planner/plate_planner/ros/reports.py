@@ -38,7 +38,8 @@ class TaskReports:
         """Delete the stored values: the published targets, the parts of the last image, and the
         logged text."""
         self._published_targets: tuple[PartTarget, ...] | None = None
-        self._shown: dict[str, Part] = {}  # parts of the last image, by id
+        # parts of the last image; the keys are the ids of the parts
+        self._shown: dict[str, Part] = {}
         self._logged_text = ""
 
     def record_image(self, msg: Parts) -> None:

@@ -1,5 +1,5 @@
-// Collisions of two discs, and of a disc with a wall. impulses.hpp contains the general method. For
-// discs, its result has a closed form.
+// Collisions of two discs, and of a disc with a wall. The file impulses.hpp contains the general
+// method. For discs, its result has a closed form.
 //
 // The normal impulse passes through the centre of a disc, so it does not rotate the disc. Friction
 // between the edges does not change the speed at which the discs approach. Therefore one normal
@@ -102,8 +102,8 @@ inline double collide_discs(const State& state, Bodies bodies, int i, int j, con
 }
 
 // Apply the collision of a disc with a wall to the state. `depth` [m] is the overlap of the disc
-// and the wall. n is the wall's inward normal. The last entry of the state is the plate's pose and
-// twist.
+// and the wall. The vector n is the wall's inward normal. The last entry of the state is the
+// plate's pose and twist.
 inline void collide_with_wall(const State& state, Bodies bodies, int i, double depth, double nx,
                               double ny, const Rules& rules, double step) {
     const int wall = state.walls();

@@ -3,15 +3,14 @@
 // If touching parts approach each other, normal impulses at one or two points stop the approach.
 // The minimum impulses are computed for both points together. The impulses are multiplied by 1 + e,
 // where e is the restitution. This method never adds energy, for any shapes of the parts. For e =
-// 0, the result is the nearest velocity without approach in the energy norm. For e = 1, the result
-// is the mirror image of the initial velocity at this velocity. Then friction acts at each point.
-// An impulse of up to mu_c times the normal impulse reduces the tangential speed, but never
-// reverses it. Both parts receive their impulses at the same point and at the time of the contact,
-// which is within the time step. Therefore momentum and angular momentum are conserved. If many
-// parts touch each other, an overlap may remain. A displacement, which does not change the
-// velocities, removes this overlap.
+// 0, the result is the nearest velocity without approach in the energy norm. For e = 1, the initial
+// velocity is reflected at the result for e = 0. Then friction acts at each point. An impulse of up
+// to mu_c times the normal impulse reduces the tangential speed, but never reverses it. Both parts
+// receive their impulses at the same point and at the time of the contact, which is within the time
+// step. Therefore momentum and angular momentum are conserved. If many parts touch each other, an
+// overlap may remain. A displacement, which does not change the velocities, removes this overlap.
 //
-// discs.hpp contains a simpler method for two discs.
+// The file discs.hpp contains a simpler method for two discs.
 #pragma once
 #include <algorithm>
 #include <cmath>
@@ -177,8 +176,8 @@ struct Least {
     }
 };
 
-// Apply impulses until the parts do not approach at any contact point. v0, v1 are the relative
-// speeds [m/s] along n at the points.
+// Apply impulses until the parts do not approach at any contact point. The arguments v0, v1 are the
+// relative speeds [m/s] along n at the points.
 inline void bounce(const State& state, int i, int j, const Arm arms[2], Vec n,
                    const Inertia& inertia, int count, double v0, double v1, const Rules& rules) {
     const Vec t{-n.y, n.x};
@@ -206,10 +205,10 @@ inline void bounce(const State& state, int i, int j, const Arm arms[2], Vec n,
 
 // Apply the collision of two parts, or of a part and a wall, to the state.
 //
-// i and j are the indices of the bodies. At most one of these bodies is a disc, and the disc is i.
-// A wall is always j. In this case, i is not a disc. The last body represents the walls. The last
-// column of the state contains the pose and twist of the plate. `step` is the length of the time
-// step [s].
+// The arguments i and j are the indices of the bodies. At most one of these bodies is a disc, and
+// the disc is i. A wall is always j. In this case, i is not a disc. The last body represents the
+// walls. The last column of the state contains the pose and twist of the plate. `step` is the
+// length of the time step [s].
 inline void collide(const State& state, Bodies bodies, int i, int j, Manifold contact,
                     const Rules& rules, double step) {
     const Body &a = bodies[i], &b = bodies[j];

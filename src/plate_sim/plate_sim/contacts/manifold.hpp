@@ -40,7 +40,7 @@ struct Corner {
 static_assert(sizeof(Corner) == 5 * sizeof(double));
 using Corners = std::span<const Corner>;
 
-// The corner that follows corner k.
+// Returns the index of the corner that follows corner k.
 inline int next(int k, Corners corners) {
     return k + 1 < static_cast<int>(corners.size()) ? k + 1 : 0;
 }

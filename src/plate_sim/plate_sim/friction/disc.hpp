@@ -1,10 +1,10 @@
 // Friction force and torque on a disc with uniform pressure on the plate, in closed form.
 //
 // R is the radius of the disc. Relative to the plate, the centre slips with the speed s, and the
-// disc rotates with the spin c. w = R |c| is the slip that the spin adds at the edge. The mean slip
-// speed of the disc's points is a complete elliptic integral of s and w. The derivatives of this
-// mean with respect to s and w give force and torque (Farkas, Bartels, Unger and Wolf, PRL 90,
-// 248302, 2003).
+// disc rotates with the spin c. At the edge, the spin adds the slip w = R |c|. The mean slip speed
+// of the disc's points is a complete elliptic integral of s and w. The derivatives of this mean
+// with respect to s and w give force and torque (Farkas, Bartels, Unger and Wolf, PRL 90, 248302,
+// 2003).
 //
 // For w <= s/2, a power series is used. With k = w/s the mean slip is s sum_n b_n k^2n, where b_n =
 // binomial(1/2, n)^2/(n + 1). Otherwise the elliptic integrals are computed by the
@@ -91,9 +91,9 @@ inline Push disc_force(double s, double w) {
 // By symmetry, there are two unknowns: the slip s of the centre, and g |c|, where g is the radius
 // of gyration. The two unknowns form a vector in a plane. Let z be the vector of the slip without
 // friction, divided by dv. Let y(n) be the friction force and torque on a disc whose slip has the
-// direction of the unit vector n. The slip after the step is dv (z - y). y is the point nearest to
-// z in the convex set of all friction vectors. Therefore z - y(n) is parallel to n. The method of
-// regula falsi computes the angle p of n.
+// direction of the unit vector n. The slip after the step is dv (z - y). The vector y is the point
+// nearest to z in the convex set of all friction vectors. Therefore z - y(n) is parallel to n. The
+// method of regula falsi computes the angle p of n.
 inline Slip disc_slip_after(const Slip& free, double dv, double gyration2, double radius) {
     const double arm = std::sqrt(gyration2), rim = radius / arm;
     const double zx = std::sqrt(free.x * free.x + free.y * free.y) / dv;

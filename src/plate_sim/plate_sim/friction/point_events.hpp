@@ -93,16 +93,16 @@ struct Track {
     }
 };
 
-// Convert the state of a part from the falling frame to plate_home. t [s] is the time since the
-// start of the fall.
+// Convert the state of a part from the falling frame to plate_home. The argument t [s] is the time
+// since the start of the fall.
 inline Point fallen(const Point& part, double t, Vec gravity) {
     return {part.place + 0.5 * t * t * gravity, part.velocity + t * gravity};
 }
 
-// Return the largest slip [m/s] that counts as zero. a is the acceleration of the surface. A slip r
-// vanishes after about r/max(a, limit). For the returned slip, friction changes the velocity in
-// this time by at most ZERO_SHARE allowed / period. The result is also at most the velocity change
-// by friction in a period.
+// Return the largest slip [m/s] that counts as zero. The argument a is the acceleration of the
+// surface. A slip r vanishes after about r/max(a, limit). For the returned slip, friction changes
+// the velocity in this time by at most ZERO_SHARE allowed / period. The result is also at most the
+// velocity change by friction in a period.
 inline double zero_slip(double limit, double a, double allowed, double period) {
     return std::min(ZERO_SHARE * allowed / period * std::max(1.0, a / limit), limit * period);
 }

@@ -69,8 +69,8 @@ struct Reversal {
 // step. `fall`, `static_dv` and `dv` [m/s] are the velocity changes in the step by gravity along
 // the plate, by static friction and by dynamic friction.
 inline Reversal reversal(const PlateSample* plate, Vec fall, double static_dv, double dv, Vec v) {
-    // The slip without friction is s + a t + b t^2, with t from 0 to 1. z is the rate of change of
-    // this slip at t = 1.
+    // The slip without friction is s + a t + b t^2, with t from 0 to 1. Let z be the rate of change
+    // of this slip at t = 1.
     const Vec s = Vec{plate[0].vx, plate[0].vy} - v;
     const Vec m = Vec{plate[1].vx, plate[1].vy} - v - 0.5 * fall;
     const Vec e = Vec{plate[2].vx, plate[2].vy} - v - fall;

@@ -111,8 +111,8 @@ inline Point even(const Point& part, Vec force, double tau) {
     return {part.place + tau * (part.velocity + 0.5 * tau * force), part.velocity + tau * force};
 }
 
-// Returns the slip [m/s] after tau [s] with constant friction. x is the component along n, and y is
-// the component perpendicular to n.
+// Returns the slip [m/s] after tau [s] with constant friction. The component x is along n, and the
+// component y is perpendicular to n.
 inline Vec straight(Table table, double t, int k, double tau, const Point& part, Vec force, Vec n) {
     const Vec w = slip(table, t + tau, k, even(part, force, tau));
     return {w.x * n.x + w.y * n.y, w.y * n.x - w.x * n.y};
@@ -198,7 +198,7 @@ struct Restart {
 // Compute a step of at most h [s] for a part whose slip is nearly 0. The function is called only if
 // friction cannot hold the part.
 //
-// a is the acceleration of the plate's surface at the part. From the start of sliding, the
+// Let a be the acceleration of the plate's surface at the part. From the start of sliding, the
 // direction of the slip follows the direction of a. Therefore the friction acceleration is mu g
 // a/|a|. `allowed` is the maximum error of the velocity [m/s].
 inline Restart restart(Table table, double t, int k, double h, const Point& part, double limit,

@@ -1,5 +1,5 @@
-// Evaluation of the plate's pose and twist at any time of a motion. x, y and theta are evaluated
-// together in one vector. The simulation of parts with a contact area uses this code.
+// Evaluation of the plate's pose and twist at any time of a motion. The coordinates x, y and theta
+// are evaluated together in one vector. The simulation of parts with a contact area uses this code.
 #pragma once
 #include <algorithm>
 #include <vector>

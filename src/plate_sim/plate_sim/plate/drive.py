@@ -244,8 +244,8 @@ def later(derivatives: np.ndarray, offset: np.ndarray) -> np.ndarray:
     """Return the time derivatives (m, DEGREE + 1, d) of m polynomials at times that are later by
     `offset` (m,) [s]."""
     order = np.arange(DEGREE + 1)
-    # In the Taylor series, derivative j contributes to derivative i at the later time. power[i, j]
-    # is the exponent of `offset` in this contribution.
+    # In the Taylor series, derivative j contributes to derivative i at the later time. The exponent
+    # of `offset` in this contribution is power[i, j].
     power = order - order[:, None]
     scale = np.array([1 / factorial(p) for p in order])[np.maximum(power, 0)] * (power >= 0)
     return np.asarray((scale * offset[:, None, None] ** np.maximum(power, 0)) @ derivatives)

@@ -50,8 +50,8 @@ constexpr int PLACES = 44;
 // this value, because the slip's direction practically jumps there.
 constexpr double NARROWEST = 1e-10;
 
-// Maximum value of n b cosh u at a node of the sum over u. n is the number of steps per period.
-// Nodes with a larger value are neglected, because the integrand is below 4e-8 there.
+// Maximum value of n b cosh u at a node of the sum over u. Here, n is the number of steps per
+// period. Nodes with a larger value are neglected, because the integrand is below 4e-8 there.
 constexpr double FADED = 17.0;
 
 // Maximum product n b for which the mean over equal steps needs a correction. Here, n is the number
@@ -296,9 +296,9 @@ struct Excess {
 };
 
 // Computes the error [mu m g] of the average force over n equal steps that one dip causes. The dip
-// is near the time t with exp(i t) = `start`. The integral at the top of this file is the error. n
-// must be N times a power of 2. If `gradient` is not empty, the error of the derivatives is
-// subtracted from `gradient`.
+// is near the time t with exp(i t) = `start`. The integral at the top of this file is the error.
+// The number n must be N times a power of 2. If `gradient` is not empty, the error of the
+// derivatives is subtracted from `gradient`.
 inline Excess excess(View<const double, 2> slip, Complex start, int n, View<double, 2> gradient) {
     const BranchPoint point = branch_point(slip, start, CLOSE * 2 * PI / n);
     const double b = point.b, farthest = 1.5 * 2 * PI / n;

@@ -8,7 +8,8 @@
 
 namespace plate {
 
-// Maximum accepted coordinate [m] and velocity [m/s] of a part. request.py imports both constants.
+// Maximum accepted coordinate [m] and velocity [m/s] of a part. The file request.py imports both
+// constants.
 constexpr double FARTHEST_M = 1e3, FASTEST_MPS = 1e3;
 
 // Compiled counterpart of `RequestFlags` in request.py.

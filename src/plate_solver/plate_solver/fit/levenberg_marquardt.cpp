@@ -165,7 +165,7 @@ template FitOf<float> levenberg_marquardt(const Evaluate&, const Slopes<float>&,
                                           std::vector<double>, const Damping&, double, int);
 
 // A symmetric tridiagonal matrix. `middle` (n,) is its diagonal. `beside2` (n,) contains the
-// squares of the off-diagonal entries, from index 1 on. beside2[0] is zero.
+// squares of the off-diagonal entries, from index 1 on. The entry beside2[0] is zero.
 struct Tridiagonal {
     std::vector<double> middle, beside2;
 

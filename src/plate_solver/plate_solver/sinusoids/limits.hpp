@@ -14,8 +14,8 @@
 namespace plate::sinusoids {
 
 // EXCESS_M is the displacement error [m] that is equivalent to a violation of a limit by 100 %. AIM
-// is the utilisation of a limit above which the search counts a violation. limits.py imports both
-// values.
+// is the utilisation of a limit above which the search counts a violation. The file limits.py
+// imports both values.
 constexpr double EXCESS_M = 2e-3, AIM = 0.95;
 
 // Samples of h basis motions of one degree of freedom at n instants. `pose`, `twist` and `accel`

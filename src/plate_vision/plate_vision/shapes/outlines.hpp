@@ -231,9 +231,9 @@ inline OutlineMeasures measure_outline(View<double, 2> points, View<const int64_
             if (square == 0) continue;
             const double radius = std::sqrt(square);
             const Complex turn{mx / radius, -my / radius};
-            // r is the distance of the edge's middle from the centre of the outline. phi is the
-            // polar angle. The term is r^4 / 4 d(phi). r^2 d(phi) is twice the area of the triangle
-            // between edge and centre.
+            // Let r be the distance of the edge's middle from the centre of the outline, and phi
+            // the polar angle. The term is r^4 / 4 d(phi). Twice the area of the triangle between
+            // edge and centre is r^2 d(phi).
             Complex term{0.25 * square * (ax * by - bx * ay), 0};
             for (Complex& wave : found.spectrum) {
                 wave += term;
