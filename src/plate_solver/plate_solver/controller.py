@@ -3,12 +3,12 @@
 1. `predict_start` predicts the state of the parts and the plate when the cycle begins.
 2. `form_goal` converts the request (forces or targets) to intervals for the displacements.
 3. `search` finds a plate motion for the goal.
-4. `leaves_plate` checks whether the motion moves a part off the plate. If it does, `Controller`
-   searches again for a smaller fraction of the goal. If the smallest fraction also fails, it
-   returns a cycle at rest.
+4. `leaves_plate` checks whether the motion moves a part off the plate. If the motion does,
+   `Controller` searches again for a smaller fraction of the goal. If the smallest fraction also
+   fails, `Controller` returns a cycle at rest.
 
-Between calls, `Controller` keeps the predicted velocities of the parts. Each solver keeps its last
-motion as a start for the next search, and its random generator.
+Between calls, `Controller` stores the predicted velocities of the parts. Each solver stores its
+last motion, from which the next search starts, and its random number generator.
 """
 
 from __future__ import annotations
@@ -31,36 +31,38 @@ from .sinusoids.solver import SinusoidCycles
 from .start import Memory, part_types, predict_start
 
 METHODS = {"A": "rotations", "B": "sinusoids", "rotations": "rotations", "sinusoids": "sinusoids"}
-"""Names of the methods: the letters A and B of the paper, and the names in this project."""
+"""Allowed names of the methods. They are the letters A and B of the paper, and the names in this
+project."""
 
 DRIFT_TOLERANCE = 5e-5
-"""Error at which a search for forces ends the descent from one start, divided by the length of the
-cycle [m/s]. The descent ends when its largest single error is below this value. The search over
-several starts ends at `GOOD_MISS` or `EXACT_MISS`."""
+"""Displacement error at which a search for forces ends the descent from one start, divided by the
+length of the cycle [m/s]. The largest error of a single coordinate must be below this value. The
+search over several starts ends at the error `GOOD_MISS` or `EXACT_MISS`."""
 
 TARGET_TOLERANCE = 2e-4
-"""Error at which a search for targets ends, divided by the length of the cycle [m/s]. Each descent
-ends when its largest single error is below this value. The search over several starts ends when the
-root mean square error is below it. Later cycles correct this error."""
+"""Displacement error at which a search for targets ends, divided by the length of the cycle [m/s].
+The descent from one start ends when the largest error of a single coordinate is below this value.
+The search over several starts ends when the root mean square error is below this value. Later
+cycles correct the remaining error."""
 
 FRACTIONS = (1.0, 0.5, 0.25)
-"""Fractions of a goal, tried in this order until no part leaves the plate. If forces are requested,
-the displacements and rotations are multiplied by the fraction. Targets are not moved. Instead their
-weights are multiplied by the square of the fraction (`Goal.times`)."""
+"""Fractions of a goal. They are tried in this order until no part leaves the plate. If forces are
+requested, the displacements and rotations are multiplied by the fraction. If targets are requested,
+their weights are multiplied by the square of the fraction (`Goal.times`)."""
 
 GOOD_MISS = 0.15
 """Maximum acceptable error (root mean square), as a fraction of the requested displacement. If the
 error is larger, the solver searches from further starts."""
 
 EXACT_MISS = 0.02
-"""Value of `GOOD_MISS` for force requests in which at least one part has zero tolerance on both
-axes."""
+"""Value that replaces `GOOD_MISS` if forces are requested and at least one part has zero tolerance
+on both axes."""
 
 LOOKAHEAD_S = 0.03
 """Time by which the solver extrapolates the motion of the parts beyond the end of a cycle, at their
-final velocities [s]. The extrapolation rewards a motion after which a part moves towards its
-target. It is used only if targets are requested and a part is far from its target. Near their
-targets, parts would keep oscillating."""
+final velocities [s]. With the extrapolation, the solver prefers motions after which parts move
+towards their targets. The extrapolation is used only if targets are requested and a part is far
+from its target. Close to their targets, parts would oscillate with it."""
 
 
 EFFORT: dict[str, dict[str, Any]] = {
@@ -68,12 +70,13 @@ EFFORT: dict[str, dict[str, Any]] = {
     "sinusoids": {"iterations": 16, "restarts": 40},
 }
 """Options of the solvers in closed-loop control, as in `RotationOptions` and `SinusoidOptions`.
-Larger values make the search slower and improve little: see docs/results.md."""
+With larger values, the search is slower and the result is hardly better (docs/results.md)."""
 
 
 @dataclass(frozen=True)
 class Answer:
-    """The next cycle, and the accuracy with which it meets the request.
+    """Result of `Controller.answer`. It contains the next cycle, and the accuracy with which this
+    cycle meets the request.
 
     Attributes
     ----------
@@ -81,12 +84,12 @@ class Answer:
         The next cycle. Rotations always start and end at rest at home. Sinusoids do the same if
         `CycleRequest.plate` or `CycleRequest.start` is None. Otherwise sinusoids start in the state
         `CycleRequest.plate`, and have a free end (`Goal.free_end`) while a part is far from its
-        target. The cycle has a tail if it starts in motion or has a free end. The cycles at rest
-        that replace a search always start at rest. If the plate is in motion, it plays the tail of
-        the running cycle before a cycle at rest.
+        target. The cycle has a tail if it starts in motion or has a free end. If a cycle at rest
+        replaces the result of a search, it starts with the plate at rest. If the plate is in motion
+        before such a cycle, it first plays the tail of the running cycle.
     solution : Solution or None
-        Solution of the search. None without a search, that is, if there are no parts, or if a plate
-        at rest meets the request exactly.
+        Result of the search. None if no search was necessary, because there are no parts or because
+        a plate at rest meets the request exactly.
     message : str
         Text for the log.
     error_m, requested_m : float
@@ -94,7 +97,7 @@ class Answer:
         parts and axes. A rotation counts as the arc length at the edge of the part. Both values are
         0 if targets are requested.
     fraction : float
-        Fraction of the goal that the search used: one of `FRACTIONS`. 0 if the plate rests because
+        Fraction of the goal that the search used, one of `FRACTIONS`. 0 if the plate rests because
         a part would leave it.
     """
 
@@ -107,8 +110,8 @@ class Answer:
 
 
 class Controller:
-    """Computes one cycle after another. Between the cycles it keeps the predicted velocities of the
-    parts.
+    """Computes the cycles of the plate one after the other. Between two cycles, it stores the
+    predicted velocities of the parts.
 
     Parameters
     ----------
@@ -119,7 +122,7 @@ class Controller:
     seed : int
         Seed of the solvers' random starts.
     threads : int
-        Number of threads of a search.
+        Number of threads that a search uses.
     **effort
         Options `iterations` and `restarts` of the solvers. Default: `EFFORT`.
 
@@ -155,15 +158,14 @@ class Controller:
         return sum(solver.cut_short for solver in self._solvers.values())
 
     def reset(self) -> None:
-        """Forget all parts and solutions."""
+        """Delete the stored velocities of parts and the stored solutions."""
         self._memory = Memory()
         for solver in self._solvers.values():
             solver.reset()
 
     def warm_up(self) -> None:
-        """Solve test requests with each method, then forget all parts and solutions. The test
-        requests load the force tables and all libraries, so that the first real request is not
-        delayed."""
+        """Solve test requests with each method, then delete the stored data. The test requests load
+        the force tables and all libraries, so that the first real request is not delayed."""
         rest = PlateCycle.rest(IDLE_S)
         rotated = Parts.make(("part_0",), np.zeros((1, 2)))
         requests = [CycleRequest.make(rotated, torque=np.array([1e-6]))]
@@ -180,21 +182,21 @@ class Controller:
     def answer(
         self, request: CycleRequest, running: PlateCycle | None, until: float = math.inf
     ) -> Answer:
-        """Return the cycle that follows the running cycle.
+        """Compute the cycle that follows the running cycle.
 
         Parameters
         ----------
         request : CycleRequest
             Request with the parts as detected at the start of the running cycle.
         running : PlateCycle, optional
-            The running cycle; None if the plate is at rest.
+            Running cycle of the plate. None if the plate is at rest.
         until : float
             Deadline of the search [s], as in `MotionSolver.steer`.
 
         Raises
         ------
         PlateError
-            If the request cannot be converted to a goal: see `form_goal`.
+            The request cannot be converted to a goal, see `form_goal`.
         """
         return self._answer(self.method, request, running, until)
 
@@ -244,8 +246,9 @@ def search(
     period : float
         Length of the cycle [s].
     miss : float
-        Maximum acceptable error (root mean square), as a fraction of the displacements. If the
-        error is larger, the solver searches from further starts. Not used if `goal.lasting`.
+        Maximum acceptable error (root mean square), as a fraction of the requested displacements.
+        If the error is larger, the solver searches from further starts. Not used if `goal.lasting`
+        is True.
     until : float
         Deadline of the search [s], as in `MotionSolver.steer`.
     """
@@ -255,20 +258,20 @@ def search(
 
 
 def leaves_plate(rig: Rig, ids: tuple[str, ...], goal: Goal, predicted: np.ndarray) -> bool:
-    """Return whether the centre of a part would end less than half a radius from the edge of the
-    plate, and farther out than it started.
+    """Return whether a motion would move a part off the plate. This is the case if the centre of a
+    part ends less than half a radius from the edge of the plate, and farther out than at the start.
 
-    The radius is that of a disc with the part's area. Only the predicted end is checked,
-    extrapolated by `Goal.coast`.
+    The radius is that of a disc with the same area as the part. Only the predicted end positions
+    are checked. They are extrapolated by the time `Goal.coast`.
 
     Parameters
     ----------
     rig : Rig
     ids : tuple of M str
     goal : Goal
-        A part is allowed to leave the plate at an edge if its goal is beyond this edge.
+        Goal of the cycle. A part may leave the plate over an edge if its goal is beyond this edge.
     predicted : (C,)
-        Predicted end of the cycle, in the order of `Goal.end`.
+        Predicted coordinates at the end of the cycle, in the order of `Goal.end`.
     """
     end = predicted[: goal.position.size].reshape(2, -1).T
     radius = np.sqrt([[kind.area_m2 / np.pi] for kind in part_types(rig, ids)])
@@ -280,7 +283,7 @@ def leaves_plate(rig: Rig, ids: tuple[str, ...], goal: Goal, predicted: np.ndarr
 
 
 def answer_of(goal: Goal, solution: Solution, fraction: float, period: float) -> Answer:
-    """Return the answer for a solution of a fraction of a goal.
+    """Convert the solution of a fraction of a goal to an `Answer`.
 
     `Answer.error_m` and the residual of the solution refer to the whole goal, not to the fraction.
     """
@@ -305,7 +308,8 @@ def answer_of(goal: Goal, solution: Solution, fraction: float, period: float) ->
 
 
 def refusal(goal: Goal, solution: Solution, rest: PlateCycle) -> Answer:
-    """Return a cycle at rest that replaces a solution in which a part would leave the plate."""
+    """Return an `Answer` with a cycle at rest. It replaces a solution in which a part would leave
+    the plate."""
     message = "a part would leave the plate: one cycle at rest"
     unit = goal.friction_accel[:, None] * rest.period**2
     solution = replace(

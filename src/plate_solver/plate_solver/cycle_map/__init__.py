@@ -1,8 +1,8 @@
-"""The cycle map: the state of the parts after a plate motion, computed with stick-slip friction,
-and its derivatives.
+"""The cycle map. It computes the state of the parts after a motion of the plate with stick-slip
+friction, and the derivatives of this state.
 
 Parts are modelled as points (`stick_slip`, `blocks`) or as bodies that rotate (`turning`). Searches
-use versions that process parts in blocks and in single precision.
+use versions of the map that process parts in blocks and in single precision.
 """
 
 from .blocks import LANES, blocks_of

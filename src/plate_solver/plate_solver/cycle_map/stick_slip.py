@@ -1,15 +1,16 @@
-"""The cycle map of parts without rotation: their state after one cycle, and its derivatives.
+"""The cycle map of parts that do not rotate. It computes the state of the parts after one cycle,
+and the derivatives of this state.
 
-The plate's motion is sampled at the middles of steps, which may have different lengths. In each
-step, friction changes the velocity v of a part by an implicit Coulomb step, which covers slip and
-stick. With the velocity difference d = surface - v it is
+The plate's motion is sampled at the middles of time steps, which may have different lengths dt. Let
+x be the position of a part, v its velocity, and d the velocity of the surface under the part minus
+v. In each step, Coulomb friction changes v and x implicitly, for slip and for stick:
 
     v += d min(1, mu g dt / length of d),    x += v dt.
 
-The derivatives are exact for this discrete map. One backward sweep per output computes them. If
-steps end where rotations end, the results are smooth functions of the durations of the rotations.
-Searches need smooth results. The innermost loop runs over the parts, so that their square roots are
-computed in parallel.
+The derivatives are exact for this discrete map. They are computed by one backward pass over the
+steps for each output. If time steps end at the ends of rotations, the results are smooth functions
+of the durations of the rotations. Searches need smooth results. The innermost loop runs over the
+parts, so that the square roots of several parts are computed in parallel.
 """
 
 from __future__ import annotations
@@ -26,7 +27,7 @@ only one evaluation per cycle."""
 
 
 class Motion(Protocol):
-    """Plate motion for a prediction: a `PlateCycle`, or a piece of one."""
+    """Plate motion for a prediction. It is a `PlateCycle`, or a section of a cycle."""
 
     @property
     def period(self) -> float:
@@ -45,14 +46,15 @@ def after(
     velocity: np.ndarray,
     friction_accel: float | np.ndarray,
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Predict the state (M, 2) [m], [m/s] of parts after a cycle, in steps of `PREDICTION_STEP`."""
+    """Predict the positions (M, 2) [m] and velocities (M, 2) [m/s] of parts after a cycle, with
+    time steps of `PREDICTION_STEP`."""
     friction_accel = np.array(np.broadcast_to(friction_accel, len(position)), dtype=float)
     return end_state(position, velocity, *finely_sampled(cycle), friction_accel)
 
 
 def finely_sampled(cycle: Motion) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Return pose and twist (n, 3) at the middles of steps of about `PREDICTION_STEP`, and the step
-    lengths (n,) [s]."""
+    """Sample a motion at the middles of time steps of about `PREDICTION_STEP`. Return pose and
+    twist (n, 3), and the lengths of the steps (n,) [s]."""
     steps = max(1, round(cycle.period / PREDICTION_STEP))
     t = (np.arange(steps) + 0.5) * (cycle.period / steps)
     return cycle.pose(t), cycle.twist(t), np.full(steps, cycle.period / steps)
@@ -62,12 +64,12 @@ def end_state(
     position: np.ndarray, velocity: np.ndarray, pose: np.ndarray, twist: np.ndarray,
     dt: np.ndarray, friction_accel: np.ndarray,
 ) -> tuple[np.ndarray, np.ndarray]:  # fmt: skip
-    """Return the parts' position and velocity (M, 2) after the sampled motion.
+    """Return the positions and velocities of the parts (M, 2) after the sampled motion.
 
     Parameters
     ----------
     position, velocity : (M, 2)
-        Parts at the start [m], [m/s], plate_home.
+        Positions [m] and velocities [m/s] of the parts at the start, in plate_home.
     pose, twist : (n, 3)
         Pose and twist of the plate at the middles of the steps, plate_home.
     dt : (n,)
@@ -82,16 +84,16 @@ def end_state_gradient(
     position: np.ndarray, velocity: np.ndarray, pose: np.ndarray, twist: np.ndarray,
     dt: np.ndarray, friction_accel: np.ndarray, coast: float = 0.0,
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:  # fmt: skip
-    """Return the derivatives of the positions that `end_state` returns. The positions are
-    extrapolated with the final velocity by `coast` [s].
+    """Return the derivatives of the positions that `end_state` returns. The positions are first
+    extrapolated by the time `coast` [s] with the final velocities.
 
     The last axis contains x of all parts, then y of all parts.
 
     Returns
     -------
     by_pose : (2, n, 2 M)
-        Derivatives with respect to the plate's x and y. The positions do not depend on theta
-        itself.
+        Derivatives with respect to the plate's x and y. The positions do not depend on the angle
+        theta, but only on its rate.
     by_twist : (3, n, 2 M)
     by_dt : (n, 2 M)
     """

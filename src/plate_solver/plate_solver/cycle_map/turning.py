@@ -1,17 +1,20 @@
-"""The cycle map of parts that rotate: position and angle after a cycle, and their derivatives.
+"""The cycle map of parts that rotate. It computes the positions and angles of the parts after one
+cycle, and the derivatives of both.
 
 Let s be the sliding speed of a part relative to the plate, and c its angular velocity relative to
 the plate. To first order in c, friction exerts the torque mu m g c J/s. J is the second moment of
-the contact in the sliding direction: the mean square of the distances of its points from the
-centre, measured in this direction. Therefore a bar receives the largest torque if it slides along
-its length. Force and torque are combined by the ellipse model (Howe and Cutkosky 1996):
+the contact area in the sliding direction. It is the mean square of the distances of the contact
+points from the centre, measured in this direction. Therefore, a bar receives the largest torque if
+it slides along its length. Force and torque are combined by the ellipse model (Howe and Cutkosky
+1996):
 
     q^2 = s^2 + J c^2,    force = mu m g s/q,    torque = mu m g J c/q
 
-In each step, friction changes the velocity and the spin by this force and torque times dt, at most
-until the slip is 0. J is computed from the angle at the start of the cycle, because parts rotate by
-only a few degrees within a cycle. For discs, bars, nuts, brackets and screws in random cycles, the
-error of the rotation is below 10 %, and the position is as accurate as without rotation.
+In each time step, friction changes the velocity and the angular velocity of a part by this force
+and torque, at most until the slip is 0. J is computed only from the angle at the start of the
+cycle, because parts rotate by only a few degrees within a cycle. For discs, bars, nuts, brackets
+and screws in random cycles, the error of the rotation is below 10 %, and the position is as
+accurate as without rotation.
 """
 
 from __future__ import annotations
@@ -22,14 +25,15 @@ from .. import _kernels
 from .blocks import LANES
 
 TURNING_STATE: int = _kernels.TURNING_STATE
-"""Size of the state of a block: number of rows of `LANES` numbers. turning.hpp lists the rows."""
+"""Size of the state of a block, as a number of rows with `LANES` numbers each. turning.hpp lists
+the rows."""
 
 
 def room_spread(spread: np.ndarray, angle: np.ndarray) -> np.ndarray:
-    """Return the second moments xx, xy, yy (M, 3) [m2] in plate_home.
+    """Convert second moments of parts to plate_home. Return the moments xx, xy, yy (M, 3) [m2].
 
-    `spread` (M, 2, 2) [m2] are the second moments in the parts' own frames, `angle` (M,) [rad] the
-    orientations of these frames.
+    `spread` (M, 2, 2) [m2] contains the second moments in the frames of the parts. `angle` (M,)
+    [rad] contains the angles of these frames.
     """
     c, s = np.cos(angle), np.sin(angle)
     xx, xy, yy = spread[:, 0, 0], spread[:, 0, 1], spread[:, 1, 1]
@@ -46,17 +50,17 @@ def end_turning(
     position: np.ndarray, velocity: np.ndarray, spin: np.ndarray, spread: np.ndarray,
     pose: np.ndarray, twist: np.ndarray, dt: np.ndarray, friction_accel: np.ndarray,
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:  # fmt: skip
-    """Return position (M, 2) [m], velocity (M, 2) [m/s], rotation (M,) [rad] and spin (M,) [rad/s]
-    of the parts after the sampled motion.
+    """Compute the state of the parts after the sampled motion. Return position (M, 2) [m], velocity
+    (M, 2) [m/s], rotation (M,) [rad] and angular velocity (M,) [rad/s].
 
     Parameters
     ----------
     position, velocity : (M, 2)
-        Centres of the parts at the start [m], [m/s], plate_home.
+        Positions [m] and velocities [m/s] of the parts' centres at the start, in plate_home.
     spin : (M,)
-        Angular velocity at the start [rad/s].
+        Angular velocity of each part at the start [rad/s].
     spread : (M, 3)
-        Second moments xx, xy, yy of their contacts [m2, plate_home].
+        Second moments xx, xy, yy of the contact area of each part [m2, plate_home].
     pose, twist : (n, 3)
         Pose and twist of the plate at the middles of the steps, plate_home.
     dt : (n,)
@@ -73,8 +77,8 @@ def end_turning_gradient(
     coast: float = 0.0,
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:  # fmt: skip
     """Return the derivatives of the final positions and rotations. Positions and rotations are
-    extrapolated with the final velocity and spin by `coast` [s]. The derivatives are exact for the
-    discrete map.
+    first extrapolated by the time `coast` [s] with the final velocities and angular velocities. The
+    derivatives are exact for the discrete map.
 
     Returns
     -------
@@ -92,7 +96,7 @@ def turning_blocks_of(
     position: np.ndarray, velocity: np.ndarray, friction_accel: np.ndarray, dt: float,
     spin: np.ndarray, spread: np.ndarray,
 ) -> np.ndarray:  # fmt: skip
-    """Return the state (b, `TURNING_STATE`) of parts. The arguments are the same as in
+    """Return the state of parts as b blocks (b, `TURNING_STATE`). The arguments are the same as in
     `end_turning`. Unused places of the last block contain parts at rest."""
     still = np.zeros(len(position))
     rows = np.column_stack([position, velocity, friction_accel * dt, still, spin, spread])

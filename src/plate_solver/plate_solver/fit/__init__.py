@@ -1,5 +1,5 @@
-"""Least squares with few errors and many parameters, by the Levenberg-Marquardt method and basin
-hopping.
+"""Solves least-squares problems with few errors and many parameters, by the Levenberg-Marquardt
+method and basin hopping.
 
 Both methods receive the problem as functions: Python functions in this package, and C++ functions
 in the kernels.

@@ -1,5 +1,6 @@
-"""Basin hopping: a series of local searches. Each search begins at a perturbation of the best
-result or at a fresh start. The series ends when a result is good enough."""
+"""Basin hopping is a series of local searches from different starts. Each start is a perturbation
+of the best result, or a new start that does not depend on it. The series ends when a result is good
+enough."""
 
 from __future__ import annotations
 
@@ -17,22 +18,26 @@ def basin_hopping(
     tries: int,
     fresh: bool = False,
 ) -> tuple[Result, int]:
-    """Return the best result, and the total number of steps.
+    """Run local searches from several starts. Return the best result, and the total number of
+    steps.
 
     Parameters
     ----------
     propose : function
         Function that returns a start. Its arguments are the number of the start, the best result,
-        and whether to return a fresh start instead of a perturbation of this result.
+        and a flag. If the flag is True, the function returns a new start, otherwise a perturbation
+        of the best result.
     attempt : function
-        Local search. Its arguments are a start and the number of the start. The search returns the
-        result, its cost, the number of steps, and whether the result is good enough.
+        Function that runs a local search. Its arguments are a start and the number of the start. It
+        returns the result, the cost of the result, the number of steps, and whether the result is
+        good enough.
     begin : object
         First start.
     tries : int
         Maximum number of starts.
     fresh : bool
-        Whether the second start is a fresh one.
+        Whether the second start is a new start instead of a perturbation. After that, both kinds
+        alternate.
     """
     best, least, steps, enough = attempt(begin, 0)
     for number in range(1, tries):

@@ -1,11 +1,11 @@
 """Levenberg-Marquardt method for few errors and many parameters.
 
-With the negative Jacobian J of the errors e and the damping d, the step of minimum norm is
+Let e be the errors, J the negative Jacobian of e, and d the damping. The step of minimum norm is
 
     J' (J J' + d mean(diag(J J')) 1)^-1 e.
 
-These steps are orthogonal to all directions that do not change the errors. For the averaged map,
-these directions are a change of amplitude and a shift in time.
+Such a step is orthogonal to all changes of the parameters that do not change the errors. For the
+averaged map, these are a change of the amplitude of the motion and a shift in time.
 """
 
 from __future__ import annotations
@@ -19,8 +19,8 @@ from .. import _kernels
 
 
 class Fit(NamedTuple):
-    """Result of a fit: parameters (P,), errors (R,), negative Jacobian (R, P), and number of
-    steps."""
+    """Result of a fit. It contains the parameters (P,), the errors (R,), the negative Jacobian (R,
+    P) of the errors, and the number of steps."""
 
     parameters: np.ndarray
     error: np.ndarray
@@ -34,7 +34,7 @@ class Fit(NamedTuple):
 
     @property
     def condition(self) -> float:
-        """Condition number of the Jacobian (infinite if it is rank-deficient)."""
+        """Condition number of the Jacobian. Infinite if the Jacobian is rank-deficient."""
         return condition_of(self.jacobian)
 
 
@@ -45,15 +45,16 @@ def fit(
     tolerance: float,
     iterations: int,
 ) -> Fit:
-    """Minimise errors that a Python function computes.
+    """Minimise the squared errors that a Python function computes.
 
     Parameters
     ----------
     evaluate : function
-        Function of the parameters that returns a pair: the errors, and a function that returns the
-        negative derivatives of the errors. The second function is called only if a step is taken.
+        Function of the parameters. It returns the errors, and another function that returns the
+        negative derivatives of the errors. The other function is called only if the derivatives are
+        needed.
     admissible : function
-        Function that maps parameters to the nearest ones that the rig can run.
+        Function that changes parameters to the nearest parameters that the rig can execute.
     start : (P,)
     tolerance : float
         The search stops when the largest absolute error is at most this value.

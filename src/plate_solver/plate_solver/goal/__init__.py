@@ -1,4 +1,5 @@
-"""The goal of one cycle: required end positions and angles of the parts, and the cost of errors.
+"""The goal of one cycle. It contains the required end positions and angles of the parts, and the
+weights of their errors.
 
 The cycle map evaluates motions. `Solution` contains a motion and the fraction of the request that
 it meets.

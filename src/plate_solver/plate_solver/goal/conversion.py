@@ -1,9 +1,9 @@
-"""Conversion of a request (forces or targets) to the goal of one cycle.
+"""Converts a request (forces or targets) to the goal of one cycle.
 
-A goal is an interval and a weight for x, y and the angle of each part at the end of the cycle. The
-interval of a force depends on the length of the cycle, which the solver selects, and on the state
-at the start of the cycle, which the solver predicts. Therefore the solver, not the planner,
-converts the request.
+A goal is an interval and a weight for x, y and the angle of each part at the end of the cycle. For
+a requested force, this interval depends on the length of the cycle, which the solver selects. It
+also depends on the state at the start of the cycle, which the solver predicts. Therefore, the
+solver converts the request, not the planner.
 """
 
 from __future__ import annotations
@@ -18,12 +18,12 @@ from ..start import StartState, contact_spread, part_types
 from .goal import Goal, Turns
 
 MAX_REQUEST = 1e9
-"""Maximum value in a request, in SI units. This value is larger than all practical values, and
+"""Maximum absolute value in a request, in SI units. It is larger than all practical values, and
 small enough that its square does not overflow."""
 
 NEAR_M = 0.006
-"""Maximum distance of a part from its target that counts as near [m]. If all parts are near, every
-cycle ends at rest so that they stay in place."""
+"""If a part is within this distance of its target, it counts as near its target [m]. If all parts
+are near their targets, every cycle ends with the plate at rest, so that the parts stay in place."""
 
 
 @dataclass(frozen=True)
@@ -33,13 +33,13 @@ class RequestFacts:
     Attributes
     ----------
     lasting : bool
-        Whether targets are requested. Later cycles can complete a motion to a target.
+        Whether targets are requested. In this case, later cycles can complete the motion.
     rotating : int or None
         Number of parts with a requested rotation. None if there are no angle targets and all
         torques are 0.
     far : bool
         Whether any part is farther than `NEAR_M` from its target. A rotation counts as the arc
-        length that the edge of the part moves.
+        length by which the edge of the part must move.
     exact : bool
         Whether forces are requested and at least one part has zero tolerance on both axes.
     """
@@ -51,7 +51,7 @@ class RequestFacts:
 
     @classmethod
     def of(cls, rig: Rig, request: CycleRequest) -> RequestFacts:
-        """Return the properties that determine the search."""
+        """Compute the properties of a request."""
         content = request.forces_or_targets
         if isinstance(content, Forces):
             rotating = int(np.count_nonzero(content.torque)) or None
@@ -71,22 +71,24 @@ def form_goal(
     ----------
     rig : Rig
     request : CycleRequest
-        The request, for M parts.
+        Request for M parts.
     start : StartState
         Predicted state at the start of the cycle.
     period : float
         Length P of the cycle [s].
     coast : float
-        Time of the extrapolation, as in `Goal` [s]. It is used only for targets.
+        Time of the extrapolation beyond the end of the cycle, see `Goal.coast` [s]. It is used only
+        for targets.
     free_end : bool
-        Whether the plate may end in motion. It is used only for targets.
+        Whether the plate may be in motion at the end of the cycle. It is used only for targets.
 
     Raises
     ------
     PlateError
-        If the request is invalid: a value is not finite or exceeds `MAX_REQUEST` (a force tolerance
-        may be infinite), the high end of an interval is below its low end, a weight, a tolerance or
-        the clearance is negative, or `forces.period` is not positive.
+        The request is invalid. The following values are invalid: values that are not finite or
+        exceed `MAX_REQUEST` (except force tolerances, which may be infinite), an upper bound below
+        the lower bound, a negative weight, tolerance or clearance, and a period of forces that is
+        not positive.
     """
     content = request.forces_or_targets
     if isinstance(content, Targets):
@@ -102,14 +104,14 @@ def _goal_of_targets(
     coast: float,
     free_end: bool,
 ) -> Goal:
-    """Convert targets to a goal. With the predicted position x0 and angle a0 at the start of the
-    cycle, the displacement d and the rotation are
+    """Convert targets to a goal. Let x0 be the predicted position and a0 the predicted angle of a
+    part at the start of the cycle. The displacement d and the rotation are
 
         d = target - x0,    turn = target angle - a0,
 
-    for the low and the high end of each interval. The goal is lasting, because later cycles
-    complete the motion. For a lasting goal, every motion counts as a success. Positions too close
-    to edges or to other parts cause additional errors.
+    for the lower and the upper bound of each interval. The attribute `lasting` of the goal is True,
+    because later cycles complete the motion. For such a goal, every motion counts as a success. End
+    positions that are too close to edges or to other parts cause additional errors.
     """
     ids, types = request.parts.ids, part_types(rig, request.parts.ids)
     _check_targets(ids, "target", targets)
@@ -143,15 +145,15 @@ def _goal_of_targets(
 def _goal_of_forces(
     rig: Rig, forces: Forces, request: CycleRequest, start: StartState, period: float
 ) -> Goal:
-    """Convert forces to a goal. A mean force F over a period T changes the drift v of a part of
-    mass m by F T/m. A mean torque N changes its spin w by N T/J. Over a cycle of length P, the
-    displacement d and the rotation are
+    """Convert forces to a goal. Let v be the drift of a part, m its mass, w its mean angular
+    velocity, and J its moment of inertia. A mean force F over a period T changes v by F T/m. A mean
+    torque N changes w by N T/J. Over a cycle of length P, the displacement d and the rotation are
 
         d = (v + F T/m) P,    turn = (w + N T/J) P,    J = m (Sxx + Syy)
 
-    with the second moments S of the contact area. A force tolerance f gives the displacement
-    tolerance f T P/m. Displacements have weight 1. The weight of a requested rotation is the radius
-    of the part.
+    Sxx and Syy are the second moments of the contact area. A tolerance f of the force becomes the
+    tolerance f T P/m of the displacement. Displacements have the weight 1. The weight of a
+    requested rotation is the radius of the part.
     """
     parts, types = request.parts, part_types(rig, request.parts.ids)
     if not 0 < forces.period <= MAX_REQUEST:
@@ -190,8 +192,8 @@ def _goal_of_forces(
 def _to_go(rig: Rig, request: CycleRequest, to: Targets) -> np.ndarray:
     """Return the distance (M,) [m] of each part from its target.
 
-    If the arc length of the remaining rotation at the part's edge is larger, this arc length is
-    returned instead.
+    For a part whose remaining rotation, as an arc length at the part's edge, is larger than this
+    distance, the result is the arc length.
     """
     place = request.parts.position if request.start is None else request.start[:, :2]
     distance = np.maximum(np.maximum(to.low - place, place - to.high), 0.0)
@@ -215,7 +217,8 @@ def _check_targets(ids: tuple[str, ...], name: str, targets: Targets | AngleTarg
 def _check(
     owners: tuple[str, ...], name: str, values: np.ndarray, low: float, high: float = MAX_REQUEST
 ) -> None:
-    """Check that all values (M, ...) are in the range `low` to `high`. Row i belongs to owners[i].
+    """Check that all values (M, ...) are in the range `low` to `high`. Row i of the values belongs
+    to the part owners[i].
 
     Raises
     ------

@@ -1,14 +1,15 @@
 """Errors of the parts' positions and angles at the end of a cycle.
 
-A coordinate q has the interval [l, h] and the weight w. b is the distance of a part's centre beyond
-a wall. r is the distance between the centres of two parts, and c is its minimum. The errors are
+Let q be a coordinate at the end of the cycle, [l, h] its requested interval and w its weight. Let b
+be the distance by which the centre of a part is beyond a wall (a limit near the edge of the plate).
+Let r be the distance between the centres of two parts, and c the minimum of r. The errors are
 
     w (nearest point of [l, h] - q),    +-(b + b^2 / 0.01 m),    c - r  if r < c.
 
-An exact drift is requested by an interval of zero width with weight 1. A distant target region has
-a small weight. The search minimises the sum of the squared errors, so parts with long distances
-still dominate it. Angles are coordinates like x and y, but their weight has the unit metres per
-radian.
+If an exact drift is requested, the interval has zero width and the weight is 1. If a target region
+is requested, its weight is small. The search minimises the sum of the squared errors. Therefore,
+the parts with the longest distances from their targets dominate this sum. Angles are coordinates
+like x and y, but their weights have the unit metres per radian.
 """
 
 from __future__ import annotations
@@ -24,16 +25,18 @@ class Ends(NamedTuple):
     """Requested coordinates of M parts at the end of a cycle.
 
     The coordinates are x of all parts, then y of all parts. If rotations are requested, the angles
-    of all parts follow. So C is 2 M or 3 M.
+    of all parts follow. The number C of coordinates is therefore 2 M or 3 M.
 
     Attributes
     ----------
     low, high : (C,)
-        Interval in which a coordinate has no error [m, plate_home; rad]. Infinite ends are allowed.
+        Interval in which each coordinate has no error [m, plate_home; rad]. Infinite bounds are
+        allowed.
     weight : (C,)
-        Error per metre outside the interval [-]. For angles: error per radian [m].
+        Error divided by the distance from the interval, for each coordinate [-]. For angles, the
+        unit is m/rad.
     edge_low, edge_high : (C,)
-        Positions of the walls [m]; infinite for angles.
+        Positions of the lower and the upper wall for each coordinate [m]. Infinite for angles.
     pair : (K, 2)
         Indices of the two parts of each pair that may come too close to each other.
     clear : (K,)
@@ -53,9 +56,10 @@ class Ends(NamedTuple):
 
 
 def end_errors(place: np.ndarray, ends: Ends) -> tuple[np.ndarray, np.ndarray]:
-    """Return the errors (R,) [m] of end coordinates (C,) [m, rad], and their negative derivatives
-    (R, C).
+    """Compute the errors (R,) [m] of the end coordinates `place` (C,) [m, rad]. Return the errors
+    and their negative derivatives (R, C).
 
-    The first C errors belong to the coordinates, the others to pairs of parts that are too close.
+    The first C errors belong to the coordinates. The other errors belong to pairs of parts that are
+    too close to each other.
     """
     return _kernels.end_errors(place, ends)

@@ -1,9 +1,10 @@
-"""The goal of one cycle: displacements and rotations of the parts. The cycle map evaluates it.
+"""The goal of one cycle. A goal contains displacements and rotations of the parts. The cycle map
+predicts how well a motion meets a goal.
 
 Averaged forces are valid only if the parts hardly move within a cycle, but many parts require long
-cycles. Therefore a goal specifies the displacement over the cycle, from a given initial state
-(section 3.1.2). `fit_goal` fits the parameters of a motion to a goal; `goal_solution` evaluates the
-finished cycle.
+cycles. Therefore, a goal does not specify forces, but the displacement over the cycle from a given
+initial state (section 3.1.2). The function `fit_goal` fits the parameters of a motion to a goal.
+The function `goal_solution` evaluates the finished cycle.
 """
 
 from __future__ import annotations
@@ -29,7 +30,7 @@ from .ends import Ends, end_errors
 from .solution import Solution
 
 COMING_M = 0.05
-"""If the distance of two parts exceeds their minimum distance by more than this value, the pair is
+"""If the distance of two parts exceeds their minimum distance by at least this value, the pair is
 ignored [m]. Within one cycle, two parts approach each other by less than this value."""
 
 
@@ -40,13 +41,14 @@ class Turns:
     Attributes
     ----------
     spin : (M,)
-        Angular velocity at the start of the cycle [rad/s].
+        Angular velocity of each part at the start of the cycle [rad/s].
     spread : (M, 3)
-        Second moments xx, xy, yy of the contacts at the start of the cycle [m2, plate_home].
+        Second moments xx, xy, yy of the contact area of each part at the start of the cycle [m2,
+        plate_home].
     low, high : (M,)
-        Interval of rotations over the cycle that have no error [rad].
+        Interval of the rotation over the cycle in which each part has no error [rad].
     weight : (M,)
-        Error per radian outside the interval [m]. 0 means that any rotation is accepted.
+        Error divided by the distance from the interval [m/rad]. With 0, any rotation is accepted.
     """
 
     spin: np.ndarray
@@ -57,7 +59,7 @@ class Turns:
 
     @property
     def middle(self) -> np.ndarray:
-        """Middle of each interval (M,) [rad]; 0 if the weight is 0."""
+        """Middle of each interval (M,) [rad]. 0 if the weight is 0."""
         return np.where(self.weight > 0, (self.low + self.high) / 2, 0.0)
 
     @property
@@ -66,7 +68,7 @@ class Turns:
         return int(np.count_nonzero(self.weight))
 
     def shifted(self, shift: np.ndarray | float) -> Turns:
-        """Return the request with all intervals shifted by `shift` (M,) [rad]."""
+        """Return a copy in which all intervals are shifted by `shift` (M,) [rad]."""
         return replace(self, low=self.low + shift, high=self.high + shift)
 
 
@@ -77,30 +79,33 @@ class Goal:
     Attributes
     ----------
     position, velocity : (M, 2)
-        Parts at the start of the cycle [m], [m/s], plate_home.
+        Positions [m] and velocities [m/s] of the parts at the start of the cycle, in plate_home.
     displacement : (M, 2)
         Requested displacement over the cycle [m].
     tolerance : (M, 2)
-        Displacements within +-tolerance [m] of the request have no error.
+        Tolerances of the displacements [m]. Errors within +-tolerance count as 0.
     friction_accel : (M,)
-        mu g of each part [m/s2]; a scalar applies to all parts.
+        mu g of each part [m/s2]. A scalar applies to all parts.
     turns : Turns, optional
         Requested rotations. If None, the parts are modelled as points.
     lasting : bool
-        Whether several cycles may complete the goal. If so, every motion counts as a success.
+        Whether later cycles can complete the goal. If so, every motion counts as a success.
     weight : (M, 2)
-        Error per metre outside the tolerance [-]; a scalar applies to all parts.
+        Error divided by the displacement error outside the tolerance [-]. A scalar applies to all
+        parts.
     edge : (2,) or (M, 2)
         Maximum distance of a part's centre from the plate's centre along x and y [m]. Default:
         infinite.
     clear : (M, M) or float
-        Minimum distance between the centres of two parts at the end [m].
+        Minimum distance between the centres of two parts at the end of the cycle [m].
     coast : float
-        Time by which the ends are extrapolated with the final velocity and spin [s].
+        Time by which the end positions and angles are extrapolated with the final velocities and
+        angular velocities [s].
     plate : (3, 3), optional
-        State of the plate at the start, as `PlateCycle.state`; None if at rest.
+        State of the plate at the start of the cycle, in the form of `PlateCycle.state`. None if the
+        plate is at rest.
     free_end : bool
-        Whether the plate may end in any state. If False, it ends at rest.
+        Whether the plate may be in any state at the end of the cycle. If False, it must be at rest.
 
     Raises
     ------
@@ -159,12 +164,14 @@ class Goal:
 
     @property
     def rows(self) -> int:
-        """Number of coordinates: two per part, or three if angles count."""
+        """Number of coordinates. There are two per part, or three per part if rotations are
+        requested."""
         return self.position.size + (0 if self.turns is None else len(self.position))
 
     @property
     def requested_count(self) -> int:
-        """Number of requested coordinates: positions, and angles with a weight above 0."""
+        """Number of requested coordinates. They are all positions, and the angles with a weight
+        above 0."""
         return self.position.size + (0 if self.turns is None else self.turns.count)
 
     @property
@@ -177,14 +184,16 @@ class Goal:
         return float(np.sqrt(np.mean(requested**2)))
 
     def times(self, fraction: float) -> Goal:
-        """Return the goal reduced to a fraction.
+        """Return the goal reduced to the fraction `fraction`.
 
-        If the goal is lasting, its weights w are multiplied by the square of the fraction f. Errors
-        at edges and between parts then dominate. Consider a target at the distance d beyond a wall,
-        and a part that moves by b beyond the wall. Its squared errors are about (w (d - b))^2 +
-        b^2. For a small weight w, the minimum is at b = w^2 d. With the weight f^2 w, the minimum
-        is at b = f^4 w^2 d. If f is 1/2, the part moves only 1/16 as far beyond the wall. If the
-        goal is not lasting, displacements and rotations are multiplied by the fraction.
+        If `lasting` is False, displacements and rotations are multiplied by the fraction f.
+
+        If `lasting` is True, the weights w of the goal are multiplied by f^2. Errors at edges and
+        between parts then dominate. Consider a target at the distance d beyond a wall, and a part
+        that moves by b beyond the wall. The sum of its squared errors is about (w (d - b))^2 + b^2.
+        For a small weight w, the minimum of this sum is at b = w^2 d. With the weight f^2 w, the
+        minimum is at b = f^4 w^2 d. With f = 1/2, the part thus moves only 1/16 as far beyond the
+        wall.
         """
         turns = self.turns
         if self.lasting:
@@ -196,10 +205,10 @@ class Goal:
         return replace(self, displacement=fraction * self.displacement, turns=turns)
 
     def downhill(self, most: float) -> np.ndarray:
-        """Return displacements (M, 2) [m] in the direction of steepest descent of the squared
-        errors.
+        """Return displacements of the parts (M, 2) [m] in the direction in which the sum of squared
+        errors decreases most.
 
-        The displacements are scaled so that the longest displacement is `most` [m].
+        The longest displacement has the length `most` [m].
         """
         place = (self.position + self.coast * self.velocity).T.ravel()
         if self.turns is not None:
@@ -209,37 +218,40 @@ class Goal:
         return np.asarray(way * (most / max(float(np.max(np.hypot(*way.T))), 1e-12)))
 
     def left(self, end: np.ndarray) -> np.ndarray:
-        """Return the signed distance (M, 2) [m] from an end of the cycle to the nearest point of
-        the requested interval."""
+        """Return the signed distances (M, 2) [m] from end positions to the nearest points of the
+        requested intervals. `end` contains the coordinates at the end of the cycle."""
         miss = self.position + self.displacement - end[: self.position.size].reshape(2, -1).T
         beyond = np.sign(miss) * np.maximum(np.abs(miss) - self.tolerance, 0.0)
         return np.where(np.asarray(self.weight) > 0, beyond, 0.0)
 
     def left_to_turn(self, end: np.ndarray) -> np.ndarray:
-        """Return the signed errors (Q,) [rad] of the Q requested rotations at an end of the
-        cycle."""
+        """Return the signed errors (Q,) [rad] of the Q requested rotations. `end` contains the
+        coordinates at the end of the cycle."""
         if self.turns is None:
             return np.zeros(0)
         turns, turn = self.turns, end[self.position.size :]
         return (np.clip(turn, turns.low, turns.high) - turn)[turns.weight > 0]
 
     def shifted(self, shift: np.ndarray) -> Goal:
-        """Return the goal shifted by `shift` (C,) [m, rad]. The order is the same as in `end`."""
+        """Return a copy of the goal whose displacements and rotations are increased by `shift` (C,)
+        [m, rad]. The order of the coordinates is the same as in `end`."""
         places = self.position.size
         displacement = self.displacement + shift[:places].reshape(2, -1).T
         turns = None if self.turns is None else self.turns.shifted(shift[places:])
         return replace(self, displacement=displacement, turns=turns)
 
     def ahead(self, coast: float, period: float) -> Goal:
-        """Return a goal in which the ends are also extrapolated by `coast` [s].
+        """Return a goal for end positions and angles that are extrapolated by the time `coast` [s].
 
-        Let x be the end of a part, v its final velocity, d the requested displacement, and P the
-        length of the cycle. The goal x - x0 = d becomes
+        Let x0 be the position of a part at the start, x its position at the end, v its final
+        velocity, d the requested displacement, and P the length of the cycle. The goal x - x0 = d
+        becomes
 
             x + coast v - x0 = d (1 + coast/P)
 
-        A motion that meets both goals has v = d/P: the part ends with the requested mean velocity,
-        so that the next cycle can request the same displacement. Rotations are treated alike.
+        A motion that meets both goals has v = d/P. The final velocity of the part then equals the
+        requested mean velocity, so that the next cycle can request the same displacement. Rotations
+        are changed in the same way.
         """
         scale, turns = 1 + coast / period, self.turns
         if turns is not None:
@@ -253,9 +265,10 @@ class Goal:
         )
 
     def end(self, pose: np.ndarray, twist: np.ndarray, dt: np.ndarray) -> np.ndarray:
-        """Predict the end (C,) of a sampled motion.
+        """Predict the coordinates (C,) of the parts at the end of a sampled motion.
 
-        The order is x of all parts [m], y of all parts and, if angles count, their rotations [rad].
+        The order is x of all parts [m], then y of all parts. If rotations are requested, the
+        rotations of all parts follow [rad].
         """
         moved = pose, twist, dt, self.friction_accel
         if self.turns is None:
@@ -280,16 +293,17 @@ class Goal:
         )
 
     def error(self, end: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Return the errors (R,) of an end [m], and their negative derivatives (R, C)."""
+        """Compute the errors (R,) [m] for the coordinates `end` at the end of a cycle. Return the
+        errors and their negative derivatives (R, C)."""
         return end_errors(end, self.ends)
 
 
 class Family(Protocol):
-    """A family of closed motions with parameters (P,)."""
+    """A family of closed motions. P parameters determine a motion."""
 
     def samples(self, parameters: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Return pose and twist (n, 3) at the middles of the steps, and the step lengths (n,)
-        [s]."""
+        """Sample a motion. Return pose and twist (n, 3) at the middles of the time steps, and the
+        lengths of the steps (n,) [s]."""
 
     def pull_back(
         self, parameters: np.ndarray, by_pose: np.ndarray, by_twist: np.ndarray, by_dt: np.ndarray
@@ -298,7 +312,8 @@ class Family(Protocol):
         (R, P) with respect to the parameters."""
 
     def admissible(self, parameters: np.ndarray) -> np.ndarray:
-        """Return parameters of a motion that the rig can run, close to the given ones."""
+        """Return parameters of a motion that the rig can execute. They are close to
+        `parameters`."""
 
     def penalty(self, parameters: np.ndarray) -> np.ndarray:
         """Return additional errors (K,) [m], such as limit violations."""
@@ -312,7 +327,7 @@ def fit_goal(
 ) -> Fit:
     """Fit the parameters of a motion to a goal by Levenberg-Marquardt.
 
-    The errors are `Goal.error` and the family's penalty [m]. The search stops when the largest
+    The errors are those of `Goal.error` and `Family.penalty` [m]. The search stops when the largest
     error is at most `tolerance` [m].
     """
 
@@ -332,11 +347,11 @@ def fit_goal(
 def goal_solution(
     goal: Goal, cycle: PlateCycle, good_enough: float, iterations: int, condition: float
 ) -> Solution:
-    """Return the solution of a finished cycle that is within the limits.
+    """Return the `Solution` for a finished cycle that is within the limits of the rig.
 
-    The cycle is evaluated with finer time steps than in the search. `residual` is the remaining
-    distance divided by mu g T^2. `success` is True if the goal is lasting, or if the root mean
-    square error is at most `good_enough` [m].
+    The cycle is evaluated with finer time steps than in the search. The attribute `residual` is the
+    remaining distance divided by mu g T^2, with the length T of the cycle. `success` is True if
+    `goal.lasting` is True, or if the root mean square error is at most `good_enough` [m].
     """
     end = goal.end(*finely_sampled(cycle))
     left, unit = goal.left(end), goal.friction_accel[:, None] * cycle.period**2

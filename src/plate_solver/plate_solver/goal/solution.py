@@ -1,5 +1,5 @@
-"""Result of a solver: the motion, and the fraction of the request that it meets. `Status` is the
-outcome: solved, partially solved, infeasible or failed."""
+"""Result of a solver. It contains the motion, and the fraction of the request that this motion
+meets. `Status` states whether the request is solved, partially solved, infeasible or failed."""
 
 from __future__ import annotations
 
@@ -19,9 +19,10 @@ class Status(Enum):
     PARTIAL = "partial"
     """A fraction of the request is met."""
     UNREACHABLE = "unreachable"
-    """It is proven that no motion meets the request. `fraction` is the fraction that is met."""
+    """It is proven that no motion meets the request. The attribute `fraction` is the fraction of
+    the request that the result meets."""
     FAILED = "failed"
-    """No fraction is met, and infeasibility is not proven."""
+    """No fraction of the request is met, and it is not proven that the request is infeasible."""
 
 
 @dataclass(frozen=True)
@@ -35,24 +36,26 @@ class Solution:
     message : str
         Accuracy of the result, or the reason of a failure.
     cycle : PlateCycle
-        The motion. It is closed and within the limits of the rig, even if `success` is False.
+        Motion of the plate. The motion is closed and within the limits of the rig, even if
+        `success` is False.
     residual : (M, 2)
         Request minus predicted result [mu m g]. The residual refers to the whole request, even if
         only a fraction is met.
     iterations : int
         Number of iterations, summed over all starts.
     condition : float
-        Condition number of the last linear system. The condition number is large if it is hard to
-        move the parts independently.
+        Condition number of the last linear system of the search. It is large if it is hard to move
+        the parts independently.
     status : Status
         Outcome of the request.
     fraction : float
-        Feasible fraction of the request; 1 if the request is met. The motion achieves this
-        fraction. There is one exception: with the argument `refine` of `ForceSolver.solve`, `cycle`
-        may be a motion that has a smaller error for the whole request.
+        Fraction of the request that the motion meets. 1 if the request is met. There is one
+        exception. With the argument `refine` of `ForceSolver.solve`, `cycle` can be another motion
+        that has a smaller error for the whole request.
     predicted : (C,), optional
-        Predicted end of the parts on the cycle map: x of all parts [m], y of all parts and, if
-        rotations are requested, the rotations of all parts [rad].
+        Coordinates of the parts at the end of the cycle, predicted by the cycle map. They are x of
+        all parts [m], then y of all parts. If rotations are requested, the rotations of all parts
+        follow [rad].
     """
 
     success: bool

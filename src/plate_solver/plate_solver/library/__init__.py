@@ -1,5 +1,5 @@
-"""The library of rotations about many centres, and the minimum time in which these rotations
-produce forces.
+"""The library of rotations of the plate about many centres. The package also computes the minimum
+time in which these rotations produce requested forces.
 
 Method A uses the library for planning. The library also bounds the averaged forces of both methods.
 """

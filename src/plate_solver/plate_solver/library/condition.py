@@ -1,10 +1,10 @@
-"""Condition number of a set of part positions. The number measures how independently the parts can
-be pushed.
+"""Computes the condition number of a set of part positions. This number measures how independently
+the parts can be pushed.
 
-The columns of A are the library's unit forces. The second moment A A' describes the forces of
-random motions. The condition number is the square root of the ratio of its maximum and minimum
-eigenvalues. The eigenvector of the minimum eigenvalue is the direction in which a force is the most
-difficult to produce (section 3.3).
+Each column of the matrix A contains the unit forces that one rotation of the library exerts on the
+parts. The second moment A A' describes the forces of random motions. The condition number is the
+square root of the ratio of the maximum to the minimum eigenvalue of A A'. In the direction of the
+eigenvector of the minimum eigenvalue, a force is the most difficult to produce (section 3.3).
 """
 
 from __future__ import annotations
@@ -16,20 +16,20 @@ from plate_core import PlateError, Rig
 from .library import Library
 
 SAME = 1e-9
-"""Eigenvalues below this fraction of the largest one count as zero."""
+"""Eigenvalues below this fraction of the largest eigenvalue count as zero."""
 
 
 def condition_number(rig: Rig, position: np.ndarray, library: Library | None = None) -> float:
-    """Return the ratio of the forces in the easiest and in the most difficult direction. The ratio
-    is at least 1.
+    """Return the condition number of part positions. It is the ratio of the force in the easiest
+    direction to the force in the most difficult direction, at least 1.
 
-    The ratio is infinite if no force is possible in some direction.
+    The condition number is infinite if no force is possible in some direction.
 
     Parameters
     ----------
     rig : Rig
     position : (M, 2)
-        Parts at rest [m], plate_home.
+        Positions of the parts, which are at rest [m, plate_home].
     library : Library, optional
         Rotations that the plate may use. Default: a grid of centres over the plate.
 
@@ -42,7 +42,8 @@ def condition_number(rig: Rig, position: np.ndarray, library: Library | None = N
 
 
 def columns_of(rig: Rig, position: np.ndarray, library: Library | None) -> np.ndarray:
-    """Return the library's unit forces (2 M, K), in the row order x, y of each part."""
+    """Return the unit forces of the library's K rotations (2 M, K). The rows are x and y of part 1,
+    then of part 2, and so on."""
     position = np.asarray(position, dtype=float)
     if position.ndim != 2 or position.shape[1] != 2 or not len(position):
         raise PlateError(f"position has shape {position.shape}, allowed: (M, 2), M at least 1")
@@ -55,7 +56,8 @@ def columns_of(rig: Rig, position: np.ndarray, library: Library | None) -> np.nd
 
 
 def second_moment(columns: np.ndarray) -> tuple[float, np.ndarray]:
-    """Return the condition number of columns (2 M, K), and the most difficult direction (2 M,)."""
+    """Return the condition number of a matrix of unit forces (2 M, K), and the direction (2 M,) in
+    which a force is the most difficult to produce."""
     values, vectors = np.linalg.eigh(columns @ columns.T)
     lost = values[0] <= SAME * values[-1]
     condition = float("inf") if lost else float(np.sqrt(values[-1] / values[0]))
@@ -63,5 +65,5 @@ def second_moment(columns: np.ndarray) -> tuple[float, np.ndarray]:
 
 
 def unit(force: np.ndarray) -> np.ndarray:
-    """Return a force (2 M,) whose mean square over the parts is one."""
+    """Scale a force vector (2 M,) so that its mean square over the parts is 1."""
     return np.asarray(force / np.linalg.norm(force) * np.sqrt(len(force) / 2))

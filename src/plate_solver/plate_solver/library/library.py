@@ -1,15 +1,19 @@
-"""A library of rotations: unit twists about many centres on and around the plate.
+"""A library of rotations. It contains unit twists of the plate about many centres on and around the
+plate.
 
-The average force on a part at rest is the mean of unit vectors. Each twist of the plate's motion
-contributes one unit vector. The force does not depend on the plate's speed. Therefore the forces of
-any motion are a mean of the library's columns (equations (5), (9)), if the library's twists are
-dense enough. Let rotation j of N rotations have the weight k_j and the unit tangent t_j at a part.
-The average force on the part is
+The friction on a part at rest has the direction of the plate's velocity at the part, and its
+magnitude does not depend on the speed. The average force of a motion on the part is therefore a
+mean of unit vectors, one for each twist during the motion. If the library contains enough twists,
+the average forces of any motion are approximately a weighted mean of the forces of the library's
+twists (equations (5), (9)).
+
+Let rotation j of N rotations have the weight k_j, and let t_j be the unit vector of its velocity at
+a part. The average force on the part is
 
     F = mu m g / N  sum_j k_j t_j.
 
-The rows of the matrices are the forces (10) and curls (12) of the parts, the columns are the
-centres, and the unknowns are the weights (section 3.1).
+This is a linear system for the weights (section 3.1). The rows of its matrix belong to the forces
+(10) and curls (12) of the parts, and the columns belong to the centres of rotation.
 """
 
 from __future__ import annotations
@@ -21,27 +25,29 @@ import numpy as np
 from .simplex import least_time
 
 COLUMNS, ROWS = 30, 16
-"""Number of centres along x and y. If both numbers are doubled, the maximum force increases by 6
-%."""
+"""Numbers of centres of rotation along x and y. If both numbers were doubled, the maximum force of
+the library would increase by 6 %."""
 
 REACH = (1.1, 1.2)
-"""Half side lengths of the grid of centres, in half side lengths of the plate. Rotations about more
-distant centres differ little from each other and from translations."""
+"""Half side lengths of the grid of centres, divided by the half side lengths of the plate.
+Rotations about more distant centres differ little from each other and from translations."""
 
 TRANSLATIONS = 8
-"""Number of directions of translation."""
+"""Number of translations with different directions in the library."""
 
 CURL_LENGTH_M = 0.05
-"""Length that converts a curl error [mu m g / m] to a force error [mu m g]."""
+"""A curl error [mu m g / m] is multiplied by this length to compare it with a force error [mu m
+g]."""
 
 OUT_OF_REACH = 1e4
-"""Price of a unit of force error [cycles / (mu m g)]. This price is so high that force errors are 0
-if they can be 0."""
+"""Cost of a unit of force error [cycles / (mu m g)]. The cost is so high that force errors are 0
+whenever this is possible."""
 
 
 @dataclass(frozen=True)
 class Library:
-    """Rotations and translations. Each can be used in both directions.
+    """Rotations and translations of the plate. Each of them can also be used in the opposite
+    direction.
 
     Attributes
     ----------
@@ -50,7 +56,8 @@ class Library:
     direction : (D, 2)
         Unit vectors of the translations.
     twist : (C + D, 3)
-        Unit twists, with a speed of 1 m/s at the plate's fastest corner.
+        Twists of the rotations, then of the translations. The plate's fastest corner has the speed
+        1 m/s.
     """
 
     centre: np.ndarray
@@ -59,7 +66,8 @@ class Library:
 
     @classmethod
     def about(cls, centre: np.ndarray, half: np.ndarray, translations: int = 0) -> Library:
-        """Build a library from centres (C, 2) and equally spaced directions of translation.
+        """Create a library from centres of rotation (C, 2) and from translations whose directions
+        are equally spaced.
 
         `half` (2,) are the half side lengths of the plate [m].
         """
@@ -70,22 +78,25 @@ class Library:
 
     @classmethod
     def around(cls, half: np.ndarray, columns: int = COLUMNS, rows: int = ROWS) -> Library:
-        """Build a library from a grid of centres slightly larger than the plate."""
+        """Create a library from a grid of centres of rotation. The grid is slightly larger than the
+        plate."""
         centre = grid(np.multiply(REACH, half), columns, rows)
         return cls.about(centre, half, TRANSLATIONS)
 
     def forces(self, position: np.ndarray) -> np.ndarray:
-        """Return unit forces (2 M, C + D) on parts at rest: x of all parts, then y of all parts."""
+        """Return the unit forces (2 M, C + D) on parts at rest. The rows are x of all parts, then y
+        of all parts."""
         shifts = np.repeat(self.direction.T, len(position), axis=0)
         return np.hstack([rotation_matrix(position, self.centre), shifts])
 
     def curls(self, position: np.ndarray) -> np.ndarray:
-        """Return curls (M, C + D) [1/m], equation (12)."""
+        """Return the curls of the rotations and translations at parts (M, C + D) [1/m], equation
+        (12)."""
         none = np.zeros((len(position), len(self.direction)))
         return np.hstack([curl_matrix(position, self.centre), none])
 
     def clearance(self, position: np.ndarray) -> np.ndarray:
-        """Return the distance (C + D,) [m] of each centre from the nearest part.
+        """Return the distance of each centre of rotation from the nearest part (C + D,) [m].
 
         The distance is infinite for translations.
         """
@@ -94,12 +105,14 @@ class Library:
         return np.concatenate([nearest, np.full(len(self.direction), np.inf)])
 
     def reachable_fraction(self, position: np.ndarray, force: np.ndarray) -> float:
-        """Return the maximum multiple of the forces (M, 2) [mu m g] that any motion can produce.
+        """Return the maximum factor by which the forces `force` (M, 2) [mu m g] can be multiplied
+        so that a motion can still produce them.
 
-        The reciprocal of the result is the minimum time for the forces. A linear programme without
-        closure computes this time. The result bounds all motions, because the forces of a motion
-        are a mean of the library's columns. The finite number of rotations causes an error of a few
-        per cent.
+        The reciprocal of the result is the minimum time that the forces need [cycles]. A linear
+        programme computes this time. It does not require that the motion is closed. The result is
+        an upper bound for all motions, because the forces of any motion are a weighted mean of the
+        forces of the library's twists. The finite number of twists causes an error of a few per
+        cent.
         """
         rows, right_side = self.forces(position), force.T.ravel()
         if not np.any(right_side):
@@ -109,19 +122,20 @@ class Library:
 
 
 def rotation_matrix(position: np.ndarray, centre: np.ndarray) -> np.ndarray:
-    """Return A of equation (10): unit forces of rotations about centres.
+    """Return the matrix A of equation (10). It contains the unit forces of rotations about the
+    centres `centre`.
 
     Parameters
     ----------
     position : (M, 2)
-        Parts [m], plate_home.
+        Positions of the parts [m, plate_home].
     centre : (N, 2)
         Centres of rotation [m], plate_home. The force on a part at the centre is 0.
 
     Returns
     -------
     (2 M, N)
-        x of all parts, then y of all parts.
+        Unit forces. The rows are x of all parts, then y of all parts.
     """
     arm = position[:, None] - centre
     distance = np.hypot(arm[..., 0], arm[..., 1])
@@ -130,7 +144,8 @@ def rotation_matrix(position: np.ndarray, centre: np.ndarray) -> np.ndarray:
 
 
 def curl_matrix(position: np.ndarray, centre: np.ndarray) -> np.ndarray:
-    """Return the rows (M, N) of equation (12): 1 / distance, the curl (11) of a rotation."""
+    """Return the rows (M, N) of equation (12). They contain the curl (11) of each rotation at each
+    part, which is 1 / distance from the centre."""
     arm = position[:, None] - centre
     distance = np.hypot(arm[..., 0], arm[..., 1])
     return 1 / np.where(distance > 0, distance, np.inf)
@@ -139,19 +154,19 @@ def curl_matrix(position: np.ndarray, centre: np.ndarray) -> np.ndarray:
 def solve_weights(
     matrix: np.ndarray, right_side: np.ndarray, max_gain: float = np.inf
 ) -> tuple[np.ndarray, float]:
-    """Return the minimum-norm weights that solve the system, and the condition number of the
-    matrix.
+    """Solve the linear system for the weights. Return the solution of minimum norm, and the
+    condition number of the matrix.
 
     Parameters
     ----------
     matrix : (R, N)
-        For example `rotation_matrix`, with rows of `curl_matrix` below.
+        Matrix of the system, for example `rotation_matrix`. Rows of `curl_matrix` can follow.
     right_side : (R,)
         Right-hand side: N / (mu m g) times the requested forces.
     max_gain : float
         Upper bound of the reciprocal singular values (section 3.1.5). Singular directions with a
-        larger reciprocal are omitted, because two close parts would otherwise cause very large
-        weights.
+        larger reciprocal are omitted. Otherwise, two parts close to each other would cause very
+        large weights.
     """
     left, values, right = np.linalg.svd(matrix, full_matrices=False)
     keep = values * max_gain >= 1 if np.isfinite(max_gain) else values > 1e-12 * values[0]
@@ -162,7 +177,8 @@ def solve_weights(
 
 
 def unit_twists(centre: np.ndarray, half: np.ndarray) -> np.ndarray:
-    """Return twists (N, 3) of counter-clockwise rotations with 1 m/s at the fastest corner."""
+    """Return the twists (N, 3) of counter-clockwise rotations about the centres `centre`. The
+    plate's fastest corner has the speed 1 m/s."""
     reach = np.hypot(np.abs(centre[:, 0]) + half[0], np.abs(centre[:, 1]) + half[1])
     spin = 1 / reach
     return np.column_stack([centre[:, 1] * spin, -centre[:, 0] * spin, spin])

@@ -1,15 +1,17 @@
-"""Fractions of time: a linear programme that selects a few rotations from a large library.
+"""A linear programme that selects a few rotations from a large library and computes their fractions
+of the time.
 
     minimise    cost . abs(w) + over . s + under . r
     subject to  A w + s - r = b,    s, r >= 0
 
-The columns of A are rotations, and the rows are requested quantities. A negative weight w reverses
-the rotation. s is the unmet amount of each row, r is the exceeded amount, and `over` and `under`
-are their prices. If all costs are one, abs(w) is time, and the solution is the plan of minimum
-time. The solution uses at most as many rotations as there are rows.
+The columns of A belong to rotations, and the rows to requested quantities b. w contains the weights
+of the rotations. A negative weight reverses the rotation. For each row, s is the amount by which A
+w falls short of b, and r is the amount by which A w exceeds b. `over` and `under` are the costs per
+unit of s and r. If all values of `cost` are 1, abs(w) is a time, and the solution is the plan of
+minimum time. The solution uses at most as many rotations as there are rows.
 
 The solver is a revised simplex method that stores the inverse of the basis. Because the signs of w
-are free, any basis is a feasible start, for example the basis of the last cycle.
+are free, any basis is a feasible start. For example, the basis of the last cycle is used.
 """
 
 from __future__ import annotations
@@ -21,8 +23,8 @@ import numpy as np
 from .. import _kernels
 
 PERTURBATION = 1e-9
-"""Shift of the right-hand side, relative to its largest entry. The shift prevents ties between
-rows."""
+"""Size of a perturbation of the right-hand side, as a fraction of its largest entry. The
+perturbation prevents ties between rows."""
 
 
 @dataclass(frozen=True)
@@ -32,9 +34,9 @@ class TimeFractions:
     Attributes
     ----------
     weights : (K,)
-        Signed fractions of time of the columns. At most R of them are not zero.
+        Signed fractions of time of the rotations. At most R of them are not zero.
     miss : (R,)
-        b - A w.
+        Difference b - A w between the requested and the produced quantities.
     price : (R,)
         Dual solution y: the additional cost per unit of each row's right-hand side. Any motion that
         is composed of these columns and produces b has at least the cost y . b.
