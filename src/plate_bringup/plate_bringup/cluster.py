@@ -120,8 +120,8 @@ class Cluster(Executor):
         be canceled. The result of such a run is discarded. The run itself continues on its worker
         until it ends or `shutdown` ends it."""
         result: Future[Any] = Future()
-        # The run is sent as bytes. Without this, the scheduler would decode the arguments, but it
-        # cannot import the modules of `bench`.
+        # The run is sent as bytes. If the run were sent as objects, the scheduler would decode the
+        # arguments, but it cannot import the modules of `bench`.
         from distributed.protocol.pickle import dumps
 
         self._calls[result] = (_work, self._token, dumps((fn, args, kwargs)))

@@ -160,7 +160,7 @@ def _files(module: str) -> dict[str, Path]:
     spec = _spec(module)
     if folders := _folders(spec):
         # If several folders contain a file with the same name, Python imports the file from the
-        # first folder. Therefore the first folder comes last here.
+        # first folder. Therefore the first folder is processed last here.
         return {
             path.relative_to(folder.parent).as_posix(): path
             for folder in reversed(folders)

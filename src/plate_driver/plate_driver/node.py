@@ -347,7 +347,7 @@ class DriverNode(SafeLifecycleNode[Options]):
             self._calibration.record(measured)
         self._record_problems(transport)
         self._inputs.poll_tasks()
-        if self.playback.guard.table is None:  # no table was sent that can play
+        if self.playback.guard.table is None:  # no table that can be played was sent
             self._problems.clear_unplayed()
         if self.active:
             self._continue(transport)

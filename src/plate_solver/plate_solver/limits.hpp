@@ -13,7 +13,8 @@ namespace plate {
 constexpr int MOTORS = 4;
 
 // MARGIN is the largest permitted fraction of the rig's limits in a search. CERTAIN is the largest
-// permitted fraction for a finished cycle.
+// permitted fraction for a finished cycle. EQUAL_WEIGHT is the weight of samples at equal time
+// steps.
 constexpr double MARGIN = 0.98, CERTAIN = 0.999;
 constexpr double EQUAL_WEIGHT[] = {1.0};
 

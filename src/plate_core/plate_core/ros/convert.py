@@ -353,7 +353,7 @@ def _checked(
         raise PlateError(f"{what}: ids are {list(ids)}, allowed: each part at most once")
     rows = [[getattr(item, key) for key in keys] for item in items]
     array = np.array(rows, dtype=float).reshape(len(ids), len(keys))
-    sane = np.abs(array) <= MAX_MAGNITUDE  # NaN counts as not sane
+    sane = np.abs(array) <= MAX_MAGNITUDE  # NaN also fails this check
     if not np.all(sane):
         row, column = np.argwhere(~sane)[0]
         raise PlateError(

@@ -204,9 +204,9 @@ class LatencyHypotheses:
         if len(self.latencies) == 1:
             return seen
         likely = seen.log_likelihood
-        # Images at cycle starts contain little information about the latency. Therefore a different
-        # latency is accepted only with a larger difference in likelihood, if the present latency
-        # has been accepted for many images.
+        # Images at cycle starts contain little information about the latency. Therefore the
+        # required difference in likelihood increases with the number of images for which the
+        # present latency has been accepted.
         better = BETTER if log.free_running else BETTER * max(seen.images / SOON_IMAGES, 1.0)
         best, middle = int(np.argmax(likely)), len(STEPS) // 2
         if likely[best] - likely[self.best] < better:

@@ -65,8 +65,8 @@ struct Outlines {
     }
 };
 
-// Contact of two parts: its maximum depth [m] and its manifold. If only one of the parts is a disc,
-// the disc is the first part.
+// Contact of two parts: maximum depth of the overlap [m], and contact points. If only one of the
+// parts is a disc, the disc is the first part.
 struct Touch {
     int i, j;
     double depth = 0.0;

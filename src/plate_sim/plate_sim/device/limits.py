@@ -58,7 +58,7 @@ class DeviceLimits:
         assumed to be uniform.
         """
         inverse = np.linalg.pinv(rig.motor_levers.T)
-        # The values are rounded to nine decimals. Without this, rounding errors of `inverse` could
+        # The values are rounded to nine decimals. Without this rounding, errors of `inverse` could
         # decide whether a motion exactly at a limit is allowed.
         load = np.round(inverse @ rig.plate_mass @ inverse.T, 9)
         limits = rig.limits

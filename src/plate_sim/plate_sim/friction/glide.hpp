@@ -109,8 +109,8 @@ inline bool describe(const State& state, int i, const Body& body, double step, b
         for (int k = 0; k < count; k++) {
             Group& g = groups[k];
             const Stages& s = stages[k];
-            // The loop writes the new states to a buffer. If it wrote to `g.state`, the compiler
-            // would use masked stores, which are slow.
+            // The loop writes the new states to a buffer. If the loop wrote to `g.state`, the
+            // compiler would use masked stores, which are slow.
             double next[6][LANES];
 #pragma omp simd
             for (int i = 0; i < LANES; i++) {

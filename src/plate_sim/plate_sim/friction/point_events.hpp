@@ -27,10 +27,10 @@ constexpr double ZERO_SHARE = 0.2;
 constexpr double AHEAD = 1e-8;
 // Minimum step, as a fraction of the period. The rounding error of the time is 1e-16 of the period.
 constexpr double FLOOR = 1e-13;
-// Maximum mean number of steps per cycle. If a motion needs more steps, its rest is computed with
-// coarse steps, without error control.
+// Maximum mean number of steps per cycle. If a motion needs more steps, the remainder of the motion
+// is computed with coarse steps, without error control.
 constexpr std::int64_t BUDGET = 50'000;
-// Number of equal steps per cycle for the rest of a motion that exceeds `BUDGET`.
+// Number of equal steps per cycle for the remainder of a motion that exceeds `BUDGET`.
 constexpr int COARSE = 2000;
 // Tolerance of the slip at an event, and of the slip perpendicular to a line of motion, as a
 // fraction of a slip that counts as zero.

@@ -1,5 +1,5 @@
 // C++ kernels of unreachable.py, which proves that no plate motion of N harmonics can exert the
-// requested forces. That file defines the symbols T, g, s, n and lambda.
+// requested forces. The file unreachable.py defines the symbols T, g, s, n and lambda.
 #pragma once
 #include <algorithm>
 #include <array>
@@ -123,7 +123,7 @@ PLATE_WIDE inline void upper(const Circle& circle, View<const double, 2> positio
 // between s_1 and s_2. `values` (C,) contains g at equally spaced points. C must be a multiple of
 // SIDE_BY_SIDE.
 //
-// g is an odd function, so -g(m) is the value at the opposite point -m. The function adds this
+// The function g is odd, so -g(m) is the value at the opposite point -m. The function adds this
 // value instead of subtracting g(m). Therefore upper bounds of the values give an upper bound of
 // the maximum. The angle between s_1 and s_2 may be up to half a turn plus one step. Therefore the
 // result is also valid for points between the given points.
@@ -234,9 +234,9 @@ inline bool proves(View<const double, 2> cells, View<const double, 2> position, 
             const double tilt = (low + high) / 2, turn = (left + right) / 2;
             work += static_cast<double>(n) * n;
             circle.turn_to(tilt, turn);
-            // `radius` is a sum of two angles. The first is an upper bound of the angle between the
-            // middle circle's normal and the normal of any circle in the cell. The second is half
-            // the spacing of the points on the circle.
+            // `radius` is a sum of two angles. The first angle is an upper bound of the angle
+            // between the middle circle's normal and the normal of any circle in the cell. The
+            // second angle is half the spacing of the points on the circle.
             const double widest = high < PI / 2 ? std::max(std::sin(low), std::sin(high)) : 1.0;
             const double radius = length_of(high - low, widest * (right - left)) / 2 + PI / n;
             upper(circle, position, arm_m, separating, radius, most.data());

@@ -166,8 +166,8 @@ def _goal_of_forces(
     gain = forces.period / np.array([[t.mass_kg] for t in types])
     displacement = (parts.velocity + gain * forces.force) * period
     tolerance = gain * forces.tolerance * period
-    # Clip the end positions at the edges of the plate. Without this, a part that cannot reach its
-    # end position would limit the displacements of all parts.
+    # Clip the end positions at the edges of the plate. Without the clipping, a part that cannot
+    # reach its end position would limit the displacements of all parts.
     edge = rig.plate.half - np.array([[t.reach_m] for t in types])
     low = np.clip(displacement - tolerance, -edge - start.position, edge - start.position)
     high = np.clip(displacement + tolerance, -edge - start.position, edge - start.position)

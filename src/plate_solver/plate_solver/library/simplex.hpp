@@ -1,5 +1,5 @@
-// C++ kernels of simplex.py. That file describes the linear programme, which computes fractions of
-// time for rotations. The kernels use the revised simplex method.
+// C++ kernels of simplex.py. The file simplex.py describes the linear programme, which computes
+// fractions of time for rotations. The kernels use the revised simplex method.
 #pragma once
 #include <algorithm>
 #include <cmath>

@@ -50,9 +50,9 @@ constexpr int MAX_ITERATIONS = 25;
 // almost completely hidden.
 constexpr double FIT_DAMPING = 1e-3;
 
-// A pixel inside a part is ignored if its darkness deviates by more than two limits from the part's
-// darkness. Such a pixel shows a mark, a highlight or a hole. The limits are ODD_FRACTION times the
-// part's darkness, and ODD_SIGMAS standard deviations of the image noise.
+// A pixel inside a part is ignored if the difference between its darkness and the part's darkness
+// exceeds both of two limits. Such a pixel shows a mark, a highlight or a hole. The limits are
+// ODD_FRACTION times the part's darkness, and ODD_SIGMAS standard deviations of the image noise.
 constexpr double ODD_FRACTION = 0.25, ODD_SIGMAS = 4.0;
 
 // Width [px] of the bands beside the blurred edge. Pixels in the edge and in these bands contribute

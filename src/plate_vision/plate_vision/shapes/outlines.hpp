@@ -1,5 +1,5 @@
-// C++ kernels of outlines.py, which measure the outlines of patches with an accuracy of a fraction
-// of a pixel, and fit polygons to these outlines. A patch is a connected area of the image that
+// C++ kernels of outlines.py, which measures the outlines of patches with an accuracy of a fraction
+// of a pixel, and fits polygons to these outlines. A patch is a connected area of the image that
 // deviates from the bare plate.
 #pragma once
 #include <algorithm>

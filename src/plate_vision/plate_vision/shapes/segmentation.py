@@ -371,7 +371,7 @@ def _window(
     while child >= 0:
         contour = contours[child]
         left, top, wide, high = cv2.boundingRect(contour)
-        # Small contours are skipped at once, because noise causes thousands of them.
+        # Small contours are skipped immediately, because noise causes thousands of such contours.
         if (wide - 2) * (high - 2) < MIN_HOLE_PX2:
             child = family[child][0]
             continue
