@@ -135,7 +135,7 @@ static void measure(Controller *c)
     for (int m = 0; m < MOTORS && c->follows; m++) {
         float error = fabsf(c->measured[m] - c->commanded.position[m]);
         c->following_m = fmaxf(c->following_m, error);
-        deviates = deviates || !(error <= c->limits.following_m); /* also true for values that are not finite */
+        deviates = deviates || !(error <= c->limits.following_m); /* also true if the error is not finite */
     }
     deviates = deviates && c->limits.following_m > 0;
     c->deviating_ticks = deviates ? (uint8_t)(c->deviating_ticks + 1) : 0;
@@ -211,7 +211,7 @@ static void add_knots(Controller *c, int *work)
         uint16_t known = (uint16_t)(table->next - first);
         if (plays && table_rests(table) &&
             c->time + BRAKE_TICKS / 2 - table_knot(table, 0)->ticks > table_period(table))
-            status = STATUS_WRONG_STATE; /* too late: a brake would no longer fit before its end */
+            status = STATUS_WRONG_STATE; /* too late: the plate could no longer brake before the stream's end */
         else if (known >= 0x8000)
             status = STATUS_INCOMPLETE;
         else if (known >= (c->adding - 4) / KNOT_BYTES)
@@ -273,7 +273,7 @@ static uint8_t commit(Controller *c, uint16_t sequence, const uint8_t *fields)
             return STATUS_JUMP; /* a stream has ended away from home: stop and enable move the plate home */
     if (table->streams) {
         if (table->count < 2 || table_period(table) < BRAKE_TICKS)
-            return STATUS_INCOMPLETE; /* too short, because the plate must be able to brake at any time */
+            return STATUS_INCOMPLETE; /* the stream is too short: the plate must be able to brake at any time */
         if (!knot_is_home(table_knot(table, 0)))
             return STATUS_JUMP;
         wait_to_play(c);
@@ -539,7 +539,7 @@ void controller_tick(Controller *c)
     uint64_t silent_us = c->now_us - c->telemetry_us; /* on a slow line, telemetry is sent less often */
     if (silent_us >= TELEMETRY_US && (hal_idle() || silent_us >= MAX_UNREPORTED_US)) {
         c->telemetry_us = c->now_us;
-        send_trouble(c); /* before the telemetry with the fault, because it explains the fault */
+        send_trouble(c); /* send the cause of a fault before the telemetry that reports the fault */
         send_state(c);
     }
     hal_watchdog();

@@ -1,4 +1,4 @@
-/* The controller: sessions, stops, three tables, takeover, watchdog, brake. */
+/* The controller: sessions, stops, three tables, change of tables, watchdog, brake. */
 #ifndef PLATE_CONTROLLER_H
 #define PLATE_CONTROLLER_H
 
@@ -29,7 +29,7 @@ typedef struct {
     uint8_t state, faults;
     uint8_t board;     /* faults of the board in this tick */
     uint16_t stops;    /* number of the current or last stop */
-    bool stop_known;   /* whether this session had a Stop; the next fields describe it */
+    bool stop_known;   /* whether this session has received a Stop; the next fields describe the Stop */
     uint16_t stop_sequence;
     bool stop_now;
     uint64_t now_us, received_us, telemetry_us, enabled_us;
@@ -38,7 +38,7 @@ typedef struct {
     int playing, next, filling; /* indices in tables: a permutation of 0, 1 and 2 */
     bool waiting;      /* whether the next table waits to be played */
     uint32_t time;     /* time in the playing table [TICK_S] */
-    uint32_t played;   /* number of times that the table has been played */
+    uint32_t played;   /* number of completed plays of the table */
     uint32_t brake, brake_length; /* time since the start of the brake, and its duration [TICK_S] */
     bool going_home;
     uint32_t home_us;  /* time since the motion home began [us] */

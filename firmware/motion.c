@@ -7,7 +7,7 @@
 #define HOMEWARD_US 500000u /* duration of a motion home over one stroke: up to 0.04 m/s, 0.25 m/s2 [us] */
 #define HOMEWARD_S 0.5f
 #define SEARCH_US 5000000u  /* maximum duration of the search for home */
-#define TICKS_PER_US 100u   /* of TICK_S */
+#define TICKS_PER_US 100u   /* number of TICK_S in a microsecond */
 
 void motion_off(Controller *c, uint8_t faults)
 {
@@ -82,7 +82,7 @@ uint32_t motion_into(const Controller *c)
     return c->time - table_knot(&c->tables[c->playing], 0)->ticks;
 }
 
-/* Whether the remaining knots of the playing stream are just sufficient for a brake. */
+/* Whether the plate must brake now, because the playing stream has just enough knots left for a brake. */
 static bool runs_dry(const Controller *c, uint32_t dt)
 {
     const Table *table = &c->tables[c->playing];
@@ -121,7 +121,7 @@ static void pass(Controller *c, uint32_t step)
     }
 }
 
-/* Rate of the table's time while braking. */
+/* Speed of the table's time while braking, from 1 to 0. */
 static float brake_rate(float u)
 {
     return 1 - u * u * (3 - 2 * u);
@@ -183,7 +183,7 @@ bool motion_step(Controller *c, uint32_t dt_us, Setpoint *at)
     if (c->state == STATE_READY && c->waiting) {
         take_over(c);
         c->state = STATE_PLAYING;
-        dt = 0; /* the motion begins now */
+        dt = 0; /* the motion begins in this tick */
     }
     if (c->state == STATE_HOMING && !c->going_home && (c->faults & FAULT_NO_HOME || !hal_ready())) {
         search(c);

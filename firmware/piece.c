@@ -70,7 +70,7 @@ static void open_curve(PieceCheck *check, const float *points, int count, float 
 {
     bool inside = true;
     for (int i = 0; i < count; i++)
-        inside = inside && fabsf(points[i]) <= limit; /* also false for values that are not finite */
+        inside = inside && fabsf(points[i]) <= limit; /* also false if a point is not finite */
     if (inside)
         return;
     Curve *curve = &check->open[check->opens++];

@@ -12,7 +12,7 @@
 
 /* Maximum bisections per curve. Each one reduces the hull's error by a factor of 4. */
 #define HALVINGS 12
-#define MAX_HALVINGS 64 /* of all curves of a piece in total */
+#define MAX_HALVINGS 64 /* maximum bisections of all curves of a piece together */
 
 /* Work of checking a piece [units]. Each bisection adds one unit. */
 #define PIECE_WORK 8

@@ -10,9 +10,9 @@
 typedef struct {
     uint16_t phase;   /* fraction of a cycle or tail at which a pulse begins [1/65536] */
     uint8_t pulse_ms; /* 0: no trigger */
-    bool done;        /* whether this cycle or tail has had its pulse */
+    bool done;        /* whether the pulse of this cycle or tail has begun */
     uint32_t into;    /* time within the cycle or tail in the last tick [TICK_S] */
-    uint64_t rose_us; /* start of the last pulse */
+    uint64_t rose_us; /* time at which the last pulse began [us] */
 } Trigger;
 
 /* Whether the line is high in this tick, at the time `into` of a cycle or tail of `period` [TICK_S]. Both are

@@ -202,7 +202,7 @@ static void age(int m)
         axis->faults = 0;
     axis->lost = axis->lost && !is_up(axis);
     if (axis->stage == SILENT && axis->since >= BOOT_TICKS) {
-        if (axis->step) /* no reply, so the drive may have no power */
+        if (axis->step) /* the drive has not replied, so it may have no power */
             lose_home(m);
         alarm(m, TROUBLE_SILENT, 0, 0, FAULT_HARDWARE);
         enter(axis, SILENT);

@@ -8,14 +8,14 @@
 
 #define CYCLE_TICKS 2       /* length of a bus cycle, 2 ms; at 1 Mbit/s four axes use half of it */
 #define SILENT_TICKS 150    /* maximum time without a heartbeat */
-#define MISSED_CYCLES 3     /* consecutive cycles without a position, or with two each: a fault */
+#define MISSED_CYCLES 3     /* consecutive cycles without a position, or with two positions, that are a fault */
 #define ANSWER_TICKS 200    /* maximum wait for a reply in SETUP, and for the boot-up after a reset */
 #define BOOT_TICKS 1000     /* maximum wait for an answer; also between two tries, and an alarm's duration */
 #define START_TICKS 100     /* maximum wait for a start; also the time until a started drive can be enabled */
 #define STARTS 10           /* maximum number of tries */
 #define KEEPS_TICKS 100     /* maximum time in which a drive must switch its current off */
-#define DEVIATING_CYCLES 2  /* consecutive cycles with a too large following error: a fault */
-#define CROOKED_CYCLES 5    /* consecutive cycles with inconsistent positions: a fault */
+#define DEVIATING_CYCLES 2  /* consecutive cycles with a too large following error that are a fault */
+#define CROOKED_CYCLES 5    /* consecutive cycles with inconsistent positions that are a fault */
 #define STILL_CYCLES 150    /* cycles for which an axis must rest before it gets current */
 #define STILL_M 0.0005f     /* maximum motion of an axis that counts as resting [m] */
 
@@ -37,13 +37,13 @@ typedef struct {
     int32_t error;     /* following error when `actual` was received */
     int32_t rest;      /* position near which the axis rests [counts] */
     uint8_t still;     /* number of cycles in which the axis has rested there, 0 to STILL_CYCLES */
-    bool leapt;        /* the drive's last position is an impossible leap */
+    bool leapt;        /* the drive's last position is impossibly far from the position before */
     bool reported;     /* the drive has reported a position since the board started */
     uint16_t keeps;    /* ticks with current after the order to switch it off */
     uint16_t alarm;    /* remaining ticks for which `faults` are reported */
     uint16_t resets;   /* ticks until the next try to reset the drive's fault */
     uint8_t faults;
-    bool lost;         /* the drive had a fault and has not started again yet; false at power-up */
+    bool lost;         /* the drive had a fault and has not started again; false at power-up */
 } Axis;
 
 extern Drive drives[MOTORS];
@@ -59,7 +59,7 @@ bool in_fault(const Axis *axis);
 void take(const CanFrame *frame); /* process a received frame */
 void cycle(void);                 /* send the frames of a bus cycle */
 void between(void);               /* send the frames of the tick between two bus cycles */
-void cut(int m);                  /* switch a drive's current off, by all means of the bus */
+void cut(int m);                  /* switch a drive's current off with all messages that can do this */
 void break_off(int m);            /* stop a drive that has kept its current for KEEPS_TICKS */
 
 bool all_up(void);
@@ -74,6 +74,6 @@ void enter(Axis *axis, Stage stage);
 /* Restart the axis after a delay. */
 void lose(int m, uint8_t kind, uint16_t object, uint32_t code);
 
-void lose_home(int m); /* the drive may now count from another origin */
+void lose_home(int m); /* forget home, because the drive may now count from another origin */
 
 #endif

@@ -12,7 +12,7 @@
 #define PROTOCOL 2         /* version in Get_Version of firmware 0.6 */
 #define AGAIN_CYCLES 50    /* cycles between two tries to start operation */
 #define CLEAR_CYCLES 500   /* cycles between two tries to clear a drive's errors */
-#define DOG_TICKS 250      /* maximum wait until a drive's watchdog expires and the drive reports it */
+#define DOG_TICKS 250      /* maximum time until a drive's watchdog expires and the drive reports this */
 #define FRESH_CYCLES 3     /* cycles until a new position after a renewed request */
 
 enum { GET_VERSION = 0x00, HEARTBEAT_OF = 0x01, ESTOP = 0x02, GET_ERROR = 0x03, SET_STATE = 0x07,
@@ -171,7 +171,7 @@ void cycle(void)
         if (polled)
             request(m, GET_ESTIMATES);
         else
-            axis->answers = 1; /* so that no position counts as missed */
+            axis->answers = 1; /* set to 1, so that no position counts as missed */
     }
 }
 

@@ -6,7 +6,7 @@
 
 /* Defined in motors.c or can.c, which also implement the hal's functions for motors. */
 Limits motors_start(void);
-void motors_begin(void); /* before each tick */
+void motors_begin(void); /* call this before each tick */
 void motors_end(void);   /* call this after `controller_tick` */
 void motors_order(const char *line);
 

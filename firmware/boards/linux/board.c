@@ -30,7 +30,7 @@
 #include "limits_rig.h"
 
 #define TICK_NS 1000000
-#define PRIORITY 50       /* SCHED_FIFO priority, if the system allows it */
+#define PRIORITY 50       /* real-time priority (SCHED_FIFO), if the system permits it */
 #define LAST_TICKS 200u   /* ticks without current after the input has ended: time to stop a drive
                              that keeps its current */
 #define OLD_TICKS 250u    /* if a tick is later than this, discard the input that has arrived */
@@ -56,7 +56,7 @@ size_t hal_read(uint8_t *data, size_t size)
 
 void hal_write(const uint8_t *data, size_t size)
 {
-    written = write(STDOUT_FILENO, data, size) == (ssize_t)size; /* whole frames only, or nothing */
+    written = write(STDOUT_FILENO, data, size) == (ssize_t)size; /* a frame is sent completely or not at all */
 }
 
 /* Maximum delay of a tick since the last call [ticks]. */
@@ -98,7 +98,7 @@ void can_write(const CanFrame *frame)
     if (frame->id & CAN_REMOTE)
         out.can_id |= CAN_RTR_FLAG;
     memcpy(out.data, frame->data, sizeof out.data);
-    check_interface(write(can, &out, sizeof out)); /* a frame that does not fit is dropped */
+    check_interface(write(can, &out, sizeof out)); /* a frame that does not fit into the buffer is dropped */
 }
 
 bool can_off(void)
@@ -120,7 +120,7 @@ static bool tick_passed(void)
     late = own > late ? own : late;
     now_us += passed * (TICK_NS / 1000);
     for (uint8_t old[4096]; passed > OLD_TICKS && read(STDIN_FILENO, old, sizeof old) > 0;) {
-    } /* discard old input, above all an Enable */
+    } /* discard old input, because an old Enable would be dangerous */
     return true;
 }
 
@@ -142,7 +142,7 @@ int main(int argc, char **argv)
         fcntl((const int[]){STDIN_FILENO, STDOUT_FILENO, can}[k], F_SETFL, O_NONBLOCK);
     for (int k = 0; k < 4; k++) /* only the end of the input ends the program */
         signal((const int[]){SIGPIPE, SIGINT, SIGTERM, SIGHUP}[k], SIG_IGN);
-    mlockall(MCL_CURRENT); /* if the system allows it, as the next call */
+    mlockall(MCL_CURRENT); /* this call and the next call have no effect if the system forbids them */
     sched_setscheduler(0, SCHED_FIFO, &urgent);
     boot = (uint32_t)time(NULL) ^ (uint32_t)getpid() << 16;
     drives_start(DRIVES, &LIMITS);

@@ -37,7 +37,7 @@
 #define DUTY_MOST 0.95f            /* maximum; the bridges' bootstraps need the rest of the supply */
 #define MOTOR_NEWTON_PER_AMPERE 25.0f /* force constant, and back-EMF [V s/m] */
 #define MOTOR_OHM 2.0f             /* resistance of winding, bridge and leads */
-#define SUPPLY_LEAST_V 40.0f       /* outside this range for SUPPLY_TICKS: fault SUPPLY */
+#define SUPPLY_LEAST_V 40.0f       /* supply outside this range for SUPPLY_TICKS: fault SUPPLY */
 #define SUPPLY_MOST_V 56.0f
 #define SUPPLY_TICKS 3
 #define SUPPLY_V_PER_COUNT (3.3f / 4096.0f * 21.0f) /* divider 200 kOhm to 10 kOhm */
@@ -48,7 +48,7 @@
 #define SENSOR_REACH_M 0.012f      /* in each direction */
 #define SENSOR_LEAST 124u          /* 0.1 V; a reading outside these limits means a broken wire */
 #define SENSOR_MOST 3972u          /* 3.2 V */
-#define SENSOR_POLLS 2000          /* for four conversions of 1.9 us: 20 times the required number */
+#define SENSOR_POLLS 2000          /* maximum polls for four conversions of 1.9 us: 20 times the usual number */
 #define SENSOR_MEMORY 0.7f         /* the observer's three poles: 57 Hz at 1 kHz */
 
 /* Force loop, of each motor */
@@ -64,7 +64,7 @@
 
 /* State and frequencies of the clock */
 typedef struct {
-    bool emulated; /* no clock unit, so no pins either: pins report no faults */
+    bool emulated; /* an emulator without clock unit and pins: pins report no faults */
     bool locked;   /* the PLL runs, or this is an emulator. Otherwise the motors stay off */
     uint32_t core_hz, line_hz, pwm_hz; /* of the core, USART1, TIM8 */
     uint32_t counts_per_us;            /* of TIM2 */
@@ -74,14 +74,14 @@ typedef struct {
 #define TICK_BINS 1024
 typedef struct {
     uint32_t ticks;
-    uint32_t late;                /* ticks that ended after the next one was due */
+    uint32_t late;                /* number of ticks that ended after the next tick was due */
     uint32_t longest;             /* longest tick [counts of TIM2] */
     uint32_t by_us[TICK_BINS];    /* number of ticks for each duration [us]; the last bin: or longer */
     uint32_t setpoints;
     float step_m;                 /* largest step between the setpoints of two consecutive ticks */
     float most[3];                /* maxima over all motors' setpoints: travel [m], speed, acceleration */
     uint32_t received, overruns;  /* bytes received; overruns of the line */
-    uint32_t dropped;             /* frames that did not fit into the send buffer */
+    uint32_t dropped;             /* number of frames that did not fit into the send buffer */
 } Record;
 
 /* Memory that survives a reset, but not a power failure. */
@@ -112,7 +112,7 @@ void can_start(void);                    /* with drives only */
 static inline void motors_cut(void)
 {
     GPIOB->BSRR = BIT(PIN_ENABLE + 16);
-    TIM8->BDTR = 0; /* clears MOE; locked bits do not change */
+    TIM8->BDTR = 0; /* clears the bit MOE; locked bits do not change */
 }
 
 #endif

@@ -8,7 +8,7 @@
 #define BIT_TIMING (2u | 9u << 16 | 2u << 20) /* 42 MHz / 3, 14 quanta: 1 + 10 + 3, sampled at 79 % */
 
 typedef struct {
-    volatile uint32_t in, out; /* frames so far */
+    volatile uint32_t in, out; /* number of frames since the start */
     CanFrame frames[CAPACITY];
 } Ring;
 
@@ -43,7 +43,7 @@ void can_came(void)
         uint8_t size = box->DTR & 15u;
         CAN1->RFR[0] = RFR_RFOM;
         if (identifier & IR_RTR_OR_IDE || received.in - received.out == CAPACITY)
-            continue; /* the queue is full: the frame is lost */
+            continue; /* the queue is full, so the received frame is lost */
         CanFrame *frame = &received.frames[received.in % CAPACITY];
         frame->id = (uint16_t)(identifier >> 21);
         frame->size = size < 8 ? size : 8;
@@ -106,7 +106,7 @@ void can_start(void)
     CAN1->FA1R = 1;
     CAN1->FMR &= ~FMR_FINIT;
     CAN1->IER = IER_TMEIE | IER_FMPIE0;
-    CAN1->MCR = MCR_TXFP | MCR_ABOM; /* joins the bus after 11 idle bits */
+    CAN1->MCR = MCR_TXFP | MCR_ABOM; /* the controller joins the bus after 11 idle bits */
     NVIC_IPR(IRQ_CAN1_TX) = NVIC_IPR(IRQ_CAN1_RX0) = 0x40;
     NVIC_ISER(IRQ_CAN1_TX / 32) = BIT(IRQ_CAN1_TX % 32) | BIT(IRQ_CAN1_RX0 % 32);
 }

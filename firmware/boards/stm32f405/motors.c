@@ -19,7 +19,7 @@ typedef struct {
 
 static Seen seen[MOTORS];
 static float supply; /* [V] */
-static int supply_bad;    /* consecutive ticks */
+static int supply_bad;    /* consecutive ticks with a wrong supply */
 static bool sensors_lost, sensors_met, driving;
 
 /* Home search of each motor: its setpoint [m], and whether its flag's edge was found. */
@@ -146,7 +146,7 @@ void hal_drive(bool on)
     if (!on)
         return;
     TIM8->SR = ~TIM_BIF;
-    TIM8->BDTR = BDTR_OFF | BDTR_MOE; /* has no effect while the bridges report a fault */
+    TIM8->BDTR = BDTR_OFF | BDTR_MOE; /* this line has no effect while the bridges report a fault */
     GPIOB->BSRR = BIT(PIN_ENABLE);
     driving = true;
 }

@@ -8,7 +8,7 @@ void reset(void);
 void crash(void);
 void tick(void);
 void usart(void);
-void can_sent(void) __attribute__((weak, alias("crash"))); /* a board with bridges has no bus */
+void can_sent(void) __attribute__((weak, alias("crash"))); /* a board with bridges has no CAN bus */
 void can_came(void) __attribute__((weak, alias("crash")));
 
 volatile Survivor survivor __attribute__((section(".noinit")));
@@ -39,7 +39,7 @@ __attribute__((naked)) void crash(void)
 
 void reset(void)
 {
-    SCB_CPACR |= 0xFu << 20; /* enable floating point before its first use */
+    SCB_CPACR |= 0xFu << 20; /* enable the floating-point unit before its first use */
     __asm__ volatile("dsb\nisb" ::: "memory");
     const uint32_t *from = &data_load;
     for (uint32_t *to = &data_start; to < &data_end;)

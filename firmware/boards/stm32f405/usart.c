@@ -8,7 +8,7 @@
 #define NO_RECEIVE_INTERRUPTS (CR1_UE | CR1_TE | CR1_RE) /* without receive interrupts */
 
 typedef struct {
-    volatile uint32_t in, out; /* bytes so far; the buffer holds those between `out` and `in` */
+    volatile uint32_t in, out; /* bytes since the start; the buffer contains bytes `out` to `in` - 1 */
     uint8_t bytes[CAPACITY];
 } Ring;
 
@@ -22,7 +22,7 @@ void usart(void)
     if (!(status & (SR_RXNE | SR_ORE)))
         return;
     uint32_t in = received.in;
-    received.bytes[in % CAPACITY] = (uint8_t)USART1->DR; /* clears both */
+    received.bytes[in % CAPACITY] = (uint8_t)USART1->DR; /* reading DR clears both flags */
     received.in = in + 1;
     record.received++;
     if (status & SR_ORE)
