@@ -165,7 +165,7 @@ class Master:
         Raises
         ------
         PlateError
-            The node does not reply, the value has more than four bytes, or the node refuses the
+            If the node does not reply, the value has more than four bytes, or the node refuses the
             request. If the node refuses, the error is a `Refused`.
         """
         answer = self._transfer(node, 0x40, index, sub)

@@ -33,7 +33,7 @@ def write(path: Path, drives: Drives) -> None:
     Raises
     ------
     PlateError
-        The file cannot be written, or the new file would not contain these drives.
+        If the file cannot be written, or the new file would not contain these drives.
     """
     motors = [replace(m, drive=drives.get(m.name, m.drive)) for m in load_rig(path).motors]
     old = {m.name: m.drive for m in load_rig(path).motors if m.drive is not None}

@@ -92,7 +92,7 @@ def program_of(rig: Rig) -> Path:
     Raises
     ------
     PlateError
-        The rig is not suitable for this transport, or the firmware cannot be compiled.
+        If the rig is not suitable for this transport, or the firmware cannot be compiled.
     """
     drives = [motor.drive for motor in rig.motors if motor.drive is not None]
     if not drives:
@@ -143,7 +143,7 @@ class HostPort:
     Raises
     ------
     PlateError
-        The bus does not open, another process still commands the bus, or the program does not
+        If the bus does not open, another process still commands the bus, or the program does not
         start.
     """
 

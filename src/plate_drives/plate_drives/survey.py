@@ -81,7 +81,7 @@ def survey(master: Master) -> dict[int, Found]:
     Raises
     ------
     PlateError
-        The bus fails, or a node does not reply to a later request.
+        If the bus fails, or a node does not reply to a later request.
     """
     found = {}
     for node in master.answering(0x1000):

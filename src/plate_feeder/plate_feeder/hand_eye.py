@@ -96,8 +96,8 @@ def load_hand_eye(path: str | Path) -> HandEye:
     Raises
     ------
     HandEyeError
-        The file is invalid. The message contains the name of the file, the key, its value and the
-        allowed values.
+        If the file is invalid. The message contains the name of the file, the key, its value and
+        the allowed values.
     """
     fields = read_yaml(path, HandEyeError)
     frame = fields.value(FILE["frame"])
@@ -125,7 +125,7 @@ def fit_hand_eye(frame: str, plate: np.ndarray, robot: np.ndarray) -> HandEye:
     Raises
     ------
     HandEyeError
-        There are too few points, the points are too close to each other, or the residual is too
+        If there are too few points, the points are too close to each other, or the residual is too
         large.
 
     Notes

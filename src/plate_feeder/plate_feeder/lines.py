@@ -79,7 +79,7 @@ def read_line(line: bytes) -> Command:
     Raises
     ------
     LineError
-        The line is invalid. The message contains the error and the allowed values.
+        If the line is invalid. The message contains the error and the allowed values.
     """
     if len(line) > MAX_LINE:
         raise LineError(Code.BAD_LINE, f"line has {len(line)} bytes, allowed: up to {MAX_LINE}")

@@ -93,7 +93,7 @@ class RobotServer:
     Raises
     ------
     PlateError
-        The port is in use, or the address does not belong to this machine.
+        If the port is in use, or the address does not belong to this machine.
     """
 
     def __init__(

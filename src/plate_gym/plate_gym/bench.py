@@ -102,7 +102,7 @@ def evaluate(
     Raises
     ------
     PlateError
-        A name is unknown, a seed is not allowed, the agent fails, or `done` cannot be continued.
+        If a name is unknown, a seed is not allowed, the agent fails, or `done` cannot be continued.
         `done` must be a result of the same code, files, agent, world, limits and type of computer.
     """
     result = begun(agent, world, limits, done)

@@ -156,7 +156,8 @@ def isolated(agent: str, world: str, task: str, seed: int, limits: Limits) -> di
     Raises
     ------
     PlateError
-        The agent fails for another reason than a limit. The message contains agent, task and seed.
+        If the agent fails for another reason than a limit. The message contains agent, task and
+        seed.
     """
     request = {"agent": agent, "world": world, "task": task, "seed": seed}
     reply = isolation.play(request, limits)

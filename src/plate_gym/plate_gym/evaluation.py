@@ -190,7 +190,7 @@ class TaskEvaluator:
     Raises
     ------
     PlateError
-        The task is not of one of the kinds sort, assemble, pose, follow and feed.
+        If the task is not of one of the kinds sort, assemble, pose, follow and feed.
     """
 
     def __init__(self, task: Task, rig: Rig) -> None:

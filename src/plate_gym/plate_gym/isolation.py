@@ -63,7 +63,7 @@ class Limits:
     Raises
     ------
     PlateError
-        A value is outside the allowed range.
+        If a value is outside the allowed range.
     """
 
     decision_s: float = 60.0

@@ -255,7 +255,7 @@ class Planner:
         Raises
         ------
         PlateError
-            No `feed` task runs, or the order is infeasible with this rig or this recipe.
+            If no `feed` task runs, or the order is infeasible with this rig or this recipe.
         """
         task = self.scenario.task
         if not isinstance(task, FeedTask) or state.task.phase is not Phase.RUNNING:

@@ -198,7 +198,7 @@ class TaskRunner:
         Raises
         ------
         PlateError
-            No `feed` task runs, or the order is infeasible.
+            If no `feed` task runs, or the order is infeasible.
         """
         run = self.run
         if run is None:

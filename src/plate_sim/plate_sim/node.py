@@ -336,7 +336,7 @@ class SimulatorNode(SafeLifecycleNode[Options]):
         Raises
         ------
         PlateError
-            The rate cannot be changed in this mode, or a value is outside its range.
+            If the rate cannot be changed in this mode, or a value is outside its range.
         """
         options, before = self.options, self._rate
         if options.rate != before and (options.lockstep or not self._simulated_time):

@@ -196,7 +196,7 @@ class Controller:
         Raises
         ------
         PlateError
-            The request cannot be converted to a goal, see `form_goal`.
+            If the request cannot be converted to a goal, see `form_goal`.
         """
         return self._answer(self.method, request, running, until)
 

@@ -308,7 +308,7 @@ class SerialTransport:
         Raises
         ------
         CycleError
-            The device is not ready, or it cannot store all knots of the table.
+            If the device is not ready, or it cannot store all knots of the table.
         """
         report = self.report()
         if report.condition is not Condition.READY:

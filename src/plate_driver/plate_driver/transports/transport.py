@@ -196,7 +196,7 @@ class Transport(Protocol):
         Raises
         ------
         CycleError
-            The motors do not accept a table at present, or refuse this table. The message of the
+            If the motors do not accept a table at present, or refuse this table. The message of the
             error states the reason.
         """
 
@@ -268,7 +268,7 @@ def make_transport(name: str, context: TransportContext) -> Transport:
     Raises
     ------
     PlateError
-        The transport is not installed, it cannot be loaded, or it refuses a parameter.
+        If the transport is not installed, it cannot be loaded, or it refuses a parameter.
     """
     known = installed()
     _check_name(name, known)

@@ -385,8 +385,8 @@ def check_start(cycle: PlateCycle, begin: float, image: float | None) -> None:
     Raises
     ------
     PlateError
-        The period of the cycle is outside `PERIOD_RANGE_S`, or `begin` and `image` differ by more
-        than `SAME_TIME_S`.
+        If the period of the cycle is outside `PERIOD_RANGE_S`, or `begin` and `image` differ by
+        more than `SAME_TIME_S`.
     """
     low, high = PERIOD_RANGE_S
     if not low <= cycle.period <= high:

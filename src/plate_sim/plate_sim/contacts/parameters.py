@@ -26,7 +26,7 @@ class Contacts:
     Raises
     ------
     PlateError
-        A coefficient is outside its allowed range.
+        If a coefficient is outside its allowed range.
     """
 
     restitution: float = 0.0

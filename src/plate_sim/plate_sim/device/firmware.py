@@ -40,7 +40,7 @@ class FirmwareOnDesk:
     Raises
     ------
     PlateError
-        The motors of the rig have no drives, or the program does not start.
+        If the motors of the rig have no drives, or the program does not start.
     """
 
     connected = True

@@ -37,7 +37,7 @@ class PseudoTerminal:
         Raises
         ------
         PlateError
-            No symbolic link with this name can be created.
+            If no symbolic link with this name can be created.
         """
         if self._ends is not None:
             return

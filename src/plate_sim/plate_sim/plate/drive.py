@@ -97,8 +97,8 @@ class Plant:
         Raises
         ------
         PlateError
-            Neither the flexures nor the servo hold the plate in place, or the servo makes the plate
-            unstable.
+            If neither the flexures nor the servo hold the plate in place, or the servo makes the
+            plate unstable.
         """
         plant = cls(suspension, rig.motor_levers.T)
         rates = np.linalg.eigvals(plant.system)

@@ -58,7 +58,7 @@ class PlateMotion:
         Raises
         ------
         CycleError
-            The motions of the four motors contradict each other, a value is not finite, or the
+            If the motions of the four motors contradict each other, a value is not finite, or the
             times do not increase from 0.
         """
         times = np.asarray(times, dtype=float)

@@ -55,7 +55,7 @@ class Hand:
         Raises
         ------
         PlateError
-            There is no part with this id or no such type, no more parts are allowed, or the part
+            If there is no part with this id or no such type, no more parts are allowed, or the part
             would be outside the plate.
         """
         label = self._checked(state, part_id, label, position, angle)

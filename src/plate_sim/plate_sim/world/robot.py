@@ -181,7 +181,7 @@ class Robot:
         Raises
         ------
         PlateError
-            The move is unknown, or the pose of the gripper is not above the plate.
+            If the move is unknown, or the pose of the gripper is not above the plate.
         """
         x, y, _ = gripper
         if to not in set(Move):

@@ -63,7 +63,7 @@ class Simulation:
     Raises
     ------
     PlateError
-        The value of `noise` or `mu_scale` is outside its range.
+        If the value of `noise` or `mu_scale` is outside its range.
 
     Attributes
     ----------
@@ -154,8 +154,8 @@ class Simulation:
         Raises
         ------
         PlateError
-            The value of `noise` or `mu_scale` is outside its range, or parts get a height although
-            the rig file does not contain the position of the camera.
+            If the value of `noise` or `mu_scale` is outside its range, or parts get a height
+            although the rig file does not contain the position of the camera.
         """
         _check(noise=noise, mu_scale=mu_scale)
         check_height(self._rig, disturbances)
@@ -189,8 +189,8 @@ class Simulation:
         Raises
         ------
         PlateError
-            There is no such part or type, no more parts are allowed, or the part would be outside
-            the plate or overlap another part. The state is then unchanged.
+            If there is no such part or type, no more parts are allowed, or the part would be
+            outside the plate or overlap another part. The state is then unchanged.
         """
         state, unit = self.state, self._field.unit
         state, part_id, own = self._hand.put(

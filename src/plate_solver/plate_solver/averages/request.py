@@ -130,8 +130,8 @@ class Request:
         Raises
         ------
         PlateError
-            An array does not have the shape (M, 2), or (M,) for the curl. Or a value is not finite
-            or is outside its range.
+            If an array does not have the shape (M, 2), or (M,) for the curl, or if a value is not
+            finite or is outside its range.
         """
         # the C++ kernels need this memory layout
         position = np.array(position, dtype=float, order="C")
