@@ -73,8 +73,8 @@ used here. The node number is added to the values of 1400h:01 and 1800h:01."""
 
 @contextlib.contextmanager
 def uninterrupted() -> Iterator[None]:
-    """Ignore SIGINT, SIGTERM and SIGHUP in the context. These signals then cannot interrupt the
-    code that disables drives."""
+    """Ignore SIGINT, SIGTERM and SIGHUP in the context. The code that disables drives therefore
+    cannot be interrupted by these signals."""
     signals = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
     before = [signal.signal(each, signal.SIG_IGN) for each in signals]
     try:
@@ -118,8 +118,8 @@ class Axis:
     motor, node : int
         Numbers of the motor, 1 to 4, and of its drive.
     scale : float
-        Estimated counts per metre along the motor's direction. It is negative if the drive counts
-        against this direction.
+        Estimated counts per metre along the motor's direction. The value is negative if the drive
+        counts against the motor's direction.
     limits : Limits
 
     Attributes

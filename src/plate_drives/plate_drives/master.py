@@ -1,6 +1,6 @@
 """Master of a CAN bus with the services of CANopen (CiA 301), for all interfaces of python-can.
 
-The module uses no other threads. It receives frames only in the methods `Master.frames` and
+The module uses no other threads. The module receives frames only in the methods `Master.frames` and
 `Master.wait`.
 """
 

@@ -135,8 +135,8 @@ class HostPort:
     channel : str
         Name of the bus. Only one process may command a bus.
     opened : callable
-        Function that opens the bus. It returns a socket whose datagrams are of the type `struct
-        can_frame`.
+        Function that opens the bus. The function returns a socket whose datagrams are of the type
+        `struct can_frame`.
     ticks : int, optional
         File descriptor from which the firmware reads its ticks, for tests. Default: a timer.
 
@@ -218,7 +218,7 @@ class HostTransport(SerialTransport):
     clock : callable
         Function that returns the monotonic time [s].
     seed : int
-        Number of the first session with the firmware. It must differ between runs.
+        Number of the first session with the firmware. The number must differ between runs.
 
     Attributes
     ----------

@@ -27,12 +27,11 @@ The rules:
   stays the same.
 - When a client receives the reply with a part, this part is reserved for the client and the plate
   rests. The reservation ends with `part_taken`, or with the next accepted `get_part`,
-  `prepare_part` or `purge` of the same client. It also ends when the validity of the reservation
-  has expired. Only one part is reserved at a time, for one client. If another client sends
-  `get_part`, `prepare_part` or `purge` during the reservation, this client gets the reply `BUSY`.
-  Only the client of the reservation may report the part as taken. The feeder sends the part's id
-  only to this client. If this client has disconnected, any client that knows the id may report the
-  part.
+  `prepare_part` or `purge` of the same client. The reservation also ends when its validity has
+  expired. Only one part is reserved at a time, for one client. If another client sends `get_part`,
+  `prepare_part` or `purge` during the reservation, this client gets the reply `BUSY`. Only the
+  client of the reservation may report the part as taken. The feeder sends the part's id only to
+  this client. If this client has disconnected, any client that knows the id may report the part.
 - After a `stop`, the feeder refuses all commands that move the plate until a person calls `resume`.
 - A part that was reserved is not offered again until a later image shows that the part is ready.
   The stamp of this image must exceed the newest stamp at the end of the reservation by at least

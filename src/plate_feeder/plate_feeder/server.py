@@ -78,9 +78,9 @@ class RobotServer:
     port : int
         TCP port. 0 means any free port.
     ask : callable
-        Function that is called on the server's thread for each command. Its arguments are the
-        number of the client, the command, and a function that sends the reply. The third argument
-        must be called once, on any thread.
+        Function that is called on the server's thread for each command. The arguments of the
+        function are the number of the client, the command, and a second function that sends the
+        reply. The second function must be called once, on any thread.
     on_disconnect : callable
         Function that is called on the server's thread with the number of a disconnected client.
 

@@ -78,8 +78,8 @@ def evaluate(
         Function that is called with a line of text after each task, and after each episode in which
         a limit was exceeded.
     keep : callable
-        Function that is called with the result so far. It is called after each task, at most every
-        `KEEP_S` during a task, and before an error is raised.
+        Function that is called with the result so far. The function is called after each task, at
+        most every `KEEP_S` during a task, and before an error is raised.
     limits : Limits
         Limits of the agent. If a limit is exceeded in an episode, the episode counts as failed.
     pool : Executor, optional
@@ -241,8 +241,8 @@ def check(
     -------
     list of str
         Differences between the result and the repetition, except in computing times. If the
-        additional seeds run in the world of the result, their success is also compared. It counts
-        as different if the two confidence intervals do not overlap. If the libraries of both
+        additional seeds run in the world of the result, their success is also compared. The success
+        counts as different if the two confidence intervals do not overlap. If the libraries of both
         machines round differently, the digest `places` differs too.
 
     Raises

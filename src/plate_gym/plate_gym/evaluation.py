@@ -82,8 +82,8 @@ class Feeding:
         part. A new part gets the first row that was empty in the last cycle. If there is no such
         row, it gets a row that has just become empty.
     rests : bool
-        Whether the plate rests in the next cycle. It rests while the robot picks, or if enough
-        parts are ready.
+        Whether the plate rests in the next cycle. The plate rests while the robot picks, or if
+        enough parts are ready.
     made : Production
         Counts of the parts that were fed since the start of the task.
     time : float

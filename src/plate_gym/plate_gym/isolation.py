@@ -44,8 +44,8 @@ ENDING_S = 15.0
 """Time in which a supervisor must end all its processes and itself [s]."""
 
 MARK = "PLATE_GYM_SUPERVISOR"
-"""Environment variable that all processes of a supervisor have. Its value is a random text. If an
-agent kills the supervisor, the remaining processes are found by this text."""
+"""Environment variable that all processes of a supervisor have. The value of the variable is a
+random text. If an agent kills the supervisor, the remaining processes are found by this text."""
 
 
 @dataclass(frozen=True)

@@ -1,5 +1,5 @@
-"""Provenance of a result. It consists of the code, the libraries, the files and the properties of
-the computer that determine the rows of the result."""
+"""Provenance of a result. The provenance consists of the code, the libraries, the files and the
+properties of the computer that determine the rows of the result."""
 
 from __future__ import annotations
 

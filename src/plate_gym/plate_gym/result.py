@@ -1,5 +1,5 @@
-"""Functions for results of agents. They check the form of a result, summarise its rows, and convert
-values to text.
+"""Functions for results of agents. The functions check the form of a result, summarise its rows,
+and convert values to text.
 
 A result is a dict that can be stored as JSON. For each task, a result contains a row for each
 episode and the summary of these rows. A result may come from another person. Therefore, `read`
@@ -28,7 +28,8 @@ from .tasks import TASKS, WORLDS, chosen
 __all__ = ["ROW", "TIMES", "ranges", "read", "summary", "validate"]
 
 TIMES = ("start_ms", "decision_ms", "decision_ms_p99", "wall_ms", "wall_ms_p99")
-"""Keys of the computing times in a row. These times differ between repetitions of an episode."""
+"""Keys of the computing times in a row. Computing times differ between repetitions of an
+episode."""
 
 NUMBERS = ("time_s", "return", "error_mm", "turn_error_deg", "limit_share", *TIMES)
 """Keys of a row whose values are floating-point numbers."""

@@ -54,8 +54,8 @@ def action_space(plates: Plates) -> spaces.Space:
     - `progress` (M, 3): the target x, y of each part divided by the plate's half sides, and the
       weight of the part's distance from the target. For comparison, the distance by which parts are
       too close to an edge or to each other has the weight 1. If parts have angles, the action has
-      two more columns (M, 5). They contain the target angle divided by pi, and the weight of the
-      arc length by which the contour of the part must rotate.
+      two more columns (M, 5). The two columns contain the target angle divided by pi, and the
+      weight of the arc length by which the contour of the part must rotate.
     - `cycle`: a `CycleSpace`.
     """
     count = len(plates.friction_limit)

@@ -2,8 +2,9 @@
 
 The supervisor reads requests from its standard input and writes replies to its standard output, as
 one JSON object per line. For each request, it forks a process that runs `episode.episode`. When the
-episode has ended or a limit is exceeded, the supervisor ends the forked process. It also ends all
-processes that the agent has started. The program requires Linux, but no root privileges.
+episode has ended or a limit is exceeded, the supervisor ends the forked process. The supervisor
+also ends all processes that the agent has started. The program requires Linux, but no root
+privileges.
 """
 
 from __future__ import annotations
@@ -58,8 +59,8 @@ when its parent ends. With `PR_SET_CHILD_SUBREAPER`, descendants whose parent ha
 children of this process."""
 
 CONTROL = bytes(set(range(32)) - set(b"\t\n\r"))
-"""Control characters except tab, newline and carriage return. They are removed from the output of
-an agent, because an agent could overwrite other lines of the terminal with them."""
+"""Control characters except tab, newline and carriage return. Control characters are removed from
+the output of an agent, because an agent could overwrite other lines of the terminal with them."""
 
 BEAT = b"."
 """Byte that the forked process sends to the supervisor before each decision of the agent."""

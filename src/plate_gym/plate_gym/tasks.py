@@ -62,8 +62,8 @@ TASKS = {
     "Follow5-v1": ("follow_5", "3057df7c5f244eed"),
     "Feed-v1": ("feed", "5b99341f03a50dbc"),
 }
-"""Scenario of each task, and a digest of the files that define the task. These are the scenario
-file, the rig file, and the file of part types that the rig file names."""
+"""Scenario of each task, and a digest of the files that define the task. The files of a task are
+the scenario file, the rig file, and the file of part types that the rig file names."""
 
 
 FEED_S = 60.0

@@ -6,9 +6,9 @@ The key of an entry is a digest of all inputs from which the entry was made. A d
 ignored. If the folder cannot be written, no entries are stored.
 
 The command line restores (`take`) or stores (`keep`) the folder BUILT, a package of messages that
-was built from the folder PACKAGE. Both folders are below the folder ROOT of the clone. An entry may
-come from another clone; the path of this clone is then replaced by ROOT. The exit code is not 0 if
-there is no matching entry.
+was built from the folder PACKAGE. PACKAGE and BUILT are below the folder ROOT of the clone. An
+entry may come from another clone; the path of this clone is then replaced by ROOT. The exit code is
+not 0 if there is no matching entry.
 """
 
 from __future__ import annotations

@@ -1,8 +1,8 @@
 """Order in which the planner processes messages if a simulator runs in lockstep. This module does
 not use ROS.
 
-The planner may receive an image before messages that it must process first. These are the cycle
-that led to this image, the report of this cycle's start, and a goal. The order of arrival is
+The planner may receive an image before messages that it must process first. Such messages are the
+cycle that led to this image, the report of this cycle's start, and a goal. The order of arrival is
 random. To make runs repeatable, the class `Lockstep` delays an image until these messages have
 arrived.
 """
@@ -44,8 +44,8 @@ class Lockstep(Generic[Image, Start]):
         Whether the message plate_cycle for the last request has not arrived yet.
     starts_required : bool
         Whether an image must wait for the report of the cycle start at which it was taken. The
-        value becomes False if no start is reported within the timeout. It becomes True again when
-        the start for an image is reported.
+        value becomes False if no start is reported within the timeout. The value becomes True again
+        when the start for an image is reported.
     """
 
     def __init__(self, enabled: bool) -> None:
@@ -67,8 +67,8 @@ class Lockstep(Generic[Image, Start]):
         return self._image is not None
 
     def add_image(self, image: Image, stamp_ns: int, now: float) -> None:
-        """Store an image that arrived at the time `now` [s, steady clock]. It replaces an earlier
-        image that still waits."""
+        """Store an image that arrived at the time `now` [s, steady clock]. The image replaces an
+        earlier image that still waits."""
         if self._image is None or self._image[1] != stamp_ns:
             self._image_time = now
         self._image = image, stamp_ns

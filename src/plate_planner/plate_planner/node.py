@@ -2,9 +2,10 @@
 
 The node receives the detected parts, and publishes the mean force that the next cycle should exert
 on each part. An action goal starts a task. The node also subscribes to plate_cycle and
-cycle_started. These topics contain the motion of the plate, which moves the parts between images,
-and which the next cycle continues. `TaskRunner` runs a task. `InputMonitor` ends the task if an
-input is missing. `Lockstep` and `AnswerSchedule` decide when the next request is computed.
+cycle_started. plate_cycle and cycle_started contain the motion of the plate, which moves the parts
+between images, and which the next cycle continues. `TaskRunner` runs a task. `InputMonitor` ends
+the task if an input is missing. `Lockstep` and `AnswerSchedule` decide when the next request is
+computed.
 """
 
 from __future__ import annotations

@@ -95,9 +95,9 @@ class PlannerOptions(TaskOptions):
     stuck_timeout_s : float
         Maximum time without progress before the task counts as stuck [s].
     answer_s : float
-        Time from a request to the start of the next cycle [s]. This option is used if images are
-        not taken at cycle starts. The time must be sufficient for the computations of solver and
-        driver, and for the connection to the motors.
+        Time from a request to the start of the next cycle [s]. The option `answer_s` is used if
+        images are not taken at cycle starts. The time must be sufficient for the computations of
+        solver and driver, and for the connection to the motors.
     image_age_s : float or None
         Time from the exposure of an image to the time in its stamp [s]. If None, this time is
         estimated from the motion of the parts.
@@ -218,7 +218,7 @@ class Planner:
         Returns
         -------
         planner : Planner
-            Planner with the new targets. It must replace this planner.
+            Planner with the new targets. The caller must use it in place of this planner.
         state : PlannerState
         refused : tuple of str
             Reasons why single targets were refused. All other targets are accepted.
@@ -382,9 +382,9 @@ class Planner:
     def _without_doubles(
         self, parts: Parts, seen: Parts, classes: tuple[str, ...] | None = None
     ) -> Parts:
-        """Remove each undetected part at whose predicted position another part is detected. Both
-        are assumed to be the same part, which was hidden and has a new id. If `classes` is given,
-        only parts of these classes are removed."""
+        """Remove each undetected part at whose predicted position another part is detected. The two
+        parts are assumed to be the same part, which was hidden and has a new id. If `classes` is
+        given, only parts of these classes are removed."""
         label = [part_class(name) for name in parts.ids]
         missing = [name not in seen.ids for name in parts.ids]
         if classes is not None:

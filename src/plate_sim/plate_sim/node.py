@@ -1,6 +1,6 @@
-"""ROS node of the simulator. It simulates the parts on a plate that follows the received motor
-tables or the motion of the simulated device. It publishes camera images and the ground truth.
-`world.Simulation` is the model."""
+"""ROS node of the simulator. The node simulates the parts on a plate that follows the received
+motor tables or the motion of the simulated device. The node publishes camera images and the true
+positions of the parts. `world.Simulation` is the model."""
 
 from __future__ import annotations
 
@@ -226,8 +226,9 @@ class Options(NodeOptions):
 
 @dataclass
 class Tally:
-    """Counts since the diagnostics were last published. They are the numbers of received tables, of
-    refused tables, and of cycles that started late. `why` is the reason of the last refusal."""
+    """Counts since the diagnostics were last published. The counts are the numbers of received
+    tables, of refused tables, and of cycles that started late. `why` is the reason of the last
+    refusal."""
 
     tables: int = 0
     refused: int = 0

@@ -31,8 +31,8 @@ from .sinusoids.solver import SinusoidCycles
 from .start import Memory, part_types, predict_start
 
 METHODS = {"A": "rotations", "B": "sinusoids", "rotations": "rotations", "sinusoids": "sinusoids"}
-"""Allowed names of the methods. They are the letters A and B of the paper, and the names in this
-project."""
+"""Allowed names of the methods. The names are the letters A and B of the paper, and the names in
+this project."""
 
 DRIFT_TOLERANCE = 5e-5
 """Displacement error at which a search for forces ends the descent from one start, divided by the
@@ -46,9 +46,9 @@ The search over several starts ends when the root mean square error is below thi
 cycles correct the remaining error."""
 
 FRACTIONS = (1.0, 0.5, 0.25)
-"""Fractions of a goal. They are tried in this order until no part leaves the plate. If forces are
-requested, the displacements and rotations are multiplied by the fraction. If targets are requested,
-their weights are multiplied by the square of the fraction (`Goal.times`)."""
+"""Fractions of a goal. The solver tries the fractions in this order until no part leaves the plate.
+If forces are requested, the displacements and rotations are multiplied by the fraction. If targets
+are requested, their weights are multiplied by the square of the fraction (`Goal.times`)."""
 
 GOOD_MISS = 0.15
 """Maximum acceptable error (root mean square), as a fraction of the requested displacement. If the
@@ -75,8 +75,8 @@ With larger values, the search is slower and the result is hardly better (docs/r
 
 @dataclass(frozen=True)
 class Answer:
-    """Result of `Controller.answer`. It contains the next cycle, and the accuracy with which this
-    cycle meets the request.
+    """Result of `Controller.answer`. The result contains the next cycle, and the accuracy with
+    which this cycle meets the request.
 
     Attributes
     ----------
@@ -93,9 +93,9 @@ class Answer:
     message : str
         Text for the log.
     error_m, requested_m : float
-        Displacement error and requested displacement [m]. Both values are root mean squares over
-        parts and axes. A rotation counts as the arc length at the edge of the part. Both values are
-        0 if targets are requested.
+        Displacement error and requested displacement [m]. Error and displacement are root mean
+        squares over parts and axes. A rotation counts as the arc length at the edge of the part.
+        Error and displacement are 0 if targets are requested.
     fraction : float
         Fraction of the goal that the search used, one of `FRACTIONS`. 0 if the plate rests because
         a part would leave it.
@@ -262,7 +262,7 @@ def leaves_plate(rig: Rig, ids: tuple[str, ...], goal: Goal, predicted: np.ndarr
     part ends less than half a radius from the edge of the plate, and farther out than at the start.
 
     The radius is that of a disc with the same area as the part. Only the predicted end positions
-    are checked. They are extrapolated by the time `Goal.coast`.
+    are checked. The predicted positions are extrapolated by the time `Goal.coast`.
 
     Parameters
     ----------
@@ -308,8 +308,8 @@ def answer_of(goal: Goal, solution: Solution, fraction: float, period: float) ->
 
 
 def refusal(goal: Goal, solution: Solution, rest: PlateCycle) -> Answer:
-    """Return an `Answer` with a cycle at rest. It replaces a solution in which a part would leave
-    the plate."""
+    """Return an `Answer` with a cycle at rest. The cycle at rest replaces a solution in which a
+    part would leave the plate."""
     message = "a part would leave the plate: one cycle at rest"
     unit = goal.friction_accel[:, None] * rest.period**2
     solution = replace(

@@ -70,8 +70,8 @@ def urgent() -> Iterator[None]:
 class Latch:
     """Blocks cycles after a stop, and stores the reason of the stop.
 
-    A latch is thread-safe. It still exists after the transport was closed. The latch numbers the
-    stops. A table that was prepared before a stop is therefore never sent after the stop.
+    A latch is thread-safe. A latch still exists after its transport was closed. The latch numbers
+    the stops. A table that was prepared before a stop is therefore never sent after the stop.
     """
 
     def __init__(self) -> None:

@@ -1,8 +1,8 @@
 """Interface `Transport` between the driver node and the hardware that moves the plate.
 
-Another package can add a transport. The package defines a class with the methods of `Transport`. It
-also defines a function that receives a `TransportContext` and returns an instance of this class.
-The setup.py of the package names the function:
+Another package can add a transport. The package defines a class with the methods of `Transport`.
+The package also defines a function that receives a `TransportContext` and returns an instance of
+its transport class. The setup.py of the package names the function:
 
     entry_points={"plate_driver.transports": ["ethercat = my_package.plate:make"]}
 
@@ -168,7 +168,7 @@ class Transport(Protocol):
     def hold_s(self) -> float: ...
 
     def open(self) -> None:
-        """Prepare the transport for calls of the other methods. This method must not move the
+        """Prepare the transport for calls of the other methods. The method `open` must not move the
         motors.
 
         If this method raises a PlateError, the configuration of the driver node fails. If a
@@ -217,8 +217,8 @@ class Transport(Protocol):
         """
 
     def home(self) -> Order:
-        """Make the motors search for home at the next enable. This method may be called only while
-        the motors are off."""
+        """Make the motors search for home at the next enable. The method `home` may be called only
+        while the motors are off."""
 
     def troubles(self) -> list[str]:
         """Return the problems since the last call of this method, one line of text each."""

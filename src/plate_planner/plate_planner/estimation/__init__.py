@@ -1,7 +1,7 @@
 """Estimates position, velocity and friction of the parts. Also predicts the state of the parts at
 the start of the cycle that results from the next request.
 
-`Estimator` is the interface. Its inputs are the parts in the images and the cycles sent to the
+`Estimator` is the interface. The inputs are the parts in the images and the cycles sent to the
 plate.
 """
 

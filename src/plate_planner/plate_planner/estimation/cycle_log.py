@@ -23,7 +23,7 @@ SNAP = 0.25
 cycle's length. The time can be a stamp, a reported start, or the image time of a request."""
 
 MEMORY_S = 1.5
-"""Time for which the log keeps executed cycles [s]. This time is longer than the maximum image
+"""Time for which the log keeps executed cycles [s]. The value is longer than the maximum image
 latency and the longest usual cycle."""
 
 MIN_S = 0.005
@@ -39,7 +39,7 @@ s."""
 
 SAME_TIME_S = 3.0
 """Maximum difference between the stamp of the last image and the stamp of a reported cycle start
-[s]. It is larger than the longest permitted interruption of images."""
+[s]. The value is larger than the longest permitted interruption of images."""
 
 INTERVALS_KEPT = 3
 """Number of intervals between image stamps from which the period is computed. The period is their
@@ -107,8 +107,8 @@ class CycleLog:
         Last sent cycle that moves the plate. None after this cycle has begun.
     begun, unanswered_cycles : int
         `begun` is the number of reported cycles. `unanswered_cycles` is the number of reported
-        cycles that moved the plate without a new result of the solver. These are repeated cycles
-        and tails.
+        cycles that moved the plate without a new result of the solver. Such cycles are repeated
+        cycles and tails.
     """
 
     runs: tuple[tuple[float, PlateCycle], ...] = ()
@@ -379,8 +379,8 @@ class CycleLog:
 
 
 def check_start(cycle: PlateCycle, begin: float, image: float | None) -> None:
-    """Check a reported cycle. Its start time `begin` [s] is compared with the stamp `image` [s] of
-    the last image.
+    """Check a reported cycle. The start time `begin` [s] of the cycle is compared with the stamp
+    `image` [s] of the last image.
 
     Raises
     ------

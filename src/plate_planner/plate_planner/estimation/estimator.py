@@ -172,7 +172,7 @@ class DriftBias:
             Image latency that is assumed now [s]. If the latency is unknown or has changed, the
             drift error is not updated.
         axes : (M, 2, 2)
-            Unit vectors of the axes of each part, in rows. They are valid for the middle of the
+            Unit vectors of the axes of each part, in rows. The axes are valid for the middle of the
             cycle that has ended.
         gain : float
             Gain k in the equation above, 0 to 1 [-].
@@ -259,7 +259,7 @@ class Turning:
         """Return the angles (K,) [rad] of parts at the time t [s], and the angular velocities (K,)
         [rad/s] of these parts.
 
-        Both values are 0 for parts that were not measured.
+        Angle and angular velocity are 0 for parts that were not measured.
         """
         row = rows_of(ids, self.ids)
         spin = np.append(self.spin, 0.0)[row]
@@ -443,7 +443,7 @@ class Estimator:
 
         If images are not taken at cycle starts (free-running camera, or trigger at a phase of the
         cycle), this time is the start of the running cycle. Otherwise, this time is the stamp of
-        the last image. It is minus infinity before the first image.
+        the last image. The value is minus infinity before the first image.
         """
         if self.log.free_running:
             return self.log.begin
@@ -462,7 +462,7 @@ class Estimator:
 
     @property
     def _known_rest(self) -> float:
-        """Time since which the plate has been at rest [s]. This time is derived from the log of
+        """Time since which the plate has been at rest [s]. The time is derived from the log of
         cycles or, if the log is empty, from the last request."""
         if self.log.known:
             return self.log.resting_since
@@ -476,8 +476,8 @@ class Estimator:
         """Time since which the plate has been at rest [s], provided that the plate remains at rest
         until the next request.
 
-        This time is infinite if the plate moves or may move. The plate may move if the start of the
-        last image's cycle has not been reported, or if the cycle of the last request may still
+        The result is infinite if the plate moves or may move. The plate may move if the start of
+        the last image's cycle has not been reported, or if the cycle of the last request may still
         begin.
         """
         log, requested = self.log, self.request.stamp
@@ -546,7 +546,7 @@ class Estimator:
         """Return the angles (K,) [rad] and the angular velocities (K,) [rad/s] of parts at the time
         `stamp`.
 
-        Both values are 0 for parts without a measurement.
+        Angle and angular velocity are 0 for parts without a measurement.
         """
         if self.log.free_running:
             return self.turning.of(ids, self.stamp)
@@ -620,8 +620,8 @@ class Estimator:
 
     @property
     def _known_until(self) -> float:
-        """Time of the newest information in predictions [s]. This time is the last detection of a
-        part, or the start of the running cycle if that is later."""
+        """Time of the newest information in predictions [s]. The newest information is the last
+        detection of a part, or the start of the running cycle if that is later."""
         if not self.log.free_running:
             return self.stamp
         return float(

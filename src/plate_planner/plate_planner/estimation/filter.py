@@ -75,8 +75,8 @@ class StateEstimate:
     ----------
     ids : tuple of str
     time : (A, M)
-        Time at which each state is valid [s, in the time of the image stamps]. It is the time of
-        the part's last detection.
+        Time at which each state is valid [s, in the time of the image stamps]. A state is valid at
+        the time of the part's last detection.
     mean : (A, M, 5)
     covariance : (A, M, 5, 5)
     drift : (M, 2)

@@ -156,9 +156,10 @@ class FrameClock:
         each hypothesis about the frame number has a separate filter.
 
         Let t be the time of the last frame, h the frame interval, and n the number of frames since
-        the last frame. The innovation of the stamp is e = stamp - t - n h. It has a variance q. The
-        log-likelihood of the hypothesis changes by (n - 1) log(DROPPED) - (e^2/q + log q)/2. If two
-        hypotheses reach the same frame number, only the likelier hypothesis is kept (Viterbi).
+        the last frame. The innovation of the stamp is e = stamp - t - n h. Let q be the variance of
+        e. The log-likelihood of the hypothesis changes by (n - 1) log(DROPPED) - (e^2/q + log q)/2.
+        If two hypotheses reach the same frame number, only the likelier hypothesis is kept
+        (Viterbi).
         """
         if not math.isfinite(self.interval):
             return FrameClock.at(stamp)

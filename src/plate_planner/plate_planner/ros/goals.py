@@ -26,8 +26,8 @@ class GoalServers:
         Function that is called with the handle of each new goal. The owner of this object must
         later call `finish` for this goal.
     on_cancel : callable
-        Function that is called with the handle of a goal that a client wants to cancel. It returns
-        whether the cancellation is accepted.
+        Function that is called with the handle of a goal that a client wants to cancel. The
+        function returns whether the cancellation is accepted.
     """
 
     def __init__(

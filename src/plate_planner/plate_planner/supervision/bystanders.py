@@ -2,9 +2,9 @@
 classify.
 
 The detector publishes some of these objects as parts of the classes `unknown` and `group`. The
-planner treats them like all parts without a goal. It keeps them on the plate and away from the
-parts of the task. The detector publishes other objects only in its list of overlooked objects.
-Parts may collide with these objects, so the planner reports them.
+planner treats them like all parts without a goal. The planner keeps such objects on the plate and
+away from the parts of the task. The detector publishes other objects only in its list of overlooked
+objects. Parts may collide with these objects, so the planner reports them.
 """
 
 from __future__ import annotations

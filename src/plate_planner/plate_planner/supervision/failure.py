@@ -1,4 +1,4 @@
-"""Texts for failed tasks. They describe the cause, the measured values and a remedy.
+"""Texts for failed tasks. The texts describe the cause, the measured values and a remedy.
 
 `loss_of` explains a lost part by its last position and by objects near this position.
 `shortfall_text` compares the requested drift with the actual drift of a part. `outlook` warns of a
@@ -45,8 +45,8 @@ class LastSeen(NamedTuple):
 def loss_of(
     name: str, last: LastSeen | None, began: float, rig: Rig, count: int, parts: Parts = NOBODY
 ) -> Failure:
-    """Return the failure of a task in which a part is no longer detected. Its text contains a
-    remedy.
+    """Return the failure of a task in which a part is no longer detected. The text of the failure
+    contains a remedy.
 
     `last` is the last detection of the part, or None if it was never detected. `began` is the start
     of the task [s], `count` is the number of parts, and `parts` are the parts in the image.

@@ -1,5 +1,5 @@
-"""State of the planner's inputs. It contains the arrival times of messages, and determines whether
-a task can continue with these inputs.
+"""State of the planner's inputs. The state contains the arrival times of messages, and determines
+whether a task can continue with these inputs.
 
 All functions are pure, and the time is an argument. All times are measured by the steady clock [s].
 Therefore an old image stamp or a stopped simulated clock cannot make an input appear new.

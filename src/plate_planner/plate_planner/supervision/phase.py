@@ -1,8 +1,8 @@
-"""State machine of a task. Its state contains the phase of the task, and the time and the reason of
+"""State machine of a task. The state contains the phase of the task, and the time and the reason of
 the task's end.
 
 The phases done, stuck, lost part and aborted are final. Only a new start ends a final phase. All
-functions are pure. They receive a state as an argument, and return the new state.
+functions are pure. The functions receive a state as an argument, and return the new state.
 """
 
 from __future__ import annotations
@@ -18,8 +18,8 @@ from plate_core import Parts, part_class
 from plate_core.tasks import Scenario
 
 TIME_TOLERANCE_S = 1e-6
-"""Tolerance of the comparison of times [s]. It is necessary because stamps are rounded to
-nanoseconds."""
+"""Tolerance of the comparison of times [s]. The tolerance is necessary because stamps are rounded
+to nanoseconds."""
 
 
 LOOK = "look at the topic detections_image"
@@ -101,8 +101,8 @@ class TaskLimits:
     stuck_timeout_s : float
         Time without progress towards the goal after which the task counts as stuck.
     nearer_m : float
-        Minimum decrease of the distance to the goal that counts as progress [m]. This distance is
-        summed over the parts.
+        Minimum decrease of the distance to the goal that counts as progress [m]. The distance to
+        the goal is summed over the parts.
     """
 
     time_limit_s: float
@@ -124,12 +124,12 @@ class TaskState:
     reason : Reason
         Reason why the task ended.
     detail : str
-        Text about the end of the task. It contains the result if the task is done, otherwise the
-        cause and a remedy.
+        Text about the end of the task. The text contains the result if the task is done, otherwise
+        the cause and a remedy.
     waiting_since : float or None
         Stamp of the first image after the call of `start`.
     began : float or None
-        Start of the task. It is the stamp of the second image that shows the same complete set of
+        Start of the task, as the stamp of the second image that shows the same complete set of
         parts.
     ended : float or None
         Stamp of the image at which the task ended.
@@ -282,7 +282,8 @@ class Findings:
     outcome : str
         Text about the result, which is used if the task is done now.
     loss : callable
-        Function that returns the failure for a missing part. Its argument is the name of the part.
+        Function that returns the failure for a missing part. The argument of the function is the
+        name of the part.
     all_seen : bool
         Whether the image shows all parts. For parts that it does not show, predicted positions are
         used.

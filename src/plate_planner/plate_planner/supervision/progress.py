@@ -1,5 +1,5 @@
-"""Progress of a task. The progress is computed once per image or cycle. It is published in
-task_status, in action feedback and in diagnostics."""
+"""Progress of a task. The progress is computed once per image or cycle. The progress is published
+in task_status, in action feedback and in diagnostics."""
 
 from __future__ import annotations
 

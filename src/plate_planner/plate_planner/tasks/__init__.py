@@ -2,7 +2,7 @@
 interface, and `rules_for` returns the rules of a task.
 
 A new task needs three things: one file here with a subclass of `TaskRules`, a case in `rules_for`,
-and a field of `TaskOptions` if it has options. Its keys in a scenario file are defined in
+and a field of `TaskOptions` if it has options. The keys of a task in a scenario file are defined in
 `plate_core.tasks`.
 """
 

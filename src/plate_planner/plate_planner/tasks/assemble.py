@@ -17,7 +17,8 @@ from .task import BAND, Assessment, Situation, TaskRules
 
 @dataclass(frozen=True)
 class Assembler(TaskRules):
-    """Rules of an assembling task on one rig. These rules store no data between images."""
+    """Rules of an assembling task on one rig. The rules of this kind of task store no data between
+    images."""
 
     task: AssembleTask
     rig: Rig

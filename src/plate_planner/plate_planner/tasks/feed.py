@@ -289,8 +289,8 @@ class Feeder(TaskRules):
         return side if away[axis] <= near * reach else None
 
     def _clearing(self, memory: FeedMemory, parts: Parts, near: np.ndarray) -> bool:
-        """Whether the unwanted parts must move to the chute now. They must move if there are many
-        unwanted parts, or if no other part can get ready."""
+        """Whether the unwanted parts must move to the chute now. Unwanted parts must move if there
+        are many of them, or if no other part can get ready."""
         # If the order is to rest, parts are not counted, because vision may detect the robot as a
         # part.
         if self._chute is None or self._mode is FeedMode.REST:
@@ -422,8 +422,8 @@ class Aims:
 
     @property
     def left(self) -> np.ndarray:
-        """Remaining motion of each part (M,) [m]. It is the distance from the target, plus the arc
-        length of the remaining rotation at the part's edge."""
+        """Remaining motion of each part (M,) [m]. The remaining motion is the distance from the
+        target, plus the arc length of the remaining rotation at the part's edge."""
         distance = np.hypot(*(self.position - np.clip(self.position, self.low, self.high)).T)
         return np.asarray(distance + self.reach * np.maximum(np.abs(self.turn) - self.slack, 0))
 

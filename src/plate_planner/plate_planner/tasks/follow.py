@@ -12,10 +12,10 @@ results began n cycles late, kp is divided by 1 + n. The reason is that the plat
 n times before the next result begins, and all repetitions together must correct the error only
 once.
 
-The solver changes the drift of a part from the present drift to the requested drift. This change is
-the D term of the controller, with a gain of 1. The drift bias is the observed difference between
-the motion of the parts and the model. The prediction includes the bias, and the planner subtracts
-the bias from the request.
+The solver changes the drift of a part from the present drift to the requested drift. The change of
+the drift is the D term of the controller, with a gain of 1. The drift bias is the observed
+difference between the motion of the parts and the model. The prediction includes the bias, and the
+planner subtracts the bias from the request.
 """
 
 from __future__ import annotations
@@ -115,7 +115,7 @@ class FollowOptions:
     kp : float
         Fraction of the predicted position error that is corrected in one cycle [-].
     observer_gain : float
-        Gain of the drift bias observer [-]. It is the weight of the newest prediction error.
+        Gain of the drift bias observer [-]. The gain is the weight of the newest prediction error.
     """
 
     kp: float = 0.8
@@ -176,8 +176,8 @@ class FollowMemory:
         `anchor` is a time [s]. `progress` is the path time of the references at the time `anchor`:
         the time that they would have needed at full speed [s].
     scaling : (float, float)
-        Speed scaling of the references before and after the time `anchor` [-]. It is the increase
-        of path time per time. 1 is full speed.
+        Speed scaling of the references before and after the time `anchor` [-]. The speed scaling is
+        the increase of path time per time. 1 is full speed.
     leading : bool
         Whether parts are still moving to the starts of their paths. In this case, the references do
         not move.
@@ -244,7 +244,7 @@ class Follower(TaskRules):
 
     @property
     def bias_gain(self) -> float:
-        """Gain of the drift bias observer [-]. It is the option `observer_gain`."""
+        """Gain of the drift bias observer, from the option `observer_gain` [-]."""
         return self.options.observer_gain
 
     @cached_property
@@ -303,8 +303,8 @@ class Follower(TaskRules):
         return replace(again, leading=leading, lead_s=led)
 
     def _lead(self, memory: FollowMemory, now: Situation) -> Assessment:
-        """Return the assessment of an image while parts move to the starts of their paths. This
-        motion uses the rules of an assembling task."""
+        """Return the assessment of an image while parts move to the starts of their paths. The
+        motion to the starts uses the rules of an assembling task."""
         found = self._leader.assess(None, now)[1]
         return replace(
             found,
@@ -487,8 +487,8 @@ class Follower(TaskRules):
         return axes
 
     def bias_limit(self, memory: FollowMemory | None, parts: Parts, period: float) -> np.ndarray:
-        """Return the maximum drift bias of each part (M,) [m/s]. It is 0 for parts without a
-        path."""
+        """Return the maximum drift bias of each part (M,) [m/s]. The maximum is 0 for parts without
+        a path."""
         limit = np.zeros(len(parts))
         if memory is not None:
             path, part = matched_rows(memory.match, parts)

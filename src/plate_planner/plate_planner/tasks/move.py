@@ -1,9 +1,9 @@
 """Rules of a moving task. Parts have individual targets, which may change while the task runs.
 
 As in `pose`, each cycle minimises the sum of squared weighted distances to the targets. A part
-without a target should stay at its home. Its home is its position at the start of the task or at
-its first detection. When the remaining distances of the other parts become short, the relative
-weight of a part without a target decreases. The part then moves aside for the other parts.
+without a target should stay at its home. The home of a part is its position at the start of the
+task or at its first detection. When the remaining distances of the other parts become short, the
+relative weight of a part without a target decreases. The part then moves aside for the other parts.
 """
 
 from __future__ import annotations

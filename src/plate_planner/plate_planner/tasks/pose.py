@@ -92,8 +92,9 @@ class Poser(TaskRules):
         return PoseMemory(match, place)
 
     def errors(self, memory: PoseMemory, parts: Parts) -> tuple[np.ndarray, np.ndarray]:
-        """Return two arrays (M,). They contain the distance of each part from its place [m], and
-        the remaining rotation of each part [rad]. Both values are 0 for a part without a pose."""
+        """Return two arrays (M,). The arrays contain the distance of each part from its place [m],
+        and the remaining rotation of each part [rad]. Distance and rotation are 0 for a part
+        without a pose."""
         distance, angle = np.zeros(len(parts)), np.zeros(len(parts))
         pose, part = matched_rows(memory.match, parts)
         away = np.hypot(*(memory.place[pose] - parts.position[part]).T)

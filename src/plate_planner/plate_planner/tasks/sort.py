@@ -248,7 +248,7 @@ def slots(region: Bin, label: str, rig: Rig) -> np.ndarray:
 
 
 def _grid(region: Bin, edge_m: float, rig: Rig) -> np.ndarray:
-    """Return places (n, 2) [m] in a bin. They form a square grid, at least `edge_m` from the
+    """Return places (n, 2) [m] in a bin. The places form a square grid, at least `edge_m` from the
     plate's edges."""
     outline = shapely.Polygon(region.corner)
     spacing, clear = SLOT_SPACING * rig.parts.radius_m, SLOT_CLEAR * rig.parts.radius_m

@@ -95,8 +95,8 @@ def rematch_targets(
     reach_m: float,
 ) -> tuple[str, ...]:
     """If the part of a target is not detected, assign an unassigned part of the same class that is
-    close to the target. This is necessary because the detector gives a new id to a part that was
-    hidden for a long time.
+    close to the target. The reason is that the detector gives a new id to a part that was hidden
+    for a long time.
     """
     vacant = [k for k, part_id in enumerate(match) if part_id not in parts.ids]
     spare = [i for i, part_id in enumerate(parts.ids) if part_id not in match]
@@ -112,8 +112,8 @@ def rematch_targets(
 
 
 def matched_rows(match: tuple[str, ...], parts: Parts) -> tuple[np.ndarray, np.ndarray]:
-    """Return two arrays (K,). They contain the indices of the targets whose parts are detected, and
-    the indices of these parts."""
+    """Return two arrays (K,): the indices of the targets whose parts are detected, and the indices
+    of these parts."""
     row = rows_of(match, parts.ids)
     target = np.flatnonzero(row >= 0)
     return target, row[target]
@@ -181,6 +181,6 @@ def stay_within(
 def nearness(
     coordinate: np.ndarray, half: float | np.ndarray, inner: float, outer: float
 ) -> np.ndarray:
-    """Return the proximity of parts to an edge. It is 0 up to `inner`, 1 from `outer` on, and
-    linear in between. `inner` and `outer` are fractions of `half`."""
+    """Return the proximity of parts to an edge. The proximity is 0 up to `inner`, 1 from `outer`
+    on, and linear in between. `inner` and `outer` are fractions of `half`."""
     return np.clip((np.abs(coordinate) / half - inner) / (outer - inner), 0, 1)

@@ -1,6 +1,6 @@
 """Synthetic images of the plate and its parts. An image depends on the poses of the parts and the
-plate, on the types, heights and grey values of the parts, on the light, and on the lens. It
-contains shadows, motion blur and noise. Images are grey or in colour."""
+plate, on the types, heights and grey values of the parts, on the light, and on the lens. Images
+contain shadows, motion blur and noise. They are grey or in colour."""
 
 from __future__ import annotations
 
@@ -37,8 +37,8 @@ NOISE = 2.0
 """Default standard deviation of the noise of a pixel [grey values]."""
 
 NOISE_BANK = 1 << 20
-"""Number of precomputed random numbers for the noise of images. They are precomputed because it
-takes 3 ms to generate 307200 random numbers for one image."""
+"""Number of precomputed random numbers for the noise of images. The numbers are precomputed because
+it takes 3 ms to generate 307200 random numbers for one image."""
 
 BLUR_STEP_PX = 0.1
 """Distance between two successive positions of a moving part that are averaged to draw motion blur
@@ -46,8 +46,9 @@ BLUR_STEP_PX = 0.1
 
 EDGE_STEP_PX = 0.25
 """Distance between two successive positions of the plate that are averaged to draw motion blur
-[px]. It is a quarter of the width of an edge in the image. It is larger than `BLUR_STEP_PX`,
-because the plate's edges have many pixels and each position takes computing time."""
+[px]. The distance is a quarter of the width of an edge in the image. It is larger than
+`BLUR_STEP_PX`, because the plate's edges have many pixels and each position takes computing
+time."""
 
 MAX_BLUR = 16
 """Maximum number of positions that are averaged to draw the motion blur of one exposure."""
@@ -337,8 +338,8 @@ class Camera:
             Random number generator for the noise. For each image, it generates one number, namely
             the index of the first precomputed noise value.
         velocity : (M, 2), optional
-            Velocities of the parts, from which motion blur is computed [m/s]. They are allowed only
-            if `position` has the shape (M, 2). Default: 0.
+            Velocities of the parts, from which motion blur is computed [m/s]. Velocities are
+            allowed only if `position` has the shape (M, 2). Default: 0.
         pose : (3,), (s, 3) or (b, s, 3), optional
             Pose of the plate [m, m, rad], plate_home. An array (3,) is a constant pose. An array
             (s, 3) contains s samples over the exposure. An array (b, s, 3) contains s samples for

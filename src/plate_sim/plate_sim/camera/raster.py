@@ -3,8 +3,8 @@
 A table contains for each pixel the point of the plate's plane that the pixel shows. The table takes
 lens distortion and perspective into account. If an edge crosses a pixel, the pixel's value is a
 mean of the grey values on both sides. Their weights are the fractions of the pixel that both sides
-cover. These fractions are approximated as linear functions of the distance between the pixel's
-centre and the edge.
+cover. The covered fractions are approximated as linear functions of the distance between the
+pixel's centre and the edge.
 """
 
 from __future__ import annotations

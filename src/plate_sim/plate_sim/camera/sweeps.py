@@ -26,7 +26,7 @@ from .raster import Outlines, edges_of
 
 ROUND = 96
 """Number of edges of the polygon that replaces a disc in a swept area. The edges of the polygon
-touch the disc. Its corners are 0.05 % of the radius outside the disc."""
+touch the disc. The corners of the polygon are 0.05 % of the radius outside the disc."""
 
 STRAIGHT = 1e-9
 """Displacements shorter than this value are treated as 0 [m]."""
@@ -86,8 +86,8 @@ def swept(
     Returns
     -------
     Outlines
-        Outlines of the swept areas. The frame of each outline has the axes of plate_home. Its
-        origin is in the middle between the initial and the final centre of the part.
+        Outlines of the swept areas. The frame of each outline has the axes of plate_home. The
+        origin of the frame is in the middle between the initial and the final centre of the part.
     """
     count = len(types)
     edges: list[np.ndarray] = [np.empty((0, 3))]

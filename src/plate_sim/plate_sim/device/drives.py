@@ -203,7 +203,7 @@ class SimulatedDrives:
         """Return travel, speed and acceleration of the motors (3, 4) one tick later. Each motor
         follows a setpoint that moves at constant speed, with critical damping. The motor's position
         x obeys e'' + 2 rate e' + rate^2 e = 0 with e = x - setpoint. The setpoint moves with the
-        speed `slope` [m/s]. Its value at the end of the tick is `setpoint` [m].
+        speed `slope` [m/s]. The value of the setpoint at the end of the tick is `setpoint` [m].
         """
         behind = self._state[0] - (setpoint - slope * TICK_S)
         push = self._state[1] - slope + rate * behind

@@ -1,6 +1,6 @@
 """Emulator of device, serial line and plate with their faults, in steps of 1 ms. The emulator
-receives bytes from the host. It returns bytes to the host, and the motion of the motors. It does
-not read a clock of the computer."""
+receives bytes from the host. The emulator returns bytes to the host, and the motion of the motors.
+The emulator does not read a clock of the computer."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Faults of the simulated device. They are errors on the serial line, and a schedule of periodic
+"""Faults of the simulated device. The faults are errors on the serial line, and periodic
 disconnections, resets and brown-outs. The modules `serial_line` and `emulator` simulate these
 faults."""
 

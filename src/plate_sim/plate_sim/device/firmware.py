@@ -23,7 +23,8 @@ class FirmwareOnDesk:
     """Firmware that commands simulated drives on a CAN bus, in steps of one tick. For a rig with
     drives, this class is used in place of `Emulator`.
 
-    The drives determine the motion of the motors. They follow the setpoints with a small error.
+    The drives determine the motion of the motors. The simulated drives follow the setpoints with a
+    small error.
 
     Parameters
     ----------

@@ -1,8 +1,8 @@
 """Computes the limits of the device's motors from a rig, and writes them to a C header for the
 firmware.
 
-`DeviceLimits` contains the limits of stroke, speed, acceleration and force. It also contains a
-matrix that maps the motors' accelerations to their forces. The emulator and a real board use the
+`DeviceLimits` contains the limits of stroke, speed, acceleration and force. The class also contains
+a matrix that maps the motors' accelerations to their forces. The emulator and a real board use the
 same values.
 """
 

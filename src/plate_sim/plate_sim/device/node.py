@@ -32,12 +32,13 @@ from .plate import Segment, SuspendedPlate
 from .pty import PseudoTerminal
 
 SERVE_PERIOD_S = 0.002
-"""Time between two reads of the port [s]. It is the duration of two ticks of the device."""
+"""Time between two reads of the port [s]. The value is the duration of two ticks of the device."""
 
 MAX_BEHIND_US = 100_000
-"""Maximum time that the simulated device makes up at once if it lags behind the computer's clock
-[us]. It may lag on a busy computer. If the lag is longer, the device omits the rest. Without this
-limit, the device would report a timeout, although the host has sent messages in time."""
+"""On a busy computer, the simulated device may lag behind the computer's clock. This value is the
+maximum lag that the device makes up at once [us]. If the lag is longer, the device omits the rest.
+Without this limit, the device would report a timeout, although the host has sent messages in
+time."""
 
 
 def _fraction(description: str) -> Any:

@@ -1,6 +1,6 @@
 """Friction between plate and parts. The package contains footprints, integration steps of a part,
-and the event-driven simulation of point parts. This module exports the public names. The function
-`simulate` is the accurate reference for all other integrators."""
+and the event-driven simulation of point parts. The names that are exported here are public. The
+function `simulate` is the accurate reference for all other integrators."""
 
 from .footprint import Footprint, bar, disc, polygon, union
 from .outline import footprint_of

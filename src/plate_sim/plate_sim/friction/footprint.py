@@ -5,8 +5,8 @@ Friction acts on the whole footprint. If the slip varies over the footprint, fri
 the part (section 3.1.2 of the paper). For a disc, the module `disc` contains formulas for the
 integral of the friction. For other shapes, the integral is approximated by a sum over quadrature
 points. Gauss's product rule is used for parallelograms. All other shapes are cut into triangles,
-for which a rule of degree 2 is used. Both rules are exact for polynomials of degree 2. Therefore,
-mass, centre and inertia have no quadrature error.
+for which a rule of degree 2 is used. Gauss's rule and the triangle rule are exact for polynomials
+of degree 2. Therefore, mass, centre and inertia have no quadrature error.
 
 The table contains the maximum error of the friction force [mu m g] and of the friction torque [mu m
 g times the radius of gyration], for several numbers of points:
@@ -111,8 +111,8 @@ class Footprint:
 
     @cached_property
     def slim(self) -> float:
-        """About half the minimum width of the part [m]. It is computed as twice the area of the
-        slimmest piece, divided by the perimeter of this piece."""
+        """About half the minimum width of the part [m]. The value is computed as twice the area of
+        the slimmest piece, divided by the perimeter of this piece."""
         return self.radius or min(
             2 * quadrature.area(piece) / np.linalg.norm(piece - np.roll(piece, 1, 0), axis=1).sum()
             for piece in self.outline
@@ -132,7 +132,7 @@ class Footprint:
 
     @property
     def gyration2(self) -> float:
-        """Square of the radius of gyration [m2]. It is the inertia divided by the mass."""
+        """Square of the radius of gyration, which is the inertia divided by the mass [m2]."""
         return self.inertia / self.mass
 
     def friction(self, slip: np.ndarray) -> np.ndarray:

@@ -75,8 +75,8 @@ def _cells(outline: np.ndarray, holes: list[np.ndarray]) -> tuple[np.ndarray, np
 
 
 def convex_pieces(outline: np.ndarray) -> list[np.ndarray]:
-    """Cut a simple polygon into few convex polygons. Its corners (n, 2) are in counter-clockwise
-    order.
+    """Cut a simple polygon into few convex polygons. The corners (n, 2) of the polygon are in
+    counter-clockwise order.
 
     First, the polygon is cut into triangles by ear clipping (Meisters 1975). Then pieces with a
     common diagonal are merged if the merged polygon is convex (Hertel and Mehlhorn 1983). The

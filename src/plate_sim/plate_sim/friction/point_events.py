@@ -1,5 +1,5 @@
 """Event-driven simulation of point parts on a plate whose exact motion is known. The accuracy can
-be chosen. This simulation is the reference for all other integrators.
+be chosen. The event-driven simulation is the reference for all other integrators.
 
 The motion of a sliding part is integrated by Runge-Kutta 5(4) with error control. A sticking part
 stays exactly at its place on the plate until the acceleration of the surface at this place exceeds

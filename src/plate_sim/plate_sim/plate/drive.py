@@ -128,8 +128,8 @@ class Plant:
 
     @cached_property
     def matrices(self) -> np.ndarray:
-        """Matrices K, C and M (3, 3, 3). They are multiplied by the pose and its first and second
-        derivative."""
+        """Matrices K, C and M (3, 3, 3). The model multiplies K by the pose, C by the first and M
+        by the second derivative of the pose."""
         return np.array([getattr(self.suspension, k) for k in ("stiffness", "damping", "mass")])
 
     @cached_property
@@ -186,8 +186,9 @@ class Plant:
 
 @dataclass(frozen=True)
 class Command:
-    """A commanded cycle and the errors of its feedforward. Both are polynomials in each piece,
-    which are described by their time derivatives at the start of the piece.
+    """A commanded cycle and the errors of its feedforward. In each piece of the cycle, both
+    quantities are polynomials, which are described by their time derivatives at the start of the
+    piece.
 
     Attributes
     ----------
@@ -234,8 +235,8 @@ class Command:
 
 
 def _derivative(derivatives: np.ndarray, order: int) -> np.ndarray:
-    """Return the time derivatives of order `order` of polynomials, (k, 6, d). Both arrays contain
-    derivatives at the starts of the pieces."""
+    """Return the time derivatives of order `order` of polynomials, (k, 6, d). The argument and the
+    result contain derivatives at the starts of the pieces."""
     width = derivatives.shape[1]
     return np.pad(derivatives, ((0, 0), (0, order), (0, 0)))[:, order : order + width]
 

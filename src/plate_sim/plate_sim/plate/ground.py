@@ -1,5 +1,5 @@
-"""Effects of the plate's surface that one friction coefficient does not describe. They are static
-friction, friction that depends on the slip speed, tilt, and heave. `Ground` describes these
+"""Effects of the plate's surface that one friction coefficient does not describe. The effects are
+static friction, friction that depends on the slip speed, tilt, and heave. `Ground` describes these
 effects. `Ground.effect` returns the numbers that the kernels use."""
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ HEAVE = (-0.1, 0.1)
 the plate would throw parts up."""
 
 TILT = 0.5
-"""Maximum tilt of the plate [rad]. It is about 29 degrees."""
+"""Maximum tilt of the plate [rad], about 29 degrees."""
 
 
 class GroundEffect(NamedTuple):

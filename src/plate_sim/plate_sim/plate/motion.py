@@ -19,7 +19,8 @@ class PlateMotion:
     """Actual motion of the plate over one cycle in plate_home, described by quintic pieces.
 
     If only one cycle is simulated, integrators accept a `PlateMotion` in place of a `PlateCycle`.
-    Both classes have the members `period`, `times`, `coefficients`, `pose`, `twist` and `accel`.
+    `PlateMotion` and `PlateCycle` both have the members `period`, `times`, `coefficients`, `pose`,
+    `twist` and `accel`.
 
     Attributes
     ----------
@@ -70,8 +71,8 @@ class PlateMotion:
 
     @classmethod
     def piece(cls, motion: PlateCycle | PlateMotion, begin: float, end: float) -> PlateMotion:
-        """Return the section of a motion from the time `begin` to the time `end` [s]. Both times
-        are within the motion."""
+        """Return the section of a motion from the time `begin` to the time `end` [s]. `begin` and
+        `end` are within the motion."""
         times = motion.times
         # If a knot is equal to `begin` or `end` up to rounding errors, omit the knot.
         first = int(np.searchsorted(times, begin + ROUNDING_S, "right")) - 1

@@ -6,9 +6,9 @@ deviation follows z' = A z + b(t) with b(t) = sum_k b_k t^k/k!. Together, z and 
 linear system without input. The exponential of the matrix of this system advances z by one step
 (Higham, Functions of Matrices, section 10.7.4).
 
-Inside a piece, the deviation is approximated by a quintic polynomial. Its pose, twist and
-acceleration are exact at both ends. If the polynomial differs too much from the exact state in the
-middle, the piece is bisected.
+Inside a piece, the deviation is approximated by a quintic polynomial. The pose, twist and
+acceleration of this polynomial are exact at both ends. If the polynomial differs too much from the
+exact state in the middle, the piece is bisected.
 """
 
 from __future__ import annotations
@@ -54,9 +54,9 @@ def realise(
 
     The motion follows the linear model in `drive`. The motion is exact at the knots and at the end.
     Between the knots, the errors are about `POSE_ERROR`, `TWIST_ERROR` and `ACCEL_ERROR`. The model
-    neglects the friction of parts on the plate. It also neglects the change of the motors' lever
-    arms with the rotation of the plate. Without a suspension, the motion is equal to the commanded
-    motion.
+    neglects the friction of parts on the plate. The model also neglects the change of the motors'
+    lever arms with the rotation of the plate. Without a suspension, the motion is equal to the
+    commanded motion.
 
     Raises
     ------
@@ -165,8 +165,8 @@ def step_responses(system: np.ndarray, steps: np.ndarray) -> np.ndarray:
     Returns
     -------
     (u, n, (DEGREE + 2) n)
-        One matrix per step length. It maps the state and the derivatives of the input, stacked in
-        one vector, to the state after the step.
+        One matrix per step length. The matrix maps the state and the derivatives of the input,
+        stacked in one vector, to the state after the step.
     """
     from scipy.linalg import expm  # SciPy takes 0.2 s to import, and few plates have a suspension
 
@@ -199,7 +199,7 @@ def _misses(
 
     Let h be the length of the span and t the time since its start. The error of the pose is
     proportional to (t (h - t))^3. Therefore, the maximum error of the twist is not in the middle.
-    It is 3.4 times the maximum error of the pose, divided by h.
+    The maximum error of the twist is 3.4 times the maximum error of the pose, divided by h.
     """
     h = step[:, None]
     p, q = spans.before[:, :3], spans.after[:, :3]

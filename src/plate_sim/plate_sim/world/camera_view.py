@@ -26,8 +26,8 @@ EXPOSURES = 5
 """Minimum number of times at which parts and plate are sampled during the exposure of an image."""
 
 MAX_STEP_S = 3e-3
-"""Maximum time between two of these samples [s]. It is short compared with the periods of the
-plate's motion, which are at least 20 ms."""
+"""Maximum time between two of these samples [s]. The value is short compared with the periods of
+the plate's motion, which are at least 20 ms."""
 
 NEEDS_NEW_CAMERA = ("plate_grey", "room_grey", "defocus_px")
 """Disturbances whose change requires a new object `Camera`, because a `Camera` caches drawings that
@@ -43,8 +43,8 @@ computed separately for each band."""
 
 @dataclass(frozen=True)
 class Shot:
-    """Times of one image of a free-running camera [s]. They are the middle of the exposure, the
-    stamp, and the delivery."""
+    """Times of one image of a free-running camera [s]. The times are the middle of the exposure,
+    the stamp, and the delivery."""
 
     middle: float
     stamp: float
@@ -144,9 +144,9 @@ class CameraView:
 
     @cached_property
     def _camera(self) -> Camera:
-        """Renderer of images. The renderer is created when the first image is requested. Its
-        creation takes as long as a hundred cycles, and simulations without images do not need
-        it."""
+        """Renderer of images. The renderer is created when the first image is requested. The
+        creation of the renderer takes as long as a hundred cycles, and simulations without images
+        do not need a renderer."""
         world = self._disturbances
         return Camera(
             self._rig, self._noise, plate=world.plate_grey, room=world.room_grey,
@@ -250,10 +250,10 @@ class CameraView:
     def _view(
         self, state: WorldState, plate: PlateState, age: float | None
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray | None]:
-        """Return what an image shows, as four arrays. They are the positions of the parts over the
-        exposure (s, M, 2), the angles (M,), whether each part is on the plate (M,), and the poses
-        of the plate. The poses have the shape (s, 3), or (b, s, 3) for b bands of image rows. If
-        the plate is at home, the poses are None."""
+        """Return what an image shows, as four arrays. The arrays are the positions of the parts
+        over the exposure (s, M, 2), the angles (M,), whether each part is on the plate (M,), and
+        the poses of the plate. The poses have the shape (s, 3), or (b, s, 3) for b bands of image
+        rows. If the plate is at home, the poses are None."""
         camera, exposure = self._rig.camera, self._exposure
         if self._shows_past:
             shown = exposure + camera.readout_s

@@ -1,5 +1,5 @@
-"""Disturbances of the simulation. They are effects of a real rig that the model neglects. By
-default, all disturbances are off."""
+"""Disturbances of the simulation. Disturbances are effects of a real rig that the model neglects.
+By default, all disturbances are off."""
 
 from __future__ import annotations
 

@@ -19,8 +19,8 @@ from plate_core.tasks import MAX_OPEN_S, Hopper
 from .state import WorldState
 
 WHOLE = 1e-6
-"""Tolerance for rounding errors in the number of parts that have dropped. This number is computed
-from a sum of rounded times."""
+"""Tolerance for rounding errors in the number of parts that have dropped. The number of dropped
+parts is computed from a sum of rounded times."""
 
 TRIES = 20
 """Maximum number of random places that are tried for a dropped part."""

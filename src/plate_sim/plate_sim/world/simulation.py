@@ -1,6 +1,6 @@
-"""One run of the simulated world. The simulator node and the benchmark programs use this class. Its
-inputs are cycles of the plate, and commands to the hand, the hopper and the robot. Its outputs are
-images and the state of the parts."""
+"""One run of the simulated world. The simulator node and the benchmark programs use this class. The
+inputs of a simulation are cycles of the plate, and commands to the hand, the hopper and the robot.
+The outputs are images and the state of the parts."""
 
 from __future__ import annotations
 
@@ -33,8 +33,8 @@ WORLD_RANGES = {"noise": (0.0, 50.0), "mu_scale": (0.1, 10.0)}
 """Allowed ranges of a simulation's parameters."""
 
 TRIAL_S = 1e-3
-"""Duration of a test simulation with the plate at rest [s]. It checks whether a placed part
-overlaps other parts."""
+"""Duration of a test simulation with the plate at rest [s]. The test simulation checks whether a
+placed part overlaps other parts."""
 
 MIN_S = 1e-6
 """Minimum length of a piece of a cycle that is simulated separately [s]."""
@@ -302,8 +302,8 @@ class Simulation:
         return ~self.state.on_plate & ~self._robot.has(self.state.ids)
 
     def _forget(self) -> None:
-        """Remove from the state those parts that later images cannot show. These are parts that the
-        robot has taken and, in a feed task, parts that left the plate."""
+        """Remove from the state those parts that later images cannot show. Such parts are those
+        that the robot has taken and, in a feed task, those that left the plate."""
         state, history = self.state, self._view.history
         if np.all(state.on_plate) or not (self._feeds or self._robot.taken):
             return

@@ -84,8 +84,8 @@ class WorldState:
         )  # fmt: skip
 
     def joined(self, part_id: str, position: np.ndarray, angle: float) -> WorldState:
-        """Return the state with one more part. This part is at rest at the position `position` (2,)
-        [m, plate_home]."""
+        """Return the state with one more part. The new part is at rest at the position `position`
+        (2,) [m, plate_home]."""
         return WorldState(
             (*self.ids, part_id), np.vstack([self.position, position]),
             np.vstack([self.velocity, np.zeros(2)]), np.append(self.on_plate, True),

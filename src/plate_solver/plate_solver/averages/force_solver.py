@@ -31,8 +31,8 @@ from .request import Request
 
 
 class ForceSolver(MotionSolver):
-    """Solver that finds closed plate motions with requested average forces. It also has the method
-    `steer` for goals on the cycle map.
+    """Solver that finds closed plate motions with requested average forces. The solver also has the
+    method `steer` for goals on the cycle map.
 
     Attributes
     ----------
@@ -116,8 +116,8 @@ class ForceSolver(MotionSolver):
         return False
 
     def _map(self, refine: str) -> tuple[float, float, Callable[[Request], Solution]]:
-        """Return three properties of the force map `refine`. They are its tolerance [mu m g], its
-        maximum force [mu m g], and the function that solves a request on this map."""
+        """Return three properties of the force map `refine`. The properties are the tolerance [mu m
+        g], the maximum force [mu m g], and the function that solves a request on this map."""
         own, friction = self.options.tolerance, self._rig.friction.accel
         wide = max(own, REFINED_TOLERANCE)
 

@@ -30,8 +30,8 @@ from ..library import Library, least_time
 from ..library.condition import columns_of, second_moment, unit
 
 DEAR = 1e6
-"""Cost of a unit of requested force that is not produced [cycles / (mu m g)]. It is higher than the
-cost of any feasible force, so that every feasible force is produced."""
+"""Cost of a unit of requested force that is not produced [cycles / (mu m g)]. This cost is higher
+than the cost of any feasible force, so that every feasible force is produced."""
 
 DESCENTS = 12
 """Maximum number of steps in a search for the nearest face of the hull. Each step leads to a nearer
@@ -59,8 +59,9 @@ class Manipulability:
         vector is a unit of force.
     weakest_force : float
         Maximum force of the library in its weakest direction [mu m g]. The value is a local
-        minimum, because the search may miss a direction with a smaller force. It neglects the ramps
-        between rotations, the closure of the motion, and the limits of the rig.
+        minimum, because the search may miss a direction with a smaller force. The computation of
+        this force neglects the ramps between rotations, the closure of the motion, and the limits
+        of the rig.
     weakest_direction : (2 M,)
         Direction of `weakest_force`. The length of this vector is a unit of force.
     """
@@ -119,8 +120,8 @@ def library_force(
 
 def _force_along(columns: np.ndarray, direction: np.ndarray) -> tuple[float, np.ndarray]:
     """Find the point at which the ray in the direction `direction` (2 M,) leaves the convex hull.
-    Return its distance from 0 as a multiple of the direction, and the normal of the hull's face at
-    this point."""
+    Return the distance of this point from 0 as a multiple of the direction, and the normal of the
+    hull's face at the point."""
     rows, count = columns.shape
     dear = np.full(rows, DEAR)
     plan = least_time(columns, direction, np.ones(count), dear, dear)

@@ -1,8 +1,8 @@
 """Search for the feasible part of a request.
 
-The function `easiest_force` solves a linear programme. It selects those forces within the tolerance
-that need the minimum time. The function `largest_fraction` finds the largest feasible fraction of a
-request by bisection.
+The function `easiest_force` solves a linear programme. The linear programme selects those forces
+within the tolerance that need the minimum time. The function `largest_fraction` finds the largest
+feasible fraction of a request by bisection.
 """
 
 from __future__ import annotations
@@ -78,11 +78,11 @@ def largest_fraction(
     library : Library
         Library that gives an upper bound of the fraction.
     attempt : function
-        Function that solves a request. It returns the best motion found, even if the request is
-        infeasible.
+        Function that solves a request. The function returns the best motion found, even if the
+        request is infeasible.
     nothing : function
-        Function that returns the solution in which the plate rests. This solution is used if no
-        fraction is feasible.
+        Function that returns the solution in which the plate rests. It is called if no fraction of
+        the request is feasible.
     least : float
         The bisection ends when the force difference between both bounds is less than this value [mu
         m g].

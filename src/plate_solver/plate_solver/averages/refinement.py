@@ -28,7 +28,7 @@ error of the last motion, which is computed with finer time steps."""
 
 VELOCITY_CORRECTIONS = 20
 """Maximum number of corrections on the force map `velocity`. Each correction uses the mean
-velocities of the parts under the last motion. It approximately halves the force error."""
+velocities of the parts under the last motion. A correction approximately halves the force error."""
 
 REFINED_TOLERANCE = 1e-3
 """Maximum force error that counts as success on the force maps `velocity` and `cycle` [mu m g]. If
@@ -74,8 +74,8 @@ def force_solution(
 
 
 def evaluated(request: Request, solution: Solution, error: np.ndarray, bound: float) -> Solution:
-    """Return a copy of the solution with the force errors `error` (M, 2) [mu m g]. It is a success
-    if no error exceeds the tolerance of the request by more than `bound` [mu m g]."""
+    """Return a copy of the solution with the force errors `error` (M, 2) [mu m g]. The copy is a
+    success if no error exceeds the tolerance of the request by more than `bound` [mu m g]."""
     worst = float(np.max(np.abs(error) - request.tolerance))
     success = worst <= bound
     message = f"force error {np.max(np.abs(error)):.2g} mu m g"
@@ -93,8 +93,8 @@ def evaluated(request: Request, solution: Solution, error: np.ndarray, bound: fl
 
 def refined(request: Request, solution: Solution, error: np.ndarray, bound: float) -> Solution:
     """Return a copy of the solution with the force errors `error` (M, 2) [mu m g] on the map
-    `velocity` or `cycle`. It is a success under the condition of `evaluated`. It is also a success
-    if the root mean square error is at most `MISSED` times the request."""
+    `velocity` or `cycle`. The copy is a success under the condition of `evaluated`, or if the root
+    mean square error is at most `MISSED` times the request."""
     allowed = MISSED * float(np.sqrt(np.mean(request.force**2)))
     enough = _spill(request, error) <= allowed
     return evaluated(
@@ -105,8 +105,8 @@ def refined(request: Request, solution: Solution, error: np.ndarray, bound: floa
 def on_mean_velocity(
     request: Request, solve: Callable[[Request], Solution], friction_accel: float, bound: float
 ) -> Solution:
-    """Solve a request on the force map `velocity`. This map uses the mean velocities that the parts
-    have over the cycle under the returned motion.
+    """Solve a request on the force map `velocity`. The map `velocity` uses the mean velocities that
+    the parts have over the cycle under the returned motion.
 
     A fixed-point iteration computes the motion from the velocities, then the velocities from the
     motion, and repeats both.

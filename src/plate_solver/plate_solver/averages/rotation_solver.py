@@ -43,7 +43,8 @@ evaluation of curls."""
 
 @dataclass(frozen=True)
 class RotationForceOptions(RotationOptions):
-    """Options of `RotationSolver`. They are all options of `RotationOptions`, and `tolerance`.
+    """Options of `RotationSolver`. The options are all options of `RotationOptions`, and
+    `tolerance`.
 
     Attributes
     ----------

@@ -6,7 +6,7 @@ complex times. Here, the singularities are the complex times at which the slip o
 
 At a real time at which the slip nearly vanishes (a dip), b is small. Therefore, dips are detected
 in the samples, and the error that each dip causes is subtracted (near_zero_slip.hpp). If two dips
-are too close to each other, the adaptive quadrature of `mean_force` is used instead. This
+are too close to each other, the adaptive quadrature of `mean_force` is used instead. The adaptive
 quadrature represents the slip by Taylor polynomials.
 
 The slip of a part is described by an array `slip` (2 N + 1, 2) of coefficients [m/s]. The rows

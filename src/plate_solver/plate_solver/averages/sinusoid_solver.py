@@ -35,8 +35,8 @@ angular velocity of the plate. Therefore, times at which the slip nearly vanishe
 influence on a curl than on a force."""
 
 SPREAD = 0.7
-"""Size of the random perturbation of the best motion, as a fraction of a random motion. It is used
-only for requests with curls."""
+"""Size of the random perturbation of the best motion, as a fraction of a random motion. The
+perturbation is used only for requests with curls."""
 
 STARTS = 3
 """Number of starts of the search on the averaged map for each restart in the options. One start
@@ -49,15 +49,15 @@ again."""
 
 @dataclass(frozen=True)
 class SinusoidForceOptions(SinusoidOptions):
-    """Options of `SinusoidSolver`. They are all options of `SinusoidOptions`, and the following
-    options.
+    """Options of `SinusoidSolver`. The options are all options of `SinusoidOptions`, and those
+    below.
 
     Attributes
     ----------
     at_rest : bool
-        Whether cycles start and end with the plate at home and at rest. This condition reduces the
-        number of parameters by two per degree of freedom. The cycles of the method `steer` always
-        satisfy it.
+        Whether cycles start and end with the plate at home and at rest. The condition of rest
+        reduces the number of parameters by two per degree of freedom. The cycles of the method
+        `steer` always satisfy it.
     tolerance : float
         Maximum force error that counts as success [mu m g].
 

@@ -7,10 +7,10 @@ over this time, the average forces of the motion are a mean of
 
     (n(s_0) + ... + n(s_N)) / (N + 1)   with   s_0 + ... + s_N = 0,
 
-where the vector n(s) contains the unit vectors of the slips of all parts. These means form a convex
-set. A request is infeasible if a vector lambda separates it from this set, lambda . force >
-h(lambda). h is the support function of the set, that is, the maximum of lambda . force over the
-set.
+where the vector n(s) contains the unit vectors of the slips of all parts. All such means together
+form a convex set of forces. A request is infeasible if a vector lambda separates it from this set,
+lambda . force > h(lambda). h is the support function of the set, that is, the maximum of lambda .
+force over the set.
 
 Let g(s) = lambda . n(s). g is an odd function, and it does not depend on the magnitude of s.
 Consider two twists s_1 and s_2, and a twist m between them on a great circle. Let T be the maximum
@@ -24,7 +24,7 @@ This gives
 For one part, T is 1, which gives the known bound (N - 1)/(N + 1).
 
 The search for lambda evaluates only a coarse grid of twists. The proof does not depend on this
-grid. It computes an upper bound of T over cells, which are sets of great circles. Cells are
+grid. The proof computes an upper bound of T over cells, which are sets of great circles. Cells are
 subdivided until this bound is below the request. If no proof is found, the request may still be
 infeasible, because the convex set is larger than the set of forces of N harmonics.
 """
@@ -54,8 +54,8 @@ WITHIN = 1e-2
 the request."""
 
 PENALTY = 30.0
-"""The weights of a weighted mean must have the sum 1. This value is the weight of this condition in
-a least-squares problem."""
+"""The weights of a weighted mean must have the sum 1. This value is the weight with which a
+least-squares problem enforces the sum 1."""
 
 
 def is_out_of_reach(position: np.ndarray, force: np.ndarray, number: int, arm_m: float) -> bool:

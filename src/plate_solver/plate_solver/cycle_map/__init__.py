@@ -1,5 +1,5 @@
-"""The cycle map. It computes the state of the parts after a motion of the plate with stick-slip
-friction, and the derivatives of this state.
+"""The cycle map. The map computes the state of the parts after a motion of the plate with
+stick-slip friction, and the derivatives of this state.
 
 Parts are modelled as points (`stick_slip`, `blocks`) or as bodies that rotate (`turning`). Searches
 use versions of the map that process parts in blocks and in single precision.

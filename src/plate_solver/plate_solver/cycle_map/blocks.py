@@ -1,4 +1,4 @@
-"""The version of the cycle map that searches use. It processes parts in blocks, and sums
+"""The version of the cycle map that searches use. This version processes parts in blocks, and sums
 derivatives over groups of time steps.
 
 The map is the same as in `stick_slip`, but in single precision and with equal steps. The rounding

@@ -1,5 +1,5 @@
-"""The cycle map of parts that do not rotate. It computes the state of the parts after one cycle,
-and the derivatives of this state.
+"""The cycle map of parts that do not rotate. The map computes the state of the parts after one
+cycle, and the derivatives of this state.
 
 The plate's motion is sampled at the middles of time steps, which may have different lengths dt. Let
 x be the position of a part, v its velocity, and d the velocity of the surface under the part minus
@@ -7,10 +7,10 @@ v. In each step, Coulomb friction changes v and x implicitly, for slip and for s
 
     v += d min(1, mu g dt / length of d),    x += v dt.
 
-The derivatives are exact for this discrete map. They are computed by one backward pass over the
-steps for each output. If time steps end at the ends of rotations, the results are smooth functions
-of the durations of the rotations. Searches need smooth results. The innermost loop runs over the
-parts, so that the square roots of several parts are computed in parallel.
+The derivatives are exact for this discrete map. The derivatives are computed by one backward pass
+over the steps for each output. If time steps end at the ends of rotations, the results are smooth
+functions of the durations of the rotations. Searches need smooth results. The innermost loop runs
+over the parts, so that the square roots of several parts are computed in parallel.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ only one evaluation per cycle."""
 
 
 class Motion(Protocol):
-    """Plate motion for a prediction. It is a `PlateCycle`, or a section of a cycle."""
+    """Plate motion for a prediction. The motion is a `PlateCycle`, or a section of a cycle."""
 
     @property
     def period(self) -> float:

@@ -1,12 +1,12 @@
-"""The cycle map of parts that rotate. It computes the positions and angles of the parts after one
-cycle, and the derivatives of both.
+"""The cycle map of parts that rotate. The map computes the positions and angles of the parts after
+one cycle, and the derivatives of both.
 
 Let s be the sliding speed of a part relative to the plate, and c its angular velocity relative to
 the plate. To first order in c, friction exerts the torque mu m g c J/s. J is the second moment of
-the contact area in the sliding direction. It is the mean square of the distances of the contact
-points from the centre, measured in this direction. Therefore, a bar receives the largest torque if
-it slides along its length. Force and torque are combined by the ellipse model (Howe and Cutkosky
-1996):
+the contact area in the sliding direction. J is the mean square of the distances of the contact
+points from the centre, measured in the sliding direction. Therefore, a bar receives the largest
+torque if it slides along its length. Force and torque are combined by the ellipse model (Howe and
+Cutkosky 1996):
 
     q^2 = s^2 + J c^2,    force = mu m g s/q,    torque = mu m g J c/q
 

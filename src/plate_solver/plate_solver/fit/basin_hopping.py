@@ -24,13 +24,13 @@ def basin_hopping(
     Parameters
     ----------
     propose : function
-        Function that returns a start. Its arguments are the number of the start, the best result,
-        and a flag. If the flag is True, the function returns a new start, otherwise a perturbation
-        of the best result.
+        Function that returns a start. The arguments of the function are the number of the start,
+        the best result, and a flag. If the flag is True, the function returns a new start,
+        otherwise a perturbation of the best result.
     attempt : function
-        Function that runs a local search. Its arguments are a start and the number of the start. It
-        returns the result, the cost of the result, the number of steps, and whether the result is
-        good enough.
+        Function that runs a local search. The arguments of the function are a start and the number
+        of the start. The function returns the result, the cost of the result, the number of steps,
+        and whether the result is good enough.
     begin : object
         First start.
     tries : int

@@ -19,8 +19,8 @@ from .. import _kernels
 
 
 class Fit(NamedTuple):
-    """Result of a fit. It contains the parameters (P,), the errors (R,), the negative Jacobian (R,
-    P) of the errors, and the number of steps."""
+    """Result of a fit. The result contains the parameters (P,), the errors (R,), the negative
+    Jacobian (R, P) of the errors, and the number of steps."""
 
     parameters: np.ndarray
     error: np.ndarray
@@ -50,9 +50,9 @@ def fit(
     Parameters
     ----------
     evaluate : function
-        Function of the parameters. It returns the errors, and another function that returns the
-        negative derivatives of the errors. The other function is called only if the derivatives are
-        needed.
+        Function of the parameters. The function returns the errors, and another function that
+        returns the negative derivatives of the errors. The other function is called only if the
+        derivatives are needed.
     admissible : function
         Function that changes parameters to the nearest parameters that the rig can execute.
     start : (P,)

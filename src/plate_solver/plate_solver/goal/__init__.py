@@ -1,5 +1,5 @@
-"""The goal of one cycle. It contains the required end positions and angles of the parts, and the
-weights of their errors.
+"""The goal of one cycle. A goal contains the required end positions and angles of the parts, and
+the weights of their errors.
 
 The cycle map evaluates motions. `Solution` contains a motion and the fraction of the request that
 it meets.

@@ -1,9 +1,9 @@
 """Converts a request (forces or targets) to the goal of one cycle.
 
 A goal is an interval and a weight for x, y and the angle of each part at the end of the cycle. For
-a requested force, this interval depends on the length of the cycle, which the solver selects. It
-also depends on the state at the start of the cycle, which the solver predicts. Therefore, the
-solver converts the request, not the planner.
+a requested force, this interval depends on the length of the cycle, which the solver selects. The
+interval also depends on the state at the start of the cycle, which the solver predicts. Therefore,
+the solver converts the request, not the planner.
 """
 
 from __future__ import annotations
@@ -18,8 +18,8 @@ from ..start import StartState, contact_spread, part_types
 from .goal import Goal, Turns
 
 MAX_REQUEST = 1e9
-"""Maximum absolute value in a request, in SI units. It is larger than all practical values, and
-small enough that its square does not overflow."""
+"""Maximum absolute value in a request, in SI units. The value is larger than all practical values,
+and small enough that its square does not overflow."""
 
 NEAR_M = 0.006
 """If a part is within this distance of its target, it counts as near its target [m]. If all parts

@@ -170,8 +170,8 @@ class Goal:
 
     @property
     def requested_count(self) -> int:
-        """Number of requested coordinates. They are all positions, and the angles with a weight
-        above 0."""
+        """Number of requested coordinates. All positions are requested, and those angles whose
+        weight is above 0."""
         return self.position.size + (0 if self.turns is None else self.turns.count)
 
     @property
@@ -312,7 +312,7 @@ class Family(Protocol):
         (R, P) with respect to the parameters."""
 
     def admissible(self, parameters: np.ndarray) -> np.ndarray:
-        """Return parameters of a motion that the rig can execute. They are close to
+        """Return parameters of a motion that the rig can execute. The result is close to
         `parameters`."""
 
     def penalty(self, parameters: np.ndarray) -> np.ndarray:

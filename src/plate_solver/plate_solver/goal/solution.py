@@ -1,5 +1,6 @@
-"""Result of a solver. It contains the motion, and the fraction of the request that this motion
-meets. `Status` states whether the request is solved, partially solved, infeasible or failed."""
+"""Result of a solver. The result contains the motion, and the fraction of the request that this
+motion meets. `Status` states whether the request is solved, partially solved, infeasible or
+failed."""
 
 from __future__ import annotations
 
@@ -44,8 +45,8 @@ class Solution:
     iterations : int
         Number of iterations, summed over all starts.
     condition : float
-        Condition number of the last linear system of the search. It is large if it is hard to move
-        the parts independently.
+        Condition number of the last linear system of the search. The condition number is large if
+        it is hard to move the parts independently.
     status : Status
         Outcome of the request.
     fraction : float
@@ -53,9 +54,9 @@ class Solution:
         exception. With the argument `refine` of `ForceSolver.solve`, `cycle` can be another motion
         that has a smaller error for the whole request.
     predicted : (C,), optional
-        Coordinates of the parts at the end of the cycle, predicted by the cycle map. They are x of
-        all parts [m], then y of all parts. If rotations are requested, the rotations of all parts
-        follow [rad].
+        Coordinates of the parts at the end of the cycle, predicted by the cycle map. The
+        coordinates are x of all parts [m], then y of all parts. If rotations are requested, the
+        rotations of all parts follow [rad].
     """
 
     success: bool

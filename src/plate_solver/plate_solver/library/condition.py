@@ -1,5 +1,5 @@
-"""Computes the condition number of a set of part positions. This number measures how independently
-the parts can be pushed.
+"""Computes the condition number of a set of part positions. The condition number measures how
+independently the parts can be pushed.
 
 Each column of the matrix A contains the unit forces that one rotation of the library exerts on the
 parts. The second moment A A' describes the forces of random motions. The condition number is the
@@ -20,8 +20,8 @@ SAME = 1e-9
 
 
 def condition_number(rig: Rig, position: np.ndarray, library: Library | None = None) -> float:
-    """Return the condition number of part positions. It is the ratio of the force in the easiest
-    direction to the force in the most difficult direction, at least 1.
+    """Return the condition number of part positions. The condition number is the ratio of the force
+    in the easiest direction to the force in the most difficult direction, at least 1.
 
     The condition number is infinite if no force is possible in some direction.
 

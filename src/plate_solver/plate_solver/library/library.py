@@ -1,5 +1,5 @@
-"""A library of rotations. It contains unit twists of the plate about many centres on and around the
-plate.
+"""A library of rotations. The library contains unit twists of the plate about many centres on and
+around the plate.
 
 The friction on a part at rest has the direction of the plate's velocity at the part, and its
 magnitude does not depend on the speed. The average force of a motion on the part is therefore a
@@ -12,8 +12,9 @@ a part. The average force on the part is
 
     F = mu m g / N  sum_j k_j t_j.
 
-This is a linear system for the weights (section 3.1). The rows of its matrix belong to the forces
-(10) and curls (12) of the parts, and the columns belong to the centres of rotation.
+The requested forces thus give a linear system for the weights (section 3.1). The rows of its matrix
+belong to the forces (10) and curls (12) of the parts, and the columns belong to the centres of
+rotation.
 """
 
 from __future__ import annotations
@@ -122,8 +123,8 @@ class Library:
 
 
 def rotation_matrix(position: np.ndarray, centre: np.ndarray) -> np.ndarray:
-    """Return the matrix A of equation (10). It contains the unit forces of rotations about the
-    centres `centre`.
+    """Return the matrix A of equation (10). The matrix contains the unit forces of rotations about
+    the centres `centre`.
 
     Parameters
     ----------
@@ -144,8 +145,8 @@ def rotation_matrix(position: np.ndarray, centre: np.ndarray) -> np.ndarray:
 
 
 def curl_matrix(position: np.ndarray, centre: np.ndarray) -> np.ndarray:
-    """Return the rows (M, N) of equation (12). They contain the curl (11) of each rotation at each
-    part, which is 1 / distance from the centre."""
+    """Return the rows (M, N) of equation (12). The rows contain the curl (11) of each rotation at
+    each part, which is 1 / distance from the centre."""
     arm = position[:, None] - centre
     distance = np.hypot(arm[..., 0], arm[..., 1])
     return 1 / np.where(distance > 0, distance, np.inf)
