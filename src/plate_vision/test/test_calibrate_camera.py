@@ -161,7 +161,10 @@ def test_the_size_of_a_board_is_asked_for(capsys):
     for text in ("9", "9x", "nine"):
         with pytest.raises(SystemExit):
             main(["board", "--board", text, "--square", "0.03"])
-        assert f"board is '{text}', allowed: its squares along x and y" in capsys.readouterr().err
+        assert (
+            f"board is '{text}', allowed: the numbers of squares along x and y"
+            in capsys.readouterr().err
+        )
 
 
 @pytest.mark.parametrize(

@@ -389,7 +389,8 @@ def check_scenario(scenario: Scenario, rig: Rig) -> None:
         if part.symmetry == 0 and label in rig.types:
             raise ScenarioError(
                 f"{scenario.where}: angles of {label} are given, allowed: angles of parts that "
-                "are not round (marks are detected only on rigs without types)"
+                "are not round (a round part shows its angle only by a mark, and marks are "
+                "detected only if the rig file defines no types)"
             )
         if part.symmetry == 0 and not scenario.marked:
             raise ScenarioError(

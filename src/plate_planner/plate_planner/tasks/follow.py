@@ -85,9 +85,9 @@ SLOW_TO = 0.5
 """If the error of a part exceeds this fraction of max_error_m, the references stop."""
 
 LEAD_TO_M = 1e-3
-"""Minimum tolerance with which the parts must reach the starts of their paths [m]. If the error at
-`SLOW_FROM` is larger, it is the tolerance, because with this error the references can start at full
-speed."""
+"""Minimum tolerance with which the parts must reach the starts of their paths [m]. The tolerance is
+`SLOW_FROM` * max_error_m if this value is larger. With such an error, the references can start at
+full speed."""
 
 KEPT_MPS = (0.08, 0.08, 0.04, 0.02, 0.02, 0.01)
 """Speeds that one, two, three, four, five, and six or more parts reached on circles [m/s]. The

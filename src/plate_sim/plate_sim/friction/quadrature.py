@@ -87,7 +87,8 @@ def convex(corners: np.ndarray) -> np.ndarray:
     if turn.min() < -ALIKE * size**2 or around > 3 * np.pi:
         k = (int(np.argmin(turn)) + 1) % len(corners)
         raise PlateError(
-            f"polygon is not convex at {corners[k].tolist()}, allowed: convex ones, or a union"
+            f"polygon is not convex at {corners[k].tolist()}, allowed: a convex polygon "
+            "(divide other shapes into convex polygons, and pass these to `union`)"
         )
     return corners
 

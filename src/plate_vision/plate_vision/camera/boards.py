@@ -243,8 +243,8 @@ def _as_printed(found: Mapping[int, np.ndarray], board: Board) -> Board:
         hint = f" (they fit {board.rows}x{board.columns})" if swapped < WORST_MISFIT else ""
         raise CalibrationError(
             f"{len(found)} detected markers do not fit a board of {board.columns}x{board.rows} "
-            f"squares{hint}, allowed: the board's squares along x and y, with markers numbered "
-            "along the rows"
+            f"squares{hint}, allowed: the numbers of squares along x and y of a board whose "
+            "markers are numbered along the rows"
         )
     return best
 

@@ -120,7 +120,7 @@ def _size(text: str) -> tuple[int, int]:
         return int(columns), int(rows)
     except ValueError:
         raise argparse.ArgumentTypeError(
-            f"board is {text!r}, allowed: its squares along x and y, such as 9x7"
+            f"board is {text!r}, allowed: the numbers of squares along x and y, such as 9x7"
         ) from None
 
 
