@@ -22,15 +22,15 @@ is practically rigid."""
 
 MOTOR = Section(
     "motors, motor_1 to motor_4",
-    "A linear motor.",
+    "Properties of one linear motor.",
     (
         Key(
-            "point_m", Numbers((2,), -FAR_M, FAR_M), "Point at which the shaft meets the plate at "
-            "rest [x, y].",
+            "point_m", Numbers((2,), -FAR_M, FAR_M), "Point [x, y] at which the motor's shaft "
+            "meets the plate at rest.",
         ),
         Key(
-            "direction", Numbers((2,), -1, 1), "Direction of the force at a positive setpoint "
-            "[x, y], of any length except 0.",
+            "direction", Numbers((2,), -1, 1), "Direction [x, y] of the motor's force at a "
+            "positive setpoint. The length of this vector has no effect, but must not be 0.",
         ),
         Key(
             "drive", Choice(("bridge", "cia402", "odrive")), "Type of the amplifier: an H-bridge "
@@ -38,30 +38,32 @@ MOTOR = Section(
             "must be the same for all motors.", "bridge",
         ),
         Key(
-            "node", Whole(1, 126), "Node number of the drive on the bus; up to 62 for an ODrive.",
-            None, "needed with a drive",
+            "node", Whole(1, 126), "Node number of the drive on the bus. The maximum for an ODrive "
+            "is 62.",
+            None, "required except with `drive: bridge`",
         ),
         Key(
             "counts_per_m", Number(1e3, 1e9), "Number of counts of the drive's position (object "
             "6064h) per metre of travel.", None,
-            "needed with cia402",
+            "required with `drive: cia402`",
         ),
         Key(
             "turns_per_m", Number(0.1, 1e4), "Number of turns of the drive per metre of "
             "travel. For a linear motor: number of pole pairs per metre.", None,
-            "needed with odrive",
+            "required with `drive: odrive`",
         ),
         Key(
             "sign", Sign(), "-1 if the drive's position decreases along `direction`, otherwise 1.",
             1,
         ),
         Key(
-            "home", Choice(("here", "absolute")), "Home of the motor. here: the position "
-            "at the first enable. absolute: position 0 of the drive.", "here",
+            "home", Choice(("here", "absolute")), "Home position of the motor. here: the "
+            "position at the first enable. absolute: position 0 of the drive.", "here",
         ),
         Key(
-            "serial", Whole(1, 2**32 - 1), "Serial number of a cia402 drive (object 1018h:04). "
-            "If it is given, a drive with another number is refused.", None, "any",
+            "serial", Whole(1, 2**32 - 1), "Serial number of a CiA 402 drive (object "
+            "1018h:04). If the key is given, a drive with another number is refused.", None,
+            "any number",
         ),
     ),
 )  # fmt: skip
@@ -70,45 +72,46 @@ CAMERA = Section(
     "camera",
     "The camera: its images, its lens, and the position of the plate in the images.",
     (
-        Key("width_px", Whole(16, 16384), "Width of an image."),
-        Key("height_px", Whole(16, 16384), "Height of an image."),
-        Key("exposure_s", Number(0, 0.1), "Exposure time of an image."),
+        Key("width_px", Whole(16, 16384), "Width of the camera's images."),
+        Key("height_px", Whole(16, 16384), "Height of the camera's images."),
+        Key("exposure_s", Number(0, 0.1), "Exposure time of each image."),
         Key(
             "readout_s", Number(0, 0.1), "Delay between the exposures of the first and the last "
             "row (rolling shutter).", 0.0,
         ),
-        Key("colour", Flag(), "Whether images have colour.", False),
+        Key("colour", Flag(), "Whether the camera's images have colour.", False),
         Key(
-            "height_m", Number(0.01, 100), "Height of the lens above the plate. Parts with a "
-            "height require it or `focal_px`.", None, "unknown",
+            "height_m", Number(0.01, 100), "Height of the lens above the plate. It corrects the "
+            "positions of parts with a height.", None, "computed from `focal_px` or `corners_px`",
         ),
         Key(
             "trigger_phase", Number(0, 0.999), "Fraction of each cycle at which the motor "
-            "controller triggers the camera.", None, "the camera is free-running",
+            "controller triggers the camera.", None, "no trigger; the camera is free-running",
         ),
         Key(
-            "trigger_pulse_s", Number(0.001, 0.008), "Length of the trigger pulse: whole "
-            "milliseconds.", 0.002,
+            "trigger_pulse_s", Number(0.001, 0.008), "Length of the trigger pulse, a multiple of "
+            "1 ms.", 0.002,
         ),
         Key(
-            "corners_px", Numbers((4, 2), -16384, 32768), "Pixels of the plate's corners at rest, "
-            "in images with distortion: (-x,-y), (+x,-y), (+x,+y), (-x,+y).",
+            "corners_px", Numbers((4, 2), -16384, 32768), "Pixels of the corners (-x,-y), (+x,-y), "
+            "(+x,+y), (-x,+y) of the plate at rest, in images with lens distortion.",
         ),
         Key(
-            "focal_px", Numbers((2,), 1, 1e6), "Focal lengths fx, fy of K in camera_info.",
-            None, "no distortion",
+            "focal_px", Numbers((2,), 1, 1e6), "Focal lengths fx, fy: entries of the matrix K in "
+            "`camera_info`.", None, "a lens without distortion",
         ),
         Key(
-            "centre_px", Numbers((2,), -1e6, 1e6), "Principal point cx, cy of K in camera_info.",
-            None, "needed with `focal_px`",
+            "centre_px", Numbers((2,), -1e6, 1e6), "Principal point cx, cy: entries of the matrix "
+            "K in `camera_info`.", None, "required with `focal_px`",
         ),
         Key(
-            "distortion", Numbers((None,), -1e6, 1e6), "Distortion: D in camera_info, in OpenCV's "
-            "order: k1, k2, p1, p2, k3, ... (equidistant: k1 to k4).", None, "zeros",
+            "distortion", Numbers((None,), -1e6, 1e6), "Distortion coefficients: the array D in "
+            "`camera_info`, in OpenCV's order k1, k2, p1, p2, k3, ... (equidistant: k1 to k4).",
+            None, "zeros",
         ),
         Key(
-            "distortion_model", Choice(tuple(MODELS)), "Distortion model: "
-            "distortion_model in camera_info.", "plumb_bob",
+            "distortion_model", Choice(tuple(MODELS)), "Name of the distortion model, "
+            "as in `camera_info`.", "plumb_bob",
         ),
     ),
 )  # fmt: skip
@@ -122,8 +125,8 @@ DICTIONARIES = (
 
 FIDUCIALS = Section(
     "fiducials (optional)",
-    "Markers on the plate. They define the frame plate_home in the image, so `corners_px` can be "
-    "inaccurate.",
+    "Markers on the plate. If they are given, the detector computes the frame `plate_home` from "
+    "their positions in the image. Then `corners_px` can be inaccurate.",
     (
         Key("dictionary", Choice(DICTIONARIES), "OpenCV's name of a set of ArUco markers."),
         Key("side_m", Number(0.001, 1), "Side length of a marker's black square."),
@@ -136,12 +139,13 @@ FIDUCIALS = Section(
 
 SUSPENSION = Section(
     "suspension (optional)",
-    "Dynamics of the flexures and the motors. Without this section, the plate moves exactly as "
-    "commanded.",
+    "Dynamics of the flexures that suspend the plate, and of the motors. Without this section, the "
+    "plate moves exactly as commanded.",
     (
         Key(
             "frequency_hz", Numbers((3,), 0, 1e3), "Natural frequencies of the plate in x, y "
-            "and theta, each with the other two fixed.", None, "or `stiffness`",
+            "and theta. For each of them, the other two coordinates are fixed.", None,
+            "or `stiffness`",
         ),
         Key(
             "damping_ratio", Numbers((3,), 0, 2), "Damping ratios of the oscillations in x, y "
@@ -149,21 +153,21 @@ SUSPENSION = Section(
             "or `damping`",
         ),
         Key(
-            "stiffness", Numbers((3, 3), -STIFFEST, STIFFEST), "Stiffness matrix of x, y "
-            "and theta [N/m, N, N m/rad].", None, "or `frequency_hz`",
+            "stiffness", Numbers((3, 3), -STIFFEST, STIFFEST), "Stiffness matrix of the "
+            "flexures for x, y and theta [N/m, N, N m/rad].", None, "or `frequency_hz`",
         ),
         Key(
-            "damping", Numbers((3, 3), -STIFFEST, STIFFEST), "Damping matrix [N s/m, N s, "
-            "N m s/rad].", None, "or `damping_ratio`",
+            "damping", Numbers((3, 3), -STIFFEST, STIFFEST), "Damping matrix of the "
+            "flexures for x, y and theta [N s/m, N s, N m s/rad].", None, "or `damping_ratio`",
         ),
         Key(
             "inertia_kgm2", Number(1e-9, 1e6), "Moment of inertia of the plate about its "
             "centre of mass.",
-            None, "that of a uniform plate",
+            None, "the value of a uniform plate",
         ),
         Key(
-            "centre_of_mass_m", Numbers((2,), -FAR_M, FAR_M), "Position of the centre of mass at "
-            "rest [x, y].", (0.0, 0.0),
+            "centre_of_mass_m", Numbers((2,), -FAR_M, FAR_M), "Position [x, y] of the plate's "
+            "centre of mass at rest.", (0.0, 0.0),
         ),
         Key("feedforward", Table("mass, damping and stiffness, each from 0 to 2"), "Fractions "
             "of the inertial, damping and spring forces that the drives supply as feed-forward."),
@@ -173,14 +177,13 @@ SUSPENSION = Section(
             (1.0, 1.0, 1.0, 1.0),
         ),
         Key(
-            "motor_bandwidth_hz", Number(1, 1e4), "Corner frequency of the motors: their forces "
-            "follow the commands with a first-order lag.",
-            float("inf"), "no lag",
+            "motor_bandwidth_hz", Number(1, 1e4), "Corner frequency of the first-order lag with "
+            "which the motors' forces follow the commands.", float("inf"), "no lag",
         ),
         Key(
             "servo", Table("stiffness_npm from 0 to 1e7, damping_nspm from 0 to 1e5"), "Stiffness "
             "[N/m] and damping [N s/m] of each motor's position servo.",
-            None, "none",
+            None, "no position servo",
         ),
     ),
 )  # fmt: skip

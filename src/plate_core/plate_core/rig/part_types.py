@@ -75,38 +75,43 @@ Polygon = tuple[tuple[float, float], ...]
 
 PART_TYPE = Section(
     "types (optional), NAME",
-    "A type of part with a name such as `nut`.",
+    "A type of part with a name such as `nut`. Instead of this section, `types` can be the path of "
+    "a YAML file with part types, relative to the rig file's folder.",
     (
         Key(
             "outline_m", Numbers((None, 2), -MAX_M, MAX_M), "3 to "
             f"{MAX_CORNERS} corners [x, y] of the outline, in order.", None, "or `radius_m`",
         ),
-        Key("radius_m", Number(1e-4, MAX_M), "Radius of a disc.", None, "or `outline_m`"),
+        Key("radius_m", Number(1e-4, MAX_M), "Radius of a round part.", None, "or `outline_m`"),
         Key(
             "holes_m", Several(Numbers((None, 2), -MAX_M, MAX_M), MAX_HOLES), "Corners "
             "[x, y] of each hole, in order.", None, "no holes",
         ),
-        Key("mass_kg", Number(1e-6, 10), "Mass.", None, "that of `parts`"),
-        Key("mu", Number(0.01, 2), "Friction coefficient.", None, "that of `friction`"),
+        Key("mass_kg", Number(1e-6, 10), "Mass of the part.", None, "the mass in `parts`"),
         Key(
-            "colour_lab", Numbers((3,), -128, 128), "Colour under the plate's light, CIE L (0 "
-            "to 100), a, b.", None, "unknown",
+            "mu", Number(0.01, 2), "Friction coefficient between the part and the plate.", None,
+            "the coefficient in `friction`",
         ),
         Key(
-            "symmetry", Whole(0, 64), "Order of rotational symmetry: 1 for a bracket, 6 for a "
-            "hexagon, 0 for a disc.", None, "computed from the outline",
+            "colour_lab", Numbers((3,), -128, 128), "Colour of the part under the plate's light: "
+            "CIE L (0 to 100), a, b.", None, "unknown",
+        ),
+        Key(
+            "symmetry", Whole(0, 64), "Order of the part's rotational symmetry: 1 for a bracket, 6 "
+            "for a hexagon, 0 for a disc.", None, "computed from the outline",
         ),
         Key(
             "scatter_m", Number(0, MAX_M), "Root mean square deviation of real parts from this "
             "outline.", 0.0,
         ),
         Key(
-            "height_m", Number(0, MAX_HEIGHT_M), "Height above the plate. 0 means flat or unknown.",
+            "height_m", Number(0, MAX_HEIGHT_M), "Height of the part above the plate. 0 if the "
+            "part is flat or the height is unknown.",
             0.0,
         ),
         Key(
-            "picture", Text(), "Picture of the part: name of a file in the same folder.", "",
-            "none",
+            "picture", Text(), "Name of a picture of the part, a file in the same folder.", "",
+            "no picture",
         ),
     ),
 )  # fmt: skip

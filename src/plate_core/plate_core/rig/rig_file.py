@@ -228,9 +228,9 @@ def _lens(fields: Fields, corners: np.ndarray) -> Lens | None:
 
 
 SECTIONS = (
-    Section("plate", "The plate.", keys_of(Plate)),
+    Section("plate", "Size and mass of the plate.", keys_of(Plate)),
     Section("friction", "Coulomb friction between parts and plate.", keys_of(Friction)),
-    Section("parts", "Round parts that have no type in `types`.", keys_of(PartFacts)),
+    Section("parts", "Properties of round parts that have no type in `types`.", keys_of(PartFacts)),
     Section("limits", "Limits of the motors and the plate.", keys_of(Limits)),
     keys.MOTOR,
     keys.CAMERA,

@@ -42,7 +42,7 @@ class Plate:
 class Friction:
     """Coulomb friction between parts and plate: coefficient [-] and gravity [m/s2]."""
 
-    mu: float = measured("mu", 0.01, 2, "Coefficient of dynamic friction.")
+    mu: float = measured("mu", 0.01, 2, "Dynamic friction coefficient between parts and plate.")
     gravity: float = measured("gravity_mps2", 0.1, 30, "Gravitational acceleration.")
 
     @property
@@ -57,13 +57,13 @@ class PartFacts:
     mass [kg], radius [m] and height above the plate [m]. The height is 0 if the discs are flat, or
     if the height is unknown."""
 
-    mass_kg: float = measured("mass_kg", 1e-6, 10, "Mass of a part.")
-    radius_m: float = measured("radius_m", 1e-4, 1, "Radius of a part.")
+    mass_kg: float = measured("mass_kg", 1e-6, 10, "Mass of a round part.")
+    radius_m: float = measured("radius_m", 1e-4, 1, "Radius of a round part.")
     height_m: float = measured(
         "height_m",
         0,
         MAX_HEIGHT_M,
-        "Height of a part above the plate. 0 means flat or unknown.",
+        "Height of a round part above the plate. 0 if the part is flat or the height is unknown.",
         0.0,
     )
 
@@ -93,7 +93,7 @@ class Limits:
     """
 
     stroke_m: float = measured(
-        "stroke_m", 1e-5, 1, "Stroke of each motor from home to either side."
+        "stroke_m", 1e-5, 1, "Maximum travel of each motor from its home position, to either side."
     )
     speed: float = measured("speed_mps", 1e-3, 100, "Maximum speed of each motor.")
     accel: float = measured(
@@ -107,7 +107,8 @@ class Limits:
         "continuous_force_n",
         1e-3,
         1e6,
-        "Maximum continuous RMS force of each motor; half of `force_n` if only `force_n` is given.",
+        "Maximum RMS force that each motor supplies continuously. If the file contains only "
+        "`force_n`, the default is half of it.",
         100.0,
     )
     thermal_time_s: float = measured(
@@ -117,14 +118,15 @@ class Limits:
         "heat_rise_k",
         0.1,
         1e3,
-        "Temperature rise of a winding above ambient at the continuous force.",
+        "Temperature rise of a motor's winding above ambient at the continuous force.",
         80.0,
     )
     following_error_m: float = measured(
         "following_error_m",
         0,
         1,
-        "Maximum distance of a motor from its setpoint. 0 disables the check.",
+        "Maximum distance of a motor from its setpoint. A larger distance is a fault. 0 disables "
+        "the check.",
         0.0,
     )
 

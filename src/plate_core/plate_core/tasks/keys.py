@@ -32,22 +32,23 @@ CLASSES = ("black", "grey")
 CURVES = ("waypoints_m", "circle", "spline_m")
 """Keys that define the curve of a path. A path has exactly one of these keys."""
 
-OR_ANOTHER = "or another curve"
-
 SLOWEST_MPS, FASTEST_MPS = 1e-5, 10.0
 """Allowed range of the speed along a path [m/s]."""
 
 ALL_DIFFERENT = "each class once"
 ANGLE_ERROR = "Maximum error of a part's angle."
+ANY_ANGLE = "any angle"
 PLACE = Numbers((2,), -FAR_M, FAR_M)
 PLACES = Numbers((None, 2), -FAR_M, FAR_M)
+TARGET = "Target position [x, y] of the part's centre."
+TARGET_ANGLE = "Target angle of the part, counter-clockwise from x."
 TOLERANCE = Key(
-    "tolerance_m", Number(1e-4, 1), "Maximum distance of a part's centre from its place."
+    "tolerance_m", Number(1e-4, 1), "Maximum distance of a part's centre from its target position."
 )
 HOLD = Key(
     "hold_s",
     Number(0, 60),
-    "Time for which the goal must hold without interruption; shorter than `time_limit_s`.",
+    "Time for which the goal must be met without interruption, less than `time_limit_s`.",
 )
 
 
@@ -60,46 +61,48 @@ def class_key(*labels: str) -> Key:
 
 FILE = Section(
     "scenario file",
-    "The parts on the plate, and one task.",
+    "The keys at the top level of a scenario file: the parts on the plate, and one task.",
     (
         Key("description", Text(), "Description of the task in one sentence."),
         Key(
-            "marked", Flag(), "Whether each round part has a mark that shows its angle; `pose` "
-            "requires it.", False,
+            "marked", Flag(), "Whether each round part has a mark that shows its angle. Tasks with "
+            "angles of round parts require true.", False,
         ),
         Key(
             "rig", Text("a name in config/rigs, or the path of a .yaml file"), "Rig that "
             "is used if no other rig is selected. A path is relative to the scenario's folder.",
-            "", "any rig",
+            "", "the default rig",
         ),
-        Key("parts", List(), "One entry for each class."),
+        Key("parts", List(), "One entry for each class of parts, with the keys of `parts[]`."),
         Key("task", Table(), "Kind of the task, and the keys of this kind."),
         Key(
-            "time_limit_s", Number(0.1, 1e5), "Maximum duration, from the detection of all parts. "
-            "Longer tasks fail. Required, except for `feed` and with `until_canceled`.",
-            None, "none",
+            "time_limit_s", Number(0.1, 1e5), "Maximum duration of the task after all parts have "
+            "been detected. A longer task fails. Only `feed`, and `move` with `until_canceled: "
+            "true`, can omit this key.",
+            None, "no limit",
         ),
     ),
 )  # fmt: skip
 
 GROUP = Section(
     "parts[]",
-    "The parts of one class, at given or random places.",
+    "The parts of one class, at given or random positions.",
     (
         Key(
-            "class", Text("black, grey, or a type of the rig's `types`"), "`black` and `grey` "
-            "are round parts that differ in brightness. The key `parts` of the rig file defines "
-            "their mass, radius and height. If the rig has `types`, only its types are allowed.",
+            "class", Text("black, grey, or a type of the rig's `types`"), "Class of the parts. "
+            "`black` and `grey` are round parts that differ in brightness. The section `parts` of "
+            "the rig file defines their mass, radius and height. If the rig has `types`, only "
+            "these types are allowed.",
         ),
         Key(
-            "count", Whole(0, 100), "Number of parts at random places (by `seed`). Their centres "
-            "are five radii apart (less if necessary) and away from the edges. 0 requires the task "
-            "`feed`.",
+            "count", Whole(0, 100), "Number of parts at random positions, which depend on the "
+            "random seed. The centres of two parts are five radii apart, or less if the plate "
+            "has too little space. Only the task `feed` allows 0.",
             None, "or `positions_m`",
         ),
         Key(
-            "positions_m", PLACES, "Initial centre of each part, at least two radii from any "
-            "other.",
+            "positions_m", PLACES, "Initial position [x, y] of each part's centre. The "
+            "circumscribed circles of two parts must not overlap.",
             None, "or `count`",
         ),
     ),
@@ -107,7 +110,7 @@ GROUP = Section(
 
 TASK = Section(
     "task",
-    "The task.",
+    "The task. Its other keys depend on the kind.",
     (
         Key(
             "kind",
@@ -119,8 +122,8 @@ TASK = Section(
 
 SORT = Section(
     "task, kind: sort",
-    "Moves every class to its region. The task is done when all parts have been in their regions "
-    "for `hold_s`.",
+    "This task moves the parts of each class to the region of their class. The task is done when "
+    "all parts have been in their regions for `hold_s`.",
     (
         Key(
             "regions", Table("for each class a side, a corner, or {bin_m: ...}"), "Region of "
@@ -128,10 +131,10 @@ SORT = Section(
             "`sides` is a synonym.",
         ),
         Key(
-            "goal_fraction", Number(0, 0.8), "Distance of sides and corners from the middle "
-            "of the plate. It is a fraction of the half length (left and right), of the half "
-            "width (bottom and top), or of both (corners).",
-            None, "not needed if all regions are polygons",
+            "goal_fraction", Number(0, 0.8), "Distance from the plate's centre at which the "
+            "regions of sides and corners begin. The distance along x is this fraction of the "
+            "plate's half length. The distance along y is this fraction of its half width.",
+            None, "not required if all regions are polygons",
         ),
         HOLD,
     ),
@@ -139,78 +142,90 @@ SORT = Section(
 
 BIN = Section(
     "task, kind: sort, a polygon in regions",
-    "A polygonal region.",
+    "A region with the shape of a polygon.",
     (
         Key(
-            "bin_m", PLACES, "Three or more corners [x, y] on the plate, in order. The polygon "
-            "must have space for the parts of its class, 3.5 radii apart.",
+            "bin_m", PLACES, "Three or more corners [x, y] of the polygon, in order around it. The "
+            "polygon must have space for all parts of its class, with 3.5 radii between their "
+            "centres.",
         ),
     ),
 )  # fmt: skip
 
 FOLLOW = Section(
     "task, kind: follow",
-    "Moves all parts to the starts of their paths, then each part along its path. "
-    "The task is done when all paths are completed.",
+    "This task moves all parts to the starts of their paths, then each part along its path. The "
+    "task is done when all paths are completed.",
     (
-        Key("paths", List(), "One path per part."),
+        Key("paths", List(), "One path for each part."),
         Key(
             "max_error_m",
             Number(1e-4, 10),
-            "Maximum distance of a part from its reference; a larger distance ends the task. All "
-            "parts slow down while one of these distances exceeds 15 % of the maximum.",
+            "Maximum distance of a part from its reference, the point that moves along its path. "
+            "If a distance is larger, the task fails. If a distance exceeds 15 % of the maximum, "
+            "all references slow down.",
         ),
     ),
 )
 
 PATH = Section(
     "task, kind: follow, paths[]",
-    f"The path of one part. Exactly one of the keys {', '.join(CURVES)} gives its shape.",
+    f"The path of one part. Exactly one of the keys {', '.join(CURVES)} defines its shape.",
     (
         class_key(),
-        Key("waypoints_m", PLACES, "Two or more corners [x, y] of a polygon.", None, OR_ANOTHER),
-        Key("circle", Table(), "Circle, with the keys of the next section.", None, OR_ANOTHER),
         Key(
-            "spline_m", PLACES, "Three or more points [x, y] of a cubic spline.", None, OR_ANOTHER,
+            "waypoints_m", PLACES, "Two or more corners [x, y] of a path with straight sides.",
+            None, "or `circle` or `spline_m`",
         ),
         Key(
-            "speed_mps", Number(SLOWEST_MPS, FASTEST_MPS), "Speed along the path. "
-            "A list of pairs [fraction of a lap, m/s] from 0 to 1 sets a profile, which is "
-            "interpolated linearly.",
+            "circle", Table(), "Circular path, with the keys of the next section.", None,
+            "or `waypoints_m` or `spline_m`",
         ),
         Key(
-            "closed", Flag(), "Whether the path is closed, from the last point to the first.", None,
-            "needed except for a circle",
+            "spline_m", PLACES, "Three or more points [x, y] through which a cubic spline passes.",
+            None, "or `waypoints_m` or `circle`",
         ),
         Key(
-            "laps", Number(0.01, 1000), "Number of laps.", None, "needed; 1 for open paths",
+            "speed_mps", Number(SLOWEST_MPS, FASTEST_MPS), "Speed along the path. A list of pairs "
+            "[fraction of a lap, speed in m/s] is a speed profile. The fractions increase from 0 "
+            "to 1. Between the pairs, the speed is interpolated linearly.",
+        ),
+        Key(
+            "closed", Flag(), "Whether the last point of the path is connected to the first point.",
+            None, "required except with `circle`",
+        ),
+        Key(
+            "laps", Number(0.01, 1000), "Number of laps on a closed path. Open paths must not "
+            "contain this key.",
+            None, "required for closed paths",
         ),
     ),
 )  # fmt: skip
 
 CIRCLE = Section(
     "task, kind: follow, paths[], circle",
-    "A circle.",
+    "A circular path.",
     (
-        Key("centre_m", PLACE, "Centre [x, y]."),
-        Key("radius_m", Number(1e-4, FAR_M), "Radius."),
+        Key("centre_m", PLACE, "Centre [x, y] of the circle."),
+        Key("radius_m", Number(1e-4, FAR_M), "Radius of the circle."),
         Key(
-            "start_deg", Number(-360, 360), "Direction from the centre to the start of the path, "
-            "counter-clockwise from x.", 0.0,
+            "start_deg", Number(-360, 360), "Direction from the circle's centre to the start of "
+            "the path, counter-clockwise from x.", 0.0,
         ),
-        Key("turn", Choice(("left", "right")), "Direction of motion. left: counter-clockwise; "
-            "right: clockwise."),
+        Key("turn", Choice(("left", "right")), "Direction of motion on the circle. left: "
+            "counter-clockwise; right: clockwise."),
     ),
 )  # fmt: skip
 
 ASSEMBLE = Section(
     "task, kind: assemble",
-    "Moves parts to a pattern of places. The task is done when every place has had a part of its "
-    "class for `hold_s`.",
+    "This task moves the parts to a pattern of positions. The task is done when each position has "
+    "had a part of its class for `hold_s`.",
     (
         Key(
-            "places_m", Table("for each class a list of [x, y]"), "One place per part of the "
-            "class, at least 2.5 radii apart. The planner assigns the parts.",
+            "places_m", Table("for each class a list of [x, y]"), "Target positions of each class, "
+            "one per part. Two positions must be at least 2.5 radii apart. The planner assigns the "
+            "parts to the positions.",
         ),
         TOLERANCE,
         HOLD,
@@ -219,14 +234,16 @@ ASSEMBLE = Section(
 
 POSE = Section(
     "task, kind: pose",
-    "Moves every part to a place and an angle. The task is done when all parts have been there for "
-    "`hold_s`. Round parts require `marked: true`.",
+    "This task moves each part to an angle and, if `place_m` is given, to a position. The task is "
+    "done when all parts have been within both tolerances for `hold_s`. Round parts require "
+    "`marked: true`.",
     (
-        Key("poses", List(), "One pose per part."),
+        Key("poses", List(), "One target pose for each part."),
         Key(
             "anywhere",
             Flag(),
-            "Whether parts without `place_m` can end anywhere. If false, they stay in place.",
+            "Whether parts without `place_m` can end at any position. If false, such a part must "
+            "stay within `tolerance_m` of its position.",
             False,
         ),
         TOLERANCE,
@@ -237,21 +254,21 @@ POSE = Section(
 
 POSES = Section(
     "task, kind: pose, poses[]",
-    "Target of one part: its place, and the direction of the part or its mark.",
+    "Target of one part. The angle of a round part is that of its mark.",
     (
         class_key(),
-        Key("angle_deg", Number(-360, 360), "Angle, counter-clockwise from x."),
-        Key("place_m", PLACE, "Place [x, y].", None, "the present place"),
+        Key("angle_deg", Number(-360, 360), TARGET_ANGLE),
+        Key("place_m", PLACE, TARGET, None, "the part's position at the start of the task"),
     ),
 )
 
 MOVE = Section(
     "task, kind: move",
-    "Moves parts to individual targets, which the topic `targets` can change. A part without a "
-    "target stays in place, but gives way to others. The task is done when all targets have been "
-    "reached for `hold_s`.",
+    "This task moves parts to separate targets. The topic `targets` can change the targets. A part "
+    "without a target stays in place, but the planner moves it out of the way of other parts. The "
+    "task is done when all targets have been reached for `hold_s`.",
     (
-        Key("targets", List(), "One target per part.", None, "none"),
+        Key("targets", List(), "One target for each part that must move.", None, "no targets"),
         TOLERANCE,
         Key(
             "tolerance_deg", Number(0.1, 180), ANGLE_ERROR, 5.0
@@ -266,29 +283,29 @@ MOVES = Section(
     "Target of one part.",
     (
         Key("id", Text("a class of `parts` and a number, such as black_1"), "Id of the part."),
-        Key("place_m", PLACE, "Place [x, y]."),
+        Key("place_m", PLACE, TARGET),
         Key(
-            "angle_deg", Number(-360, 360), "Angle, counter-clockwise from x. Round parts must "
-            "be `marked`.", None, "any",
+            "angle_deg", Number(-360, 360), f"{TARGET_ANGLE} A round part with an angle requires "
+            "`marked: true`.", None, ANY_ANGLE,
         ),
     ),
 )  # fmt: skip
 
 FEED = Section(
     "task, kind: feed",
-    "Keeps parts ready for a robot, until the task is canceled. Parts of classes that are not in "
-    "`picks` go to the chute.",
+    "This task keeps parts ready for a robot, until the task is canceled. Parts of classes that "
+    "are not in `picks` are moved to the chute.",
     (
-        Key("picks", List(), "One entry per requested class."),
+        Key("picks", List(), "One entry for each class that the robot picks."),
         Key(
-            "clearance_m", Number(0, 0.5), "Minimum gap between a ready part and any other "
-            "part.",
+            "clearance_m", Number(0, 0.5), "Minimum gap between a ready part and any other part, "
+            "required by the gripper.",
         ),
         Key(
             "chute", Choice(("left", "right", "bottom", "top")), "Side over which unwanted "
-            "parts leave the plate.", None, "none, they stay",
+            "parts leave the plate.", None, "unwanted parts stay on the plate",
         ),
-        Key("hopper", Table(), "Hopper, which drops new parts onto the plate.", None, "none"),
+        Key("hopper", Table(), "Hopper, which drops new parts onto the plate.", None, "no hopper"),
         Key(
             "timeout_s"
         , Number(0.1, 3600), "Maximum time for which a robot waits for a part.", 30.0),
@@ -302,28 +319,31 @@ PICK = Section(
     (
         class_key(),
         Key("window_m", Numbers((2, 2), -FAR_M, FAR_M), "Lower left and upper right corner [x, y] "
-            "of the pick window. The centres of ready parts are inside it.", None,
-            "the plate without the stroke and 1.25 radii along its edges"),
-        Key("ready", Whole(1, 100), "Number of parts that are ready at the same time.", 1),
-        Key("angle_deg", Number(-360, 360), "Angle of ready parts.", None, "any"),
+            "of the pick window. The centres of ready parts are inside this window.", None,
+            "all points whose distance from the edges is at least the stroke and 1.25 radii"),
+        Key("ready", Whole(1, 100), "Number of parts that are kept ready at the same time.", 1),
+        Key(
+            "angle_deg", Number(-360, 360), "Angle of ready parts, counter-clockwise from x.",
+            None, ANY_ANGLE,
+        ),
         Key("tolerance_deg", Number(0.1, 180), ANGLE_ERROR, 5.0),
     ),
 )  # fmt: skip
 
 HOPPER = Section(
     "task, kind: feed, hopper",
-    "Hopper, which drops new parts onto the plate. It opens when parts are missing, until enough "
-    "parts have dropped.",
+    "Hopper, which drops new parts onto the plate. At each opening, the hopper drops as many "
+    "parts as the plate lacks.",
     (
-        Key("fill", Whole(1, 100), "Number of parts on the plate after a refill."),
-        Key("least", Whole(1, 100), "Minimum number of parts on the plate. If there are fewer, the "
-            "hopper opens.", None, "`fill`"),
-        Key("rate_ps", Number(0.1, 1000), "Number of dropped parts per second."),
-        Key("place_m", PLACE, "Centre of the drop area [x, y]."),
-        Key("spread_m", Number(0.001, 1), "Radius of the drop area."),
+        Key("fill", Whole(1, 100), "Number of parts on the plate after the hopper has closed."),
+        Key("least", Whole(1, 100), "Minimum number of parts on the plate. If the plate has fewer "
+            "parts, the hopper opens.", None, "`fill`"),
+        Key("rate_ps", Number(0.1, 1000), "Number of parts that the open hopper drops per second."),
+        Key("place_m", PLACE, "Centre [x, y] of the disc on which parts drop."),
+        Key("spread_m", Number(0.001, 1), "Radius of the disc on which parts drop."),
         Key("mix", Table("for each class a fraction, 1 in all"), "Fraction of each class among "
             "the dropped parts. The classes in `picks` are "
-            "required.", None, "the classes of `picks`, equally"),
+            "required.", None, "equal fractions of the classes in `picks`"),
     ),
 )  # fmt: skip
 
