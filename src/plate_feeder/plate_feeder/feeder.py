@@ -1,5 +1,5 @@
 """The rules of the feeder, without ROS. The rules determine which part a robot gets, when the plate
-rests, and when the hopper (the container that drops new parts onto the plate) opens.
+rests, and when the hopper opens. The hopper is a container that drops new parts onto the plate.
 
 A `Feeder` receives the statuses of the planner (`receive_status`) and the commands of the robots.
 The caller calls `step` after each status, after each command, and about every 0.1 s. `step` returns
@@ -43,9 +43,9 @@ The rules:
   window.
 - The hopper opens if fewer parts than `least` are on the plate. If a command waits for a class of
   which no part is on the plate, the hopper opens if fewer parts than `fill` are on the plate. The
-  hopper stays open until so many parts should have fallen that about `fill` parts are on the plate.
-  The hopper does not open if it counts as empty, while a part is reserved, while the plate is
-  purged, or while messages of the planner are missing.
+  time for which the hopper stays open is computed so that about `fill` parts are on the plate
+  afterwards. The hopper does not open if it counts as empty. It does not open while a part is
+  reserved, while the plate is purged, or while messages of the planner are missing.
 - The feeder counts the new parts `FALLEN_S` after the hopper has closed. The image for this count
   must be taken while no part is reserved, because during a reservation the robot may hide some
   parts. Until this count, the hopper does not open again and the plate does not count as purged.

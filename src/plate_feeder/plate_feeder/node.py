@@ -85,9 +85,9 @@ BY_PERSON = (
     DriverStatus.SWITCHED_OFF, DriverStatus.EMERGENCY_STOP, DriverStatus.POWER_CUT,
     DriverStatus.STOP_UNANSWERED,
 )  # fmt: skip
-"""Values of `DriverStatus.reason` after which a person must call resume_feeding. These values state
-that the motors were switched off or stopped on request, that the driver was deactivated, or that
-the motor controller did not acknowledge a stop."""
+"""Values of `DriverStatus.reason` after which a person must call resume_feeding. With these values,
+the motors were switched off or stopped on request, the driver was deactivated, or the motor
+controller did not acknowledge a stop."""
 
 Replied = Callable[[Reply], None]
 

@@ -1,6 +1,6 @@
-"""Reference agents. Four agents use the planner of this project: Method B on the cycle map, Method
-A on the cycle map, Method B with images, and Method B on the averaged map. The other two agents use
-the paper's Method A and random motions."""
+"""Reference agents. Four agents use the planner of this project. They use Method B on the cycle
+map, Method A on the cycle map, Method B with images, and Method B on the averaged map. The other
+two agents use the paper's Method A and random motions."""
 
 from __future__ import annotations
 

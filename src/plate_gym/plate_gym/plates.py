@@ -162,9 +162,9 @@ class Plate:
         self.image = self.image if image is None else image
 
     def sighted(self) -> tuple[np.ndarray, np.ndarray, np.ndarray] | None:
-        """Return what an image would show, as three arrays in the order of the rows: the positions
-        (M, 2) [m] and the angles (M,) [rad] of the parts, and whether the image shows each part
-        (M,). Return None if the simulated camera misses the image."""
+        """Return what an image would show, or None if the simulated camera misses the image. The
+        result consists of three arrays in the order of the rows. They contain the positions (M, 2)
+        [m] and the angles (M,) [rad] of the parts, and whether the image shows each part (M,)."""
         parts, state = self.simulation.visible_parts(), self.simulation.state
         if parts is None:
             return None

@@ -38,7 +38,7 @@ class AnswerSchedule:
 
         Return True if this report of a cycle start is new. A repeated report must not delay the
         request. A report counts as repeated if its cycle has the same knots as the cycle of the
-        last report and 0 <= begin - last begin < SNAP T. T is the length of the cycle.
+        last report, and if 0 <= begin - last begin < SNAP T. T is the length of the cycle.
         """
         repeats = 0 <= begin - self._begin < SNAP * cycle.period
         if repeats and np.array_equal(cycle.knot_pose, self._cycle.knot_pose):

@@ -1,11 +1,10 @@
 """ROS node of the planner.
 
 The node receives the detected parts, and publishes the mean force that the next cycle should exert
-on each part. An action goal starts a task. The node also subscribes to plate_cycle and
-cycle_started. plate_cycle and cycle_started contain the motion of the plate, which moves the parts
-between images, and which the next cycle continues. `TaskRunner` runs a task. `InputMonitor` ends
-the task if an input is missing. `Lockstep` and `AnswerSchedule` decide when the next request is
-computed.
+on each part. An action goal starts a task. The node also subscribes to the topics plate_cycle and
+cycle_started, which contain the motion of the plate. This motion moves the parts between images,
+and the next cycle continues it. `TaskRunner` runs a task. `InputMonitor` ends the task if an input
+is missing. `Lockstep` and `AnswerSchedule` decide when the next request is computed.
 """
 
 from __future__ import annotations

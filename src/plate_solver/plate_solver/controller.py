@@ -258,8 +258,8 @@ def search(
 
 
 def leaves_plate(rig: Rig, ids: tuple[str, ...], goal: Goal, predicted: np.ndarray) -> bool:
-    """Return whether a motion would move a part off the plate. This is the case if the centre of a
-    part ends less than half a radius from the edge of the plate, and farther out than at the start.
+    """Return whether a motion would move a part off the plate. The criterion is that the centre of
+    a part ends less than half a radius from an edge, and farther out than at the start.
 
     The radius is that of a disc with the same area as the part. Only the predicted end positions
     are checked. The predicted positions are extrapolated by the time `Goal.coast`.

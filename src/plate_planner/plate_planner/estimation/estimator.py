@@ -2,10 +2,10 @@
 
 The inputs are the detected parts and the stamp of each image, the cycles sent to the plate, the
 reported cycle starts, and the requests to the solver. The outputs are the state of the parts at the
-time `Estimator.stamp`, and their predicted state at the start of the solver's next result (the
-cycle that it computes). Kalman filters with a model of the stick-slip motion track the parts
-(`filter.py`). Several hypotheses of the image latency are computed in parallel (`latency.py`).
-`DriftBias` estimates the remaining prediction error.
+time `Estimator.stamp`, and their predicted state when the solver's next result begins. A result of
+the solver is a cycle that it has computed. Kalman filters with a model of the stick-slip motion
+track the parts (`filter.py`). Several hypotheses of the image latency are computed in parallel
+(`latency.py`). `DriftBias` estimates the remaining prediction error.
 """
 
 from __future__ import annotations
@@ -41,8 +41,9 @@ SAME_LATENCY_S = 2e-3
 0.05 mm in this time."""
 
 TRIGGER_TOLERANCE_S = 1e-3
-"""If the stamp of an image differs from a reported cycle start by less than this value [s], the
-stamp counts as the time of the camera trigger. In this case, the image was taken at its stamp."""
+"""Tolerance of image stamps [s]. If the stamp of an image differs from a reported cycle start by
+less, the stamp counts as the time of the camera trigger. In this case, the image was taken at its
+stamp."""
 
 LATE = 0.01
 """Maximum difference between `Estimator.stamp` and the time for which positions were predicted, as
@@ -441,9 +442,9 @@ class Estimator:
     def stamp(self) -> float:
         """Time at which the state `parts` is valid [s].
 
-        If images are not taken at cycle starts (free-running camera, or trigger at a phase of the
-        cycle), this time is the start of the running cycle. Otherwise, this time is the stamp of
-        the last image. The value is minus infinity before the first image.
+        If images are not taken at cycle starts, this time is the start of the running cycle.
+        Otherwise, this time is the stamp of the last image. The value is minus infinity before the
+        first image.
         """
         if self.log.free_running:
             return self.log.begin

@@ -294,10 +294,10 @@ def kalman_update(
 
     The stamp of the image has an error T, which is the same for all parts. T is normally
     distributed with the standard deviation s = `jitter` [s]. Let v_i be the velocity of part i, P_i
-    the covariance of its position, r the standard deviation `CAMERA_M`, and z_i the innovation: the
-    measured position minus the predicted position. Then z_i = T v_i + noise. The noise has the
-    covariance S_i = P_i + r^2 1, where 1 is the unit matrix. After the measurement, T has a normal
-    distribution with
+    the covariance of its position, and r the standard deviation `CAMERA_M`. Let z_i be the
+    innovation, that is, the measured position minus the predicted position. Then z_i = T v_i +
+    noise. The noise has the covariance S_i = P_i + r^2 1, where 1 is the unit matrix. After the
+    measurement, T has a normal distribution with
 
         variance q = s^2 / (1 + s^2 sum v_i' S_i^-1 v_i),    mean T = q sum v_i' S_i^-1 z_i,
 

@@ -71,8 +71,8 @@ NEAREST_M = 1e-3
 requested angle have no such weight, because with it they hindered each other in simulations."""
 
 CHANGE_M = 0.02
-"""A part that moves to its pick window is replaced by another part only if the other part's
-distance is shorter by at least this value [m]."""
+"""While a part moves to its pick window, another part replaces it only if the other part's distance
+is shorter by at least this value [m]."""
 
 RENAMED_M = 0.02
 """If a part vanishes and a new part of the same class appears within this distance, both count as
@@ -85,12 +85,12 @@ FAR_M = 0.1
 """Maximum distance of the targets of unwanted parts outside the chute's edge [m]."""
 
 NEAR_EDGE = 1.5
-"""A vanished part counts as having left the plate over an edge if it was last detected within this
-distance of the edge, in units of the part's reach."""
+"""A vanished part counts as having left the plate over an edge if it was last detected near this
+edge. This value is the maximum distance, in units of the part's reach."""
 
 NEAR_CHUTE = 4.0
 """A vanished part counts as having left the plate over the chute's edge if it was last detected
-within this distance of this edge, in units of the part's reach."""
+near this edge. This value is the maximum distance, in units of the part's reach."""
 
 
 @dataclass(frozen=True)

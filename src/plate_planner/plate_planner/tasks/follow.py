@@ -102,8 +102,8 @@ PERIOD_S = 0.1
 length."""
 
 SLOWED = 0.95
-"""If the mean speed of the references is below this fraction of the speed of their paths, the text
-of the result states this fraction [-]."""
+"""Fraction of the speed of the paths [-]. If the mean speed of the references is below it, the text
+of the result states their mean speed."""
 
 
 @dataclass(frozen=True)

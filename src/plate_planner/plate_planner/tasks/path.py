@@ -21,8 +21,8 @@ class PolygonPath:
     """Polygonal path that begins at its first corner.
 
     Between two entries of the speed profile, the speed v is a linear function of the arc length s,
-    with the constant slope dv/ds = k. At a time t after the first of these entries, where v = v_0
-    and s = s_0, this gives v = v_0 exp(k t) and s = s_0 + (v - v_0)/k.
+    with the slope k. Let v_0 and s_0 be the values at the first of these entries, and t the time
+    since then. From dv/ds = k follow v = v_0 exp(k t) and s = s_0 + (v - v_0)/k.
 
     Attributes
     ----------

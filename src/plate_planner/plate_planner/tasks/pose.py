@@ -157,7 +157,7 @@ class Poser(TaskRules):
         return self.rig.part_type(label).reach_m
 
     def _missing(self, pose: Pose, angle: np.ndarray) -> np.ndarray:
-        """Return the rotations (...) [rad] from the angles `angle` (...) [rad] of parts to the
-        nearest angle that is equivalent to the angle of the pose."""
+        """Return the rotations (...) [rad] that parts with the angles `angle` (...) [rad] still
+        need. The goal is the nearest angle that is equivalent to the angle of the pose."""
         period = 2 * np.pi / max(self.rig.part_type(pose.label).symmetry, 1)
         return np.asarray((pose.angle - angle + period / 2) % period - period / 2)

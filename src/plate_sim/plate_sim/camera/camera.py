@@ -1,6 +1,6 @@
 """Synthetic images of the plate and its parts. An image depends on the poses of the parts and the
-plate, on the types, heights and grey values of the parts, on the light, and on the lens. Images
-contain shadows, motion blur and noise. They are grey or in colour."""
+plate, on the light, and on the lens. It also depends on the types, heights and grey values of the
+parts. Images contain shadows, motion blur and noise. They are grey or in colour."""
 
 from __future__ import annotations
 
@@ -365,9 +365,9 @@ class Camera:
         Raises
         ------
         PlateError
-            If a value is not finite, if the arguments disagree about the number of parts, if a part
-            is as high as the camera, or if heights are given but the rig does not contain the
-            camera's position (`camera_place`).
+            If a value is not finite, if the arguments disagree about the number of parts, or if a
+            part is as high as the camera. Also if heights are given but the rig file does not
+            contain the position of the camera (`camera_place`).
         """
         path = self._path(position, velocity)
         count = path.shape[1]
@@ -447,7 +447,7 @@ class Camera:
         """Project parts at positions (s, M, 2) [m] onto the plane of the plate.
 
         Let H be the height of the camera above the plate and `low` the point of the plate's plane
-        below the camera. The camera sees a point p at the height h in the same direction as the
+        below the camera. A point p at the height h appears in the image at the same place as the
         point low + (p - low) H/(H - h) of the plate's plane.
         """
         count = path.shape[1]
@@ -483,10 +483,10 @@ class Camera:
         replaces.
 
         The third result (n,) contains, for each shape, the index of its grey value in a flattened
-        array (5, M). The five rows of this array are black, the grey values of the parts, the grey
-        values of their marks, white, and the grey values of the side faces. If parts have heights,
-        all shapes except shadows are drawn part by part instead of layer by layer. The part that is
-        farthest from the point below the camera is drawn first.
+        array (5, M). The five rows of this array contain black, the grey values of the parts, those
+        of the marks, white, and those of the side faces. If parts have heights, all shapes except
+        shadows are drawn part by part instead of layer by layer. The part that is farthest from the
+        point below the camera is drawn first.
         """
         own, path, count = scene.top, scene.seen, scene.seen.shape[1]
         turn, level = np.stack([np.cos(angle), np.sin(angle)], axis=1), np.array([1.0, 0.0])

@@ -20,8 +20,8 @@ def check_table(rig: Rig, cycle: PlateCycle, running: PlateCycle) -> CycleUsage:
     Raises
     ------
     CycleError
-        If the table starts neither at rest at home nor in the end state of the running table,
-        exceeds a limit, or is too short or too long.
+        If the table exceeds a limit, or is too short or too long. Also if the table starts neither
+        at rest at home nor in the end state of the running table.
     """
     if not PERIOD[0] <= cycle.period <= PERIOD[1]:
         raise CycleError(f"period is {cycle.period:g} s, allowed: {PERIOD[0]:g} to {PERIOD[1]:g} s")

@@ -191,8 +191,9 @@ def simulate_bodies(
     Raises
     ------
     PlateError
-        If shapes disagree, if a value is not finite, if a count or coefficient is out of range, if
-        parts overlap at the start, or if the contacts have walls but the plate has no edges.
+        If shapes disagree, if a value is not finite, or if a count or coefficient is outside its
+        range. Also if parts overlap at the start, or if the contacts have walls but the plate has
+        no edges.
     """
     cycles = whole("cycles", cycles)
     check_motion(cycle, cycles)

@@ -250,10 +250,10 @@ class CameraView:
     def _view(
         self, state: WorldState, plate: PlateState, age: float | None
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray | None]:
-        """Return what an image shows, as four arrays. The arrays are the positions of the parts
-        over the exposure (s, M, 2), the angles (M,), whether each part is on the plate (M,), and
-        the poses of the plate. The poses have the shape (s, 3), or (b, s, 3) for b bands of image
-        rows. If the plate is at home, the poses are None."""
+        """Return what an image shows, as four arrays. The first three arrays contain the positions
+        of the parts over the exposure (s, M, 2), the angles (M,), and whether each part is on the
+        plate (M,). The fourth array contains the poses of the plate. The poses have the shape (s,
+        3), or (b, s, 3) for b bands of image rows. If the plate is at home, the poses are None."""
         camera, exposure = self._rig.camera, self._exposure
         if self._shows_past:
             shown = exposure + camera.readout_s

@@ -83,8 +83,8 @@ class ForceSolver(MotionSolver):
         Returns
         -------
         Solution
-            On the maps `velocity` and `cycle`, a request counts as met if the root mean square
-            error over parts and axes is at most 10 % of the request.
+            On the maps `velocity` and `cycle`, a request counts as met if the error is at most 10 %
+            of the request (root mean square over parts and axes).
 
         Raises
         ------

@@ -12,10 +12,10 @@ the columns of its twists. This module evaluates the columns of a library of twi
   programme computes the minimum time that is needed for a unit of force. The maximum force is the
   reciprocal of this time.
 
-A real cycle may produce less force, because the model neglects several effects: the ramps between
-rotations, the closure of the motion, the limits, and the displacement of parts within a cycle. A
-real cycle may also produce a few per cent more force, because it can rotate about points between
-the centres of the library.
+A real cycle may produce less force, because the model neglects several effects. These effects are
+the ramps between rotations, the closure of the motion, the limits, and the displacement of parts
+within a cycle. A real cycle may also produce a few per cent more force, because it can rotate about
+points between the centres of the library.
 """
 
 from __future__ import annotations

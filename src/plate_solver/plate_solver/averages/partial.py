@@ -90,8 +90,9 @@ def largest_fraction(
         Maximum force that a motion can exert on a part [mu m g].
     prove : function, optional
         Function that returns whether a request is proven infeasible. The function is slow and is
-        called at most once. If it is not given, the solution for the whole request is returned if
-        its error for the whole request is smaller than that of the fraction's solution.
+        called at most once. If it is not given, the solutions for the whole request and for the
+        fraction are compared. The solution with the smaller error for the whole request is
+        returned.
     """
     fits = min(1.0, most / max(request.flags.loaded, 1e-300))
     whole = attempt(request if fits == 1 else request.times(fits))

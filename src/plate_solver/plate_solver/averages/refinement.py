@@ -36,16 +36,16 @@ the tolerance of the solver is larger, it is used instead."""
 
 MISSED = 0.1
 """Maximum error that counts as success on the force maps `velocity` and `cycle`, as a fraction of
-the request (root mean square over parts and axes). On these maps, most requests can be met only
-approximately. For comparison, a solution for the map `none` without corrections has an error on
-these maps that is larger than the request."""
+the request. Both are root mean squares over parts and axes. On these maps, most requests can be met
+only approximately. For comparison, a solution for the map `none` without corrections has an error
+on these maps that is larger than the request."""
 
 STALE = 4
 """Number of consecutive corrections without an improvement after which the search ends."""
 
 MAX_ON_CYCLE = 0.5
-"""Maximum force on the force map `cycle` [mu m g]. During a cycle of length T, a part that starts
-at rest moves by at most mu g T^2 / 2, because friction is at most mu m g."""
+"""Maximum force on the force map `cycle` [mu m g]. Friction is at most mu m g. During a cycle of
+length T, a part that starts at rest therefore moves by at most mu g T^2 / 2."""
 
 
 def force_solution(

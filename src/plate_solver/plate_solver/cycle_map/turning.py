@@ -13,8 +13,8 @@ Cutkosky 1996):
 In each time step, friction changes the velocity and the angular velocity of a part by this force
 and torque, at most until the slip is 0. J is computed only from the angle at the start of the
 cycle, because parts rotate by only a few degrees within a cycle. For discs, bars, nuts, brackets
-and screws in random cycles, the error of the rotation is below 10 %, and the position is as
-accurate as without rotation.
+and screws in random cycles, the error of the rotation is below 10 %. The position is as accurate as
+in the map without rotation.
 """
 
 from __future__ import annotations

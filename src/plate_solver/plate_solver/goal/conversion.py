@@ -85,10 +85,10 @@ def form_goal(
     Raises
     ------
     PlateError
-        The request is invalid. The following values are invalid: values that are not finite or
-        exceed `MAX_REQUEST` (except force tolerances, which may be infinite), an upper bound below
-        the lower bound, a negative weight, tolerance or clearance, and a period of forces that is
-        not positive.
+        If the request contains an invalid value. Values must be finite and at most `MAX_REQUEST`;
+        only force tolerances may be infinite. An upper bound must not be below the lower bound.
+        Weights, tolerances and the clearance must not be negative. The period of forces must be
+        positive.
     """
     content = request.forces_or_targets
     if isinstance(content, Targets):
