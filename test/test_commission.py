@@ -219,7 +219,7 @@ def narrow(bench):
 
 
 WRONG = [
-    (deaf, "motor_2: node 2 does not answer, found: 1, 3, 4"),
+    (deaf, "motor_2: node 2 does not answer, nodes on the bus: 1, 3, 4"),
     (other(x1000_0=0x191), "motor_2: node 2 has device type 191h, allowed: profile 402"),
     (other(x6502_0=1), "motor_2: modes 6502h are 1h, required: cyclic synchronous position"),
     (other(without=(0x6007,)), "object 6007h:00 (abort 06020000h, no such object), so it cannot"),
@@ -446,7 +446,7 @@ def test_nobody_holds_a_motor_for_ever(bench, rig_file, capsys, monkeypatch):
     bench.ask = asked
     bench.only(1)
     assert bench.run(rig_file) == 1
-    assert "error: no answer for 0.5 s" in capsys.readouterr().out
+    assert "error: no answer was typed within 0.5 s" in capsys.readouterr().out
     assert all_off(bench)
 
 
@@ -497,8 +497,8 @@ ask("c?", int)
             ["linear_motors", "--bus", "nosuch"],
             "CAN bus nosuch can0 does not open (Unknown interface",
         ),
-        (["desk"], "motors: drive is bridge, allowed here: cia402"),
-        (["odrives"], "motors: drive is odrive, allowed here: cia402"),
+        (["desk"], "motors: drive is bridge, allowed in this program: cia402"),
+        (["odrives"], "motors: drive is odrive, allowed in this program: cia402"),
         (["nosuch"], "rig is 'nosuch', allowed: desk"),
     ],
 )
@@ -565,5 +565,5 @@ def test_an_empty_bus(capsys, monkeypatch):
     assert end.value.code == 1
     said = capsys.readouterr().out
     assert said.startswith(
-        "no node answers on the bus\nWRONG: motor_1: node 1 does not answer, found: none"
+        "no node answers on the bus\nWRONG: motor_1: node 1 does not answer, nodes on the bus: none"
     )

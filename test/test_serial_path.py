@@ -306,7 +306,7 @@ def test_an_enable_is_dropped_by_a_stop(firmware):
     wish = transport.enable()
     pass_time(firmware, transport, 0.1)
     stop = transport.stop()
-    assert (wish.completed, wish.failure[:26]) == (True, "another stop has come sinc")
+    assert (wish.completed, wish.failure[:24]) == (True, "another stop has arrived")
     firmware.loss = 0.0
     since = firmware.now
     assert settled(firmware, transport, stop).done

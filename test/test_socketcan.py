@@ -401,5 +401,5 @@ def test_how_late_it_is_can_be_asked(program, monkeypatch, capsys):
         main()
     assert end.value.code in (0, 1)
     said = capsys.readouterr().out
-    assert said.startswith("delay of setpoints, maximum per 10 ms: median ")
+    assert said.startswith("maximum delay of setpoints in each 10 ms: median ")
     assert "; allowed: 3.00 ms\n" in said

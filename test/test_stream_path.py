@@ -132,7 +132,7 @@ def test_a_stream_goes_on_in_motion_or_is_brought_to_rest():
     assert bench.travel[-1] == 0
     bench.transport.send(first, 1)
     bench.run(0.25)
-    with pytest.raises(CycleError, match="not in the final state of the running setpoints"):
+    with pytest.raises(CycleError, match="not in the final state of the current cycle"):
         bench.transport.send(second, 1)
     bench.run(1.0)
     assert bench.state is State.READY

@@ -34,7 +34,7 @@ because the offset between the clocks is estimated from round-trip times."""
 REST_CYCLE_S = 0.1
 """Period of the reported cycle while the motors rest [s]."""
 
-NO_START = "cycle starts are not published while the device reports impossible playing times"
+NO_START = "cycle_started is not published, because the device reports impossible times"
 """Warning about a device that reports an impossible playing time of a table."""
 
 
@@ -112,7 +112,7 @@ class CycleStarts:
         """
         played = new.time - new.began
         if played > period + MARGIN_S:
-            return 0.0, f"played for {played:.3g} s, allowed: {period:.3g} s, its period"
+            return 0.0, f"has played for {played:.3g} s, allowed: up to {period:.3g} s (its period)"
         if new.time > now + AHEAD_S:
             ahead = new.time - now
             return 0.0, f"was reported {ahead:.3g} s in the future, allowed: at most {AHEAD_S:g} s"
@@ -123,7 +123,7 @@ class CycleStarts:
         if not last.table or last.playing is None:
             if began < last.device_s - MARGIN_S:
                 passed = new.device_s - last.device_s
-                return 0.0, f"played for {played:.3g} s, but not yet {passed:.3g} s ago"
+                return 0.0, f"has played for {played:.3g} s, but did not play {passed:.3g} s ago"
             return 0.0, ""
         before = last.playing.cycle.period
         later = began - (last.device_s - (last.time - last.began))
@@ -137,7 +137,7 @@ class CycleStarts:
                 return 0.0, ""
         slip = self.slip + off
         if abs(slip) > MARGIN_S:
-            return 0.0, f"began {slip:.3g} s off a multiple of the period, allowed: {MARGIN_S:g} s"
+            return 0.0, f"began {slip:.3g} s off a multiple of its period, allowed: {MARGIN_S:g} s"
         forgiven = DRIFT * (new.device_s - last.device_s)
         return slip - min(max(slip, -forgiven), forgiven), ""
 

@@ -131,7 +131,7 @@ class Freshness:
         if not self.clock.usable:
             raise CycleError(
                 f"the clock of the image stamps stepped more than {MAX_STEPS} times in {KEPT_S:g} "
-                f"s, allowed: at most {MAX_STEPS}; check its synchronisation"
+                f"s, allowed: at most {MAX_STEPS}; check the clock's synchronisation"
             )
         earliest_ns = self.clock.earliest_ns(stamp_ns)
         age, limit = 1e-9 * (clock_ns - stamp_ns), age_limit(period) - SEND_S
@@ -151,7 +151,7 @@ class Freshness:
         if len(self.last_cycles) > 1:
             raise CycleError(f"{len(self.last_cycles)} nodes publish plate_cycle, allowed: one")
         if 0 < self.since_ns - earliest_ns < RESTART_NS:
-            raise CycleError(f"plate_cycle is for an image from before {self.why}")
+            raise CycleError(f"plate_cycle is for an image that was taken before {self.why}")
         if 0 <= self.ended_ns - earliest_ns < RESTART_NS:
             raise CycleError("plate_cycle is for a task that has ended")
         return limit - oldest

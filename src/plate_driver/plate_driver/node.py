@@ -67,8 +67,8 @@ WATCH_PERIOD_S = 0.02
 """Period at which the transport and the motors' state are checked [s]."""
 
 CORRECTED = (
-    "the calibration corrects the plate's motion: cycles that begin in motion are refused, cycles "
-    "from rest are played with their tails"
+    "the calibration corrects the plate's motion, so cycles that begin in motion are refused, and "
+    "cycles that begin at rest are played with their tails"
 )
 """Log message when the node is activated with a calibration."""
 
@@ -84,25 +84,29 @@ class Options(NodeOptions):
     port: str = parameter("", "Serial port of the motor controller, or CAN bus of the transport.")
     baud: int = parameter(921_600, "Speed of the serial line [bit/s].", 9600, 4_000_000)
     longest_upload_s: float = parameter(
-        0.5, "Maximum time to send a cycle of 64 pieces over the line [s].", 0.01, 60.0
+        0.5,
+        "Maximum time to send a cycle of 64 pieces over the serial line [s]. The "
+        "driver refuses a slower line.",
+        0.01,
+        60.0,
     )
     streams: bool = parameter(False, "Whether to stream setpoints instead of sending whole cycles.")
     hold_cycles: int = parameter(
         HOLD_CYCLES,
-        "Plays of a cycle from rest to rest if no new one arrives.",
+        "Number of times that a cycle from rest to rest is played if no new cycle arrives.",
         1,
         20,
     )
     repeats: int = parameter(
-        1, "Number of times that a cycle that begins in motion is executed.", 1, 100, live=True
+        1, "Number of times that a cycle that begins in motion is played.", 1, 100, live=True
     )
     state_rate: float = parameter(
         10.0, "Rate at which motor_states is published [1/s]. 0 disables it.", 0.0, 200.0
     )
     calibration_file: str = parameter(
         "",
-        "File of the plate's response, as the service calibrate writes it. Empty means no "
-        "correction.",
+        "File with the plate's response, which the service calibrate writes. If it is empty, "
+        "cycles are not corrected.",
     )
 
 
@@ -387,7 +391,10 @@ class DriverNode(SafeLifecycleNode[Options]):
         path = self.options.calibration_file
         try:
             self._calibration.start(self.transports.current, self.status, path)
-            response.success, response.message = True, "see driver_status and diagnostics"
+            response.success, response.message = (
+                True,
+                "the calibration has started; see driver_status and diagnostics",
+            )
         except PlateError as error:
             response.success, response.message = False, str(error)
         return response

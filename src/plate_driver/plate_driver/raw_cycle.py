@@ -38,7 +38,7 @@ def check_length(data: bytes, size: int, most_points: int) -> None:
     most = HEAD_BYTES + POINT_BYTES * most_points
     if size > most:
         raise CycleError(
-            f"plate_cycle: {size} bytes, allowed: at most {most} (of {most_points} points)"
+            f"plate_cycle: {size} bytes, allowed: at most {most} (for {most_points} points)"
         )
 
 

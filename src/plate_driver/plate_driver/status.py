@@ -83,7 +83,7 @@ def driver_status(
         text = f"stopped while this driver was not connected; {LOOK}"
         return status(DriverState.STOPPED, text, current.reason)
     if condition is Condition.ENABLING or latch.enabling:
-        return status(DriverState.ENABLING, "enabling: the plate goes home")
+        return status(DriverState.ENABLING, "enabling: the plate moves to home")
     if calibrating:
         return status(DriverState.CALIBRATING, "calibrating")
     return status(DriverState.READY, "ready")
@@ -127,7 +127,7 @@ def health(
         return Finding(Level.STALE, "; ".join([unplayed, *lasting]))
     problems = (*statistics.problems, *lasting)
     if retries > MANY_RETRIES:
-        problems = (*problems, f"{retries} messages were repeated: the serial line is bad")
+        problems = (*problems, f"{retries} messages were repeated, so the serial line is bad")
     if problems:
         return Finding(Level.WARN, ", ".join(problems))
     return Finding(Level.OK, "all cycles as requested" if quiet_s is None else AT_REST)

@@ -60,13 +60,13 @@ def test_where_two_send_cycles_neither_moves_the_plate():
 
 def test_what_came_before_the_motors_were_ready_moves_nothing():
     fresh = ready(5.0)
-    with pytest.raises(CycleError, match="from before the motors became ready"):
+    with pytest.raises(CycleError, match="that was taken before the motors became ready"):
         fresh.remaining_s(at(4.99), at(5.1), PERIOD)
     assert fresh.remaining_s(at(5.0), at(5.1), PERIOD) > 0
     # A stop, and an enable: another number, whether or not anybody saw the time between.
     for again in (fresh.with_state(None, 5.02, at(5.02)).with_state(1, 5.04, at(5.04)),
                   fresh.with_state(1, 5.04, at(5.04))):  # fmt: skip
-        with pytest.raises(CycleError, match="from before the motors became ready"):
+        with pytest.raises(CycleError, match="that was taken before the motors became ready"):
             again.remaining_s(at(5.03), at(5.1), PERIOD)
 
 
@@ -133,7 +133,7 @@ def test_a_step_of_the_clock_moves_the_time_of_the_last_enable():
         fresh = ready(10.0).with_clocks(10.0, at(10.0)).with_clocks(10.02, at(10.02 + by))
         with pytest.raises(CycleError):
             fresh.remaining_s(at(9.95), at(10.05 + by), PERIOD)
-        with pytest.raises(CycleError, match="from before the motors became ready"):
+        with pytest.raises(CycleError, match="that was taken before the motors became ready"):
             fresh.remaining_s(at(9.99 + by), at(10.05 + by), PERIOD)
 
 

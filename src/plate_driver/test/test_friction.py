@@ -136,19 +136,19 @@ def test_the_standard_error_is_that_of_repeated_measurements():
 def test_mu_that_differs_along_x_and_y_is_reported_and_does_not_change_the_static_ratio(along):
     found = measured(dict.fromkeys(PLACES, 0.3), 1.1, along=along)
     assert found.static_ratio == pytest.approx(1.1, abs=0.04)
-    assert f"along x and y: {0.3 * along[0]:.3f}, {0.3 * along[1]:.3f}" in found.notes[0]
+    assert f"{0.3 * along[0]:.3f} along x and {0.3 * along[1]:.3f} along y" in found.notes[0]
 
 
 def test_a_part_that_does_not_slide_is_left_out():
     found = measured({"black_1": 0.2, "black_2": 0.2, "grey_1": 3.0})
     assert [part.id for part in found.parts] == ["black_1", "black_2"]
-    assert "grey_1 does not slide" in found.notes[0]
+    assert "grey_1 is excluded, because it does not slide" in found.notes[0]
 
 
 def test_parts_far_from_the_others_friction_are_left_out():
     found = measured({"black_1": 0.25, "black_2": 0.25, "grey_1": 0.09})
     assert [part.id for part in found.parts] == ["black_1", "black_2"]
-    assert "mu of grey_1 is about 0.09, others' about 0.25" in found.notes[0]
+    assert "grey_1 is excluded, because its mu is about 0.09" in found.notes[0]
 
 
 def refused(match, mu=0.25, **world):
@@ -157,7 +157,7 @@ def refused(match, mu=0.25, **world):
 
 
 def test_what_cannot_be_measured_is_refused_with_the_reason():
-    refused("sees no part, allowed: one or more", places={})
+    refused("no part is detected, allowed: one or more", places={})
     refused("black_1 is 10 mm from an edge, allowed: 26 mm or more", places={"black_1": (0.29, 0)})
     near = {"black_1": (0.0, 0.0), "black_2": (0.018, 0.0)}
     refused("black_1 and black_2 are 2.0 mm apart, allowed: 4 mm or more", places=near)
@@ -183,7 +183,7 @@ def test_parts_that_are_lost_from_sight_end_it():
     measurement = FrictionMeasurement.start(RIG, Rest.of(images))
     assert measurement.stage is Stage.SEARCH
     one = [Parts.make(("black_1",), np.array([PLACES["black_1"]]))] * 2
-    with pytest.raises(PlateError, match="sees 1 of 3 parts again, allowed: half"):
+    with pytest.raises(PlateError, match=r"1 of 3 parts are detected .*, allowed: half"):
         measurement.after(Rest.of(one))
 
 
@@ -220,5 +220,5 @@ def test_the_rig_files_mu_is_that_of_parts_without_one_of_their_own():
     rig = replace(RIG, types={"grey": replace(kind, mu=0.4)})
     assert rig_mu(rig, found) == pytest.approx(0.2, rel=0.01)
     both = {name: replace(kind, name=name, mu=0.4) for name in ("black", "grey")}
-    with pytest.raises(PlateError, match="types with a separate mu, allowed"):
+    with pytest.raises(PlateError, match="types of all parts have a separate mu, allowed"):
         rig_mu(replace(RIG, types=both), found)

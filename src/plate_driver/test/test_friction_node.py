@@ -145,7 +145,10 @@ def test_a_stop_and_its_own_end_it(driven):
     plate = Plate(driven)
     start(driven)
     plate.pass_time(5.0)
-    assert start(driven, on=False).message == "ended: the plate rests after its push"
+    assert (
+        start(driven, on=False).message
+        == "canceled: the plate comes to rest after the current push"
+    )
     assert said(driven).state == Friction.FAILED
     count = len(driven.setpoints)
     plate.pass_time(5.0)

@@ -189,7 +189,7 @@ def test_the_start_of_a_corrected_table_is_reported_with_the_motion_of_the_plate
     late = replace(measured, began=began - 1.0)
     _, start, problem = reporter.update(late, desk.now)
     assert start is None
-    assert "table 1 played for 1.01 s" in problem
+    assert "table 1 has played for 1.01 s" in problem
     assert desk.playback.guard.statistics.problems
 
 
@@ -198,7 +198,7 @@ def test_a_calibration_is_refused_with_the_reason(desk, tmp_path):
     with pytest.raises(PlateError, match="calibration_file is ''"):
         start(desk.transport, READY, "")
     path = str(tmp_path / "response.npz")
-    with pytest.raises(PlateError, match="transport is sim or streams"):
+    with pytest.raises(PlateError, match="this transport cannot calibrate"):
         start(desk.transport, READY, path)
     desk.transport._transport.calibrates = True
     with pytest.raises(PlateError, match="the driver is calibrating, allowed: ready"):
@@ -214,7 +214,7 @@ def test_a_calibration_that_is_not_played_to_its_end_fails(desk, tmp_path):
     hold_cycles = desk.playback.guard.hold_cycles
     desk.calibration.start(desk.transport, READY, str(tmp_path / "response.npz"))
     assert desk.calibration.running
-    assert desk.calibration.text.startswith("shaking x")
+    assert desk.calibration.text.endswith("shaking the plate in x")
     assert desk.playback.guard.hold_cycles == hold_cycles
     lasts_s = desk.playback.guard.lasts_s
     desk.calibration.step(desk.transport, desk.now + lasts_s)
@@ -222,5 +222,5 @@ def test_a_calibration_that_is_not_played_to_its_end_fails(desk, tmp_path):
     desk.calibration.step(desk.transport, desk.now + 2.1 * lasts_s)
     assert not desk.calibration.running
     assert desk.calibration.failed
-    assert desk.calibration.text.startswith("failed: the motors have not played")
+    assert desk.calibration.text.startswith("failed: the motors did not play")
     assert desk.playback.guard.table is None

@@ -73,7 +73,7 @@ def test_the_last_look_does_not_trust_the_scaling(monkeypatch):
 def test_a_table_may_be_sent_until_it_is_too_old():
     table = replace(MotorTable.rest(RIG, 0.05, 7), until=5.0)
     table.check_age(5.0)
-    with pytest.raises(CycleError, match=r"was 0\.01 s too late"):
+    with pytest.raises(CycleError, match=r"was ready 0\.01 s too late"):
         table.check_age(5.01)
 
 

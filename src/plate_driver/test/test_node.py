@@ -109,7 +109,7 @@ def test_good_and_bad_cycles(driven, rig):
     factor = applied.knot_pose[24, 2] / wild.knot_pose[24, 2]
     assert 0 < factor < 0.2
     np.testing.assert_allclose(applied.knot_pose, factor * wild.knot_pose, atol=1e-9)
-    assert driven.log.lines[-1].startswith("cycle scaled by 0.0")
+    assert driven.log.lines[-1].startswith("the cycle is scaled by 0.0")
 
     # Bad ones are not answered, and the driver goes on.
     driven.pass_time(PERIOD)
@@ -151,7 +151,7 @@ def test_a_cycle_in_motion_is_taken_where_the_last_one_ends(driven, rig):
     assert first.tail.period == second.tail.period == pytest.approx(0.05)
     assert driven.setpoints[0].points[16] == driven.setpoints[0].points[17]
     # Without another cycle the plate comes to rest by the tail.
-    assert "from the state in which the last table ends" in refused(driven, cycle=cut(CALM, 8, 24))
+    assert "from the final state of the last cycle" in refused(driven, cycle=cut(CALM, 8, 24))
     tell_task(driven, TaskStatus.RUNNING)
     driven.pass_time(0.29)
     silence = "no plate_cycle for 0.3 s: the plate rests"
@@ -325,7 +325,9 @@ def test_what_came_while_the_driver_stood_still_moves_nothing(driven):
     assert driven.send(GENTLE, driven.clock.time_ns() - 10 * MS) == driven.stamps()[-1]
     driven.clock.now += STALL_S + 0.1  # stopped, or without a processor
     why = refused(driven, driven.clock.time_ns() - 1)
-    assert why == "plate_cycle is for an image from before the driver was stalled for 0.4 s"
+    assert (
+        why == "plate_cycle is for an image that was taken before the driver was stalled for 0.4 s"
+    )
     driven.pass_time(0.3)
     assert isinstance(driven.send(GENTLE), int)
 
@@ -342,7 +344,7 @@ def test_a_table_that_has_become_too_old_on_its_way_is_not_sent(driven):
             send(*args)
 
         held_up.send = late
-        assert refused(driven).startswith("its motor table was 0.12 s too late")
+        assert refused(driven).startswith("the motor table was ready 0.12 s too late")
         held_up.send = send
         driven.pass_time(0.5)
         assert isinstance(driven.send(GENTLE), int)

@@ -252,7 +252,9 @@ def test_a_process_is_managed_frozen_and_terminated(peer):
     assert change("configure")
     assert change("activate")
     peer.moved()
-    stood = "cycle refused: plate_cycle is for an image from before the driver was stalled"
+    stood = (
+        "cycle refused: plate_cycle is for an image that was taken before the driver was stalled"
+    )
     sent = []
 
     def refused() -> bool:

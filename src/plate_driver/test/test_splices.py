@@ -116,9 +116,7 @@ def test_a_cycle_in_motion_that_begins_elsewhere_is_refused(pair, rng):
     with pytest.raises(CycleError, match=r"differs from rest by .*, allowed: the same state"):
         prepare(RIG, second, 1)
     for other in (closed(rng), spliced(rng), second):
-        with pytest.raises(
-            CycleError, match="from the state in which the last table ends its cycle"
-        ):
+        with pytest.raises(CycleError, match="from the final state of the last cycle"):
             prepare(RIG, second, 1, before=(other,))
     prepare(RIG, second, 1, before=(first,))
 
@@ -136,7 +134,7 @@ def test_a_cycle_in_motion_is_never_scaled(rng):
     with pytest.raises(CycleError) as caught:
         prepare(RIG, spliced(rng, small, size=2e-2), 2, before=(small,))
     assert "plate_cycle: stroke is " in str(caught.value)
-    assert " m, allowed: 0.01 m; it begins in motion and cannot be scaled" in str(caught.value)
+    assert " m, allowed: 0.01 m; it begins in motion, so it cannot be scaled" in str(caught.value)
 
 
 def test_what_rounding_makes_of_a_limit_is_no_excess(rng):
@@ -165,7 +163,9 @@ def test_the_tail_keeps_the_limits_too(pair):
     short, rig = hard(first)
     assert 0.5 < prepare(rig, short, 1)[1].factor < 0.995
     short, rig = hard(second)
-    with pytest.raises(CycleError, match=r"acceleration is .* it begins in motion and cannot be"):
+    with pytest.raises(
+        CycleError, match=r"acceleration is .* it begins in motion, so it cannot be"
+    ):
         prepare(rig, short, 1, before=(first,))
 
 
@@ -192,9 +192,9 @@ def test_the_last_look_sees_tail_splice_and_start(pair):
     with pytest.raises(CycleError, match="at rest is"):
         check_setpoints(RIG, *arrays)
     for row, value, message in (
-        (-1, 1e-4, r"travel off its start, or at rest, is 0\.0001 m"),
+        (-1, 1e-4, r"travel error at the start or at rest is 0\.0001 m"),
         (KNOTS, 1e-4, "for the same time differ"),
-        (0, start[0][1] + 1e-4, r"travel off its start, or at rest, is 0\.0001 m"),
+        (0, start[0][1] + 1e-4, r"travel error at the start or at rest is 0\.0001 m"),
     ):
         q = table.q.copy()
         q[row, 1] = value
@@ -329,7 +329,7 @@ def test_motors_that_are_too_warm_end_in_a_scaled_cycle_from_rest_and_go_on(rng)
         before = guard.table.cycle
         assert np.max(guard.thermal.at_time(weak, now).rise) <= 1 + 1e-6
     warm = [text for text in refused if "mean force at the motors' temperature" in text]
-    assert "The plate comes to rest, and cycles from rest can be" in warm[0]
+    assert "The plate comes to rest; cycles from rest can be" in warm[0]
     scaled = [k for k, factor, _ in taken if factor < 1]
     in_motion = [k for k, _, at_rest in taken if not at_rest]
     assert len(scaled) > 5
@@ -549,7 +549,7 @@ def test_a_stream_that_has_sent_beyond_the_splice_takes_nothing_back(pair, rng):
     )
     stream, sent = SetpointStream.of(first, 1).until(0.11)
     assert stream.playing.cycle is first.cycle.tail
-    with pytest.raises(CycleError, match="not in the final state of the running setpoints"):
+    with pytest.raises(CycleError, match="not in the final state of the current cycle"):
         stream.followed_by(second, 1)
     swing = prepare(RIG, closed(rng), 2)[0]
     stream, more = stream.followed_by(swing, 2).until(50.0)

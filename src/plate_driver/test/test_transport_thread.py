@@ -210,7 +210,7 @@ def test_an_enable_that_was_called_before_a_stop_does_not_reach_the_transport():
     assert thread.stop().done
     asked = []
     thread._transport.enable = lambda: asked.append(1) or Order().complete()
-    assert "another stop has come since" in thread.enable(number).failure
+    assert "another stop has arrived" in thread.enable(number).failure
     assert not asked
     assert thread.enable(latch.number).done
     assert asked
@@ -325,7 +325,7 @@ SILENT = Report(Condition.GONE, DriverReason.NO_ANSWER, "the device does not ans
         (True, NONE, EARLIER, DriverState.STOPPED, DriverReason.EARLIER_STOP,
          f"stopped while this driver was not connected; {LOOK}"),
         (True, NONE, Report(Condition.ENABLING), DriverState.ENABLING, NONE,
-         "enabling: the plate goes home"),
+         "enabling: the plate moves to home"),
         (True, OFF_SWITCH, Report(Condition.BRAKING, DriverReason.EARLIER_STOP, "stopped"),
          DriverState.BRAKING, OFF_SWITCH, "braking: switched off"),
         (False, OFF_SWITCH, Report(Condition.BRAKING), DriverState.BRAKING, OFF_SWITCH,
@@ -408,7 +408,7 @@ def test_a_stop_that_nobody_acknowledged_is_told_until_the_device_is_heard(activ
         (DriverState.READY, "", ("a cycle was refused",), 0, None, True, Level.WARN,
          "a cycle was refused"),
         (DriverState.READY, "", (), 51, None, True, Level.WARN,
-         "51 messages were repeated: the serial line is bad"),
+         "51 messages were repeated, so the serial line is bad"),
         (DriverState.READY, "", (), 0, 1.2, True, Level.STALE,
          "no plate_cycle for 1.2 s, the plate rests"),
         (DriverState.READY, "", (), 0, 1.2, False, Level.OK, "the plate rests: no task runs"),

@@ -84,7 +84,7 @@ class Dialogue:
             if axis is None:
                 self._master.wait(0.02)
             elif self._master.now > end:
-                raise PlateError(f"no answer for {ANSWER_S:g} s")
+                raise PlateError(f"no answer was typed within {ANSWER_S:g} s")
             else:
                 axis.hold()
 
@@ -109,7 +109,7 @@ class Dialogue:
             try:
                 name, changed = self._axis(number, drive)
                 if name in new:
-                    raise PlateError(f"{name} was given twice, allowed: each motor once")
+                    raise PlateError(f"{name} was named twice, allowed: each motor once")
                 new[name] = changed
             except PlateError as error:
                 well = False
@@ -203,10 +203,10 @@ class Dialogue:
         needed, allowed = lag * limits.speed, 1e3 * limits.following_error_m
         print(
             f"The following error with an amplitude of {1e3 * size:.3g} mm at "
-            f"{rate / 2 / np.pi:.3g} Hz is {rms:.4f} mm RMS, maximum "
-            f"{np.max(np.abs(error)):.4f} mm. A lag of {lag:.2f} ms causes {needed:.2g} mm at "
-            f"speed_mps{' (TOO MUCH)' if 0 < allowed < needed else ''}; following_error_m is "
-            f"{allowed:g} mm. Setpoints were up to {1e3 * axis.late_s:.1f} ms late."
+            f"{rate / 2 / np.pi:.3g} Hz is {rms:.4f} mm RMS, maximum {np.max(np.abs(error)):.4f} "
+            f"mm. The lag is {lag:.2f} ms. At speed_mps it causes an error of {needed:.2g} "
+            f"mm{' (TOO MUCH)' if 0 < allowed < needed else ''}; following_error_m is {allowed:g} "
+            f"mm. Setpoints were up to {1e3 * axis.late_s:.1f} ms late."
         )
 
 
@@ -270,7 +270,7 @@ def commission(path: Path, master: Master, only_check: bool, ask: Ask = ask) -> 
         print("nothing was written")
         return 1
     write(path, new)
-    print(f"written: {path}; build and flash the board again")
+    print(f"written: {path}. Build the firmware again, and flash it to the board")
     return int(not well)
 
 
@@ -298,7 +298,7 @@ def main() -> None:
         "you have typed yes: move it slightly, ask for direction and scale, measure how well it "
         "follows. Finally write the changes to the rig file.",
     )  # fmt: skip
-    parser.add_argument("rig", help="rig file, or the name of one")
+    parser.add_argument("rig", help="rig file, or its name in config/rigs")
     parser.add_argument(
         "--bus", default="socketcan", help="python-can's interface (default: socketcan)"
     )
@@ -306,9 +306,14 @@ def main() -> None:
         "--channel", default="can0", help="channel of the interface (default: can0)"
     )
     parser.add_argument(
-        "--bitrate", type=int, default=1_000_000, help="bit rate, if the interface sets it"
+        "--bitrate",
+        type=int,
+        default=1_000_000,
+        help="bit rate, for interfaces that set it (default: 1000000)",
     )
-    parser.add_argument("--check", action="store_true", help="only read and compare")
+    parser.add_argument(
+        "--check", action="store_true", help="only read the drives and compare them"
+    )
     args = parser.parse_args()
     for each in (signal.SIGTERM, signal.SIGHUP):
         signal.signal(each, signal.default_int_handler)

@@ -59,7 +59,7 @@ def main() -> None:
         "of drives on a CAN bus, and compare the result with the limit of a rig. During the "
         "measurement, put the same load on the computer as in operation.",
     )  # fmt: skip
-    parser.add_argument("rig", help="rig file with drives, or the name of one")
+    parser.add_argument("rig", help="rig file with drives, or its name in config/rigs")
     parser.add_argument("--seconds", type=float, default=20.0, help="duration [s] (default: 20)")
     args = parser.parse_args()
     try:
@@ -84,8 +84,8 @@ def main() -> None:
         print(f"error: {why}", file=sys.stderr)
         sys.exit(2)
     print(
-        f"delay of setpoints, maximum per 10 ms: median {np.median(late):.2f} ms, 99th percentile "
-        f"{np.percentile(late, 99):.2f} ms, maximum {late.max():.2f} ms; allowed: "
+        f"maximum delay of setpoints in each 10 ms: median {np.median(late):.2f} ms, 99th "
+        f"percentile {np.percentile(late, 99):.2f} ms, maximum {late.max():.2f} ms; allowed: "
         f"{transport.allowed_ms:.2f} ms"
     )
     sys.exit(int(late.max() > transport.allowed_ms))

@@ -101,7 +101,7 @@ def drives_of(rig: Rig) -> list[Drive]:
     drives = [motor.drive for motor in rig.motors if motor.drive is not None]
     kinds = {drive.kind for drive in drives} or {"bridge"}
     if kinds != {"cia402"}:
-        raise PlateError(f"motors: drive is {', '.join(kinds)}, allowed here: cia402")
+        raise PlateError(f"motors: drive is {', '.join(kinds)}, allowed in this program: cia402")
     return drives
 
 
@@ -127,7 +127,7 @@ def _of_drive(number: int, drive: Drive, found: Mapping[int, Found]) -> Iterator
     swapped = f"; the serial number of the rig file is at node {same[0]}" if same else ""
     if one is None:
         others = ", ".join(map(str, sorted(found))) or "none"
-        yield f"{name}: node {node} does not answer, found: {others}{swapped}"
+        yield f"{name}: node {node} does not answer, nodes on the bus: {others}{swapped}"
         return
     device, modes, serial, status, code, register = (
         one.values.get(name, 0)
@@ -172,9 +172,15 @@ def _of_limits(drive: Drive, one: Found, limits: Limits) -> Iterator[tuple[str, 
         yield f"{span}, but home absolute requires {needed}", True
     if 0 < speed < limits.speed:
         need = f"allowed: the rig's speed_mps ({limits.speed:g} m/s) or more"
-        yield f"max profile velocity 607Fh is {speed:.3g} m/s (if in counts/s), {need}", False
+        yield (
+            f"max profile velocity 607Fh is {speed:.3g} m/s (if its unit is counts/s), {need}",
+            False,
+        )
     if one.values.get("window", 0) in (0, UNWATCHED):
-        yield "following error window 6065h is not set, so the drive does not check it", False
+        yield (
+            "following error window 6065h is not set, so the drive does not check its error",
+            False,
+        )
     elif window < following:
         yield (
             f"following error window 6065h is {1e3 * window:.3g} mm, so the drive stops before "

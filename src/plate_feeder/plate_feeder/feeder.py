@@ -320,7 +320,8 @@ class Feeder:
         if known.client != client and (known.client is not None or part != known.part.id):
             # The text is the same for all part ids, so that clients cannot guess the id of the
             # reserved part.
-            text = "another client has reserved the part, allowed: its id after a disconnection"
+            text = "the part is reserved for another client, allowed: the part's id, if this "
+            text += "client has disconnected"
             return Reply(Code.NOT_RESERVED, text)
         if part not in ("", known.part.id):
             return Reply(Code.NOT_RESERVED, f"{part} is not reserved, allowed: {known.part.id}")
@@ -482,7 +483,7 @@ class Feeder:
             return Reply(Code.STOPPED, self._stop)
         waiting, reserved = self._waiting, self._reserved
         if waiting is not None:
-            what = "the plate is being purged" if waiting.purge else "another get_part waits"
+            what = "the plate is being purged" if waiting.purge else "another get_part is waiting"
             return Reply(Code.BUSY, what)
         if reserved is not None and reserved.client != client:
             return Reply(Code.BUSY, "another client has reserved a part")

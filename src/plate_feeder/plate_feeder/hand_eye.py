@@ -30,7 +30,9 @@ FILE = Section(
     "Frame of the robot, defined by points whose coordinates are known in both frames.",
     (
         Key("frame", Text("a name"), "Name of the robot's frame, whose z axis points up."),
-        Key("points", List(), "Two or more points. Three points can show that one is wrong."),
+        Key(
+            "points", List(), "Two or more points. With three or more, a wrong point can be found."
+        ),
     ),
 )
 
@@ -41,9 +43,9 @@ POINT = Section(
         Key(
             "plate_m",
             Numbers((2,), -FAR_M, FAR_M),
-            "The point on the plate at rest [x, y, plate_home].",
+            "The point on the plate at rest [x, y], in plate_home.",
         ),
-        Key("robot_m", Numbers((2,), -FAR_M, FAR_M), "The same point in the robot's frame [x, y]."),
+        Key("robot_m", Numbers((2,), -FAR_M, FAR_M), "The same point [x, y] in the robot's frame."),
     ),
 )
 

@@ -96,7 +96,10 @@ Replied = Callable[[Reply], None]
 class Options(NodeOptions):
     """Parameters of the feeder."""
 
-    recipe: str = parameter("feed", "Recipe: a scenario of kind feed, name or path of a .yaml file")
+    recipe: str = parameter(
+        "feed",
+        "Recipe: a scenario of kind feed. Name in config/scenarios, or path of a .yaml file.",
+    )
     host: str = parameter(
         "127.0.0.1", "Address of the TCP server for robots. The server requires no password. "
         "0.0.0.0 means all networks.",
@@ -104,7 +107,7 @@ class Options(NodeOptions):
     port: int = parameter(7171, "TCP port. 0 means any free port, which is logged.", 0, 65535)
     hand_eye: str = parameter(
         "", "File of points (YAML) that define the plate's pose in the robot's frame. If it is "
-        "empty, places are given in plate_home.",
+        "empty, the robot receives positions in plate_home.",
     )  # fmt: skip
 
 
@@ -193,7 +196,9 @@ class FeederNode(SafeLifecycleNode[Options]):
         self._server = RobotServer(
             options.host, options.port, self._on_command, self._on_disconnect
         )
-        self.get_logger().info(f"robots are served at {options.host}:{self._server.port}")
+        self.get_logger().info(
+            f"the server for robots listens at {options.host}:{self._server.port}"
+        )
         if options.host not in ONE_MACHINE:
             self.get_logger().warning(
                 f"any machine that can reach {options.host} can command the feeder"
@@ -498,8 +503,8 @@ class FeederNode(SafeLifecycleNode[Options]):
     def _doing(self, now: float) -> str:
         quantity = self._feeder.quantity()
         return (
-            f"{self._feeder.state(now).value}: {quantity.ready} ready of "
-            f"{sum(quantity.seen.values())} on the plate"
+            f"{self._feeder.state(now).value}: {quantity.ready} of "
+            f"{sum(quantity.seen.values())} parts on the plate are ready"
         )
 
     def _find(self, now: float) -> Finding:

@@ -111,7 +111,7 @@ def evaluate(
         chosen("task", task, TASKS)
     seeds = [operator.index(seed) for seed in seeds]
     if not seeds or min(seeds) < 0 or len(set(seeds)) < len(seeds):
-        raise PlateError(f"seeds are {seeds}, allowed: one or more, 0 or larger, each once")
+        raise PlateError(f"seeds are {seeds}, allowed: one or more different numbers, 0 or larger")
     for task in tasks:
         rows = {row["seed"]: row for row in result["tasks"].get(task, {"rows": []})["rows"]}
         missing = [seed for seed in seeds if seed not in rows]
@@ -150,14 +150,14 @@ def begun(agent: str, world: str, limits: Limits, done: dict[str, Any] | None) -
         validate(done)
         was, now = terms(done), terms(result)
         if found := [
-            shortened(f"{name} is {was.get(name)} in it, {now.get(name)} now")
+            shortened(f"{name} was {was.get(name)} and is now {now.get(name)}")
             for name in now | was
             if now.get(name) != was.get(name)
         ]:
             more = f"; {len(found) - SHOWN} more differences" if len(found) > SHOWN else ""
             raise PlateError(
                 f"the earlier result cannot be continued: {'; '.join(found[:SHOWN])}{more}; "
-                "allowed: the same, or another file"
+                "allowed: equal values, or another file"
             )
         result["tasks"] |= done["tasks"]
     return result
@@ -282,7 +282,8 @@ def check(
         played = list(run(world=result["world"], seeds=picks))
         for seed, true in zip(picks, played, strict=True):
             wrong += [
-                f"{task}, seed {seed}: {key} is {rows[seed].get(key)!r}, repeated: {value!r}"
+                f"{task}, seed {seed}: {key} is {rows[seed].get(key)!r} in the result, {value!r} "
+                "here"
                 for key, value in differing(rows[seed], true)
             ]
         took, took_here = again["decision_ms"], summary(played)["decision_ms"]
@@ -297,7 +298,8 @@ def check(
             (low, high), (least, most) = found["success_interval"], again["success_interval"]
             if world == result["world"] and (high < least or low > most):
                 wrong.append(
-                    f"{task}: success is {claimed['success']}, {found['success']} with fresh seeds"
+                    f"{task}: success is {claimed['success']} in the result, {found['success']} "
+                    "with fresh seeds"
                 )
     return wrong
 
@@ -318,23 +320,37 @@ def differing(claimed: dict[str, Any], true: dict[str, Any]) -> Iterator[tuple[s
 def main() -> int:
     """Run the command line. Return its exit code."""
     parser = argparse.ArgumentParser(prog="python -m plate_gym.bench", description=__doc__)
-    parser.add_argument("--agent", help=f"{', '.join(AGENTS)}, or MODULE:CLASS (default: B)")
     parser.add_argument(
-        "--task", action="append", help=f"{', '.join(TASKS)} (default: all); can be repeated"
-    )
-    parser.add_argument("--seeds", type=seed_range, help="range or one seed (default: 0:100)")
-    parser.add_argument(
-        "--world", help=f"{', '.join(WORLDS)} (default: nominal, with --fresh that of the result)"
-    )
-    parser.add_argument("--json", type=Path, help="file for the result")
-    parser.add_argument(
-        "--workers", type=int, help="processes (default: one per core); not with --cluster"
+        "--agent", help=f"agent: {', '.join(AGENTS)}, or MODULE:CLASS of a file (default: B)"
     )
     parser.add_argument(
-        "--cluster", metavar="ADDRESS", help="Dask scheduler whose workers run the episodes"
+        "--task",
+        action="append",
+        help=f"task: {', '.join(TASKS)} (default: all tasks); can be repeated",
     )
     parser.add_argument(
-        "--check", type=Path, help="file of a result; some of its seeds are repeated"
+        "--seeds",
+        type=seed_range,
+        help="seeds FIRST to END - 1 as FIRST:END, or one seed (default: 0:100)",
+    )
+    parser.add_argument(
+        "--world",
+        help=f"simulated world: {', '.join(WORLDS)} (default: nominal; with --fresh the world of "
+        "the result)",
+    )
+    parser.add_argument("--json", type=Path, help="JSON file for the result")
+    parser.add_argument(
+        "--workers",
+        type=int,
+        help="number of parallel processes (default: one per core); not with --cluster",
+    )
+    parser.add_argument(
+        "--cluster",
+        metavar="ADDRESS",
+        help="address of a Dask scheduler, whose workers run the episodes",
+    )
+    parser.add_argument(
+        "--check", type=Path, help="check the result in this file: repeat some of its seeds"
     )
     parser.add_argument(
         "--fresh",
@@ -366,9 +382,9 @@ def main() -> int:
     if args.trust and not args.check:
         parser.error("--trust requires --check")
     if args.fresh is not None and not (args.check and 0 < args.fresh <= MAX_SEEDS):
-        parser.error(f"--fresh requires --check, allowed: 1 to {MAX_SEEDS}")
+        parser.error(f"--fresh is {args.fresh}, allowed: 1 to {MAX_SEEDS}, together with --check")
     if args.cluster and args.workers is not None:
-        parser.error("--workers is given with --cluster, allowed: without --cluster")
+        parser.error("--workers is given with --cluster, allowed: one of them")
     if args.workers is None:
         args.workers = os.cpu_count() or 1
     # at least one worker, because in this process an agent could end the program or falsify results

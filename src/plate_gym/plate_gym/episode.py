@@ -59,7 +59,8 @@ def agent_class(name: str) -> type[Agent]:
         or not callable(getattr(found, "act", None))
     ):
         raise PlateError(
-            f"agent {name} is {found!r}, allowed: a class with action, observation and act"
+            f"agent {name} is {found!r}, allowed: a class with the attributes action and "
+            "observation and the method act"
         )
     return found
 

@@ -121,7 +121,7 @@ def validate(result: Any) -> None:
                 if row[key] < 0:
                     raise PlateError(f"{where}: {key} is {row[key]}, allowed: 0 or more")
         if len({row["seed"] for row in rows}) < len(rows):
-            raise PlateError(f"result: {task}: a seed occurs twice, allowed: each once")
+            raise PlateError(f"result: {task}: a seed occurs twice, allowed: each seed once")
 
 
 def check_fields(where: str, found: Any, kinds: dict[str, type]) -> None:

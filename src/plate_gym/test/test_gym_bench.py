@@ -113,7 +113,11 @@ def test_what_was_changed_is_noticed(bench, result, key, value, words, monkeypat
         (["tasks", "Sort4-v1", "rows", 1, "seed"], 0.0, "rows[1]: seed is 0.0, allowed: int"),
         (["tasks", "Sort4-v1", "rows", 1, "seed"], -1, "rows[1]: seed is -1, allowed: 0 or more"),
         (["tasks", "Sort4-v1", "rows", 1, "wall_ms"], -2, "wall_ms is -2, allowed: 0 or more"),
-        (["tasks", "Sort4-v1", "rows", 1, "seed"], 0, "a seed occurs twice, allowed: each once"),
+        (
+            ["tasks", "Sort4-v1", "rows", 1, "seed"],
+            0,
+            "a seed occurs twice, allowed: each seed once",
+        ),
         (["tasks", "Sort4-v1", "rows", 1, "return"], np.nan, "return is nan, allowed: a number"),
         (
             ["tasks", "Sort4-v1", "rows", 1, "time_s"],
@@ -327,8 +331,8 @@ def test_wrong_limits_are_refused(bench, limits, words):
 @pytest.mark.parametrize(
     ("name", "words"),
     [
-        ("odd_agents:number", "agent odd_agents:number is 3, allowed: a class with action, "),
-        ("odd_agents:Base", "allowed: a class with action, observation and act"),
+        ("odd_agents:number", "agent odd_agents:number is 3, allowed: a class with the attributes"),
+        ("odd_agents:Base", "allowed: a class with the attributes action and observation"),
         ("broken_agents:Any", "broken_agents:Any cannot be loaded: ZeroDivisionError: division"),
     ],
 )
@@ -498,7 +502,7 @@ def test_two_calls_at_once_do_not_write_one_file(bench, result, monkeypatch, tmp
     monkeypatch.setattr(sys, "argv", ["bench", *words])
     with OwnFile(place):
         assert bench.main() == 2
-    assert f"error: {place} is in use: " in capsys.readouterr().err
+    assert f"error: {place} is in use, " in capsys.readouterr().err
     assert bench.main() == 0
 
 
@@ -596,8 +600,11 @@ def hang():
         ),
         ({"tasks": ["Sort5"]}, "task is 'Sort5'"),
         ({"world": "moon"}, "world is 'moon'"),
-        ({"seeds": [-1]}, "seeds are [-1], allowed: one or more, 0 or larger"),
-        ({"seeds": [0, 0]}, "seeds are [0, 0], allowed: one or more, 0 or larger, each once"),
+        ({"seeds": [-1]}, "seeds are [-1], allowed: one or more different numbers, 0 or larger"),
+        (
+            {"seeds": [0, 0]},
+            "seeds are [0, 0], allowed: one or more different numbers, 0 or larger",
+        ),
         ({"seeds": iter([])}, "seeds are [], allowed: one or more"),
     ],
 )

@@ -118,7 +118,7 @@ class Calibration:
         done = len(self.measured)
         if done == len(self.cycles):
             return "done"
-        return f"shaking {AXES[done]}, experiment {done + 1} of {len(self.cycles)}"
+        return f"experiment {done + 1} of {len(self.cycles)}: shaking the plate in {AXES[done]}"
 
     def with_experiment(
         self, t: np.ndarray, q: np.ndarray, qdd: np.ndarray, played: PlateCycle | None = None
@@ -231,7 +231,7 @@ def aligned(rig: Rig, cycle: PlateCycle, t: np.ndarray, q: np.ndarray) -> np.nda
     followed = float(np.sum(np.abs(turn)) / np.sum(np.abs(requested) ** 2))
     if not followed >= FOLLOWED:
         raise PlateError(
-            f"calibration: the plate followed {100 * followed:.2g} % of a slow motion, "
+            f"calibration: the plate performs {100 * followed:.2g} % of a slow commanded motion, "
             f"allowed: {100 * FOLLOWED:g} % or more"
         )
     omega = 2 * np.pi * np.arange(1, SLOWEST + 1) / cycle.period
@@ -279,7 +279,7 @@ def saved_response(path: str | Path) -> Response:
             size = sum(each.file_size for each in packed.infolist())
         # check the unpacked size, because a small file can contain a much larger array
         if size > MAX_BYTES:
-            raise PlateError(f"it unpacks to {size} bytes, allowed: up to {MAX_BYTES}")
+            raise PlateError(f"its unpacked size is {size} bytes, allowed: up to {MAX_BYTES}")
         with np.load(BytesIO(content), allow_pickle=False) as data:
             return Response(data["frequency"], data["matrix"], float(data["lever"]))
     except FILE_ERRORS as error:

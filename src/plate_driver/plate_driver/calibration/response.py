@@ -75,8 +75,8 @@ class Response:
         count = len(self.frequency)
         if self.matrix.shape != (count, 3, 3) or count < 4 or not np.all(np.diff(self.frequency)):
             raise PlateError(
-                f"response: {count} frequencies and matrices of shape {self.matrix.shape}, "
-                "allowed: at least 4 increasing frequencies, and (n, 3, 3)"
+                f"response: number of frequencies is {count} and shape of the matrices is "
+                f"{self.matrix.shape}, allowed: at least 4 frequencies, and a 3 x 3 matrix for each"
             )
         finite = np.all(np.isfinite(self.matrix)) and np.all(np.isfinite(self.frequency))
         if not finite or self.frequency[0] <= 0 or np.any(np.diff(self.frequency) <= 0):
@@ -191,7 +191,9 @@ def identified(
     got = (measured * response._scale).transpose(1, 2, 0)
     gain = np.linalg.svd(requested, compute_uv=False)
     if np.any(gain[:, -1] < FAINT * np.max(gain)):
-        raise PlateError("experiments do not excite x, y and theta at every frequency")
+        raise PlateError(
+            "the experiments do not move the plate in x, y and theta at every frequency"
+        )
     return replace(response, matrix=got @ np.linalg.pinv(requested))
 
 
@@ -226,8 +228,8 @@ def fit_harmonics(t: np.ndarray, values: np.ndarray, period: float, count: int) 
     solution, _, rank, _ = np.linalg.lstsq(columns, values, rcond=1e-6)
     if rank < columns.shape[1]:
         raise PlateError(
-            f"{len(t)} samples determine {(rank - 1) // 2} harmonics of {period:g} s, allowed: at "
-            f"least {count}"
+            f"{len(t)} samples determine only {(rank - 1) // 2} harmonics of the period {period:g} "
+            f"s, required: {count}"
         )
     return np.asarray(solution[1 : count + 1] + 1j * solution[count + 1 :])
 

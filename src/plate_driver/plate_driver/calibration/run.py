@@ -73,9 +73,13 @@ class CalibrationRun:
         if not path:
             raise PlateError("calibration_file is '', allowed: the name of a file")
         if transport is None or not transport.calibrates:
-            raise PlateError("transport is sim or streams, allowed: serial with cycles")
+            raise PlateError(
+                "this transport cannot calibrate, allowed: transport serial with streams false"
+            )
         if any(motor.drive for motor in self._playback.rig.motors):
-            raise PlateError("the rig has drives, which report no acceleration, allowed: bridges")
+            raise PlateError(
+                "the rig's motors have drives, which report no acceleration, allowed: bridges"
+            )
         if status.state is not DriverState.READY:
             raise PlateError(f"the driver is {status.text}, allowed: ready")
         try:
@@ -100,14 +104,18 @@ class CalibrationRun:
         try:
             if not experiment.over:
                 if self._playback.guard.over(now, PLAYS_MARGIN):
-                    raise PlateError("the motors have not played the experiment to its end")
+                    raise PlateError("the motors did not play the experiment to its end")
                 return
             calibration = experiment.finished()
             if calibration.cycle is not None:
                 self._begin_experiment(transport, calibration, now)
                 return
             save_response(self._path, calibration.response)
-            self._end(f"done: {self._path}, used after the next configure", now, failed=False)
+            self._end(
+                f"done: {self._path} is written, and used after the next configure",
+                now,
+                failed=False,
+            )
         except PlateError as error:
             self.fail(str(error), now)
 

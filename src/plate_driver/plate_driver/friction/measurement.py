@@ -311,7 +311,7 @@ class FrictionMeasurement:
             or the rig's limits do not allow the first push.
         """
         if not rest.place:
-            raise PlateError("friction: the camera sees no part, allowed: one or more, at rest")
+            raise PlateError("friction: no part is detected, allowed: one or more parts at rest")
         names = list(rest.place)
         for name in names:
             far = float(np.min(rig.plate.half - np.abs(rest.place[name])))
@@ -326,8 +326,7 @@ class FrictionMeasurement:
         notes: tuple[str, ...] = ()
         if rig.suspension is not None and not corrected:
             notes = (
-                "the rig has flexures and the plate's response was not learned: call calibrate "
-                "first, or mu may be wrong",
+                "the rig has flexures but no calibration, so mu may be wrong: call calibrate first",
             )
         first = make_push(rig, 0, 1, FIRST_G * rig.friction.gravity, slow)
         most = max_accel(rig, slow)
@@ -385,11 +384,13 @@ class FrictionMeasurement:
         ids = [name for name in self.rest.place if name in rest.place]
         if 2 * len(ids) < len(self.rest.place) or not ids:
             raise PlateError(
-                f"friction: the camera sees {len(ids)} of {len(self.rest.place)} parts again, "
-                "allowed: half of them or more"
+                f"friction: {len(ids)} of {len(self.rest.place)} parts are detected after the "
+                "push, allowed: half of them or more"
             )
         lost = sorted(set(self.rest.place) - set(ids))
-        notes = self.notes + tuple(f"{name} is no longer seen: excluded" for name in lost)
+        notes = self.notes + tuple(
+            f"{name} is excluded, because it is no longer detected" for name in lost
+        )
         lag = {name: float(-along @ (rest.place[name] - self.rest.place[name])) for name in ids}
         place = {name: (rest.place[name] + self.rest.place[name]) / 2 for name in ids}
         error = float(np.hypot(np.hypot(rest.error, self.rest.error), FLOOR_M))
@@ -441,7 +442,8 @@ class FrictionMeasurement:
             typical = float(np.median(list(guess.values()))) * gravity
             if accel > STUCK_FACTOR * typical:
                 notes = tuple(
-                    f"{name} does not slide at {trial.push.accel:.1f} m/s2, but others do: excluded"
+                    f"{name} is excluded, because it does not slide at {trial.push.accel:.1f} "
+                    "m/s2, but other parts do"
                     for name in left
                 )
                 place = {name: new.rest.place[name] for name in guess}
@@ -451,8 +453,8 @@ class FrictionMeasurement:
             return new._distance()
         if accel > self.most:
             raise PlateError(
-                f"friction: {', '.join(left)} did not slide at {trial.push.accel:.1f} m/s2, but "
-                f"the rig's limits allow only {self.most:.1f} m/s2: mu is above "
+                f"friction: {', '.join(left)} did not slide at {trial.push.accel:.1f} m/s2, and "
+                f"the rig's limits allow only {self.most:.1f} m/s2. Either mu is above "
                 f"{trial.push.accel / gravity:.2f}, or the plate does not move"
             )
         push = make_push(self.rig, 0, -trial.push.sign, accel, new.slow)
@@ -471,8 +473,8 @@ class FrictionMeasurement:
                 f"up to {accel:.1f} m/s2, required: {MIN_ABOVE * typical * gravity:.1f} m/s2"
             )
         notes = tuple(
-            f"mu of {name} is about {self.guess[name]:.2f}, others' about {typical:.2f}: excluded, "
-            "measure it without them"
+            f"{name} is excluded, because its mu is about {self.guess[name]:.2f}, but that of the "
+            f"other parts is about {typical:.2f}; measure it separately"
             for name in sorted(set(grip) - set(kept))
         )
         rest = replace(self.rest, place={name: self.rest.place[name] for name in kept})
@@ -653,7 +655,9 @@ class FrictionMeasurement:
         error = float(np.std(apart, ddof=1)) / np.sqrt(len(apart)) if len(apart) > 1 else np.inf
         if abs(y - x) < max(AGREE * min(x, y), SURE * error):
             return ()
-        return (f"mu differs along x and y: {x:.3f}, {y:.3f}; the rig file has only one value",)
+        return (
+            f"mu is {x:.3f} along x and {y:.3f} along y, but the rig file has one value for both",
+        )
 
 
 def rig_mu(rig: Rig, result: FrictionResult) -> float:
@@ -672,8 +676,8 @@ def rig_mu(rig: Rig, result: FrictionResult) -> float:
     ]
     if not values:
         raise PlateError(
-            "friction: all parts are of types with a separate mu, allowed: one or more parts "
-            f"without; change mu in the file of types: {result.text}"
+            "friction: the types of all parts have a separate mu, allowed: one or more parts whose "
+            f"type has none; otherwise change mu of the types by hand: {result.text}"
         )
     return float(np.mean(values))
 

@@ -139,7 +139,7 @@ class FrictionServer:
             response.success, response.message = True, "no measurement of friction was running"
             if self._running:
                 self.fail("it was canceled")
-                response.message = "ended: the plate rests after its push"
+                response.message = "canceled: the plate comes to rest after the current push"
         elif self._running:
             response.message = "a measurement already runs, allowed: one measurement at a time"
         elif status.state is not DriverState.READY:
@@ -152,7 +152,10 @@ class FrictionServer:
             self._running, self._since = True, self._clocks.playback_s()
             self._started = self._after_ns = self._driver.get_clock().now().nanoseconds
             self._publish(Friction.RUNNING, "waiting for images of parts at rest", 0.0)
-            response.success, response.message = True, "started; see the topic friction"
+            response.success, response.message = (
+                True,
+                "started; the topic friction reports progress and result",
+            )
             response.started = to_time(self._started)
         return response
 

@@ -60,7 +60,7 @@ ENABLING = "enabling: driver_status reports when the motors are ready"
 SILENT = "the device has not answered yet"
 """Replies to a call of enable or home whose execution takes longer than the reply can wait."""
 
-LATE = "the driver was stalled: call again"
+LATE = "the driver was stalled, so this call may be old: call again"
 """Reply to a call of enable or home that may have waited while the driver was stalled."""
 
 

@@ -62,9 +62,10 @@ class Fit:
     def summary(self) -> str:
         """Text with the scaling factor and the requested peaks."""
         return (
-            f"cycle scaled by {self.factor:.3g}: it needs {self.requested.overall:.3g} times the "
-            f"limits ({self.requested.stroke_m * 1e3:.3g} mm, {self.requested.speed:.3g} m/s, "
-            f"{self.requested.accel:.3g} m/s2, {self.requested.force:.3g} N)"
+            f"the cycle is scaled by {self.factor:.3g}, because its peaks are "
+            f"{self.requested.overall:.3g} times the limits ({self.requested.stroke_m * 1e3:.3g} "
+            f"mm, {self.requested.speed:.3g} m/s, {self.requested.accel:.3g} m/s2, "
+            f"{self.requested.force:.3g} N)"
         )
 
 
@@ -122,8 +123,8 @@ def _scaled(
         factor = _next_factor(large, large_worst, small, secant=trial % 3 != 2)
     if small is None:
         raise CycleError(
-            f"plate_cycle: needs {requested.overall:.3g} times the rig's limits and cannot be "
-            f"scaled, allowed: {limits_text(rig)}"
+            f"plate_cycle: its peaks are {requested.overall:.3g} times the rig's limits, and it "
+            f"cannot be scaled, allowed: {limits_text(rig)}"
         )
     return small
 
@@ -206,7 +207,7 @@ def check_setpoints(
     travel, steps = quintic_pieces(times, q, qd, qdd), np.diff(times)
     first_q, first_qd = (0.0, 0.0) if start is None else start
     ends_q, ends_qd = np.abs([q[0] - first_q, q[-1]]), np.abs([qd[0] - first_qd, qd[-1]])
-    where = "at rest" if start is None else "off its start, or at rest,"
+    where = "at rest" if start is None else "error at the start or at rest"
     far = polynomial_peaks(travel, steps, rig.limits.stroke_m)
     fast = polynomial_peaks(derivative(travel), steps, rig.limits.speed)
     for number, motor in enumerate(rig.motors):

@@ -107,7 +107,7 @@ class MotorTable:
             If the table is too old to be sent.
         """
         if now > self.until:
-            raise CycleError(f"its motor table was {now - self.until:.2f} s too late for sending")
+            raise CycleError(f"the motor table was ready {now - self.until:.2f} s too late")
 
 
 def plays(cycles: int, hold_s: float, period: float) -> int:
@@ -176,8 +176,8 @@ def prepare(
     fitted = fit(rig, whole, thermal_load)
     if fitted.factor < 1 and not whole.starts_at_rest:
         raise CycleError(
-            f"plate_cycle: {excess(rig, fitted.requested, thermal_load)}; it begins in motion and "
-            "cannot be scaled down. The plate comes to rest, and cycles from rest can be scaled"
+            f"plate_cycle: {excess(rig, fitted.requested, thermal_load)}; it begins in motion, so "
+            "it cannot be scaled down. The plate comes to rest; cycles from rest can be scaled down"
         )
     command = fitted.cycle
     if correction is not None:
@@ -215,7 +215,7 @@ def _continued(
     if running is None:
         end = before[-1].state(-1) if before else np.zeros((3, 3))
         pose, twist, accel = np.max(np.abs(cycle.state(0) - end), axis=1)
-        where = "the state in which the last table ends its cycle" if before else "rest"
+        where = "the final state of the last cycle" if before else "rest"
         raise CycleError(
             f"plate_cycle: begins in motion, and its first state differs from {where} by "
             f"{pose:.3g} in pose [m, rad], {twist:.3g} in velocity [m/s, rad/s] and {accel:.3g} in "
@@ -269,7 +269,7 @@ def check_order(last_ns: int | None, stamp_ns: int) -> None:
     """
     if last_ns is not None and last_ns - RESTART_NS <= stamp_ns < last_ns:
         raise CycleError(
-            f"plate_cycle: stamp {stamp_ns / 1e9:.6f} s is older than the last, "
+            f"plate_cycle: stamp is {stamp_ns / 1e9:.6f} s, which is older than the last, "
             f"{last_ns / 1e9:.6f} s, allowed: the same or newer"
         )
 

@@ -102,7 +102,7 @@ class SetpointStream:
         """
         if not (table.cycle.starts_at_rest or table.cycle.follows(self.playing.cycle)):
             raise CycleError(
-                "plate_cycle: begins in motion, but not in the final state of the running setpoints"
+                "plate_cycle: begins in motion, but not in the final state of the current cycle"
             )
         return replace(self, newest=table, left=repeats)
 

@@ -83,7 +83,7 @@ LATER = (Status.INCOMPLETE, Status.TOO_LONG)
 their predecessors, or while the device's buffer was full."""
 
 
-LATE_IN_MOTION = "a cycle in motion came too late: the plate comes to rest"
+LATE_IN_MOTION = "a cycle that begins in motion arrived too late: the plate comes to rest"
 """Message about a refused table that does not begin in the present state of the motors."""
 
 

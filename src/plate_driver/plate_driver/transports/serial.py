@@ -113,7 +113,7 @@ OF_DRIVES = Fault.HARDWARE | Fault.SUPPLY | Fault.FOLLOWING
 """Faults for which the report of a drive contains more details."""
 
 REFUSED = {
-    Status.WRONG_STOP: "wrong stop: another stop has come since; call enable again",
+    Status.WRONG_STOP: "wrong stop: another stop has arrived since then; call enable again",
     Status.WRONG_STATE: "wrong state: the device brakes, or has a fault that persists",
 }
 """Texts for refused enable and home commands, by the device's answer."""
@@ -465,7 +465,7 @@ class SerialTransport:
         """Make the device brake. If `cut` is True, the device switches off the motor current
         immediately instead. All other pending commands are dropped."""
         self._streamed = self._next = None
-        self._complete_request("another stop has come since; call enable again")
+        self._complete_request("another stop has arrived since then; call enable again")
         order = self._ordered(STOP_ANSWER_S)
         if self._closed:
             return order.complete(UNANSWERED)
@@ -491,7 +491,7 @@ class SerialTransport:
                 "the device has not reported the last stop yet; call enable again"
             )
         if self._request is not None:
-            return order.complete("another enable or home is not answered yet")
+            return order.complete("the device has not answered the last enable or home yet")
         if self._clock_broken(self._clock()):
             return order.complete(self._link.clock.problem)
         self._clock_fault = ""
@@ -545,7 +545,7 @@ class SerialTransport:
                 self._complete_request()
             elif state is not State.HOMING:
                 reason = named(self._link.fresh_telemetry.faults)
-                self._complete_request(f"it has stopped again: {reason}")
+                self._complete_request(f"the device has stopped again: {reason}")
 
     def _complete_request(self, failure: str = "") -> None:
         """Complete the pending enable or home order, if any. An empty `failure` means success."""
@@ -560,7 +560,7 @@ class SerialTransport:
         # frame.
         data = b"\0" + b"".join(frame(pack(packet)) for packet in due)
         if port.write(data) != len(data):
-            self._note("serial line is full: lost messages are repeated")
+            self._note("the serial line is full, so messages were lost and are repeated")
 
     def _note(self, trouble: str) -> None:
         if trouble not in self._troubles:

@@ -27,7 +27,7 @@ NO_MOTORS_PERIOD_S = 0.02
 """Time between two polls of a transport without motors [s]. Such a transport uploads nothing, so it
 needs fewer polls."""
 
-STOPPED_SINCE = "another stop has come since; call enable again"
+STOPPED_SINCE = "another stop has arrived since then; call enable again"
 BUSY = "the transport is busy"
 
 BUSY_S = 0.3
