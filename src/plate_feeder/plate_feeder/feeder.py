@@ -2,10 +2,10 @@
 rests, and when the hopper opens. The hopper is a container that drops new parts onto the plate.
 
 A `Feeder` receives the statuses of the planner (`receive_status`) and the commands of the robots.
-The caller calls `step` after each status, after each command, and about every 0.1 s. `step` returns
-the actions that the caller must take. Times are arguments of the methods, measured by one steady
-clock. Only the stamps of statuses (`FeedStatus.stamp`) are measured by the clock of the camera. A
-loop without ROS uses the feeder like this::
+The caller must call `step` after each status, after each command, and about every 0.1 s. `step`
+returns the actions that the caller must take. Times are arguments of the methods, measured by one
+steady clock. Only the stamps of statuses (`FeedStatus.stamp`) are measured by the clock of the
+camera. A loop without ROS uses the feeder like this::
 
     feeder = Feeder(task, rig)
     reply = feeder.get_part("robot", now=t)  # None: the reply comes with a later `step`
@@ -16,10 +16,10 @@ loop without ROS uses the feeder like this::
 
 The rules:
 
-- The planner gets parts ready (mode `FEED`) until no more parts are needed. Then the planner stops
-  the plate without an order. The feeder then orders the planner to keep the plate at rest (mode
-  `REST`), so that the next robot need not wait. If a command of a robot already waits, the feeder
-  orders the planner to stop the plate when one part is ready.
+- The planner gets parts ready (mode `FEED`) until no more parts are needed. When no more parts are
+  needed, the planner stops the plate without an order. The feeder then orders the planner to keep
+  the plate at rest (mode `REST`), so that the next robot need not wait. If a command of a robot
+  already waits, the feeder orders the planner to stop the plate when one part is ready.
 - The feeder offers a part to a robot only if the newest status contains the mode `REST` and reports
   the plate at rest. The feeder does not change the mode of an order until a status has confirmed
   this mode. Therefore, the feeder never mistakes a status of an earlier rest for a status of the
@@ -81,9 +81,9 @@ older than the present time by this delay. A later image was certainly taken aft
 reservation if its stamp exceeds the newest stamp by this delay."""
 
 SEEN_AGAIN_S = 1.0
-"""Maximum time for which the detector reports a part after a robot has taken it [s]. The reason is
-that the detector's tracker still reports a missing part for some images. If a part is reported
-after this time, the robot has not taken the part."""
+"""Maximum time for which the detector reports a part after a robot has taken it [s]. The detector's
+tracker still reports a missing part for some images. If a part is reported after this time, the
+robot has not taken the part."""
 
 SILENT_S = 1.0
 """Maximum time between two statuses of a running task [s]. Ten cycles of the plate last about this
@@ -172,7 +172,8 @@ class Feeder:
     -----
     A `client` is any hashable value except None that identifies a client. The methods
     `prepare_part` and `part_taken` return a `Reply` at once. If `get_part` or `purge` is refused,
-    it returns a `Reply` at once. Otherwise it returns None, and a later `step` returns the reply.
+    it returns a `Reply` at once. If the command is accepted, the method returns None, and a later
+    `step` returns the reply.
     """
 
     def __init__(self, task: FeedTask, rig: Rig) -> None:

@@ -15,8 +15,8 @@ from plate_core.yaml_fields import Key, List, Numbers, Section, Text, read_yaml
 from .interface import ReadyPart
 
 MAX_RESIDUAL_M = 1e-3
-"""Maximum residual of a point [m]. A larger residual indicates that a point was measured
-incorrectly."""
+"""Maximum residual of a point [m]. The residual is the distance of a measured point from its place
+according to the fitted pose. A larger residual indicates that a point was measured incorrectly."""
 
 MIN_BASE_M = 0.05
 """Minimum extent of the points on the plate [m]. If the points are closer to each other, they do
@@ -66,7 +66,7 @@ class HandEye:
     x, y : float
         Centre of the plate in this frame [m].
     residual_m : float
-        Maximum residual of a point [m].
+        Maximum distance of a measured point from its place according to this pose [m].
     """
 
     frame: str = "plate_home"

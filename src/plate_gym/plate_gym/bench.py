@@ -72,8 +72,8 @@ def evaluate(
     tasks, seeds, world
         Names of tasks (or one name), seeds (0 or more, each once), and a key of `WORLDS`.
     workers : int
-        Number of episodes that run at the same time, each in a separate process. If it is 0, the
-        episodes run in this process, without limits of time and memory.
+        Number of episodes that run at the same time, each in a separate process. If `workers` is 0,
+        the episodes run in this process, without limits of time and memory.
     tell : callable
         Function that is called with a line of text after each task, and after each episode in which
         a limit was exceeded.
@@ -83,8 +83,8 @@ def evaluate(
     limits : Limits
         Limits of the agent. If a limit is exceeded in an episode, the episode counts as failed.
     pool : Executor, optional
-        Executor that runs the episodes, such as a `plate_bringup.cluster.Cluster`. If it is given,
-        `workers` has no effect.
+        Executor that runs the episodes, such as a `plate_bringup.cluster.Cluster`. If `pool` is
+        given, `workers` has no effect.
     done : dict, optional
         Result of an earlier call. The new result contains the rows of this result, and the episodes
         of these rows are not repeated.

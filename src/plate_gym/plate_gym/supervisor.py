@@ -229,8 +229,8 @@ class Episode:
         return bool(data) and b"\n" not in self._reply and len(self._reply) < REPLY_BYTES
 
     def _end_of(self, child: int) -> str:
-        """Return a text that describes how the forked process ended. If it has not ended, the text
-        states that its reply was invalid."""
+        """Return a text that describes how the forked process ended. If the process has not ended,
+        the text states that its reply was invalid."""
         # try several times, because the pipe closes slightly before the process ends
         for _ in range(10):
             if state := _has_ended(child):

@@ -59,6 +59,6 @@ class AnswerSchedule:
         return wait - max(arrival - self._begin, 0.0)
 
     def take_due(self) -> bool:
-        """Return whether a request is pending. Afterwards no request is pending."""
+        """Return whether a request is pending. After this call, no request is pending."""
         due, self._due = self._due, False
         return due

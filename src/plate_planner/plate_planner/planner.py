@@ -132,7 +132,7 @@ class PlannerState:
         Time at which the next request must be computed [s]. Infinite until a cycle start is
         reported.
     kept : bool
-        Whether the last image was ignored: see `TaskRules.keeps_last`.
+        Whether the last image was ignored, see `TaskRules.keeps_last`.
     """
 
     task: TaskState
@@ -218,7 +218,7 @@ class Planner:
         Returns
         -------
         planner : Planner
-            Planner with the new targets. The caller must use it in place of this planner.
+            Planner with the new targets. The caller must use this new planner from now on.
         state : PlannerState
         refused : tuple of str
             Reasons why single targets were refused. All other targets are accepted.
@@ -249,8 +249,8 @@ class Planner:
         return replace(self, scenario=scenario), replace(state, task=task_state), tuple(refused)
 
     def order(self, state: PlannerState, order: FeedOrder) -> Planner:
-        """Return a planner with another order for the running `feed` task. The result must replace
-        this planner.
+        """Return a planner with another order for the running `feed` task. The caller must use the
+        returned planner in place of this planner.
 
         Raises
         ------

@@ -65,8 +65,8 @@ would be taken earlier, it is omitted."""
 
 GAP_NS = 1_000_000
 """Tolerance of times of the device's motion [ns]. The gap between two consecutive segments must not
-exceed it. The same applies to the gap between the end of a segment and the trigger pulse for its
-image."""
+exceed it. The gap between the end of a segment and the trigger pulse for its image must not exceed
+it either."""
 
 MAX_CLOCK_ERROR_NS = 50_000_000
 """Maximum difference between the stamps of images and the clock of the system [ns]. This limit

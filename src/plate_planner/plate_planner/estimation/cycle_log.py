@@ -87,8 +87,8 @@ class CycleLog:
     Attributes
     ----------
     runs : tuple of (begin [s], PlateCycle)
-        Executed cycles with their start times. Such an executed cycle is called a run. Each run
-        ends when the next run begins. The plate is at rest before the first run.
+        Executed cycles with their start times. An executed cycle is called a run. Each run ends
+        when the next run begins. The plate is at rest before the first run.
     sent : tuple of Sent
         Cycles that were sent to the plate and whose start has not been reported, oldest first. If
         the driver reports no starts, only the newest sent cycle is stored.

@@ -290,8 +290,8 @@ class Estimator:
         Number of consecutive images whose interval to the previous image is not a whole number of
         cycles.
     turning : Turning
-        Orientations of the parts, if images are not taken at cycle starts. Otherwise, it contains
-        no parts.
+        Orientations of the parts, if images are not taken at cycle starts. If images are taken at
+        cycle starts, `turning` contains no parts.
     before, before_stamp : Parts, float
         Parts at the last call of `observe`, and the value of `stamp` at that time [s].
     bias : DriftBias

@@ -42,9 +42,9 @@ FEEDER_S = 1.5
 for this time, the plate must rest."""
 
 FRESH_S = 0.5
-"""Maximum age of the messages parts and plate_cycle [s]. If cycles are long, the maximum age is
-longer. If such a message is older, all later nodes in the data flow lack input only as a
-consequence. Their reports are then ignored."""
+"""Maximum age of the last messages of the topics parts and plate_cycle [s]. If cycles are long, the
+maximum age is longer. If such a message is older, all later nodes in the data flow lack input only
+as a consequence. In this case, the reports of the later nodes are ignored."""
 
 LIFE_S = 0.8
 """Maximum age of the message driver_status [s]. The driver publishes this message every 0.5 s."""
@@ -68,8 +68,8 @@ class Inputs:
     Attributes
     ----------
     parts, driver : Input
-        Arrival times of the messages parts and driver_status. A message parts counts only if its
-        stamp is new.
+        Arrival times of the messages of the topics parts and driver_status. A message of the topic
+        parts counts only if its stamp is new.
     ran : float
         Time at which the planner was last active.
     stamp : int or None
@@ -128,7 +128,7 @@ class Inputs:
     # Messages received
 
     def parts_received(self, now: float, stamp_ns: int) -> Inputs:
-        """Record that a message parts has arrived."""
+        """Record that a message of the topic parts has arrived."""
         if stamp_ns == self.stamp:
             return self
         return replace(self, parts=self.parts.received(now), stamp=stamp_ns)
@@ -204,8 +204,8 @@ class Inputs:
         return self.driver_status is not None and self.driver_status.state is DriverState.READY
 
     def parts_problem(self, now: float, publishers: Callable[[str], int]) -> str:
-        """Return the reason why missing messages parts prevent the start of a task. The text is
-        empty if a task can start."""
+        """Return the reason why missing messages of the topic parts prevent the start of a task.
+        The text is empty if a task can start."""
         if self.parts.arrival is None:
             return f"no parts yet; {self._blame_for_parts(now, publishers)}"
         if self.parts.timed_out(now) is not None:
@@ -292,8 +292,8 @@ class Inputs:
         """Return the first node of `LOOP` that reports missing input. The result is empty if there
         is no such node.
 
-        Nodes that come later in the data flow lack input only as a consequence, so their reports
-        are ignored. The same applies to nodes after a node that timed out.
+        Nodes that are later in the data flow lack input only as a consequence, so their reports are
+        ignored. Reports of nodes after a node that timed out are ignored too.
         """
         fresh = max(FRESH_S, CYCLES * period)
         stale = {

@@ -1,5 +1,5 @@
 """Friction between plate and parts. The package contains footprints, integration steps of a part,
-and the event-driven simulation of point parts. The names that are exported here are public. The
+and the event-driven simulation of point parts. All names that the package exports are public. The
 function `simulate` is the accurate reference for all other integrators."""
 
 from .footprint import Footprint, bar, disc, polygon, union

@@ -46,8 +46,8 @@ class Trajectory:
         Velocities of the parts [m/s].
     unchecked : tuple of int
         Indices of parts whose motion required more than the maximum number of steps. The rest of
-        their motion was computed with coarse steps, so that its error is unknown. The tuple is
-        empty except for extreme motions.
+        the motion of such parts was computed with coarse steps, so that its error is unknown. The
+        tuple is empty except for extreme motions.
     """
 
     time: np.ndarray

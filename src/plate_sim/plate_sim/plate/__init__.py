@@ -1,6 +1,6 @@
 """Simulation of the plate. The package contains the plate's motion, its drive, the check of motor
-tables, and its surface. The names that are exported here are public. In compiled code, `pieces.hpp`
-and `course.hpp` evaluate the motion."""
+tables, and its surface. All names that the package exports are public. In compiled code,
+`pieces.hpp` and `course.hpp` evaluate the motion."""
 
 from .check_table import check_table
 from .drive import PlateState

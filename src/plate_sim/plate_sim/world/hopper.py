@@ -201,9 +201,9 @@ class Dispenser:
         return self._flow.left_s > 0
 
     def open(self, duration_s: float, state: WorldState) -> int:
-        """Open the hopper for `duration_s` from now [s]. If it is still open, the new duration
-        replaces the remaining time. Return the number of parts that will drop if there is enough
-        free space.
+        """Open the hopper for `duration_s` from now [s]. If the hopper is still open, the new
+        duration replaces the remaining time. Return the number of parts that will drop if there is
+        enough free space.
 
         Raises
         ------

@@ -111,8 +111,8 @@ def nudged(
     state: WorldState, rig: Rig, part_id: str, rng: np.random.Generator
 ) -> tuple[np.ndarray, float]:
     """Return the new position (2,) [m, plate_home] and the new angle [rad] of a part that slipped
-    from the gripper. The part is displaced and rotated at random. If it would then overlap another
-    part or leave the plate, it stays at its place."""
+    from the gripper. The part is displaced and rotated at random. If the displaced part would
+    overlap another part or leave the plate, the part stays at its place instead."""
     row = state.ids.index(part_id)
     place, angle = state.position[row], float(state.angle[row])
     radius, way = NUDGE_M * np.sqrt(rng.random()), rng.uniform(-np.pi, np.pi)

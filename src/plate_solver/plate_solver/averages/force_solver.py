@@ -1,8 +1,8 @@
 """Base class of the solvers for requested mean forces. Methods A and B both use it.
 
 `ForceSolver.solve` checks a request and searches for a motion on one of three force maps (`none`,
-`velocity` or `cycle`). If it finds no motion for the request, it searches for the largest feasible
-fraction of the request. Subclasses implement the search on the force map `none`.
+`velocity` or `cycle`). If no motion for the request is found, `ForceSolver.solve` searches for the
+largest feasible fraction of the request. Subclasses implement the search on the force map `none`.
 """
 
 from __future__ import annotations

@@ -3,9 +3,10 @@
     f(P) = 1/T integral of (v_s(P, t) - v_p) / |v_s(P, t) - v_p| dt,   v_s = (u1 - y u3, u2 + x u3)
 
 in units of mu m g. P = (x, y) is the position of the part, v_p its velocity, u the plate's twist,
-v_s the velocity of the surface, and T the period. The paper sets v_p = 0. Here, v_p may differ from
-0, because the velocity of a part changes the friction on it. The curl of the friction field is the
-average of u3 / |v_s - v_p|. If the plate rotates about a fixed centre, this is equation (11).
+v_s the velocity of the surface, and T the period. The paper sets v_p = 0. In this module, v_p may
+differ from 0, because the velocity of a part changes the friction on it. The curl of the friction
+field is the average of u3 / |v_s - v_p|. If the plate rotates about a fixed centre, this is
+equation (11).
 """
 
 from __future__ import annotations

@@ -19,8 +19,8 @@ from .request import Request
 
 LEFT_OUT = 1.15
 """Maximum fraction of a request that is tried, divided by the upper bound from the library of
-rotations. The value is above 1, because this bound is a few per cent too low. The reason is that
-the library contains a finite number of rotations."""
+rotations. The value is above 1, because this bound is a few per cent too low. The bound is too low
+because the library contains a finite number of rotations."""
 
 BISECTIONS = 5
 """Maximum number of bisections. The bisections determine the largest fraction to within 1/32 of the
@@ -90,8 +90,8 @@ def largest_fraction(
         Maximum force that a motion can exert on a part [mu m g].
     prove : function, optional
         Function that returns whether a request is proven infeasible. The function is slow and is
-        called at most once. If it is not given, the solutions for the whole request and for the
-        fraction are compared. The solution with the smaller error for the whole request is
+        called at most once. If `prove` is not given, the solutions for the whole request and for
+        the fraction are compared. The solution with the smaller error for the whole request is
         returned.
     """
     fits = min(1.0, most / max(request.flags.loaded, 1e-300))

@@ -1,9 +1,9 @@
 """Method A (section 3.1 of the paper) on the averaged map. The solver finds rotations that exert
 requested mean forces.
 
-A linear programme plans the rotations. Then the Levenberg-Marquardt method corrects their durations
-and twists until the mean forces match the request. Basin hopping provides further starts. The input
-is a `Request`, and the output is a `Solution`.
+A linear programme plans the rotations. After that, the Levenberg-Marquardt method corrects the
+durations and twists of the rotations until the mean forces match the request. Basin hopping
+provides further starts. The input is a `Request`, and the output is a `Solution`.
 """
 
 from __future__ import annotations

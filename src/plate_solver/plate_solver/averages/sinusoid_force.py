@@ -2,7 +2,8 @@
 
 If the mean of a smooth periodic function is computed from n equal steps, its error is about exp(-n
 b). b is the distance of the function's nearest singularity from the real axis, in the plane of
-complex times. Here, the singularities are the complex times at which the slip of a part is 0.
+complex times. For the friction on a part, the singularities are the complex times at which the slip
+of the part is 0.
 
 At a real time at which the slip nearly vanishes (a dip), b is small. Therefore, dips are detected
 in the samples, and the error that each dip causes is subtracted (near_zero_slip.hpp). If two dips

@@ -1,11 +1,12 @@
 """Finds a motion of Method B (section 3.2.3) that exerts requested averaged forces. The result is a
 finished spline.
 
-The search first starts from the solution of the last request. Then it consists of rounds. Each
-round starts once from a new random motion, and then several times from perturbations of the best
-motion of this round. From a random motion, the search solves increasing fractions of the request
-one after the other (continuation). The result of the search is converted to a spline within the
-rig's limits. The forces of this spline are evaluated with another quadrature than in the search.
+The search first starts from the solution of the last request. After that, the search consists of
+rounds. Each round starts once from a new random motion, and then several times from perturbations
+of the best motion of this round. From a random motion, the search solves increasing fractions of
+the request one after the other (continuation). The result of the search is converted to a spline
+within the rig's limits. The forces of this spline are evaluated with another quadrature than in the
+search.
 
 The averaged forces on parts at rest do not change if the amplitude of the motion is changed, or if
 the motion is shifted in time. The steps of the search have minimum norm, so that they are

@@ -89,7 +89,8 @@ class Goal:
     turns : Turns, optional
         Requested rotations. If None, the parts are modelled as points.
     lasting : bool
-        Whether later cycles can complete the goal. If so, every motion counts as a success.
+        Whether later cycles can complete the goal. For such a goal, every motion counts as a
+        success.
     weight : (M, 2)
         Error divided by the displacement error outside the tolerance [-]. A scalar applies to all
         parts.
