@@ -21,8 +21,8 @@ from .plate.outline import (
     OutlineGrid,
     contrasted,
     edge_points,
+    evaluate_outline,
     fitting_flips,
-    judge_outline,
 )
 from .vision import Vision
 
@@ -312,10 +312,10 @@ class Focus:
             edges = f"; blur of the plate's edges is {self.blur_px:.1f} px"
         if self.sharp or self.peaked:
             return Finding(Level.OK, f"{text}; best value is {self.best:.3f}{edges}")
-        turn = "turn the focus past the best value and back"
+        advice = "turn the focus past the best value and back"
         if edges:
-            return Finding(Level.WARN, f"{text}{edges}, allowed: up to {SHARP_PX:g} px; {turn}")
-        return Finding(Level.STALE, f"{text}; the best value is not known yet; {turn}")
+            return Finding(Level.WARN, f"{text}{edges}, allowed: up to {SHARP_PX:g} px; {advice}")
+        return Finding(Level.STALE, f"{text}; the best value is not known yet; {advice}")
 
 
 def outline_px(outline: Outline, field: AimField) -> np.ndarray:
@@ -337,10 +337,10 @@ def outline_finding(
     """
     grid, bends = field.grid, field.vision.calibration.lens is not None
     facts = outline, grid, field.radius, bends, moving
-    finding, text = judge_outline(*facts)
+    finding, text = evaluate_outline(*facts)
     seen = int(np.count_nonzero(outline.seen))
     if finding is not None:
-        finding, text = judge_outline(*facts, fitting_flips(image, grid))
+        finding, text = evaluate_outline(*facts, fitting_flips(image, grid))
     if finding is not None:
         return finding
     if seen < 3:

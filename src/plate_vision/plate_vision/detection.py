@@ -55,7 +55,7 @@ from .remains import (
     solid,
     without,
 )
-from .shadow_search import FEWEST, GOOD_FIT, find_shadow
+from .shadow_search import GOOD_FIT, MIN_OBJECTS, find_shadow
 from .shapes import find_outlines
 
 BRIGHT = "white"
@@ -183,14 +183,14 @@ class PartView:
     ----------
     silhouettes : callable
         Returns the silhouettes (n,) SILHOUETTE of a part at image points (n, 2) [px].
-    least_px : float
+    min_radius_px : float
         Smallest radius of a part in the image [px].
     calibration : Calibration, optional
         Calibration of the camera. Shadows are not searched if the calibration is None.
     """
 
     silhouettes: Silhouettes
-    least_px: float
+    min_radius_px: float
     calibration: Calibration | None = None
 
     @classmethod
@@ -314,7 +314,7 @@ def find_discs(
             return discs
     discs = _dark_discs(plate, region, options, view)
     remains = find_remains(
-        scene.channels, region, scene.limit, view.least_px, discs.places, discs.parts
+        scene.channels, region, scene.limit, view.min_radius_px, discs.places, discs.parts
     )
     if remains is not None:
         discs = _with_others(scene, discs, remains)
@@ -322,7 +322,7 @@ def find_discs(
     if view.calibration is None or not (discs.uncertain and search):
         return discs
     every = find_remains(
-        scene.channels, region, scene.limit, view.least_px, NO_DISCS.places, NO_DISCS.parts
+        scene.channels, region, scene.limit, view.min_radius_px, NO_DISCS.places, NO_DISCS.parts
     )
     if every is None or scene.contrast is None:
         return discs
@@ -361,7 +361,7 @@ def _uncertain(discs: Discs) -> bool:
     if len(discs.overlooked):
         odd = np.isin(discs.overlooked["reason"], ("misfit", "too large", "too small"))
         uncertain += np.count_nonzero(odd)
-    return bool(uncertain >= FEWEST and uncertain > ROUGH * len(discs.found))
+    return bool(uncertain >= MIN_OBJECTS and uncertain > ROUGH * len(discs.found))
 
 
 def _with_others(scene: Scene, discs: Discs, remains: Remains) -> Discs:
@@ -382,7 +382,12 @@ def _shadowed_discs(scene: Scene, shadow: Shadow) -> Discs:
     """Find all parts by their contrast if every part casts a shadow."""
     contrast, radius_px, view = scene.contrast, scene.options.radius_px, scene.view
     remains = find_remains(
-        scene.channels, scene.region, scene.limit, view.least_px, NO_DISCS.places, NO_DISCS.parts
+        scene.channels,
+        scene.region,
+        scene.limit,
+        view.min_radius_px,
+        NO_DISCS.places,
+        NO_DISCS.parts,
     )
     if remains is None or contrast is None:
         return NO_DISCS._replace(shadow=shadow)
@@ -419,7 +424,7 @@ def _dark_discs(plate: LitPlate, region: Region, options: DetectorOptions, view:
     """Find parts that are clearly darker than the plate. Each part is measured by the fastest
     method that is suitable."""
     threshold = min(options.threshold, CLEARLY_DARK)
-    seeds, parts = find_seeds(plate, region, threshold, view.least_px, view.silhouettes)
+    seeds, parts = find_seeds(plate, region, threshold, view.min_radius_px, view.silhouettes)
     if not len(seeds):
         return NO_DISCS
     discs, marks, alone = measure_dark(plate, region, seeds, parts)
@@ -440,7 +445,7 @@ def _other_discs(
 
     dark = remains.odd | remains.outside.astype(np.uint8)
     seeds, parts = seeds_of(
-        contrast, dark, remains.outside, remains.grid, scene.view.least_px, dark_shapes
+        contrast, dark, remains.outside, remains.grid, scene.view.min_radius_px, dark_shapes
     )
     if not len(seeds):
         return NO_DISCS

@@ -92,12 +92,12 @@ def outlines_px(
     """Return the outlines (k, 2) [px] of parts at positions (M, 2) [m] and angles (M,) [rad], both
     in plate_home. The outline of a part without a type is (0, 2)."""
     outlines = []
-    for name, place, turn in zip(ids, position, angle, strict=True):
+    for name, place, part_angle in zip(ids, position, angle, strict=True):
         part = types.get(part_class(name))
         if part is None:
             outlines.append(np.empty((0, 2)))
             continue
-        outlines.append(calibration.to_image(to_home(np.array([*place, turn]), part.polygon)))
+        outlines.append(calibration.to_image(to_home(np.array([*place, part_angle]), part.polygon)))
     return outlines
 
 

@@ -131,9 +131,9 @@ def _box(grey: np.ndarray, free: np.ndarray, side_px: float) -> tuple[np.ndarray
 
 def _is_round(contrast: np.ndarray, x: int, y: int, radius_px: float) -> bool:
     """Whether the contrast decreases in all eight directions within 1.2 radii of a point."""
-    turn = 2 * np.pi * np.arange(8) / 8
-    columns = np.rint(x + 1.2 * radius_px * np.cos(turn)).astype(int)
-    rows = np.rint(y + 1.2 * radius_px * np.sin(turn)).astype(int)
+    angle = 2 * np.pi * np.arange(8) / 8
+    columns = np.rint(x + 1.2 * radius_px * np.cos(angle)).astype(int)
+    rows = np.rint(y + 1.2 * radius_px * np.sin(angle)).astype(int)
     height, width = contrast.shape
     inside = (columns >= 0) & (columns < width) & (rows >= 0) & (rows < height)
     around = contrast[rows[inside], columns[inside]] / contrast[y, x]

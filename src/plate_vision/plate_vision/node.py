@@ -241,8 +241,8 @@ class DetectorNode(SafeLifecycleNode[DetectorParameters]):
         self._lens_message: tuple[object, ...] | None = None
         self._lens: Lens | None = None
         self._lens_problem = ""  # reason why the last camera_info was refused, or ""
-        for doubt in doubts(self._rig, "camera", "parts"):
-            self.get_logger().warning(doubt.text)
+        for warning in doubts(self._rig, "camera", "parts"):
+            self.get_logger().warning(warning.text)
         if values.camera_file:
             size = self._rig.camera
             self._lens = load_lens(values.camera_file, (size.width_px, size.height_px))
@@ -343,9 +343,9 @@ class DetectorNode(SafeLifecycleNode[DetectorParameters]):
         rig, text = rig_of_picture(self._rig, size_px)
         if not text:
             return
-        for doubt in doubts(rig, "camera", "parts"):
-            if doubt.impossible:
-                raise ImageError(doubt.text)
+        for warning in doubts(rig, "camera", "parts"):
+            if warning.impossible:
+                raise ImageError(warning.text)
         self._rig, self._lens = rig, None
         self._vision = make_vision(rig, self.options.detector(), None)
         self._location = self._unknown_location()

@@ -25,7 +25,7 @@ from .shapes import Background, model_background
 from .shapes.background import colours
 from .shapes.blur import is_blurred
 from .shapes.catalogue import Catalogue, make_catalogue
-from .shapes.classes import FEWEST_NAMED, UNKNOWN, Conditions, is_named, recognise, recognise_under
+from .shapes.classes import MIN_NAMED, UNKNOWN, Conditions, is_named, recognise, recognise_under
 from .shapes.groups import explain_groups
 from .shapes.heights import seen_shift
 from .shapes.patch import Patch
@@ -138,7 +138,7 @@ def find_types_under(
     seen = attempt(background.learned)
     if before is not None and (seen.lamp is None or not seen.agrees):
         lit = attempt(False, before)
-        if not lit.agrees or lit.known < FEWEST_NAMED:
+        if not lit.agrees or lit.known < MIN_NAMED:
             seen = seen if seen.lamp is None else attempt(False)
             lit = lit if lit.agrees and lit.known >= seen.known else seen
         seen = lit

@@ -60,17 +60,20 @@ def find_remains(
     channels: Channels,
     region: Region,
     limit: float,
-    least_px: float,
+    min_radius_px: float,
     centre: np.ndarray,
     parts: np.ndarray,
 ) -> Remains | None:
     """Return the remains without the parts at places (n, 2) [px] with silhouettes (n,) SILHOUETTE.
-    Return None if there are no remains. `limit` is the minimum contrast of a pixel, and `least_px`
-    is the smallest radius of a part [px]."""
+    Return None if there are no remains. `limit` is the minimum contrast of a pixel, and
+    `min_radius_px` is the smallest radius of a part [px]."""
     x0, y0 = region.box[:2]
-    stride = max(1, int(least_px / COARSE_RADIUS_PX))
+    stride = max(1, int(min_radius_px / COARSE_RADIUS_PX))
     shapes = numbers(parts)
-    coarse, counts = (x0, y0, COARSE_STEP * stride), _deep(region, COARSE_STEP * stride, least_px)
+    coarse, counts = (
+        (x0, y0, COARSE_STEP * stride),
+        _deep(region, COARSE_STEP * stride, min_radius_px),
+    )
     if counts.size == 0:
         return None
     lit = channels.image, channels.lights
@@ -96,12 +99,12 @@ def solid(remains: Remains, radius_px: float) -> Remains:
     of parts. `radius_px` is the radius of a part [px]."""
     stride = remains.grid[2]
     odd = remains.odd.copy()
-    most = HOLE * np.pi * (radius_px / stride) ** 2
+    max_hole = HOLE * np.pi * (radius_px / stride) ** 2
     count, labels, stats, _ = cv2.connectedComponentsWithStats(1 - odd, connectivity=4)
     height, width = odd.shape
     left, top = stats[:, cv2.CC_STAT_LEFT], stats[:, cv2.CC_STAT_TOP]
     right, bottom = left + stats[:, cv2.CC_STAT_WIDTH], top + stats[:, cv2.CC_STAT_HEIGHT]
-    hole = (stats[:, cv2.CC_STAT_AREA] <= most) & (left > 0) & (top > 0)
+    hole = (stats[:, cv2.CC_STAT_AREA] <= max_hole) & (left > 0) & (top > 0)
     hole &= (right < width) & (bottom < height)
     hole[0] = False  # label 0 is the area of the objects, not a hole
     if count > 1 and np.any(hole):

@@ -22,7 +22,7 @@ from .discs.shadow import Shadow
 from .plate import LitPlate
 from .remains import Remains
 
-FEWEST = 2
+MIN_OBJECTS = 2
 """Minimum number of objects that are elongated in one direction and therefore indicate shadows. A
 single object is not sufficient, because it may be a part of another shape."""
 
@@ -225,9 +225,9 @@ def _capsules(
     size = stats[:, cv2.CC_STAT_AREA] * stride**2 / (np.pi * radius**2)
     usual = ~at_edge & (size > SIZE[0]) & (size < SIZE[1])
     usual[0] = False
-    most = PIXELS / float(np.median(size[usual] * radius[usual] ** 2)) if np.any(usual) else 0
-    rows = np.flatnonzero(usual)[: int(np.clip(most, FEWEST, MAX_OBJECTS))]
-    if len(rows) < FEWEST:
+    max_count = PIXELS / float(np.median(size[usual] * radius[usual] ** 2)) if np.any(usual) else 0
+    rows = np.flatnonzero(usual)[: int(np.clip(max_count, MIN_OBJECTS, MAX_OBJECTS))]
+    if len(rows) < MIN_OBJECTS:
         return None
     flat = np.empty((len(rows), 2))
     for k, row in enumerate(rows):

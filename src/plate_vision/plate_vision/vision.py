@@ -223,8 +223,10 @@ def observe(
         centre = np.vstack([centre, np.column_stack([more["x"], more["y"]])])
         label = np.concatenate([label, np.full(len(more), UNKNOWN, label.dtype)])
         angle = np.concatenate([angle, none])
-        doubt = np.column_stack([none + UNKNOWN_RADII * vision.radius, none + ANY_ANGLE, none])
-        quality = np.vstack([quality, doubt])
+        thing_quality = np.column_stack(
+            [none + UNKNOWN_RADII * vision.radius, none + ANY_ANGLE, none]
+        )
+        quality = np.vstack([quality, thing_quality])
     after = update(
         tracker, stamp, centre, label, angle, quality, expected=expected, overlooked=things
     )
@@ -253,14 +255,14 @@ def _observe_types(
     named = is_named(seen)
     centre = np.column_stack([seen["x"], seen["y"]])
     scale = vision.calibration.scale(centre)
-    least = SPECK * np.min(catalogue.area)
+    min_area = SPECK * np.min(catalogue.area)
     on_plate = np.all(np.abs(centre) <= vision.inner, axis=1)
-    limits = np.sqrt(np.array([least, PLAUSIBLE_AREA[1] * np.max(catalogue.area)]) / np.pi)
+    limits = np.sqrt(np.array([min_area, PLAUSIBLE_AREA[1] * np.max(catalogue.area)]) / np.pi)
     things = unnamed_things(seen, on_plate, seen["radius_px"] / scale, *limits)
-    kept = named | (on_plate & (np.pi * (seen["radius_px"] / scale) ** 2 > least))
+    kept = named | (on_plate & (np.pi * (seen["radius_px"] / scale) ** 2 > min_area))
     seen, named, centre, scale = seen[kept], named[kept], centre[kept], scale[kept]
-    turns = {one.part.name: one.part.symmetry for one in catalogue.templates}
-    symmetry = np.array([turns.get(label, 0) for label in seen["label"].tolist()], int)
+    symmetries = {one.part.name: one.part.symmetry for one in catalogue.templates}
+    symmetry = np.array([symmetries.get(label, 0) for label in seen["label"].tolist()], int)
     place = np.hypot(np.where(named, SHAPE_PX, UNKNOWN_PX) / scale, seen["place_sd"])
     place[~seen["whole"]] = np.nan
     angle = np.where(symmetry > 0, seen["angle_sd"], ANY_ANGLE)
@@ -316,13 +318,13 @@ def follow_plate(
 def _angles(vision: Vision, found: np.ndarray, centre_px: np.ndarray) -> np.ndarray:
     """Return the angles (n,) [rad, plate_home] of parts `found` (n,) DETECTION. The angle of a part
     without a mark is 0."""
-    turn = found["angle_rad"]
-    if not np.any(turn):
-        return turn
-    radius_px = found["radius_px"][:, None] * np.stack([np.cos(turn), -np.sin(turn)], axis=1)
+    angle = found["angle_rad"]
+    if not np.any(angle):
+        return angle
+    radius_px = found["radius_px"][:, None] * np.stack([np.cos(angle), -np.sin(angle)], axis=1)
     to_home = vision.calibration.to_home
     dx, dy = (to_home(centre_px + radius_px) - to_home(centre_px - radius_px)).T
-    return np.where(turn != 0, np.arctan2(dy, dx), 0.0)
+    return np.where(angle != 0, np.arctan2(dy, dx), 0.0)
 
 
 def _quality(

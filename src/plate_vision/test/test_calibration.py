@@ -134,9 +134,9 @@ def test_degenerate_matrices_are_refused(matrix):
 
 def test_an_area_of_the_least_size_is_allowed():
     square = np.array([[1.0, 1], [5, 1], [5, 5], [1, 5]])
-    assert check_quadrilateral(square, "it", CalibrationError, least=16.0) is not None
+    assert check_quadrilateral(square, "it", CalibrationError, min_area=16.0) is not None
     with pytest.raises(CalibrationError, match=r"at least 16\.1 px2"):
-        check_quadrilateral(square, "it", CalibrationError, least=16.1)
+        check_quadrilateral(square, "it", CalibrationError, min_area=16.1)
 
 
 def test_small_plate_is_no_degenerate_plate():

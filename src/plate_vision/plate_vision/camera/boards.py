@@ -128,10 +128,10 @@ class Board:
 
     def __post_init__(self) -> None:
         # OpenCV detects only chessboards of at least 4 x 4 squares
-        least = 4 if self.marker_m == 0 else 3
-        if not (least <= self.columns <= 40 and least <= self.rows <= 40):
+        lower = 4 if self.marker_m == 0 else 3
+        if not (lower <= self.columns <= 40 and lower <= self.rows <= 40):
             raise CalibrationError(
-                f"board: size is {self.columns} x {self.rows} squares, allowed: {least} x {least} "
+                f"board: size is {self.columns} x {self.rows} squares, allowed: {lower} x {lower} "
                 "to 40 x 40"
             )
         if not MIN_SQUARE_M <= self.square_m <= MAX_SQUARE_M:
@@ -301,7 +301,7 @@ def _refine(grey: np.ndarray, corner_px: np.ndarray, board: Board) -> np.ndarray
     return np.asarray(refined, dtype=float).reshape(-1, 2)
 
 
-def choose(seen: Sequence[Corners], board: Board, most: int = MAX_PICTURES) -> list[int]:
+def choose(seen: Sequence[Corners], board: Board, max_count: int = MAX_PICTURES) -> list[int]:
     """Choose pictures with different positions of the board, and return their indices.
 
     The first chosen picture is the one with the largest number of corners. Each further picture
@@ -309,7 +309,7 @@ def choose(seen: Sequence[Corners], board: Board, most: int = MAX_PICTURES) -> l
     distance is measured at the image points of the board's four outer corners. The chosen boards
     therefore have different places in the image, distances and tilts.
     """
-    if len(seen) <= most:
+    if len(seen) <= max_count:
         return list(range(len(seen)))
     outer = np.array([[0, 0], [1, 0], [1, 1], [0, 1.0]]) * [board.columns, board.rows]
     places = []
@@ -324,7 +324,7 @@ def choose(seen: Sequence[Corners], board: Board, most: int = MAX_PICTURES) -> l
     usable = np.all(np.isfinite(place), axis=1)
     chosen = [max(np.flatnonzero(usable).tolist(), key=lambda k: len(seen[k][0]))]
     gap = np.where(usable, np.linalg.norm(place - place[chosen[0]], axis=1), -np.inf)
-    while len(chosen) < min(most, int(np.count_nonzero(usable))):
+    while len(chosen) < min(max_count, int(np.count_nonzero(usable))):
         chosen.append(int(np.argmax(gap)))
         gap = np.fmin(gap, np.linalg.norm(place - place[chosen[-1]], axis=1))
     return sorted(chosen)
@@ -469,7 +469,7 @@ def _fit_opencv(
     """Fit a lens with `count` distortion coefficients by OpenCV's calibrateCamera. `flags` are the
     flags of calibrateCamera."""
     try:
-        _, matrix, bend, turns, moves = cv2.calibrateCamera(
+        _, matrix, bend, rotations, moves = cv2.calibrateCamera(
             [point.astype(np.float32) for point in points],
             [place.astype(np.float32).reshape(-1, 1, 2) for place in places],
             size_px, np.eye(3), np.zeros(count), flags=flags,
@@ -484,7 +484,7 @@ def _fit_opencv(
     slopes = np.zeros((2 * sum(map(len, points)), 4 + count + 6 * len(points)))
     row = 0
     for k, (point, place) in enumerate(zip(points, places, strict=True)):
-        seen, slope = cv2.projectPoints(point, turns[k], moves[k], matrix, bend)
+        seen, slope = cv2.projectPoints(point, rotations[k], moves[k], matrix, bend)
         errors.append(place - seen.reshape(-1, 2))
         rows = slice(row, row := row + 2 * len(point))
         slopes[rows, : 4 + count] = slope[:, 6 : 10 + count]
@@ -507,10 +507,10 @@ def _deviation(slopes: np.ndarray, errors: np.ndarray) -> np.ndarray:
     if not np.all(np.isfinite(slopes)):
         return np.full(slopes.shape[1], np.inf)
     size = np.linalg.norm(slopes, axis=0)
-    _, strength, turn = np.linalg.svd(slopes / size, full_matrices=False)
+    _, strength, axes = np.linalg.svd(slopes / size, full_matrices=False)
     strength = np.maximum(strength, WEAKEST * strength[0])
-    scatter = float(np.sum(errors**2)) / max(1, slopes.shape[0] - slopes.shape[1])
-    return np.asarray(np.sqrt(scatter * np.sum((turn / strength[:, None]) ** 2, axis=0)) / size)
+    variance = float(np.sum(errors**2)) / max(1, slopes.shape[0] - slopes.shape[1])
+    return np.asarray(np.sqrt(variance * np.sum((axes / strength[:, None]) ** 2, axis=0)) / size)
 
 
 def _fit_equidistant(
@@ -555,8 +555,8 @@ def _pose(point: np.ndarray, lens: Lens, place: np.ndarray) -> np.ndarray:
     straight = lens.straighten(place)
     if not np.all(np.isfinite(straight)):
         return np.full(6, np.nan)
-    found, turn, move = cv2.solvePnP(point, straight, lens.matrix, np.zeros(4))
-    return np.concatenate([turn.ravel(), move.ravel()]) if found else np.full(6, np.nan)
+    found, rotation, move = cv2.solvePnP(point, straight, lens.matrix, np.zeros(4))
+    return np.concatenate([rotation.ravel(), move.ravel()]) if found else np.full(6, np.nan)
 
 
 def _equidistant_errors(
@@ -573,8 +573,8 @@ def _equidistant_errors(
     row = 0
     for k, (point, place) in enumerate(zip(points, places, strict=True)):
         own = slice(8 + 6 * k, 14 + 6 * k)
-        turn, move = values[own].reshape(2, 3)
-        seen, slope = cv2.fisheye.projectPoints(point[:, None], turn, move, matrix, values[4:8])
+        rotation, move = values[own].reshape(2, 3)
+        seen, slope = cv2.fisheye.projectPoints(point[:, None], rotation, move, matrix, values[4:8])
         residuals.append(seen.reshape(-1, 2) - place)
         rows = slice(row, row := row + 2 * len(point))
         slopes[rows, :8] = slope[:, :8]

@@ -25,7 +25,7 @@ from .foreign import is_ini, is_opencv, read_ini, read_opencv
 from .headers import AS_STORED, read_header, turned_text
 from .lens import Lens
 
-FAR = 1e6
+MAX_ABS = 1e6
 """Maximum magnitude of a number in a lens file."""
 
 
@@ -108,7 +108,7 @@ def _matrix(fields: Fields, shape: tuple[int, int] | None) -> np.ndarray:
         raise CalibrationError(
             f"{fields.where}: size is {rows} x {columns}, allowed: {shape[0]} x {shape[1]}"
         )
-    return fields.array("data", (rows * columns,), -FAR, FAR)
+    return fields.array("data", (rows * columns,), -MAX_ABS, MAX_ABS)
 
 
 def read_pictures(path: Path, warn: Callable[[str], None] | None = None) -> Pictures:
@@ -167,10 +167,10 @@ class Pictures:
         if self._film is not None:
             self.count = max(0, int(self._film.get(cv2.CAP_PROP_FRAME_COUNT)))
             self.rate = float(self._film.get(cv2.CAP_PROP_FPS))
-            turn = int(self._film.get(cv2.CAP_PROP_ORIENTATION_META))
-            if turn in (90, 180, 270):  # -1 means unknown
+            deg = int(self._film.get(cv2.CAP_PROP_ORIENTATION_META))
+            if deg in (90, 180, 270):  # -1 means unknown
                 self._warn_once(
-                    f"{path.name}: rotation of {turn} degrees is ignored. Players rotate the film; "
+                    f"{path.name}: rotation of {deg} degrees is ignored. Players rotate the film; "
                     f"{AS_STORED}"
                 )
 

@@ -21,7 +21,7 @@ rotation and no mirroring."""
 WIDTH, HEIGHT = 256, 257
 """TIFF tags of the width and the height."""
 
-TURNS = {
+TRANSFORMS = {
     2: "mirror it", 3: "rotate it by 180 degrees", 4: "flip it", 5: "transpose it",
     6: "rotate it by 90 degrees clockwise", 7: "transpose and rotate it",
     8: "rotate it by 90 degrees anticlockwise",
@@ -106,7 +106,7 @@ def turned_text(header: Header) -> str:
     pictures."""
     if header.orientation == 1:
         return ""
-    do = TURNS[header.orientation]
+    do = TRANSFORMS[header.orientation]
     return f"orientation {header.orientation} is ignored: viewers {do}; {AS_STORED}"
 
 
@@ -194,7 +194,7 @@ def _exif(data: bytes) -> int:
 
 
 def _known(orientation: int) -> int:
-    return orientation if orientation in TURNS else 1
+    return orientation if orientation in TRANSFORMS else 1
 
 
 def _tags(data: bytes) -> Iterator[tuple[int, int, int]]:

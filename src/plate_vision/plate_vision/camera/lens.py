@@ -226,8 +226,8 @@ def calibrate(
     """
     corners_px = check_quadrilateral(corners_px, "corners_px", CalibrationError)
     corners = np.asarray(corners, dtype=float)
-    least = SLENDER * float(np.max(np.ptp(corners, axis=0), initial=0)) ** 2
-    corners = check_quadrilateral(corners, "corners", CalibrationError, "m", least)
+    min_area = SLENDER * float(np.max(np.ptp(corners, axis=0), initial=0)) ** 2
+    corners = check_quadrilateral(corners, "corners", CalibrationError, "m", min_area)
     if lens is not None:
         lens.check_folding(corners_px)
         straight, name = lens.straighten(corners_px), "corners_px without the lens's distortion"
@@ -240,9 +240,9 @@ def check_quadrilateral(
     name: str,
     error: type[PlateError],
     unit: str = "px",
-    least: float = MIN_AREA_PX2,
+    min_area: float = MIN_AREA_PX2,
 ) -> np.ndarray:
-    """Return a polygon (4, 2) if it is convex and has at least the area `least` [unit2].
+    """Return a polygon (4, 2) if it is convex and has at least the area `min_area` [unit2].
 
     Raises
     ------
@@ -253,15 +253,15 @@ def check_quadrilateral(
     if polygon.shape != (4, 2) or not np.all(np.isfinite(polygon)):
         raise error(f"{name}: got {polygon.tolist()}, allowed: four finite pairs (x, y) in {unit}")
     sides = np.roll(polygon, -1, axis=0) - polygon
-    turns = cross(sides, np.roll(sides, -1, axis=0))
-    if not (np.all(turns > 0) or np.all(turns < 0)):
+    crosses = cross(sides, np.roll(sides, -1, axis=0))
+    if not (np.all(crosses > 0) or np.all(crosses < 0)):
         raise error(
             f"{name}: got {polygon.tolist()} {unit}, allowed: four corners in order around a "
             "convex quadrilateral, no three of them on one line"
         )
     area = 0.5 * abs(float(np.sum(cross(polygon, np.roll(polygon, -1, axis=0)))))
-    if area < least:
-        raise error(f"{name}: spans {area:.3g} {unit}2, allowed: at least {least:.3g} {unit}2")
+    if area < min_area:
+        raise error(f"{name}: spans {area:.3g} {unit}2, allowed: at least {min_area:.3g} {unit}2")
     return polygon
 
 

@@ -151,10 +151,10 @@ def _tilt(board: Board, corners: Corners, size_px: tuple[int, int]) -> str:
     middle = (np.array(size_px) - 1) / 2
     matrix = np.array([[focal, 0, middle[0]], [0, focal, middle[1]], [0, 0, 1]])
     points = np.column_stack([board.corners[which], np.zeros(len(which))])
-    found, turn, _ = cv2.solvePnP(points, np.asarray(place_px, float), matrix, None)
+    found, rotation, _ = cv2.solvePnP(points, np.asarray(place_px, float), matrix, None)
     if not found:
         return ""
-    normal = cv2.Rodrigues(turn)[0][:, 2]
+    normal = cv2.Rodrigues(rotation)[0][:, 2]
     normal = normal if normal[2] < 0 else -normal  # the normal must point towards the camera
     # If the board's normal points to the right, the left side of the board is nearer to the camera.
     x, y = float(normal[0]), float(normal[1])

@@ -16,7 +16,7 @@ import numpy as np
 from .. import _kernels
 from ..plate.light import LitPlate
 from ..plate.region import Region
-from .silhouette import SILHOUETTE, Silhouettes, longest, numbers, to_image
+from .silhouette import SILHOUETTE, Silhouettes, numbers, reach_limits, to_image
 
 COARSE_RADIUS_PX = 3.5
 """Minimum radius of a part on the coarse grid [grid steps]. The grid skips rows and columns to save
@@ -114,7 +114,7 @@ def seeds_of(
         return seeds, parts[single]
     # Extend the boxes of the blobs so that they contain the eroded pixels and the edges that vote
     # in the Hough transform.
-    pad = np.rint(longest(parts[large])).astype(int)[:, None] + stride
+    pad = np.rint(reach_limits(parts[large])).astype(int)[:, None] + stride
     low, size_px = np.repeat((x0, y0), 2), np.repeat(plate.grey.shape[::-1], 2)
     boxes = np.clip(blobs[large, 3:].astype(int) * stride + low + pad * (-1, 1, -1, 1), 0, size_px)
     merged = np.concatenate([[False], large])[number]

@@ -108,8 +108,8 @@ def to_image(parts: np.ndarray, offset: np.ndarray) -> np.ndarray:
 def outlines(parts: np.ndarray, radius_px: np.ndarray) -> np.ndarray:
     """Return image offsets (n, RING, 2) [px] of points on the contours at the plate, for radii (n,)
     [px]."""
-    turn = 2 * np.pi * np.arange(RING) / RING
-    ring = np.stack([np.cos(turn), np.sin(turn)], axis=1)
+    angle = 2 * np.pi * np.arange(RING) / RING
+    ring = np.stack([np.cos(angle), np.sin(angle)], axis=1)
     return to_image(parts, radius_px[:, None, None] * ring)
 
 
@@ -119,7 +119,7 @@ def tops(places_px: np.ndarray, parts: np.ndarray) -> np.ndarray:
     return places_px + to_image(parts, lean) if np.any(lean) else places_px
 
 
-def longest(parts: np.ndarray) -> np.ndarray:
+def reach_limits(parts: np.ndarray) -> np.ndarray:
     """Return upper limits (n,) for the distance between each part's place and any point of its
     silhouette in the image [px]."""
     half = 0.5 * np.einsum("nij,nij->n", parts["across"], parts["across"])

@@ -35,9 +35,9 @@ from .watch import Watch
 RETRY_S = 0.5
 """Delay before the next attempt to open a camera that has failed [s]."""
 
-SILENCE_S, SILENT_IMAGES = 0.8, 5
-"""Time without an image after which the diagnostics report an error: the larger one of `SILENCE_S`
-[s] and `SILENT_IMAGES` image intervals."""
+TIMEOUT_S, TIMEOUT_IMAGES = 0.8, 5
+"""Time without an image after which the diagnostics report an error: the larger one of `TIMEOUT_S`
+[s] and `TIMEOUT_IMAGES` image intervals."""
 
 POLL_S = 0.05
 """Interval between two checks for a subscriber before a film starts [s]."""
@@ -332,12 +332,12 @@ class CameraNode(SafeLifecycleNode[CameraParameters]):
             )
             if self._fault:
                 findings.append(Finding(Level.ERROR, self._fault))
-            elif self._source.live and self._silent(now):
+            elif self._source.live and self._timed_out(now):
                 findings.append(
                     Finding(
                         Level.ERROR,
                         f"{self.options.device}: no image for {now - self._last_at:.1f} s; "
-                        f"{self._source.silence}",
+                        f"{self._source.advice}",
                     )
                 )
             if self._waits:
@@ -348,9 +348,9 @@ class CameraNode(SafeLifecycleNode[CameraParameters]):
             findings.append(Finding(Level.WARN, second_publisher))
         return worst(findings, f"images from {self.options.device}")
 
-    def _silent(self, now: float) -> bool:
-        allowed = SILENT_IMAGES / self.options.rate if self.options.rate else 0.0
-        return now - self._last_at > max(SILENCE_S, allowed)
+    def _timed_out(self, now: float) -> bool:
+        allowed = TIMEOUT_IMAGES / self.options.rate if self.options.rate else 0.0
+        return now - self._last_at > max(TIMEOUT_S, allowed)
 
     def _values(self) -> Mapping[str, object]:
         now, watch = time.monotonic(), self._watch
@@ -372,9 +372,9 @@ class CameraNode(SafeLifecycleNode[CameraParameters]):
 
 def main() -> None:
     """Run the node. With the argument --list, print the devices instead."""
-    words = sys.argv[1:]
-    if words[:1] == ["--list"]:
-        for line in listing(words[1:] or video_devices()):
+    arguments = sys.argv[1:]
+    if arguments[:1] == ["--list"]:
+        for line in listing(arguments[1:] or video_devices()):
             print(line)
         return
     run_node(CameraNode, CameraParameters)

@@ -38,7 +38,7 @@ class FilmSource:
     """
 
     live = False
-    silence = ""
+    advice = ""
 
     def __init__(
         self, settings: Settings, warn: Warn, clock: Callable[[], float] = time.monotonic
@@ -97,7 +97,7 @@ class PipeSource:
     """
 
     live = True
-    silence = "check that a program writes frames of this format and size to the pipe"
+    advice = "check that a program writes frames of this format and size to the pipe"
 
     def __init__(
         self, settings: Settings, warn: Warn, clock: Callable[[], float] = time.monotonic

@@ -137,12 +137,12 @@ class Source(Protocol):
     ----------
     live : bool
         True for a camera or a pipe; False for files.
-    silence : str
+    advice : str
         Advice to the user about the probable cause if no image arrives.
     """
 
     live: bool
-    silence: str
+    advice: str
 
     def open(self) -> None:
         """Prepare for `read`.
@@ -181,8 +181,8 @@ class Source(Protocol):
         """Close the device."""
 
 
-SILENT_CAMERA = "check that the camera is plugged in and does not wait for a trigger"
-"""Advice to the user if a camera sends no image (`Source.silence`)."""
+NO_IMAGE_ADVICE = "check that the camera is plugged in and does not wait for a trigger"
+"""Advice to the user if a camera sends no image (`Source.advice`)."""
 
 Warn = Callable[[str], None]
 
@@ -200,7 +200,7 @@ class Camera(ABC):
     """
 
     live = True
-    silence = SILENT_CAMERA
+    advice = NO_IMAGE_ADVICE
 
     def __init__(self, settings: Settings, warn: Warn, clock: Callable[[], float]) -> None:
         self.settings, self._warn, self._clock = settings, warn, clock

@@ -148,10 +148,10 @@ class V4l2Source(Camera):
             quick = [max(fit, key=lambda form: max(rates[form]))]
         slow = [form for form in quick if not rates[form] or min(rates[form]) <= 1.01 * rate]
         if requested.rate and not slow:
-            least = ", ".join(f"{min(rates[form]):.4g} with {form}" for form in quick)
+            minimum = ", ".join(f"{min(rates[form]):.4g} with {form}" for form in quick)
             raise CameraError(
                 f"{self.path}: rate is {rate:g} images per second at {size_px[0]} x {size_px[1]} "
-                f"px, allowed by {device.name}: at least {least}"
+                f"px, allowed by {device.name}: at least {minimum}"
             )
         form = (slow or quick)[0]
         self._rate = min(rate, max(rates[form])) if rates[form] else rate

@@ -118,7 +118,7 @@ class V4l2Device:
             kind = AbsentError if error.errno in ABSENT else CameraError
             raise kind(explained(path, error)) from None
         try:
-            found = self._ask(QUERYCAP, bytearray(104))
+            found = self._query(QUERYCAP, bytearray(104))
             self.driver, self.name = _text(found[0:16]), _text(found[16:48])
             of_all, of_this = struct.unpack_from("II", found, 84)
             if not (of_this if of_all & HAS_DEVICE_CAPS else of_all) & CAN_CAPTURE:
@@ -141,7 +141,7 @@ class V4l2Device:
         if file >= 0:
             os.close(file)
 
-    def _ask(self, request: int, data: bytearray) -> bytearray:
+    def _query(self, request: int, data: bytearray) -> bytearray:
         self._ioctl(self._file, request, data)
         return data
 
@@ -158,7 +158,7 @@ class V4l2Device:
         data = bytearray(208)
         struct.pack_into("I", data, 0, CAPTURE)
         try:
-            self._ask(S_FMT, self._ask(G_FMT, data))
+            self._query(S_FMT, self._query(G_FMT, data))
         except OSError as error:
             if error.errno == errno.EBUSY:
                 raise CameraError(explained(self.path, error)) from None
@@ -204,7 +204,7 @@ class V4l2Device:
             first = head(k)
             data[: len(first)] = first
             try:
-                yield self._ask(request, data)
+                yield self._query(request, data)
             except OSError:
                 return
 
@@ -216,7 +216,7 @@ class V4l2Device:
             data = bytearray(68)
             struct.pack_into("I", data, 0, number | NEXT)
             try:
-                self._ask(QUERYCTRL, data)
+                self._query(QUERYCTRL, data)
             except OSError:
                 break
             number, kind = struct.unpack_from("II", data, 0)
@@ -237,21 +237,21 @@ class V4l2Device:
             data = bytearray(44)
             struct.pack_into("II", data, 0, number, index)
             with suppress(OSError):
-                found.append(f"{index}: {_text(self._ask(QUERYMENU, data)[8:40])}")
+                found.append(f"{index}: {_text(self._query(QUERYMENU, data)[8:40])}")
         return tuple(found)
 
     def get(self, number: int) -> int | None:
         """Return the value of a control, or None if the value cannot be read."""
         data = bytearray(struct.pack("Ii", number, 0))
         try:
-            return int(struct.unpack_from("i", self._ask(G_CTRL, data), 4)[0])
+            return int(struct.unpack_from("i", self._query(G_CTRL, data), 4)[0])
         except (OSError, ValueError):  # a closed device causes a ValueError
             return None
 
     def set(self, number: int, value: int) -> bool:
         """Set a control. Return whether the device accepted the value."""
         try:
-            self._ask(S_CTRL, bytearray(struct.pack("Ii", number, value)))
+            self._query(S_CTRL, bytearray(struct.pack("Ii", number, value)))
         except OSError:
             return False
         return True
@@ -269,7 +269,7 @@ class V4l2Device:
         struct.pack_into("II", data, 0, 0, CAPTURE)
         struct.pack_into("I", data, 60, MMAP)
         try:
-            (flags,) = struct.unpack_from("I", self._ask(QUERYBUF, data), 12)
+            (flags,) = struct.unpack_from("I", self._query(QUERYBUF, data), 12)
         except OSError:
             return (True, True) if self.driver == "uvcvideo" else None
         return flags & CLOCK_MASK == MONOTONIC, flags & SOURCE_MASK == START_OF_EXPOSURE

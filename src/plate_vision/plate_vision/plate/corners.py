@@ -138,8 +138,8 @@ def _ordered(corners_px: np.ndarray, rig: Rig) -> np.ndarray:
     known = np.array(rig.camera.corners_px, float)
     if _area(corners_px) * _area(known) < 0:
         corners_px = corners_px[::-1]
-    turns = [np.roll(corners_px, -k, axis=0) for k in range(4)]
-    return min(turns, key=lambda one: float(np.sum((_normalised(one) - _normalised(known)) ** 2)))
+    orders = [np.roll(corners_px, -k, axis=0) for k in range(4)]
+    return min(orders, key=lambda one: float(np.sum((_normalised(one) - _normalised(known)) ** 2)))
 
 
 def _normalised(corners_px: np.ndarray) -> np.ndarray:

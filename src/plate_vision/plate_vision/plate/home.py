@@ -33,7 +33,7 @@ FOLLOWED_FIT_M = 3e-4
 the patterns of the markers are not read [m]. This maximum is smaller than `WORST_FIT_M`, so that
 other objects are not mistaken for markers."""
 
-QUIET = 0.2
+QUIET_ZONE = 0.2
 """Width of the border around a marker that is painted over together with the marker, relative to
 the marker's side [-]."""
 
@@ -221,7 +221,7 @@ def hide_markers(
     height, width = image.shape[:2]
     for corners in fiducials.corners:
         middle = corners.mean(axis=0)
-        border = middle + (1 + 2 * QUIET) * (corners - middle)
+        border = middle + (1 + 2 * QUIET_ZONE) * (corners - middle)
         border_px = home.to_image(to_home(pose, border))
         place = np.clip(np.rint(border_px), 0, [width - 1, height - 1]).astype(np.int32)
         # The median of the corners' colours is used, because a part may cover one of the corners.

@@ -70,7 +70,7 @@ BOW_M = 5e-4
 """Tolerated bow in the middle of an edge of the plate [m]. The larger one of this bow and `BOW_PX`
 is used. The edges of sawn plates deviate from a straight line by up to 0.3 mm."""
 
-TURN_RAD = np.radians(0.6)
+MAX_ROTATION_RAD = np.radians(0.6)
 """Tolerated rotation of the plate's outline relative to the prediction [rad]. For a plate of 300
 px, the rotation is measured with an accuracy of a tenth of this value. At the start of a cycle, the
 rotation of a moving plate is smaller than this value."""
@@ -124,7 +124,7 @@ SHIFT_TEXT_M = 5e-4
 """Minimum shift that is stated in a message [m]. This shift is the error of the measurement with
 noise and with corners that are rounded to a pixel."""
 
-TURN_TEXT_RAD = np.radians(0.2)
+MIN_TEXT_ROTATION_RAD = np.radians(0.2)
 """Minimum rotation that is stated in a message [rad]."""
 
 STRETCH_TEXT = 0.003
@@ -208,14 +208,14 @@ class OutlineGrid:
 OUTWARD = np.array([[0.0, -1.0], [1.0, 0.0], [0.0, 1.0], [-1.0, 0.0]])
 """Outward normals of the plate's edges, in the order of `Plate.corners`."""
 
-EDGE_WAY = np.array([[1.0, 0.0], [0.0, 1.0], [-1.0, 0.0], [0.0, -1.0]])
+EDGE_DIRECTION = np.array([[1.0, 0.0], [0.0, 1.0], [-1.0, 0.0], [0.0, -1.0]])
 """Directions of the edges, counter-clockwise."""
 
 
 def edge_points(half: np.ndarray, along: np.ndarray) -> np.ndarray:
     """Return points (4, S, 2) [m, plate_home] of the edges of a plate with these half sides (2,)
     [m], at places `along` (S,), -1 to 1."""
-    return half * (OUTWARD[:, None] + along[:, None] * EDGE_WAY[:, None])
+    return half * (OUTWARD[:, None] + along[:, None] * EDGE_DIRECTION[:, None])
 
 
 @dataclass(frozen=True, eq=False)
@@ -283,11 +283,11 @@ def contrasted(image: np.ndarray, grid: OutlineGrid) -> np.ndarray:
         if not len(row):
             return grey_levels(image).astype(np.float32)
         colours.append(np.median(image[row, column], axis=0))
-    way = np.subtract(*colours)
-    size = float(np.linalg.norm(way))
+    difference = np.subtract(*colours)
+    size = float(np.linalg.norm(difference))
     if size < MIN_STEP:
         return grey_levels(image).astype(np.float32)
-    return np.asarray(image.astype(np.float32) @ (way / size).astype(np.float32))
+    return np.asarray(image.astype(np.float32) @ (difference / size).astype(np.float32))
 
 
 def _fit_edge(
@@ -305,14 +305,16 @@ def _fit_edge(
     edge may belong to a frame, a shadow or a table.
     """
     candidate = _steps(profile, grid.offset)
-    best, most = None, SUPPORT
+    best, best_support = None, SUPPORT
     for reach in (grid.near, np.inf if limit is None else limit):
         for signed in candidate:
             offset = np.where(np.abs(signed) <= reach, signed, np.nan)
             found, support = _fit_curve(offset, signed, along, tolerance, rng)
             far = np.abs(found[0]) > grid.near
-            if support >= most and not (far and _is_line(profile, grid.offset, found, along)):
-                best, most = found, support
+            if support >= best_support and not (
+                far and _is_line(profile, grid.offset, found, along)
+            ):
+                best, best_support = found, support
         if best is not None:
             return best
     return None
@@ -342,12 +344,12 @@ def _steps(profile: np.ndarray, offset: np.ndarray) -> list[np.ndarray]:
     slope = np.stack([np.convolve(row, kernel[::-1], mode="valid") for row in profile])
     at = offset[4:-4]
     noise = 1.4826 * float(np.nanmedian(np.abs(slope - np.nanmedian(slope))))
-    least = max(MIN_STEP, NOISE_STEPS * noise)
+    threshold = max(MIN_STEP, NOISE_STEPS * noise)
     result = []
     for sign in (1.0, -1.0):
         height = np.nan_to_num(sign * slope, nan=0.0)
         left, middle, right = height[:, :-2], height[:, 1:-1], height[:, 2:]
-        peak = np.where((middle > left) & (middle >= right) & (middle >= least), middle, 0.0)
+        peak = np.where((middle > left) & (middle >= right) & (middle >= threshold), middle, 0.0)
         order = np.argsort(-peak, axis=1)[:, :CANDIDATES]
         rows = np.arange(len(peak))[:, None]
         bend = left + right - 2 * middle
@@ -403,7 +405,7 @@ class Deviation:
     ----------
     shift : (float, float)
         Shift of the plate's centre [m, plate_home].
-    turn : float
+    rotation : float
         Rotation [rad], counter-clockwise.
     stretch : (float, float)
         Relative change of length and width [-].
@@ -418,7 +420,7 @@ class Deviation:
     """
 
     shift: tuple[float, float]
-    turn: float
+    rotation: float
     stretch: tuple[float, float]
     bow: float
     bow_px: float
@@ -452,18 +454,18 @@ def deviation_of(outline: Outline, grid: OutlineGrid) -> Deviation:
         found = np.linalg.lstsq(same, away, rcond=None)[0]
         motion = np.array([*found, found[3]])
         terms = np.column_stack([same[:, :3], terms[:, 3:]])
-    x, y, turn, along, across = motion.tolist()
+    x, y, rotation, along, across = motion.tolist()
     corners = edge_points(grid.half, ends).reshape(-1, 2)
-    moved = motion[:2] + turn * np.column_stack([-corners[:, 1], corners[:, 0]])
+    moved = motion[:2] + rotation * np.column_stack([-corners[:, 1], corners[:, 0]])
     moved = moved + corners * motion[3:]
     bow_px = bow * grid.scale[seen]
     bent = np.abs(bow) > np.maximum(BOW_M, BOW_PX / grid.scale[seen])
-    mean, least = float(np.mean(bow)), np.min(np.sign(np.mean(bow)) * bow_px)
-    bowed = np.count_nonzero(bent) >= 2 and float(least) > -0.2 * float(np.max(np.abs(bow_px)))
+    mean, min_bow = float(np.mean(bow)), np.min(np.sign(np.mean(bow)) * bow_px)
+    bowed = np.count_nonzero(bent) >= 2 and float(min_bow) > -0.2 * float(np.max(np.abs(bow_px)))
     rest = float(np.max(np.abs(away - terms @ motion)))
     worst = max(float(np.max(np.hypot(*moved.T))), float(np.max(np.abs(bow))), rest)
     return Deviation(
-        (x, y), turn, (along, across), mean, float(np.mean(bow_px)), bool(bowed), rest, worst
+        (x, y), rotation, (along, across), mean, float(np.mean(bow_px)), bool(bowed), rest, worst
     )
 
 
@@ -544,10 +546,10 @@ class OutlineCheck:
             moving |= float(np.max(np.ptp(rows[:, :2], axis=0))) > REST_M
         outline = Outline(edges)
         facts = outline, grid, self.radius, self.bends, moving
-        finding, text = judge_outline(*facts)
+        finding, text = evaluate_outline(*facts)
         seen = int(np.count_nonzero(outline.seen)) >= MIN_EDGES
         if finding is not None or not seen:
-            finding, text = judge_outline(*facts, fitting_flips(image, grid))
+            finding, text = evaluate_outline(*facts, fitting_flips(image, grid))
         if moving and finding is None and self.finding is not None:
             # Keep the last finding: images of a moving plate cannot prove that it is no longer
             # true.
@@ -558,7 +560,7 @@ class OutlineCheck:
         )
 
 
-def judge_outline(
+def evaluate_outline(
     outline: Outline,
     grid: OutlineGrid,
     radius: float,
@@ -580,7 +582,7 @@ def judge_outline(
     found = deviation_of(outline, grid)
     stroke = grid.stroke if moving else 0.0
     shifted = np.hypot(*found.shift) > grid.near + np.sqrt(2) * stroke
-    turned = abs(found.turn) > TURN_RAD + 2 * stroke / float(grid.half.min())
+    turned = abs(found.rotation) > MAX_ROTATION_RAD + 2 * stroke / float(grid.half.min())
     pixel = 1 / float(np.median(grid.scale))
     stretched = max(map(abs, found.stretch)) > max(STRETCH, pixel / float(grid.half.min()))
     reshaped = found.rest > grid.near
@@ -626,10 +628,12 @@ def _moved_text(found: Deviation) -> str:
     (x, y), (along, across) = found.shift, found.stretch
     is_ = ["it"]
     if np.hypot(x, y) >= SHIFT_TEXT_M:
-        x_mm, y_mm = (round(1e3 * way, 1) + 0.0 for way in (x, y))  # adding 0.0 changes -0.0 to 0.0
+        x_mm, y_mm = (
+            round(1e3 * value, 1) + 0.0 for value in (x, y)
+        )  # adding 0.0 changes -0.0 to 0.0
         is_.append(f"is shifted by ({x_mm:.1f}, {y_mm:.1f}) mm")
-    if abs(found.turn) >= TURN_TEXT_RAD:
-        is_.append(f"is rotated by {np.degrees(found.turn):.1f} degrees")
+    if abs(found.rotation) >= MIN_TEXT_ROTATION_RAD:
+        is_.append(f"is rotated by {np.degrees(found.rotation):.1f} degrees")
     differ = abs(along - across) > STRETCH
     if differ:
         is_.append(f"is {_percent(along)} in length and {_percent(across)} in width")

@@ -50,7 +50,7 @@ from ..plate.outline import measure_outline
 PERIOD_S = 0.4
 """Minimum time between two measured pictures [s]. A measurement takes 30 to 150 ms."""
 
-SILENT_S = 1.0
+TIMEOUT_S = 1.0
 """Time without an image after which the view reports an error [s]."""
 
 OTHER_NODES = (
@@ -128,7 +128,7 @@ class AimingView:
         node.managed_service(TakeLensPictures, "~/take_lens_pictures", self._on_take)
         node.managed_service(Trigger, "~/fit_lens", self._on_fit)
         node.managed_service(Trigger, "~/save_lens", self._on_save)
-        node.managed_timer(SILENT_S, self._report_silence)
+        node.managed_timer(TIMEOUT_S, self._report_timeout)
         done = node.create_guard_condition(self._take_results)
         node.keep(node.destroy_guard_condition, done)
         self._wake = done.trigger
@@ -142,7 +142,7 @@ class AimingView:
         self._field: AimField | None = None
         self._focus = Focus()
         self._lens: LensJob | None = None
-        self._home, self._wants_home = "", False
+        self._home, self._home_requested = "", False
         # whether the home in the rig file was measured with an older lens
         self._home_is_old = False
         # Measured corners of the plate that are not yet written to the rig file.
@@ -159,7 +159,7 @@ class AimingView:
     def needed(self) -> bool:
         """Whether the result of any measurement is needed."""
         taking = self._lens is not None and self._lens.state == LensPictures.TAKING
-        return taking or self._wants_home or self._publisher.get_subscription_count() > 0
+        return taking or self._home_requested or self._publisher.get_subscription_count() > 0
 
     def add_image(self, image: np.ndarray, stamp: Time, refused: str = "") -> None:
         """Pass an image (H, W) or (H, W, 3) uint8 to the worker thread if measurements are needed
@@ -195,8 +195,8 @@ class AimingView:
 
     def _step(self, image: np.ndarray, situation: Situation) -> None:
         """If requested, search the image for the plate at home or for a calibration board."""
-        if self._wants_home:
-            self._wants_home = False
+        if self._home_requested:
+            self._home_requested = False
             self._find_home(image, situation)
         lens = self._lens
         if lens is None or lens.state != LensPictures.TAKING:
@@ -339,25 +339,25 @@ class AimingView:
             if self._node.active:
                 result()
 
-    def _report_silence(self) -> None:
+    def _report_timeout(self) -> None:
         """Publish an error if no image arrives."""
         if not self._publisher.get_subscription_count():
             return
-        silence = time.monotonic() - self._image_at
-        if silence < SILENT_S:
+        image_age_s = time.monotonic() - self._image_at
+        if image_age_s < TIMEOUT_S:
             return
         msg = Aim(sharpness=math.nan, sharpness_best=math.nan, sharpness_change=math.nan)
         msg.header.stamp = self._node.get_clock().now().to_msg()
         text = "no image has arrived; check that the camera runs"
-        if math.isfinite(silence):
-            text = f"no image for {silence:.0f} s; check that the camera runs"
+        if math.isfinite(image_age_s):
+            text = f"no image for {image_age_s:.0f} s; check that the camera runs"
         msg.checks = [AimCheck(name="picture", level=AimCheck.ERROR, text=text)]
         msg.home, msg.home_found = self._home, bool(self._corners)
         msg.lens = self._progress()
         self._publisher.publish(msg)
 
     def _on_find_home(self, _: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
-        self._home, self._corners, self._wants_home = "searching in the next image", (), True
+        self._home, self._corners, self._home_requested = "searching in the next image", (), True
         self._measured_at = -math.inf
         response.success, response.message = True, self._home
         return response
@@ -432,12 +432,12 @@ class AimingView:
             size_px = before.camera.width_px, before.camera.height_px
             check_size("size of the pictures is", lens.fit.size_px, size_px)
 
-            def says(rig: Rig) -> bool:
+            def is_changed(rig: Rig) -> bool:
                 new = rig_lens(rig)
                 rest = replace(rig, camera=replace(rig.camera, lens=before.camera.lens))
                 return new is not None and lens_keys(new) == keys and rest == before
 
-            edit_rig(self._path, {("camera",): keys}, says)
+            edit_rig(self._path, {("camera",): keys}, is_changed)
             self._take_lens(lens.fit.lens)
         except (PlateError, OSError) as error:
             response.message = str(error)

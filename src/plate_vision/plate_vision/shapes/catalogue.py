@@ -140,11 +140,11 @@ def _corner_rings(part: PartType) -> list[np.ndarray]:
     rings = [part.polygon]
     if part.radius_m:
         step = 2 * np.pi / len(rings[0])
-        turn = step * np.arange(len(rings[0]))
+        angle = step * np.arange(len(rings[0]))
         rings[0] = (
             part.radius_m
             * np.sqrt(step / np.sin(step))
-            * np.column_stack([np.cos(turn), np.sin(turn)])
+            * np.column_stack([np.cos(angle), np.sin(angle)])
         )
     return rings + [np.array(hole) for hole in part.holes]
 
@@ -164,7 +164,7 @@ class Catalogue:
         Length of the outer contour [m].
     reach : (T,)
         Maximum distance of the contour from the centre [m].
-    scatter : (T,)
+    outline_rms : (T,)
         RMS difference between the outlines of parts of this type [m].
     colour : (T, 3)
         CIE L, a, b; NaN if unknown.
@@ -179,7 +179,7 @@ class Catalogue:
     filled_area: np.ndarray
     perimeter: np.ndarray
     reach: np.ndarray
-    scatter: np.ndarray
+    outline_rms: np.ndarray
     colour: np.ndarray
     form: np.ndarray
     height: np.ndarray

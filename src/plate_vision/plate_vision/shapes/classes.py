@@ -117,7 +117,7 @@ HEIGHT_ERROR_PX = 0.1
 """Standard deviation of a position on the plate along each axis after the correction for height
 [px]. The error occurs because side faces are darker or brighter than the top."""
 
-FEWEST_NAMED = 3
+MIN_NAMED = 3
 """Minimum number of parts with a type from which the shadow length and the growth are measured."""
 
 MIN_SWELL_PX, MAX_SWELL_PX = 0.3, 1.5
@@ -269,9 +269,11 @@ def _compared(
     if background is not None and background.learned:
         hole_check = HoleCheck(image, background, calibration)
     if catalogue.templates:
-        reach_px, scatter_px = (np.outer(scale, x) for x in (catalogue.reach, catalogue.scatter))
-        fit = FIT_PX**2 + (FIT_REACH * reach_px) ** 2 + (0.5 * scatter_px) ** 2
-        size = SIZE_PX**2 + (SIZE_REACH * reach_px) ** 2 + scatter_px**2
+        reach_px, outline_rms_px = (
+            np.outer(scale, x) for x in (catalogue.reach, catalogue.outline_rms)
+        )
+        fit = FIT_PX**2 + (FIT_REACH * reach_px) ** 2 + (0.5 * outline_rms_px) ** 2
+        size = SIZE_PX**2 + (SIZE_REACH * reach_px) ** 2 + outline_rms_px**2
         filled = np.array([[one.filled.area for one in own] for own in on_plate])[which].T
         own_area = catalogue.filled_area + swell / scale[:, None] * catalogue.perimeter
         swell_px = scale[:, None] * np.abs(filled - own_area) / catalogue.perimeter
@@ -289,13 +291,15 @@ def _compared(
         # includes the colour in the hole. Therefore the colour has less weight.
         holed = np.array([bool(one.part.holes) for one in catalogue.templates])
         weight = np.where(holed & (hole_check is not None), FILLED_COLOUR, 1.0)
-        least = (weight * tint / COLOUR_LAB) ** 2 + np.maximum(swell_px - SLACK_PX, 0) ** 2 / size
-        least[other] = np.inf
+        min_score = (weight * tint / COLOUR_LAB) ** 2 + np.maximum(
+            swell_px - SLACK_PX, 0
+        ) ** 2 / size
+        min_score[other] = np.inf
         for i in range(len(outlines)):
             seen = [own[i] for own in on_plate]
             own_outlines = [seen[level] for level in which]
-            _judge_one(
-                found[i], own_outlines, catalogue, scale[i], least[i], fit[i], size[i], tint[i],
+            _evaluate_one(
+                found[i], own_outlines, catalogue, scale[i], min_score[i], fit[i], size[i], tint[i],
                 hole_check, swell,
             )  # fmt: skip
     error_px = np.hypot(
@@ -304,7 +308,7 @@ def _compared(
     )
     if lamp is not None:
         # Errors of the shadow's length and edge cause a position error that is half as large.
-        shadow_px = np.hypot(lamp.scatter_px, max(swell, MIN_SWELL_PX))
+        shadow_px = np.hypot(lamp.length_sd_px, max(swell, MIN_SWELL_PX))
         error_px = np.hypot(error_px, 0.5 * shadow_px)
     if len(levels) > 1 or levels[0] > 0:
         error_px = np.hypot(error_px, HEIGHT_ERROR_PX)
@@ -413,12 +417,12 @@ def colour_distance(a: np.ndarray, b: np.ndarray, coloured: bool) -> np.ndarray:
     return np.asarray(np.sqrt(np.sum(gap**2, axis=-1)))
 
 
-def _judge_one(
+def _evaluate_one(
     row: np.void,
     outlines: Sequence[Outline],
     catalogue: Catalogue,
     scale: float,
-    least: np.ndarray,
+    min_score: np.ndarray,
     fit_square: np.ndarray,
     size_square: np.ndarray,
     tint: np.ndarray,
@@ -428,26 +432,28 @@ def _judge_one(
     """Find the type of one patch, and write it to its record `row` () SIGHTING.
 
     Each of the following arguments contains one value per type (T,). `outlines` are the patch's
-    outlines for the types' heights. `least` are the minimum scores. `fit_square` and `size_square`
-    are the variances of the outline and of the size [px2]. `tint` are the distances of the colours.
-    `swell` is the growth of all outlines [px]."""
+    outlines for the types' heights. `min_score` are the minimum scores. `fit_square` and
+    `size_square` are the variances of the outline and of the size [px2]. `tint` are the distances
+    of the colours. `swell` is the growth of all outlines [px]."""
     best, second, chosen, kept = np.inf, np.inf, -1, np.empty(0)
     laid, points = catalogue.templates[0], outlines[0].points
-    for j in np.argsort(least).tolist():
-        most = min(LIMIT**2, best + HOPELESS)
-        if least[j] > most:
+    for j in np.argsort(min_score).tolist():
+        max_score = min(LIMIT**2, best + HOPELESS)
+        if min_score[j] > max_score:
             break
         outline = outlines[j]
-        for template, seen, holes in _ways_to_lay(catalogue.templates[j], outline, hole_check):
-            hopeless = ASTRAY * np.sqrt(most * fit_square[j]) / scale
+        for template, seen, holes in _combinations(catalogue.templates[j], outline, hole_check):
+            hopeless = ASTRAY * np.sqrt(max_score * fit_square[j]) / scale
             fit = lay_on(template, seen, scale, hopeless)
             score = (scale * fit[4]) ** 2 / fit_square[j] + (
                 scale * fit[3] - swell
             ) ** 2 / size_square[j]
             weight = 1.0
             if holes is None:
-                share = max(outline.hole_fraction, catalogue.templates[j].outline.hole_fraction)
-                holes = share / HOLES
+                hole_fraction = max(
+                    outline.hole_fraction, catalogue.templates[j].outline.hole_fraction
+                )
+                holes = hole_fraction / HOLES
                 if hole_check is not None and score < min(LIMIT**2, best):
                     penalty = hole_check.penalty(catalogue.templates[j], fit)
                     if penalty is not None:
@@ -481,10 +487,10 @@ def _judge_one(
     row["confidence"] = (1 - best / LIMIT**2) * (1 - np.exp(-0.5 * (second - best)))
 
 
-def _ways_to_lay(
+def _combinations(
     template: Template, outline: Outline, hole_check: HoleCheck | None
 ) -> list[tuple[Template, Outline, float | None]]:
-    """Return the combinations of a type and an outline that `_judge_one` fits. Each combination
+    """Return the combinations of a type and an outline that `_evaluate_one` fits. Each combination
     consists of a template, an outline, and the penalty for the holes in standard deviations. The
     penalty is None if it depends on the image in the holes."""
     own, seen = bool(template.part.holes), len(outline.ends) > 1
@@ -506,7 +512,7 @@ def _final(
 ) -> Conditions:
     """Return the conditions, measured with those detections (n,) SIGHTING that have a type."""
     named = np.flatnonzero(is_named(found) & found["whole"])
-    if len(named) < FEWEST_NAMED:
+    if len(named) < MIN_NAMED:
         return replace(conditions, final=True)
     swell = float(np.median(found["swell_px"][named]))
     if abs(swell) < MIN_SWELL_PX:
@@ -538,9 +544,9 @@ def _measured(
     numbers = {one.part.name: j for j, one in enumerate(catalogue.templates)}
     centre = np.column_stack([found["x"], found["y"]])[named]
     scale = calibration.scale(centre)
-    way = calibration.to_home(calibration.to_image(centre) + lamp.shift_px) - centre
+    shift = calibration.to_home(calibration.to_image(centre) + lamp.shift_px) - centre
     lengths = []
-    for i, shadow in zip(named.tolist(), way, strict=True):
+    for i, shadow in zip(named.tolist(), shift, strict=True):
         u = shadow / np.hypot(*shadow)
         axes = np.array([[u[0], -u[1]], [u[1], u[0]]])
         part = catalogue.templates[numbers[found["label"][i]]].part
@@ -553,21 +559,23 @@ def _measured(
         end = np.min(body[:, 0]) + seen[0] - swell
         if end > np.max(body[:, 0]):  # a shadow that ends within the part is not visible
             lengths.append(end - np.max((base @ axes)[:, 0]))
-    if len(lengths) < FEWEST_NAMED:
+    if len(lengths) < MIN_NAMED:
         return lamp
     length_px = np.array(lengths) * float(np.median(scale))
     usual = max(float(np.median(length_px)), MIN_PX)
     spread = float(np.median(np.abs(length_px - usual)))
     unit = lamp.shift_px / np.hypot(*lamp.shift_px)
-    return replace(lamp, shift_px=usual * unit, scatter_px=1.5 * spread)
+    return replace(lamp, shift_px=usual * unit, length_sd_px=1.5 * spread)
 
 
-def note_type(row: np.void, part: PartType, fit: np.ndarray, scatter: float, scale: float) -> None:
+def note_type(
+    row: np.void, part: PartType, fit: np.ndarray, deviation: float, scale: float
+) -> None:
     """Write a type to the record `row` () SIGHTING. `fit` (3,) is the part's x, y [m] and angle
-    [rad], and `scatter` is the standard deviation of the angle [rad]."""
+    [rad], and `deviation` is the standard deviation of the angle [rad]."""
     row["label"] = part.name
     row["x"], row["y"] = fit[:2]
-    row["angle"], row["angle_sd"] = wrapped(fit[2], part.symmetry), scatter
+    row["angle"], row["angle_sd"] = wrapped(fit[2], part.symmetry), deviation
     row["radius_px"] = np.sqrt(part.area_m2 / np.pi) * scale
 
 
@@ -583,11 +591,11 @@ def angle_sd(
     increased.
     """
     period = 2 * np.pi / max(template.part.symmetry, 1)
-    most = period / np.sqrt(12)
+    max_sd = period / np.sqrt(12)
     if template.part.symmetry == 0:
-        return float(most)
-    scatter = _kernels.turn_scatter(template.edges, points, fit, template.lever2, 1 / scale, gate)
-    return float(min(scatter, most))
+        return float(max_sd)
+    sd = _kernels.turn_scatter(template.edges, points, fit, template.lever2, 1 / scale, gate)
+    return float(min(sd, max_sd))
 
 
 def wrapped(angle: float, symmetry: int) -> float:

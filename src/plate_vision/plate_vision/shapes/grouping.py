@@ -200,7 +200,7 @@ def alike(one: Traits, other: Traits, spread: Traits = ALIKE) -> bool:
     )
 
 
-def pieces_of(solids: list[Solid], least_area: float, limit: float, pixels: int) -> list[Piece]:
+def pieces_of(solids: list[Solid], min_area: float, limit: float, pixels: int) -> list[Piece]:
     """Return the parts and groups of parts of which patches consist. If the analysis of a patch
     would visit too many pixels, the patch is returned as a group.
 
@@ -208,7 +208,7 @@ def pieces_of(solids: list[Solid], least_area: float, limit: float, pixels: int)
     ----------
     solids : list of Solid
         The patches.
-    least_area : float
+    min_area : float
         Minimum area of a part [px2].
     limit : float
         Maximum deviation of colours that is noise or texture [L].
@@ -234,12 +234,12 @@ def pieces_of(solids: list[Solid], least_area: float, limit: float, pixels: int)
             sure += [Piece(labels == k, rank, False) for k in range(1, count + 1)]
         else:
             unsure.append((rank, labels, necks))
-    known = [piece.traits for piece in sure if piece.area >= least_area]
+    known = [piece.traits for piece in sure if piece.area >= min_area]
     for rank, labels, necks in unsure:
         found = _decided(labels, necks, rank, known)
         sure += found
         known += [piece.traits for piece in found if not piece.group]
-    sure = [piece for piece in sure if piece.area >= least_area]
+    sure = [piece for piece in sure if piece.area >= min_area]
     return _cut_by_kind(_without_shreds(sure, solids), solids, limit, pixels, work)
 
 
@@ -256,8 +256,8 @@ def _without_shreds(pieces: list[Piece], solids: list[Solid]) -> list[Piece]:
             if piece.solidity > COMPACT
             or any(alike(piece.traits, one.traits) for one in pieces if one is not piece)
         ]
-        share = sum(piece.area for piece in good) / sum(piece.area for piece in own)
-        if len(own) > 1 and share < MIN_GOOD:
+        good_fraction = sum(piece.area for piece in good) / sum(piece.area for piece in own)
+        if len(own) > 1 and good_fraction < MIN_GOOD:
             own = [Piece(solids[rank][0], rank, True, group=len(own) > 2)]
         kept += own
     return kept
@@ -355,8 +355,8 @@ def _along_edges(
         return [piece]
     best: list[Piece] = [piece]
     areas = [kind[0] for kind in kinds]
-    least = SMALLER * min(np.median(areas) if areas else np.inf, piece.area)
-    most = MIN_SEPARATED * piece.area
+    min_area = SMALLER * min(np.median(areas) if areas else np.inf, piece.area)
+    max_parted = MIN_SEPARATED * piece.area
     borders = [
         inner & (steep > max(np.percentile(steep[inner], percent), STEEP * limit))
         for percent in EDGES_PERCENT
@@ -371,11 +371,11 @@ def _along_edges(
             one
             for one in found
             if any(alike(one.traits, kind, RATHER_ALIKE) for kind in kinds)
-            or (one.solidity > CONVEX and one.area > least)
+            or (one.solidity > CONVEX and one.area > min_area)
         ]
         parted = sum(one.area for one in good)
-        if len(good) > 1 and parted > most:
-            most = parted
+        if len(good) > 1 and parted > max_parted:
+            max_parted = parted
             best = _shared_out(good, piece)
     # The remaining pieces are split along their inner edges.
     return [

@@ -58,7 +58,7 @@ inside the group."""
 MAX_OUTSIDE: float = _kernels.MAX_OUTSIDE
 """Maximum fraction of a part that is outside the group."""
 
-RIM_POINTS = 200
+CONTOUR_POINTS = 200
 """Number of points on the contour of a group."""
 
 ENOUGH_PX = 10.0
@@ -68,7 +68,7 @@ reach in the image, the image is reduced before parts are searched."""
 TOUCH_PX = 2
 """Maximum distance between patches that may belong to one part, or to one group [px]."""
 
-RIM_STEP_PX = 2.0
+CONTOUR_STEP_PX = 2.0
 """Displacement of a part's contour between two successive angles that are tried [px]."""
 
 STRIDE = 0.15
@@ -107,7 +107,7 @@ have at least this area."""
 LARGER = 1.1
 """Maximum area of a single part of a type, relative to the area of the largest type."""
 
-LEFT = 0.4
+MIN_REST = 0.4
 """Minimum area of the rest of a group that may be a part, relative to the area of the smallest
 type."""
 
@@ -122,7 +122,7 @@ STEPS = 8
 
 
 @dataclass(frozen=True, eq=False)
-class Found:
+class DetectedPart:
     """A part that was found in a group.
 
     Attributes
@@ -171,7 +171,7 @@ class View:
         (3,)."""
         return to_home(pose, points) @ self.to_px[:, :2].T + self.to_px[:, 2]
 
-    def drawn(self, part: Found) -> np.ndarray:
+    def drawn(self, part: DetectedPart) -> np.ndarray:
         """Return the mask (h, w) uint8 of a part."""
         image = np.zeros(self.mask.shape, np.uint8)
         kind = part.template.part
@@ -220,12 +220,12 @@ def explain_groups(
     if explained.all() or not catalogue.templates:
         return seen
     kept, added = np.ones(len(seen), bool), []
-    least = np.min(catalogue.area)
+    min_area = np.min(catalogue.area)
     area = np.pi * (seen["radius_px"] / calibration.scale(_places(seen))) ** 2
     tries = Work(MAX_TRIES)
     clusters = _clusters(patches, explained, image.shape[:2])
     for members in sorted(clusters, key=lambda one: float(np.sum(area[one]))):
-        if np.sum(area[members]) < TWO * least or not tries.left:
+        if np.sum(area[members]) < TWO * min_area or not tries.left:
             continue
         own = members[~explained[members]]
         for chosen in (members, own) if len(own) < len(members) else (members,):
@@ -296,36 +296,36 @@ def _parts(
 ) -> np.ndarray:
     """Return the detections (n,) SIGHTING of the parts of a group and of its rest. The result is
     empty if no parts are found. `one` (1,) is the detection of the whole group."""
-    outlines, _ = measure_patches(image, [union], calibration, RIM_POINTS)
+    outlines, _ = measure_patches(image, [union], calibration, CONTOUR_POINTS)
     here, mask = union.windowed(image.shape)
     corner = here[1].start, here[0].start
     place = _places(one)
     scale = float(calibration.scale(place)[0])
     steps = np.array([[0.0, 0], [1, 0], [0, 1]]) / scale
     origin, right, up = calibration.to_image(place + steps)
-    turn = np.column_stack([right - origin, up - origin]) * scale
-    to_px = np.column_stack([turn, origin - corner - turn @ place[0]])
+    linear = np.column_stack([right - origin, up - origin]) * scale
+    to_px = np.column_stack([linear, origin - corner - linear @ place[0]])
     view = View(mask, image[here], to_px, scale, outlines[0])
     lamp = None if conditions is None else conditions.lamp
     levels, _, usual = height_levels(catalogue, calibration)
     if levels[usual] or lamp is not None:
         view = _on_plate(view, calibration, levels[usual], lamp)
-    most = LARGER * float(np.max(catalogue.filled_area))
-    uncertain = one["label"][0] == UNKNOWN and outlines[0].filled.area < most
+    max_area = LARGER * float(np.max(catalogue.filled_area))
+    uncertain = one["label"][0] == UNKNOWN and outlines[0].filled.area < max_area
     found = take_apart(_coarser(view, catalogue), catalogue, uncertain, tries)
     # The search used a reduced resolution. Fit the parts again to the contour at full resolution.
     found = [replace(part, pose=view.fitted(part.template, part.pose)) for part in found]
     left = view.mask
     for part in found:
         left = _without(view, left, part)
-    rest = _pieces(left, corner, LEFT * float(np.min(catalogue.area)) * scale**2)
+    rest = _pieces(left, corner, MIN_REST * float(np.min(catalogue.area)) * scale**2)
     if len(found) + len(rest) < 2 or not found:
         return np.empty(0, SIGHTING)
     parts = np.zeros(len(found), SIGHTING)
     for row, part in zip(parts, found, strict=True):
         fit, gate = np.append(part.pose, (0, 0)), 2 * NEAR_PX / scale
-        scatter = angle_sd(part.template, view.outline.points, fit, scale, gate)
-        note_type(row, part.template.part, fit, scatter, scale)
+        deviation = angle_sd(part.template, view.outline.points, fit, scale, gate)
+        note_type(row, part.template.part, fit, deviation, scale)
         row["confidence"], row["colour"], row["whole"] = part.seen, part.tint, union.whole
     parts["x_px"], parts["y_px"] = calibration.to_image(_places(parts)).T
     return np.concatenate([parts, recognise(image, rest, catalogue, calibration)])
@@ -350,14 +350,14 @@ def _on_plate(view: View, calibration: Calibration, height: float, lamp: Lamp | 
     return replace(view, pixels=pixels)
 
 
-def _pieces(left: np.ndarray, corner: tuple[int, int], least: float) -> list[Patch]:
+def _pieces(left: np.ndarray, corner: tuple[int, int], min_area: float) -> list[Patch]:
     """Return the connected pieces of the rest (h, w) uint8 of a group. Each piece has at least
-    `least` pixels. `corner` is the first pixel of the window in the image [px]."""
+    `min_area` pixels. `corner` is the first pixel of the window in the image [px]."""
     _, labels, stats, _ = cv2.connectedComponentsWithStats(left, connectivity=4)
     pieces = []
     for label in range(1, len(stats)):
         x, y, w, h, area = stats[label].tolist()
-        if area >= least:
+        if area >= min_area:
             own = labels[y : y + h, x : x + w] == label
             place = corner[0] + x, corner[1] + y
             pieces.append(Patch(own, place, own.astype(np.float32), group=True))
@@ -382,20 +382,20 @@ def _coarser(view: View, catalogue: Catalogue) -> View:
 
 def take_apart(
     view: View, catalogue: Catalogue, uncertain: bool = False, tries: Work | None = None
-) -> list[Found]:
+) -> list[DetectedPart]:
     """Return the parts of a group, with poses in plate_home. The result is empty if no parts are
     found. If `uncertain`, the group may be a single part, so parts are returned only if they cover
     the group completely. `tries` is the number of combinations that may still be tried for this
     group and other groups."""
     tries = tries or Work(TRIES)
     border = _edge_distances(view)
-    least, most = np.array([np.min(catalogue.area), np.max(catalogue.area)]) * view.scale**2
-    if np.count_nonzero(view.mask) > MAX_PARTS * most:
+    min_area, max_area = np.array([np.min(catalogue.area), np.max(catalogue.area)]) * view.scale**2
+    if np.count_nonzero(view.mask) > MAX_PARTS * max_area:
         return []
     choices = _candidates(view, catalogue, border, border)
     # Best-first search: the next tried combination of parts is the one with the smallest sum of
     # ranks. The best candidate has the rank 0, the second best candidate has the rank 1, and so on.
-    open_: list[tuple[int, int, int, tuple[Found, ...], np.ndarray, list[Found]]] = []
+    open_: list[tuple[int, int, int, tuple[DetectedPart, ...], np.ndarray, list[DetectedPart]]] = []
     number = itertools.count()
     heapq.heappush(open_, (0, 0, 0, (), view.mask, choices))
     for _ in range(TRIES):
@@ -404,7 +404,7 @@ def take_apart(
         passed, depth, _, parts, left, fitting = heapq.heappop(open_)
         if parts:
             left = _without(view, left, parts[-1])
-        if np.count_nonzero(left) <= LEFT * least:
+        if np.count_nonzero(left) <= MIN_REST * min_area:
             if _covers(view, parts):
                 return list(parts)
             continue
@@ -427,7 +427,7 @@ def take_apart(
     return sure
 
 
-def _covers(view: View, parts: Sequence[Found]) -> bool:
+def _covers(view: View, parts: Sequence[DetectedPart]) -> bool:
     """Whether parts cover a group."""
     union = np.zeros_like(view.mask)
     for part in parts:
@@ -457,7 +457,7 @@ def _signed_distance(mask: np.ndarray) -> np.ndarray:
     return np.asarray(np.where(mask > 0, inside - 0.5, 0.5 - outside), np.float32)
 
 
-def _without(view: View, left: np.ndarray, part: Found) -> np.ndarray:
+def _without(view: View, left: np.ndarray, part: DetectedPart) -> np.ndarray:
     """Return the rest (h, w) uint8 of a group after a part was removed."""
     own = view.drawn(part)
     rest = np.where(cv2.dilate(own, np.ones((3, 3), np.uint8)) > 0, 0, left).astype(np.uint8)
@@ -470,7 +470,7 @@ def _without(view: View, left: np.ndarray, part: Found) -> np.ndarray:
 
 def _candidates(
     view: View, catalogue: Catalogue, free: np.ndarray, border: np.ndarray
-) -> list[Found]:
+) -> list[DetectedPart]:
     """Return parts that fit into the free area (h, w). The best part comes first. `border` (h, w)
     is the signed distance from the group's contour [px]."""
     free_area = np.count_nonzero(free > 0) / view.scale**2
@@ -489,12 +489,12 @@ def _candidates(
             if tint > LIMIT * COLOUR_LAB:
                 continue
             value = seen**2 * perimeter * np.exp(-0.5 * (tint / COLOUR_LAB) ** 2)
-            ranked.append((value, Found(template, fit, seen, tint)))
+            ranked.append((value, DetectedPart(template, fit, seen, tint)))
     ranked.sort(key=lambda pair: -pair[0])
     return [found for _, found in ranked]
 
 
-def _fits(view: View, part: Found, free: np.ndarray, border: np.ndarray) -> bool:
+def _fits(view: View, part: DetectedPart, free: np.ndarray, border: np.ndarray) -> bool:
     """Whether a part is inside the free area (h, w)."""
     return _support(view, part.template, part.pose, free, border)[1] <= MAX_OUTSIDE
 
@@ -518,10 +518,12 @@ def _placed(
     first."""
     part = template.part
     pole, depth = template.pole
-    turns = np.zeros(1)
+    angles = np.zeros(1)
     if part.symmetry:
-        count = int(np.ceil(2 * np.pi * part.reach_m * view.scale / RIM_STEP_PX / part.symmetry))
-        turns = 2 * np.pi / part.symmetry * np.arange(count) / count
+        count = int(
+            np.ceil(2 * np.pi * part.reach_m * view.scale / CONTOUR_STEP_PX / part.symmetry)
+        )
+        angles = 2 * np.pi / part.symmetry * np.arange(count) / count
     stride = max(1, int(STRIDE * part.reach_m * view.scale))
     found = _kernels.search(
         free,
@@ -531,7 +533,7 @@ def _placed(
         template.inner,
         pole,
         depth * view.scale - OUTSIDE_PX,
-        turns,
+        angles,
         stride,
     )
     kept: list[np.ndarray] = []

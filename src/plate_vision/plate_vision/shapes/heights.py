@@ -22,7 +22,7 @@ import cv2
 import numpy as np
 
 from .. import _kernels
-from .outlines import FEWEST_POINTS, Outline, make_outline
+from .outlines import MIN_HOLE_POINTS, Outline, make_outline
 
 FINE = 8
 """Number of sub-pixels along each side of a pixel with which footprints are drawn."""
@@ -144,9 +144,9 @@ def _rings(cover: np.ndarray, count: int) -> list[np.ndarray]:
     found = []
     for i in [largest, *(i for i in range(len(contours)) if tree[0, i, 3] == largest)]:
         ring = contours[i][:, 0]
-        share = max(round(count * len(ring) / len(contours[largest])), FEWEST_POINTS)
+        hole_count = max(round(count * len(ring) / len(contours[largest])), MIN_HOLE_POINTS)
         if len(ring) >= 4:
-            points = np.empty((count if i == largest else share, 2))
+            points = np.empty((count if i == largest else hole_count, 2))
             _kernels.find_edge(cover, ring, i != largest, points)
             found.append(points)
     return found

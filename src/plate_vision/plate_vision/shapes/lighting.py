@@ -213,11 +213,11 @@ def fit_light(lit: Lit, before: Light | None = None) -> Light:
     likely = [one for one in found if one[0] > AMBIGUOUS * found[0][0]]
     if len(likely) > 1:
         likely.sort(key=lambda one: -one[0] * lit.connected(one[1]))
-    share = float(np.mean(likely[0][2])) if likely else 0.0
-    if share < MIN_SHOWN:
+    fraction = float(np.mean(likely[0][2])) if likely else 0.0
+    if fraction < MIN_SHOWN:
         low, high = FACTORS
         raise ImageError(
-            f"light: {100 * share:.0f} % of the plate looks like the bare plate, allowed: "
+            f"light: {100 * fraction:.0f} % of the plate looks like the bare plate, allowed: "
             f"{100 * MIN_SHOWN:.0f} % or more, at {100 * low:.0f} to {100 * high:.0f} % of the "
             "light during learning of the bare plate; check that the light is on and the camera "
             "was not moved; otherwise, call ~/learn_plate with an empty plate"

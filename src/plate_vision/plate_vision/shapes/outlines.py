@@ -29,7 +29,7 @@ MIN_HOLE = 0.02
 """Minimum area of a hole, relative to the area of the part. Smaller holes are ignored, because
 highlights may look like small holes."""
 
-FEWEST_POINTS = 12
+MIN_HOLE_POINTS = 12
 """Minimum number of points on a hole's contour."""
 
 THREE, FIVE = np.ones((3, 3), np.uint8), np.ones((5, 5), np.uint8)
@@ -135,10 +135,10 @@ def patch_rings(
     length, whole = len(contours[outer]), cv2.contourArea(contours[outer])
     for i in [outer, *(i for i in range(len(contours)) if tree[0, i, 3] == outer)]:
         ring = contours[i][:, 0]
-        share = count if i == outer else max(round(count * len(ring) / length), FEWEST_POINTS)
+        number = count if i == outer else max(round(count * len(ring) / length), MIN_HOLE_POINTS)
         small = i != outer and cv2.contourArea(contours[i]) < MIN_HOLE * whole
         if len(ring) >= 4 and not small:
-            points = np.empty((share, 2))
+            points = np.empty((number, 2))
             _kernels.find_edge(field, ring, i != outer, points)
             rings.append(points)
     return rings, colour if len(colour) == 3 else np.repeat(colour, 3)
@@ -156,7 +156,7 @@ def fit_pose(
     points: np.ndarray,
     pose: np.ndarray,
     unit: float,
-    turns: bool,
+    fit_angle: bool,
     steps: int,
     gate: float = np.inf,
 ) -> np.ndarray:
@@ -173,7 +173,7 @@ def fit_pose(
         Starting pose: x, y [m], angle [rad].
     unit : float
         Distance above which a point has less weight [m]. This distance should be one or two pixels.
-    turns : bool
+    fit_angle : bool
         Whether the angle is fitted. False for a disc.
     steps : int
         Maximum number of Gauss-Newton steps.
@@ -187,5 +187,5 @@ def fit_pose(
         x, y [m], angle [rad], growth of the outline [m], root mean square residual [m]. The growth
         is the mean signed distance of the points from the polygon, positive outside.
     """
-    fit: np.ndarray = _kernels.fit_pose(edges, points, pose, unit, turns, steps, np.inf, gate)
+    fit: np.ndarray = _kernels.fit_pose(edges, points, pose, unit, fit_angle, steps, np.inf, gate)
     return fit

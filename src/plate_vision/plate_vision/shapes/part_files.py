@@ -130,10 +130,12 @@ def lesson_text(lesson: Lesson) -> str:
     part = lesson.part
     corners = "a disc" if part.radius_m else f"{len(part.outline)} corners"
     holes = f", {len(part.holes)} hole{'s' if len(part.holes) > 1 else ''}" if part.holes else ""
-    turns = {0: "", 1: ", no symmetry"}.get(part.symmetry, f", symmetry of order {part.symmetry}")
-    mean, scatter = 1e3 * lesson.size_m
+    symmetry = {0: "", 1: ", no symmetry"}.get(
+        part.symmetry, f", symmetry of order {part.symmetry}"
+    )
+    mean, sd = 1e3 * lesson.size_m
     return (
-        f"{part.name}: {corners}{holes}{turns}; diameter {mean:.2f} +- {scatter:.2f} mm, outline "
+        f"{part.name}: {corners}{holes}{symmetry}; diameter {mean:.2f} +- {sd:.2f} mm, outline "
         f"+- {1e3 * part.scatter_m:.2f} mm, colour {colour_text(part)}; from {lesson.count} "
         f"example{'s' if lesson.count > 1 else ''}"
     )

@@ -74,7 +74,7 @@ def simplified(name: str, what: str, ring: np.ndarray, reach: float, scale: floa
             break
         loose *= 1.1
     corner, rms = _fitted(corner, ring)
-    most = max(WORSE * rms, PLAIN_PX / scale, PLAIN * reach)
+    max_rms = max(WORSE * rms, PLAIN_PX / scale, PLAIN * reach)
     # Blur rounds the corners of a part. Due to the rounding, the first polygon often has two
     # corners instead of one.
     while len(corner) > 3:
@@ -85,7 +85,7 @@ def simplified(name: str, what: str, ring: np.ndarray, reach: float, scale: floa
         fewer, rms = _fitted(fewer, ring)
         if (
             not is_simple(fewer)
-            or rms > most
+            or rms > max_rms
             or _bulge(fewer, ring, CLEAR_PX / scale) > BULGE_PX / scale
         ):
             break

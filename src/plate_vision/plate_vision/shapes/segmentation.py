@@ -49,9 +49,9 @@ NOISE_STEP = 16
 
 REMNANT = 0.35
 """Maximum area of a patch that is the rest of a shadow, relative to a typical part's area. Such a
-patch must also satisfy `LEFT`."""
+patch must also satisfy `MIN_REMOVED`."""
 
-LEFT = 0.25
+MIN_REMOVED = 0.25
 """Minimum area of the shadow that was removed around a patch, relative to the patch's area. With
 this area, a small patch (`REMNANT`) is the rest of a shadow."""
 
@@ -260,7 +260,7 @@ def _of_shadow(patch: Patch, seen: np.ndarray, away: np.ndarray) -> bool:
     """Whether a patch is the rest of a shadow. If so, a shadow was removed around the patch."""
     here = patch.around(2, seen.shape)
     taken = np.count_nonzero((seen[here] > 0) & (away[here] == 0))
-    return bool(taken > LEFT * patch.area_px2)
+    return bool(taken > MIN_REMOVED * patch.area_px2)
 
 
 def _largest(windows: list[Window]) -> list[Window]:

@@ -20,10 +20,10 @@ from .. import _kernels
 
 SOFT = (1.25, 0.8, 1.7)
 """Minimum width of a shadow's edge, relative to the width of sharp edges. The first value applies
-if at least `FEWEST` patches have a shadow. The second value applies if these shadows are also on
-the same side. The third value applies if fewer than `FEWEST` patches have a shadow."""
+if at least `MIN_PATCHES` patches have a shadow. The second value applies if these shadows are also
+on the same side. The third value applies if fewer than `MIN_PATCHES` patches have a shadow."""
 
-FEWEST = 3
+MIN_PATCHES = 3
 """Minimum number of patches with a shadow. If this number and the fraction `AGREE` are reached, all
 patches are assumed to have a shadow."""
 
@@ -58,7 +58,7 @@ a shadow."""
 MOSTLY = 0.7
 """Minimum fraction of a separate shadow that looks like a darker plate."""
 
-ALONE = 3.0
+SEPARATE_EDGE = 3.0
 """Minimum edge width of a separate shadow, relative to the width of sharp edges."""
 
 WIDE_PX = 25.0
@@ -156,13 +156,13 @@ class Lamp:
         Deviation of a shadow from the background [L].
     shift_px : (2,)
         Displacement from a part to the end of its shadow [px].
-    scatter_px : float
+    length_sd_px : float
         Standard deviation of the shadows' lengths over the patches [px].
     """
 
     level: float
     shift_px: np.ndarray
-    scatter_px: float
+    length_sd_px: float
 
 
 def find_sides(
@@ -278,7 +278,7 @@ def find_lamp(
     large[0] = False
     if faces is not None:
         large &= ~faces
-    fewest = max(FEWEST, AGREE * np.count_nonzero(large))
+    min_count = max(MIN_PATCHES, AGREE * np.count_nonzero(large))
     cast = cv2.morphologyEx(sides.lit.view(np.uint8), cv2.MORPH_OPEN, np.ones((3, 3), np.uint8))
     places = cv2.findNonZero((away > 0).view(np.uint8))
     if places is None:
@@ -287,7 +287,7 @@ def find_lamp(
     patch, shaded = labels[rows, columns], cast[rows, columns] > 0
     own = ~sides.lit[rows, columns]
     shade = np.bincount(patch[shaded], minlength=count)
-    if np.count_nonzero(large & (shade > MIN_CAST[0] * sides.total)) < fewest:
+    if np.count_nonzero(large & (shade > MIN_CAST[0] * sides.total)) < min_count:
         return None
     grey = np.bincount(patch[own], minlength=count) < MIN_PART * sides.total
     # If a part has the same grey colour as its shadow, the darker side of the patch is the part.
@@ -302,7 +302,7 @@ def find_lamp(
     fraction = shade / np.maximum(sides.total, 1)
     clear = large & (fraction > MIN_CAST[0]) & (fraction < MIN_CAST[1])
     clear &= body > MIN_PART * sides.total
-    if np.count_nonzero(clear) < fewest:
+    if np.count_nonzero(clear) < min_count:
         return None
     at = np.stack([columns, rows]).astype(float)
     middles = [
@@ -310,15 +310,15 @@ def find_lamp(
         / np.maximum(number, 1)[:, None]
         for which, number in ((shaded, shade), (own, body))
     ]
-    way = (middles[0] - middles[1])[clear]
-    way /= np.maximum(np.hypot(*way.T), 1e-9)[:, None]
-    alike = way @ way.T > ONE_LAMP
+    direction = (middles[0] - middles[1])[clear]
+    direction /= np.maximum(np.hypot(*direction.T), 1e-9)[:, None]
+    alike = direction @ direction.T > ONE_LAMP
     number = np.count_nonzero(alike, axis=1)
-    if np.max(number) < max(fewest, OF_ONE_LAMP * len(way)):
+    if np.max(number) < max(min_count, OF_ONE_LAMP * len(direction)):
         return None
     one = alike[np.argmax(number)]
     clear[clear] = one
-    mean = np.mean(way[one], axis=0)
+    mean = np.mean(direction[one], axis=0)
     if np.hypot(*mean) < ONE_LAMP:
         return None
     unit = mean / np.hypot(*mean)
@@ -376,16 +376,16 @@ def take_out_shadows(
         bound[faces] = 0
     if np.any(bound > 0):
         around = cv2.dilate(away, np.ones((5, 5), np.uint8))
-        fade, way = np.empty(count, np.float32), np.zeros((count, 2))
-        _kernels.find_fade(away, around, lit, slope, labels, bound, light, fade, way)
+        fade, direction = np.empty(count, np.float32), np.zeros((count, 2))
+        _kernels.find_fade(away, around, lit, slope, labels, bound, light, fade, direction)
         softness = np.where(fade > 0, light / np.maximum(sharp * fade, 1e-3), 0)
-        bound = _of_shadows(bound, light, dark, softness, way, len(large))
+        bound = _of_shadows(bound, light, dark, softness, direction, len(large))
         light_side = (lit & (away < bound[labels])).astype(np.uint8)
         shadow = cv2.morphologyEx(light_side, cv2.MORPH_OPEN, np.ones((3, 3), np.uint8)) > 0
         if np.any(shadow) and _parts_are_wide(shadow, (away > 0) & ~shadow, labels):
             away[shadow] = 0
             cut[labels[shadow]] = True
-    alone = (width > min(ALONE * sharp, WIDE_PX)) & (balance < -MOSTLY * total)
+    alone = (width > min(SEPARATE_EDGE * sharp, WIDE_PX)) & (balance < -MOSTLY * total)
     if np.any(alone[large]):
         away[alone[labels]] = 0
     return cut & ~alone
@@ -407,7 +407,7 @@ def _part_width(
     usual = np.sort(largest[large])[3 * len(large) // 4]
     clear = large[largest[large] >= CLEAR_EDGE * usual]
     parts = clear[balance[clear] >= -MOSTLY * total[clear]]
-    if len(parts) >= FEWEST:
+    if len(parts) >= MIN_PATCHES:
         return float(np.sort(width[parts])[WIDE_PERCENT * len(parts) // 100])
     return float(np.sort(width[clear])[len(clear) // 2])
 
@@ -432,9 +432,9 @@ def _parts_are_wide(shadow: np.ndarray, parts: np.ndarray, labels: np.ndarray) -
     """Whether the parts are more than `DARK_WIDTH` times as wide as their shadows in most patches
     with a shadow. The width is the maximum distance of a pixel from the edge of the area."""
     width = np.zeros((2, labels.max() + 1), np.float32)
-    for most, side in zip(width, (shadow, parts), strict=True):
+    for max_width, side in zip(width, (shadow, parts), strict=True):
         inside = cv2.distanceTransform(side.astype(np.uint8), cv2.DIST_L2, 3)
-        np.maximum.at(most, labels[side], inside[side])
+        np.maximum.at(max_width, labels[side], inside[side])
     cast, casts = width[:, width[0] > 0]
     return bool(np.median(casts / cast) > DARK_WIDTH)
 
@@ -444,7 +444,7 @@ def _of_shadows(
     light: np.ndarray,
     dark: np.ndarray,
     softness: np.ndarray,
-    way: np.ndarray,
+    direction: np.ndarray,
     patches: int,
 ) -> np.ndarray:
     """Return the maximum deviation of a shadow for each patch (count,). Pixels that look like a
@@ -454,8 +454,8 @@ def _of_shadows(
     in the same direction, all parts are assumed to have shadows with the same deviation.
     """
     seen = (bound > 0) & (softness > 0)
-    if np.count_nonzero(seen) >= max(AGREE * patches, FEWEST):
-        aligned = float(np.hypot(*np.mean(way[seen], axis=0)))
+    if np.count_nonzero(seen) >= max(AGREE * patches, MIN_PATCHES):
+        aligned = float(np.hypot(*np.mean(direction[seen], axis=0)))
         usual = float(np.median(softness[seen]))
         if usual > (SOFT[1] if aligned > ALIGNED else SOFT[0]):
             depth = float(np.median(light[seen]))

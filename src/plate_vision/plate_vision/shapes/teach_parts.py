@@ -51,9 +51,9 @@ evaluated."""
 @piped()
 def main(arguments: Sequence[str] | None = None) -> None:
     """Run the command line. If there is an error, print it in one line and exit with code 2."""
-    words = list(sys.argv[1:] if arguments is None else arguments)
-    managing = bool(words) and words[0] in COMMANDS
-    args = (_managing_parser() if managing else _parser()).parse_args(words)
+    argv = list(sys.argv[1:] if arguments is None else arguments)
+    managing = bool(argv) and argv[0] in COMMANDS
+    args = (_managing_parser() if managing else _parser()).parse_args(argv)
     try:
         args.run(args)
     except BrokenPipeError:

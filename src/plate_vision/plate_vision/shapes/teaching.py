@@ -42,7 +42,7 @@ MAX_PICTURES = 5
 """Maximum number of pictures of one type. With more pictures than this number, the result would
 hardly change."""
 
-RIM_POINTS = 256
+CONTOUR_POINTS = 256
 """Number of points on the outline of an example."""
 
 DIFFER, DIFFER_SIZE = 0.1, 0.35
@@ -240,14 +240,14 @@ def learn_type(
     scale = float(np.median(calibration.scale(np.array([one.outline.centre for one in shown]))))
     shown = _agreeing(name, shown, scale, unused)
     outlines = [one.outline for one in shown]
-    mean, pose, scatter, unlike = _mean_outline(outlines, scale)
+    mean, pose, deviation, unlike = _mean_outline(outlines, scale)
     coloured = any(example.image.ndim == 3 for example in examples)
     part = _simplified(name, mean, scale, unlike)
     colour = np.mean([one.colour for one in shown], axis=0) * (1.0, coloured, coloured)
     part = replace(
         part,
         colour_lab=(float(colour[0]), float(colour[1]), float(colour[2])),
-        scatter_m=scatter,
+        scatter_m=deviation,
         height_m=height,
         picture=drawn_name(name),
     )
@@ -338,7 +338,7 @@ def merged(a: PartType, b: PartType) -> PartType:
     friction of the first type."""
     one, other = make_template(a), make_template(b)
     scale = 1 / (0.02 * a.reach_m)
-    mean, _, scatter, _ = _mean_outline([one.outline, other.outline], scale)
+    mean, _, deviation, _ = _mean_outline([one.outline, other.outline], scale)
     part = _simplified(a.name, mean, scale)
     colour = a.colour_lab or b.colour_lab
     if a.colour_lab is not None and b.colour_lab is not None:
@@ -350,7 +350,7 @@ def merged(a: PartType, b: PartType) -> PartType:
         mu=a.mu,
         colour_lab=colour,
         symmetry=a.symmetry if a.symmetry == b.symmetry else part.symmetry,
-        scatter_m=math.hypot(scatter, a.scatter_m, b.scatter_m),
+        scatter_m=math.hypot(deviation, a.scatter_m, b.scatter_m),
         picture=a.picture,
     )
 
@@ -377,7 +377,7 @@ def _measured(
         )
     if any(patch.group for patch in kept):
         raise TeachError(f"type {name}: {example.name}: parts touch, allowed: parts apart")
-    outlines, colours = measure_patches(example.image, kept, calibration, RIM_POINTS)
+    outlines, colours = measure_patches(example.image, kept, calibration, CONTOUR_POINTS)
     blurs = [
         _blur_px(example.image, patch) / max(BLUR_PX, BLUR_RADIUS * patch.radius_px)
         for patch in kept
@@ -489,12 +489,12 @@ def _agreeing(name: str, shown: Sequence[_Shown], scale: float, unused: list[str
             )
             continue
         fit = lay_on(template, one.outline, scale)
-        for what, error, share in (("outline", fit[4], DIFFER), ("size", fit[3], DIFFER_SIZE)):
-            most = max(share * middle.reach, DIFFER_PX / scale)
-            if abs(error) > most:
+        for what, error, fraction in (("outline", fit[4], DIFFER), ("size", fit[3], DIFFER_SIZE)):
+            max_error = max(fraction * middle.reach, DIFFER_PX / scale)
+            if abs(error) > max_error:
                 problems.append(
                     f"{start} the {what} differs by {scale * abs(error):.1f} px, allowed: "
-                    f"{scale * most:.1f} px"
+                    f"{scale * max_error:.1f} px"
                 )
                 break
         else:
@@ -518,21 +518,21 @@ def _mean_outline(
     # mean outline.
     first = int(np.argsort([outline.area for outline in outlines])[len(outlines) // 2])
     mean = _shifted(outlines[first], outlines[first].centre)
-    scatter = unlike = 0.0
+    deviation = unlike = 0.0
     for _ in range(2 if len(outlines) > 1 else 0):
         fits = [lay_on(_as_template(mean), outline, scale) for outline in outlines]
-        scatter = math.sqrt(float(np.mean([fit[3] ** 2 + fit[4] ** 2 for fit in fits])))
+        deviation = math.sqrt(float(np.mean([fit[3] ** 2 + fit[4] ** 2 for fit in fits])))
         unlike = math.sqrt(float(np.mean([fit[4] ** 2 for fit in fits])))
         laid = [_turned(outline, fit[:3]) for outline, fit in zip(outlines, fits, strict=True)]
         mean = _average(mean, laid)
     symmetry = _symmetry(mean, scale)
     if symmetry > 1:
-        turns = 2 * np.pi * np.arange(symmetry) / symmetry
-        mean = _average(mean, [_turned(mean, np.array([0, 0, turn])) for turn in turns])
+        angles = 2 * np.pi * np.arange(symmetry) / symmetry
+        mean = _average(mean, [_turned(mean, np.array([0, 0, angle])) for angle in angles])
     pose = lay_on(_as_template(mean), outlines[0], scale)[:3]
     # Rotate the mean outline so that it has the angle of the first outline.
     mean = _turned(mean, np.array([0, 0, -pose[2]]))
-    return mean, np.array([pose[0], pose[1], 0.0]), scatter, unlike
+    return mean, np.array([pose[0], pose[1], 0.0]), deviation, unlike
 
 
 def _as_template(outline: Outline) -> Template:
@@ -546,8 +546,8 @@ def _shifted(outline: Outline, centre: np.ndarray) -> Outline:
 def _turned(outline: Outline, pose: np.ndarray) -> Outline:
     """Transform an outline to the frame of a pose (3,) [m, m, rad]."""
     c, s = np.cos(pose[2]), np.sin(pose[2])
-    turn = np.array([[c, -s], [s, c]])
-    return make_outline([(ring - pose[:2]) @ turn for ring in outline.rings])
+    rotation = np.array([[c, -s], [s, c]])
+    return make_outline([(ring - pose[:2]) @ rotation for ring in outline.rings])
 
 
 def _average(mean: Outline, outlines: Sequence[Outline]) -> Outline:

@@ -4,7 +4,7 @@ A `Track` is the track of one part. The module `assignment` determines the most 
 the detections in an image to tracks. `update` applies this assignment to the `Tracker`.
 """
 
-from .track import Prediction, Sighting, Track
+from .track import Detection, Prediction, Track
 from .tracker import Tracker, TrackerOptions, found_text, update
 
-__all__ = ["Prediction", "Sighting", "Track", "Tracker", "TrackerOptions", "found_text", "update"]
+__all__ = ["Detection", "Prediction", "Track", "Tracker", "TrackerOptions", "found_text", "update"]

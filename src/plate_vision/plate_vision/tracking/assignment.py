@@ -16,7 +16,7 @@ from collections.abc import Sequence
 import numpy as np
 from scipy.optimize import linear_sum_assignment
 
-from .track import Prediction, Sighting, Track
+from .track import Detection, Prediction, Track
 
 MISSED_RATE, FALSE_RATE = 0.05, 0.02
 """`MISSED_RATE`: fraction of parts that are not detected in an image. `FALSE_RATE`: number of false
@@ -56,11 +56,11 @@ PREDICTIONS_FAIL = 1e-3
 """Fraction of images in which predictions are poor or wrong, for example because the plate executed
 another cycle than the predicted one."""
 
-TURN_RAD = 0.15
+ANGLE_SD_RAD = 0.15
 """Standard deviation of a part's angle from the angle that is extrapolated with its last spin, per
 image [rad]."""
 
-ANY_TURN = 0.05
+ANY_ANGLE_FRACTION = 0.05
 """Fraction of detections whose angle can have any value, for example because a mark was misread or
 a part was hit."""
 
@@ -71,7 +71,7 @@ VAGUE_RAD = 1.0
 def assign(
     tracks: Sequence[Track],
     stamp: float,
-    seen: Sequence[Sighting],
+    seen: Sequence[Detection],
     gate: float,
     expected: Prediction | None = None,
 ) -> np.ndarray:
@@ -86,7 +86,7 @@ def assign(
         The T parts.
     stamp : float
         Stamp of the image [s].
-    seen : sequence of Sighting
+    seen : sequence of Detection
         The M detections.
     gate : float
         Maximum distance between a part and its expected position [m], per image since the part was
@@ -124,7 +124,7 @@ def _best(gain: np.ndarray) -> tuple[np.ndarray, np.ndarray, float]:
     return rows[kept], columns[kept], float(np.sum(value[kept]))
 
 
-def _other_gain(tracks: Sequence[Track], seen: Sequence[Sighting]) -> np.ndarray:
+def _other_gain(tracks: Sequence[Track], seen: Sequence[Detection]) -> np.ndarray:
     """Return the log likelihood gain of each pair (T, M), without the contribution of the position.
 
     The gain is log(P(class)) + log(shown / (1 - shown)) - log(density of false detections), where
@@ -140,32 +140,35 @@ def _other_gain(tracks: Sequence[Track], seen: Sequence[Sighting]) -> np.ndarray
 
 
 def _angle_gain(
-    tracks: Sequence[Track], stamp: float, seen: Sequence[Sighting]
+    tracks: Sequence[Track], stamp: float, seen: Sequence[Detection]
 ) -> np.ndarray | float:
     """Return the log likelihood gain from the angles (T, M). The angles of false detections are
     assumed to be uniformly distributed."""
     unsure = np.array([track.quality[1] for track in tracks])
-    scatter = np.array([one.quality[1] if one.symmetry else math.nan for one in seen])
-    known = (unsure < VAGUE_RAD)[:, None] & (scatter < VAGUE_RAD)
+    angle_sd = np.array([one.quality[1] if one.symmetry else math.nan for one in seen])
+    known = (unsure < VAGUE_RAD)[:, None] & (angle_sd < VAGUE_RAD)
     if not np.any(known):
         return 0.0
     angle = np.array([track.angle_at(stamp) for track in tracks])
     images = np.array([1 + track.missed for track in tracks])
-    deviation = np.sqrt(((TURN_RAD * images) ** 2 + unsure**2)[:, None] + scatter**2)
+    deviation = np.sqrt(((ANGLE_SD_RAD * images) ** 2 + unsure**2)[:, None] + angle_sd**2)
     period = math.tau / np.array([max(one.symmetry, 1) for one in seen])
     gap = np.array([one.angle for one in seen]) - angle[:, None]
     gap -= period * np.round(gap / period)
     normal = period / (math.sqrt(math.tau) * deviation) * np.exp(-0.5 * (gap / deviation) ** 2)
-    return np.where(known, np.log((1 - ANY_TURN) * normal + ANY_TURN), 0.0)
+    return np.where(known, np.log((1 - ANY_ANGLE_FRACTION) * normal + ANY_ANGLE_FRACTION), 0.0)
 
 
 def _drift_gain(
-    tracks: Sequence[Track], stamp: float, seen: Sequence[Sighting], gate: float
+    tracks: Sequence[Track], stamp: float, seen: Sequence[Detection], gate: float
 ) -> np.ndarray:
     """Return the log density [1/m2] of detections (T, M) if the drift of the parts continues. The
     log density is minus infinity outside the gate."""
     reach = gate * np.array([1 + track.missed for track in tracks])
-    place = [track.predicted(stamp, most) for track, most in zip(tracks, reach, strict=True)]
+    place = [
+        track.predicted(stamp, max_distance)
+        for track, max_distance in zip(tracks, reach, strict=True)
+    ]
     square = _square(np.array(place), seen)
     wide = reach[:, None] / GATES
     first = np.array([len(track.history) == 1 for track in tracks])[:, None]
@@ -176,7 +179,7 @@ def _drift_gain(
 def _known_gains(
     tracks: Sequence[Track],
     stamp: float,
-    seen: Sequence[Sighting],
+    seen: Sequence[Detection],
     gate: float,
     expected: Prediction,
     drift: np.ndarray,
@@ -209,7 +212,7 @@ def _known_gains(
     return gains
 
 
-def _square(place: np.ndarray, seen: Sequence[Sighting]) -> np.ndarray:
+def _square(place: np.ndarray, seen: Sequence[Detection]) -> np.ndarray:
     """Return the squared distances (T, M) [m2] between places (T, 2) [m] and detections."""
     gap = place[:, None] - np.array([one.position for one in seen])
     return np.asarray(np.sum(gap**2, axis=2))

@@ -42,7 +42,7 @@ class Prediction:
 
 
 @dataclass(frozen=True)
-class Sighting:
+class Detection:
     """One detection in an image; see `update`."""
 
     label: str
@@ -143,13 +143,13 @@ class Track:
         The result is at most the number of missed images plus two."""
         return 0.0 if last == first else min((stamp - last) / (last - first), self.missed + 2)
 
-    def extended(self, stamp: float, seen: Sighting, keep: int) -> Track:
+    def extended(self, stamp: float, seen: Detection, keep: int) -> Track:
         """Return the track with one more detection. Only the last `keep` places and angles are
         kept.
 
         If a part changes its class, its number becomes 0.
         """
-        turn = math.remainder(seen.angle - self.angle, math.tau / max(seen.symmetry, 1))
+        rotation = math.remainder(seen.angle - self.angle, math.tau / max(seen.symmetry, 1))
         votes = (*self.votes, seen.label)[-VOTES:]
         label = _majority(self.label, votes)
         return Track(
@@ -157,7 +157,7 @@ class Track:
             self.number if label == self.label else 0,
             (*self.history, (stamp, *seen.position))[-keep:],
             hits=self.hits + 1,
-            angles=(*self.angles, (stamp, self.angle + turn))[-keep:],
+            angles=(*self.angles, (stamp, self.angle + rotation))[-keep:],
             quality=seen.quality,
             votes=votes,
         )
@@ -172,5 +172,5 @@ def _majority(label: str, votes: Sequence[str]) -> str:
     """Return the class after the last vote. `label` is the class before this vote."""
     if votes[-1] == label:
         return label
-    most = max(dict.fromkeys(votes), key=votes.count)
-    return most if votes.count(most) >= votes.count(label) + MAJORITY else label
+    winner = max(dict.fromkeys(votes), key=votes.count)
+    return winner if votes.count(winner) >= votes.count(label) + MAJORITY else label

@@ -20,7 +20,7 @@ from ..errors import TrackError, check_ranges
 from ..overlooked import NONE_OVERLOOKED, OVERLOOKED, REASONS
 from ..shapes.shadows import Lamp
 from .assignment import assign
-from .track import UNKNOWN, Prediction, Sighting, Track
+from .track import UNKNOWN, Detection, Prediction, Track
 
 UNKNOWN_MISSED = 30
 """Number of consecutive images without a detection for which an object of the class `unknown` keeps
@@ -209,7 +209,7 @@ def update(
     how_well = _column("quality", how_well, (count, 3)).tolist()
     alike = _column("symmetry", np.ones(count) if symmetry is None else symmetry, (count,))
     places = map(tuple, position.tolist())
-    seen = [*map(Sighting, labels, places, angles.tolist(), map(tuple, how_well), map(int, alike))]
+    seen = [*map(Detection, labels, places, angles.tolist(), map(tuple, how_well), map(int, alike))]
     options = tracker.options
     keep = options.velocity_frames + 1
     tracks, before, given_up = [], [], []
