@@ -175,8 +175,8 @@ class Master:
         return int.from_bytes(answer[4 : 4 + size], "little", signed=signed)
 
     def write(self, node: int, index: int, sub: int, value: int, size: int) -> None:
-        """Set an object of a node to a value of 1, 2 or 4 bytes. Raises the same errors as
-        `read`."""
+        """Set an object of a node to a value of 1, 2 or 4 bytes. The function raises the same
+        errors as `read`."""
         self._transfer(node, 0x23 | (4 - size) << 2, index, sub, value)
 
     def _request(self, node: int, command: int, index: int, sub: int, value: int = 0) -> bytes:

@@ -43,9 +43,9 @@ class Outlines(NamedTuple):
     reach : (M,)
         Maximum distance of the outline from the part's centre [m].
     spot : (M, 4)
-        Columns 0 and 1: the point of the part that is farthest from its outline [m, part's frame].
-        Column 2: the distance of this point from the outline [m]. Column 3: the area of the part
-        [m2].
+        Columns 0 and 1 contain the point of the part that is farthest from its outline [m, part's
+        frame]. Column 2 contains the distance of this point from the outline [m]. Column 3 contains
+        the area of the part [m2].
     """
 
     edges: np.ndarray
