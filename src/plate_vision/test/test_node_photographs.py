@@ -87,6 +87,6 @@ def test_a_photograph_that_shows_parts_too_small_is_refused():
     graph = Graph(photographs=True)
     try:
         assert graph.answer(image(np.full((90, 180), 220, np.uint8), 1.0)) is None
-        assert "radius_m is 0.008, in the image 2.4 px, allowed: 3 to" in graph.warnings[0]
+        assert says(graph.warnings[0], "radius_m is 0.008", "2.4 px", "allowed: 3 to")
     finally:
         graph.close()
