@@ -89,17 +89,18 @@ class PlannerParameters(NodeOptions):
         live=True,
     )  # fmt: skip
     camera_triggered: bool = parameter(
-        True, "Whether images are taken at the starts of cycles. If false, they are taken at any "
-        "time, and cycle_started reports the starts.",
+        True, "Whether images are taken at the starts of cycles. If false, images are taken at "
+        "any time, and cycle_started reports the starts of the cycles.",
     )  # fmt: skip
     answer_s: float = parameter(
-        PlannerOptions.answer_s, "Time from a request to the next cycle if the camera is not "
-        "triggered [s]. It covers solver, driver and line. A serial line needs 0.14.", 0.01, 1.0,
+        PlannerOptions.answer_s, "Time from a request to the start of the next cycle if the "
+        "camera is not triggered [s]. The solver, the driver and the line need this time. Set 0.14 "
+        "for a serial line.", 0.01, 1.0,
     )  # fmt: skip
     lockstep: bool = parameter(
-        False, "Whether the simulator runs in lockstep. If so, the planner waits for plate_cycle "
-        "of the last image and for cycle_started of its cycle. At the second image it also waits "
-        "for a goal. A seed then repeats a run.",
+        False, "Whether the simulator runs in lockstep. If true, the planner waits for the "
+        "plate_cycle of the last image and for the cycle_started of this cycle. At the second "
+        "image, it also waits for a goal. Then runs with the same seed are equal.",
     )  # fmt: skip
     input_timeout_s: float = parameter(
         INPUT_TIMEOUT_S,
@@ -108,7 +109,10 @@ class PlannerParameters(NodeOptions):
         3600.0,
     )
     start_timeout_s: float = parameter(
-        PlannerOptions.start_timeout_s, "Maximum wait for all parts after a goal [s]", 0.0, 3600.0
+        PlannerOptions.start_timeout_s,
+        "Maximum time until all parts are detected after a goal [s]",
+        0.0,
+        3600.0,
     )
     unseen_timeout_s: float = parameter(
         PlannerOptions.unseen_timeout_s,
@@ -123,7 +127,10 @@ class PlannerParameters(NodeOptions):
         3600.0,
     )
     image_age_s: float = parameter(
-        -1.0, "Age of an image at its stamp [s]. If it is negative, it is estimated.", -1.0, 0.5
+        -1.0,
+        "Age of an image at the time of its stamp [s]. If it is negative, the age is estimated.",
+        -1.0,
+        0.5,
     )
     kp: float = parameter(
         FollowOptions.kp,
@@ -507,10 +514,12 @@ class PlannerNode(SafeLifecycleNode[PlannerParameters]):
             return Failure(Reason.INVALID_GOAL, str(error))
         running = self._tasks.running
         if running is not None and not self.options.preempt:
-            text = f"{running.name} is running: cancel it first, or set the parameter preempt"
+            text = (
+                f"the task {running.name} is running: cancel it first, or set the parameter preempt"
+            )
             return Failure(Reason.BUSY, text)
         if problem := self._monitor.start_problem(now):
-            return Failure(Reason.NOT_READY, f"{scenario.name} was not started: {problem}")
+            return Failure(Reason.NOT_READY, f"the task {scenario.name} was not started: {problem}")
         self._end(PREEMPTED)
         for warning in planner.warnings():
             self.get_logger().warning(warning)

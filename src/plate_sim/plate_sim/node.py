@@ -72,7 +72,7 @@ MAX_CLOCK_ERROR_NS = 50_000_000
 """Maximum difference between the stamps of images and the clock of the system [ns]. This limit
 applies only in real time."""
 
-IMAGE_GROUP = "Effects in the images, see config/nodes.yaml"
+IMAGE_GROUP = "Effects in the images (config/nodes.yaml explains them)"
 """Title of the group of parameters that affect only images."""
 
 NO_USE = CycleUsage(0.0, 0.0, 0.0, 0.0)
@@ -95,11 +95,12 @@ class Options(NodeOptions):
 
     scenario: str = parameter("sort_10", "Scenario that defines the parts on the plate.")
     seed: int = parameter(
-        0, "Random seed of the parts' places and of the image noise, used at the next reset.",
+        0, "Random seed of the parts' places and of the image noise. A change takes effect at the "
+        "next reset.",
         0, 2**31 - 1, live=True,
     )  # fmt: skip
     driven_by: str = parameter(
-        "setpoints", "Source of the plate's motion.",
+        "setpoints", "Source of the plate's motion: the setpoints of the driver, or a device.",
         choices=("setpoints", "device"),
     )  # fmt: skip
     lockstep: bool = parameter(
@@ -107,11 +108,11 @@ class Options(NodeOptions):
         "Whether the simulator waits for the reply to each image. If false, it runs in real time.",
     )
     rate: float = parameter(
-        1.0, "Simulated seconds per second, if time is simulated.", 0.01,
+        1.0, "Simulated seconds per second of real time, if time is simulated.", 0.01,
         100, live=True,
     )  # fmt: skip
     simulated_time: bool = parameter(
-        False, "Whether time is simulated (/clock), so that rate can change."
+        False, "Whether time is simulated and published on /clock. Then rate can be changed."
     )
     noise: float = parameter(
         NOISE, "Standard deviation of the image noise [grey values].", *WORLD_RANGES["noise"],
@@ -119,18 +120,21 @@ class Options(NodeOptions):
     )  # fmt: skip
     mu_scale: float = parameter(
         1.0,
-        "True friction divided by that of the rig file.",
+        "Friction in the simulation divided by the friction in the rig file.",
         *WORLD_RANGES["mu_scale"],
         live=True,
     )
     hold_cycles: int = parameter(
         HOLD_CYCLES,
-        "Plays of a cycle from rest to rest if no new one arrives.",
+        "Number of times that a cycle from rest to rest is played if no new cycle arrives.",
         1,
         1000,
     )
     input_timeout_s: float = parameter(
-        INPUT_TIMEOUT_S, "Time without motion until STALE [s, wall].", 0.1, 3600.0
+        INPUT_TIMEOUT_S,
+        "Time without a motor table or a motion after which diagnostics are STALE [s, wall].",
+        0.1,
+        3600.0,
     )
     idle_period: float = parameter(
         IDLE_S, "Length of a cycle while the plate is at rest [s].", 0.01, 10
@@ -139,17 +143,23 @@ class Options(NodeOptions):
         "friction_spread", "Maximum relative deviation of friction between parts."
     )
     friction_patches: float = _disturbance(
-        "friction_patches", "Maximum relative friction deviation on the plate."
+        "friction_patches", "Maximum relative deviation of friction between places on the plate."
     )
     static_ratio: float = _disturbance(
         "static_ratio", "Static friction divided by dynamic friction."
     )
     friction_slope: float = _disturbance(
-        "friction_slope", "Relative friction change per slip speed [1/(m/s)]."
+        "friction_slope", "Relative change of friction per slip speed [1/(m/s)]."
     )
-    heave: float = _disturbance("heave", "Upward motion of the plate per motion along x.")
-    tilt_x: float = _disturbance("tilt_x", "Tilt [rad]; if positive, parts slide towards +x.")
-    tilt_y: float = _disturbance("tilt_y", "Tilt [rad]; if positive, parts slide towards +y.")
+    heave: float = _disturbance(
+        "heave", "Upward motion of the plate divided by its motion along x."
+    )
+    tilt_x: float = _disturbance(
+        "tilt_x", "Tilt of the plate [rad]. If positive, parts slide towards +x."
+    )
+    tilt_y: float = _disturbance(
+        "tilt_y", "Tilt of the plate [rad]. If positive, parts slide towards +y."
+    )
     latency: float = _disturbance(
         "latency", "Age of an image when it is published and stamped [s].", live=False
     )
@@ -163,7 +173,7 @@ class Options(NodeOptions):
         live=False,
     )  # fmt: skip
     blur: bool = parameter(
-        True, "Whether motion blurs images over the exposure time of the rig.", live=True
+        True, "Whether motion during the exposure time blurs the images.", live=True
     )
     missed_images: float = _disturbance(
         "missed_images", "Fraction of images that are never published."
@@ -719,7 +729,7 @@ class SimulatorNode(SafeLifecycleNode[Options]):
             troubles.append(f"late cycles: {tally.late}")
         overtravel = self._simulation.plate.overtravel_m
         if overtravel > 0:
-            troubles.append(f"a motor would hit its stop: {1e3 * overtravel:.2g} mm beyond it")
+            troubles.append(f"a motor exceeds its stroke by {1e3 * overtravel:.2g} mm")
         findings += [Finding(Level.WARN, trouble) for trouble in troubles]
         return worst(findings, "all parts on the plate, all cycles on time")
 

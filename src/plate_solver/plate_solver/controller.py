@@ -294,7 +294,7 @@ def answer_of(goal: Goal, solution: Solution, fraction: float, period: float) ->
         solution = replace(
             solution,
             success=False,
-            message=f"{fraction:g} of the request; {solution.message}",
+            message=f"a fraction of {fraction:g} of the request is met; {solution.message}",
             residual=solution.residual + (1 - fraction) * goal.displacement / unit,
             status=Status.PARTIAL,
             fraction=fraction,

@@ -76,19 +76,20 @@ class Options(NodeOptions):
         "sinusoids). If the cycle may end in motion, half of this number is used.", 0, 1000,
     )  # fmt: skip
     threads: int = parameter(
-        0, "Number of cores for a search. It does not change the results. 0 means all cores.",
+        0, "Number of cores for a search. 0 means all cores. The results do not depend on it.",
         0, 1024,
     )  # fmt: skip
     handover_s: float = parameter(
-        0.02, "Time before the start of the cycle by which a result must be ready [s]. It covers "
-        "driver and line. A serial line needs 0.08. A search makes no further restart that would "
-        "end later. After late results, the time is increased temporarily, up to 0.06. 0 means no "
-        "time limit, as in simulated time: a seed then gives the same cycles on any computer.",
+        0.02, "Time by which a result must be ready before the start of the cycle [s]. The driver "
+        "and the line need this time. Set 0.08 for a serial line. A search begins no restart that "
+        "would end too late. After late results, the solver increases this time temporarily, up to "
+        "0.06. 0 means no limit, as in simulated time; then a seed gives the same cycles on any "
+        "computer.",
         0.0, 1.0,
     )  # fmt: skip
     input_timeout_s: float = parameter(
         INPUT_TIMEOUT_S,
-        "Time without part_forces until diagnostics are STALE [s, wall].",
+        "Time without part_forces after which diagnostics are STALE [s, wall].",
         0.1,
         3600.0,
     )
@@ -138,7 +139,9 @@ class SolverNode(SafeLifecycleNode[Options]):
         options = self.options
         self._rig = rig = load_rig(options.rig_file)
         limit = rig.reach.limit
-        self.get_logger().info(f"Gamma = {rig.gamma:.1f}, limited by {limit} in the rig file")
+        self.get_logger().info(
+            f"shaking ratio Gamma = {rig.gamma:.1f}, limited by {limit} in the rig file"
+        )
         for doubt in doubts(rig, "motors", "limits"):
             self.get_logger().warning(doubt.text)
         self._library = Library.around(rig.plate.half)
@@ -185,7 +188,7 @@ class SolverNode(SafeLifecycleNode[Options]):
         newest = self._sent[-1].stamp_ns if self._sent else None
         if newest is not None and stamp_ns < newest:
             if stamp_ns > newest - RESTART_NS:
-                self._refuse("part_forces refused: older than the last one")
+                self._refuse("part_forces refused: its stamp is older than the last stamp")
                 return
             self._sent.clear()
             self._controller.reset()

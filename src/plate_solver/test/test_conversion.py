@@ -295,7 +295,7 @@ def test_the_error_of_a_fraction_is_relative_to_the_whole_request(rig):
     assert half.solution.residual == pytest.approx(np.array([[0.02, 0.0]]))
     assert half.requested_m == whole.requested_m == pytest.approx(np.sqrt((4e-6 + 16e-6) / 2))
     assert (half.solution.success, half.solution.status) == (False, Status.PARTIAL)
-    assert (half.fraction, half.message) == (0.5, "0.5 of the request; found")
+    assert (half.fraction, half.message) == (0.5, "a fraction of 0.5 of the request is met; found")
 
 
 def test_a_goal_that_lasts_is_never_missed(rig):

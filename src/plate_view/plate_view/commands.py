@@ -61,7 +61,7 @@ def read_command(text: str | bytes, role: Role) -> Command:
     try:
         data = json.loads(text)
     except (ValueError, RecursionError):
-        raise CommandError("message is not JSON, allowed: an object") from None
+        raise CommandError("message is not JSON, allowed: a JSON object") from None
     if not isinstance(data, dict):
         raise CommandError(f"message is a {type(data).__name__}, allowed: an object")
     number, name = number_of(data), data.pop("do", None)

@@ -47,7 +47,8 @@ class Options(NodeOptions):
     """Parameters of the page."""
 
     address: str = parameter(
-        "127.0.0.1", "IP address of the page's server. 0.0.0.0 means all networks, with a token."
+        "127.0.0.1",
+        "IP address of the page's server. 0.0.0.0 means all networks, and requires a token.",
     )
     port: int = parameter(8080, "TCP port. If it is in use, the next free port is used.", 1, 65000)
     operator_token: str = parameter(
@@ -58,8 +59,10 @@ class Options(NodeOptions):
         "", "Token of read-only browsers: they require ?token=TOKEN at the end of the page's "
         "address. If it is empty, no token gives read-only access.",
     )  # fmt: skip
-    scenario: str = parameter("", "Scenario that is selected initially")
-    bag: str = parameter("", "Folder of a bag to replay instead of showing the graph")
+    scenario: str = parameter("", "Scenario that the page selects at first.")
+    bag: str = parameter(
+        "", "Folder of a recorded bag, which the page replays instead of showing the graph."
+    )
 
 
 class PageNode(SafeLifecycleNode[Options]):
@@ -204,7 +207,9 @@ class PageNode(SafeLifecycleNode[Options]):
         if self._server is None:
             return
         if old:
-            self._server.answer(browser, command.number, False, "waited too long; send it again")
+            self._server.answer(
+                browser, command.number, False, "the command waited too long; send it again"
+            )
         elif self._replay is not None or command.name == "replay":
             self._do_replay(browser, command)
         else:

@@ -185,7 +185,7 @@ class Socket(tornado.websocket.WebSocketHandler):
         if not within:
             return f"too many commands, allowed: {COMMANDS_PER_S:g} per second"
         if self.page.is_late():
-            return "the page was stalled; send it again"
+            return "the page was stalled; send the command again"
         if self.open_commands >= MAX_OPEN or self.page.open_commands >= MAX_TOTAL:
             most = f"{MAX_OPEN} of this page, {MAX_TOTAL} of all pages"
             return f"too many commands wait for replies, allowed: {most}"

@@ -412,7 +412,11 @@ class Estimator:
         delay."""
         late = self.log.delay
         cycles = "a cycle" if late == 1 else f"{late} cycles"
-        return f"results start {cycles} late: the computer or the line is too slow" if late else ""
+        return (
+            f"results start {cycles} late, because the computer or the serial line is too slow"
+            if late
+            else ""
+        )
 
     def begin_task(self) -> Estimator:
         """Return the estimator for a new task: the counts of cycles and the drift error are

@@ -68,7 +68,7 @@ def loss_of(
     return Failure(
         Reason.PART_LEFT,
         f"{name} left the plate {where}; starts and goals farther from the edges{more} would "
-        "keep it",
+        "keep it on the plate",
     )
 
 
@@ -92,7 +92,7 @@ def shortfall_text(
     force = 1e3 * float(np.hypot(*request.force[row]))
     text += (
         f": its requested drift was ({1e3 * drift[0]:.1f}, {1e3 * drift[1]:.1f}) mm/s (which needs "
-        f"{force:.1f} of {most:.1f} mN of friction), its drift ({1e3 * got[0]:.1f}, "
+        f"{force:.1f} of {most:.1f} mN of friction), its actual drift was ({1e3 * got[0]:.1f}, "
         f"{1e3 * got[1]:.1f}) mm/s"
     )
     size = float(np.hypot(*drift))
@@ -111,7 +111,7 @@ def outlook(rig: Rig, count: int, time_limit_s: float) -> str:
         expect = "several times as long"
         if np.isfinite(time_limit_s):
             expect += f", and some runs may exceed time_limit_s, {time_limit_s:g} s"
-    return f"{remedy(rig, count)}; expect it to take {expect}"
+    return f"{remedy(rig, count)}; expect the task to take {expect}"
 
 
 def remedy(rig: Rig, count: int) -> str:
@@ -121,8 +121,8 @@ def remedy(rig: Rig, count: int) -> str:
     if count > FEW:
         return f"{count} parts at once are hard to control: use fewer parts or more space"
     return (
-        "friction.mu or the motors may differ from the rig file, or an obstacle blocks it "
-        "(calibrate the rig)"
+        "friction.mu or the motors may differ from the rig file, or an obstacle blocks "
+        "the part (calibrate the rig)"
     )
 
 

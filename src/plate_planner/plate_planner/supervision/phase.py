@@ -343,7 +343,7 @@ def evaluate(state: TaskState, t: float, findings: Findings, limits: TaskLimits)
     if state.elapsed(t) > longest + TIME_TOLERANCE_S:
         reason, text = Reason.TIME_LIMIT, f"time limit of {limits.time_limit_s:g} s"
         if state.nearest_at > max(t - STILL_S, t - state.elapsed(t)):
-            text += " (still getting nearer: increase time_limit_s)"
+            text += " (the parts still get nearer to their goals: increase time_limit_s)"
     elif met_since is None and t - state.nearest_at > limits.stuck_timeout_s + TIME_TOLERANCE_S:
         reason = Reason.NO_PROGRESS
         text = f"no progress for {limits.stuck_timeout_s:g} s"

@@ -328,7 +328,7 @@ class Follower(TaskRules):
         takes, limit = self.paths[k].duration, scenario.time_limit_s
         if takes > limit:
             raise ScenarioError(
-                f"{scenario.where}: task: paths: number {k + 1} takes {takes:.3g} s at its speed, "
+                f"{scenario.where}: task: paths: path {k + 1} takes {takes:.3g} s at its speed, "
                 f"allowed: at most time_limit_s, which is {limit:g}"
             )
 

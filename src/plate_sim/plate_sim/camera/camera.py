@@ -414,7 +414,9 @@ class Camera:
         at least two samples."""
         position = np.asarray(position, dtype=float)
         if position.ndim == 3 and velocity is not None:
-            raise PlateError("velocity requires positions of shape (M, 2), not over the exposure")
+            raise PlateError(
+                "velocity is given with positions over the exposure, allowed: shape (M, 2)"
+            )
         if position.ndim != 3:
             position = position.reshape(1, -1, 2)
         path = _samples("position", position, position.shape[1:])

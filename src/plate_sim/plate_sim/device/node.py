@@ -57,10 +57,11 @@ class Options(NodeOptions):
     seed: int = parameter(0, "Seed of the random faults.", 0, 2**31 - 1)
     firmware: str = parameter(
         "",
-        "Firmware program for drives on a CAN bus. It runs with simulated drives. Empty if no bus.",
+        "Program of the firmware for drives on a CAN bus. It runs with simulated drives. If it is "
+        "empty, there is no bus.",
     )
     baud: float = parameter(
-        921_600.0, "Speed of the line [bit/s]. With 0, bytes take no time.", 0, 1e9, live=True
+        921_600.0, "Speed of the line [bit/s]. 0 means that bytes take no time.", 0, 1e9, live=True
     )
     dropped: float = _fraction("Fraction of bytes that are lost on the line.")
     corrupted: float = _fraction("Fraction of bytes that are changed on the line.")

@@ -33,7 +33,7 @@ def check_table(rig: Rig, cycle: PlateCycle, running: PlateCycle) -> CycleUsage:
     peaks = usage(rig, cycle)
     if not peaks.worst <= SLACK:
         raise CycleError(
-            f"table needs {1e3 * peaks.stroke_m:.4g} mm, {peaks.speed:.4g} m/s and "
+            f"peaks of the table are {1e3 * peaks.stroke_m:.4g} mm, {peaks.speed:.4g} m/s and "
             f"{peaks.accel:.4g} m/s2, allowed: {1e3 * rig.limits.stroke_m:g} mm, "
             f"{rig.limits.speed:g} m/s and {rig.limits.accel:g} m/s2"
         )

@@ -127,7 +127,7 @@ def largest_fraction(
     rest_of_whole = whole.residual + (1 - fits) * request.force
     if low > 0:
         residual = best.residual + (1 - low) * request.force
-        message = f"a fraction of {low:.3g} of the request is met; for the whole: {why}"
+        message = f"a fraction of {low:.3g} of the request is met; the whole request fails: {why}"
         if prove is None and _size(rest_of_whole) < _size(residual):
             best, residual = whole, rest_of_whole
             message = (
