@@ -264,7 +264,7 @@ def test_what_is_too_fast_is_said_with_the_speed_that_would_do(speed, accel, sai
 
 def test_a_path_that_takes_longer_than_the_time_limit_is_refused():
     scenario = replace(load_scenario("follow_2"), time_limit_s=10.0)
-    with pytest.raises(ScenarioError, match=r"paths: number 1 takes 14 s .* at most time_limit_s"):
+    with pytest.raises(ScenarioError, match=r"paths: path 1 takes 14 s .* at most time_limit_s"):
         Planner(RIG, scenario)
     Planner(RIG, replace(scenario, time_limit_s=14.1))
 
@@ -273,7 +273,7 @@ def test_a_path_that_takes_longer_than_the_time_limit_is_refused():
     ("name", "gamma", "said"),
     [
         ("sort_4", 7.1, ""),
-        ("sort_4", 4.9, "expect it to take longer"),
+        ("sort_4", 4.9, "expect the task to take longer"),
         ("sort_10", 7.1, ""),
         ("sort_10", 4.9, "several times as long, and some runs may exceed time_limit_s, 1"),
     ],
@@ -303,7 +303,10 @@ def test_references_wait_for_a_part_that_stays_behind_and_then_it_is_stuck():
     assert progress.text.startswith("stuck after ")
     assert "no progress for 30 s; black_" in progress.text
     assert "requested drift was (" in progress.text
-    assert "its drift (0.0, 0.0) mm/s; friction.mu or the motors may differ" in progress.text
+    assert (
+        "its actual drift was (0.0, 0.0) mm/s; friction.mu or the motors may differ"
+        in progress.text
+    )
     assert len(asked.parts) == 0
 
 

@@ -100,8 +100,8 @@ def test_a_time_limit_says_whether_it_was_still_getting_nearer():
     near = evaluate(near, 109.0, Findings((), False, 0.1), LIMITS)
     state = evaluate(near, 110.1, Findings((), False, 0.1, detail=lambda: "8 mm to go"), LIMITS)
     assert state.text == (
-        "stuck after 10.1 s: time limit of 10 s (the parts still get nearer to their goals"
-        "); 8 mm to go"
+        "stuck after 10.1 s: time limit of 10 s (the parts still get nearer to "
+        "their goals: increase time_limit_s); 8 mm to go"
     )
 
 
