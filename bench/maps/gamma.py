@@ -124,15 +124,15 @@ MAP = StabilityMap(
     x_label="parts",
     y_label="shaking ratio Γ = a_max/(mu g) [-]",
     z_label="force error divided by requested force [-]",
-    line_label="the error that follows from the velocity gained by parts within a cycle, to first "
-    f"order in 1/Γ, is {LEVEL:g}",
+    line_label="the error due to the velocity that parts gain within a cycle, to first order in "
+    f"1/Γ, is {LEVEL:g}",
     level=LEVEL,
     measure=measure,
     bounds=(0.0, 1.5),
     log="y",
     steps=True,
-    finding="Motions with the requested average forces move parts wrongly unless the shaking "
-    "ratio is much higher than a rig can reach.",
-    note=f"Values are for one cycle from rest, and the median of {REQUESTS} random requests up to "
-    f"{FORCE:g} mu mg on each axis. The default rig has Γ = 40.8.",
+    finding="The average force neglects the velocity of the parts. Therefore it is wrong unless "
+    "the shaking ratio is much higher than a rig can reach.",
+    note=f"In the one evaluated cycle, the parts start at rest. Values are medians of {REQUESTS} "
+    f"random requests up to {FORCE:g} mu mg on each axis. The default rig has Γ = 40.8.",
 )

@@ -69,8 +69,8 @@ MAP = StabilityMap(
     measure=measure,
     bounds=(0.0, 1.0),
     steps=True,
-    finding="Motions with one harmonic move no part, and motions with two harmonics move five "
-    "parts.",
-    note=f"Each cell has {REQUESTS} random requests up to {FORCE:g} mu mg, which count as solved "
-    f"if the error is at most {TOLERANCE:g}.",
+    finding="Motions with one harmonic exert no mean force on any part. Two harmonics are enough "
+    "for requests with five parts.",
+    note=f"Each cell has {REQUESTS} random requests with forces up to {FORCE:g} mu mg. A request "
+    f"counts as solved if its error is at most {2 * TOLERANCE:g} mu mg.",
 )

@@ -86,8 +86,8 @@ MAP = StabilityMap(
     measure=measure,
     bounds=(0.0, 0.4),
     log="xy",
-    finding="The guaranteed force that separates two parts decreases with their distance. A denser "
-    "library increases it.",
-    note=f"Values are medians of {PAIRS} random pairs. Forces have a mean square of 1 over the "
+    finding="The nearer two parts are to each other, the smaller is the guaranteed force that can "
+    "separate them. A library with more centres of rotation increases this force.",
+    note=f"Values are medians of {PAIRS} random pairs. The force is the root mean square over both "
     "parts.",
 )

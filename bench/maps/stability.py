@@ -56,6 +56,6 @@ def nearness(one: StabilityMap, found: list[Grid]) -> str:
         return "No border is measured where one is predicted."
     off = np.abs(np.log([o / p for o, p in pairs]))
     return (
-        f"Measurement and theory differ by {100 * np.expm1(np.median(off)):.0f} % (median), at "
-        f"most {100 * np.expm1(np.max(off)):.0f} %."
+        f"Measured and theoretical border differ by {100 * np.expm1(np.median(off)):.0f} % "
+        f"(median), at most {100 * np.expm1(np.max(off)):.0f} %."
     )

@@ -98,16 +98,16 @@ def measure(quick: bool) -> list[Grid]:
 
 MAP = StabilityMap(
     key="stick",
-    title="Parts at rest: request and shaking ratio, one part on a line",
+    title="Sticking parts: request and shaking ratio, one part on a line",
     x_label="request: average force on a part at rest [mu mg]",
     y_label="shaking ratio Γ = a_max/(mu g) [-]",
     z_label="fraction of a cycle at rest [-]",
-    line_label="shaking ratio above which a part never rests",
+    line_label="the shaking ratio above which a part never sticks to the plate",
     level=LEVEL,
     measure=measure,
     bounds=(0.0, 1.0),
     log="y",
-    finding="The average force is exact if the part never rests. Larger requests need a higher "
-    "shaking ratio.",
-    note=f"The fraction is that of the periodic state, after {CYCLES} cycles.",
+    finding="The average force is exact if the part never sticks to the plate. Larger requests "
+    "need a higher shaking ratio.",
+    note=f"The fraction is measured in the periodic state, after {CYCLES} cycles.",
 )

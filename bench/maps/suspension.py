@@ -121,9 +121,9 @@ MAP = StabilityMap(
     bounds=(0.0, 2.0),
     log="y",
     steps=True,
-    finding="A plate with a natural frequency below the line needs a calibration. Rotations need a "
-    "natural frequency 1.6 to 3.3 times that of sinusoids, because their ramps are fast.",
-    note=f"Values are root mean squares in the periodic state, and medians of {REQUESTS} random "
-    f"requests. The damping is {100 * DAMPING:g} %; the motors differ by 15 % and have a "
-    "bandwidth of 200 Hz.",
+    finding="A plate with a natural frequency below the line needs a calibration. For rotations, "
+    "this frequency is 1.6 to 3.3 times as high as for sinusoids, because their ramps are fast.",
+    note="Errors are root mean squares over a cycle in the periodic state. Values are medians of "
+    f"{REQUESTS} random requests. The damping ratio is {100 * DAMPING:g} %. The motors differ by "
+    "15 % and have a bandwidth of 200 Hz.",
 )

@@ -54,9 +54,9 @@ def feeding(rows: list[Row]) -> Drawn:
     lost = sum(r["lost"] for r in rows if r["method"] == "ours")
     return Drawn(
         panels,
-        "Parts a minute with a robot cycle of 2 s (maximum 30), by this project, vibrated and "
-        f"thrown: {rates}. "
-        f"This project's feeder lost {lost or 'none'} over an edge.",
+        "Parts per minute of this project, the vibrated and the thrown baseline, with a robot "
+        f"cycle of 2 s (maximum 30): {rates}. This project's feeder lost {lost or 'no'} parts over "
+        "an edge.",
     )
 
 

@@ -43,12 +43,12 @@ def force_map(rows: list[Row]) -> Drawn:
     )
     return Drawn(
         panels,
-        f"`average_force` takes {best['us']:.0f} µs, and the 99th percentile of its error is "
-        f"{best['p99']:.0e} mu mg. It is {quad['us'] / best['us']:.0f} times as fast as scipy's "
-        f"quad. Equal steps are faster, but their error exceeds {MAX_P99:g} a hundredfold if the "
-        "surface is almost at rest, as at the end of a search.",
-        "`average_force` evaluates motions, and `forces` is used inside the search. They are the "
-        f"fastest functions with a 99th percentile below {MAX_P99:g} mu mg.",
+        f"The function `average_force` takes {best['us']:.0f} µs. The 99th percentile of its error "
+        f"is {best['p99']:.0e} mu mg. The function is {quad['us'] / best['us']:.0f} times as fast "
+        "as scipy's quad. Sums over equal time steps are faster, but their error exceeds "
+        f"{MAX_P99:g} mu mg a hundredfold if the plate's surface is almost at rest at the part.",
+        "`average_force` for the evaluation of motions, and `forces` during the search. They are "
+        f"the fastest functions with a 99th percentile below {MAX_P99:g} mu mg.",
     )
 
 
@@ -64,6 +64,6 @@ def learning(rows: list[Row]) -> Drawn:
     first, last = rows[0], rows[-1]
     return Drawn(
         panels,
-        f"The largest error falls from {first['most']:.0f} % to {last['most']:.2f} % in "
-        f"{last['iteration']} experiments.",
+        f"The largest error of a realised cycle falls from {first['most']:.0f} % to "
+        f"{last['most']:.2f} % in {last['iteration']} experiments.",
     )

@@ -48,9 +48,9 @@ def tracking(rows: list[Row]) -> Drawn:
     most = ", ".join(f"{fastest(rows, n)} with {parts(n)}" for n in counts)
     return Drawn(
         panels,
-        f"Maximum speed [mm/s]: {most}. The bound aT/16 is {min(column(rows, 'bound_mm_s')):.0f} "
-        f"to {max(column(rows, 'bound_mm_s')):.0f}.",
-        "Method B, because it is never slower than Method A in the same case."
+        f"Maximum speed [mm/s]: {most}. The theoretical bound aT/16 is "
+        f"{min(column(rows, 'bound_mm_s')):.0f} to {max(column(rows, 'bound_mm_s')):.0f} mm/s.",
+        "Method B, because its maximum speed is never below that of Method A."
         if leads
         else "Method B. The last panel shows where Method A is faster.",
     )
@@ -102,9 +102,9 @@ def cameras(rows: list[Row]) -> Drawn:
     usual = next(r for r in rows if r["changed"] == "image_rate" and r["value"] == 30)
     return Drawn(
         panels,
-        f"The error is {shown(usual['rms_mm'])} mm at 30 images a second, and "
-        f"{shown(triggered['rms_mm'])} mm with a triggered camera. Good enough values, within the "
-        f"tested ranges: {'; '.join(borders)}.",
+        f"The median error is {shown(usual['rms_mm'])} mm with the default camera, and "
+        f"{shown(triggered['rms_mm'])} mm with a triggered camera. Sufficient values in the tested "
+        f"ranges: {'; '.join(borders)}.",
     )
 
 
@@ -138,9 +138,9 @@ def drives(rows: list[Row]) -> Drawn:
     found = ", ".join(f"{errors[case]} mm with {word}" for case, word in words.items())
     return Drawn(
         panels,
-        f"The median error is {shown(bridges['rms_mm'])} mm for bridges, and "
-        f"{errors['latency_ms', 1]} mm for drives that interpolate, with the default values. "
-        f"If one value is changed, the error of these drives is {found}.",
+        f"The median error is {shown(bridges['rms_mm'])} mm with H-bridges, and "
+        f"{errors['latency_ms', 1]} mm with the default drives that interpolate setpoints. With "
+        f"such drives, the error is {found}.",
     )
 
 
@@ -168,15 +168,15 @@ def rigs(rows: list[Row]) -> Drawn:
             error.points(mine, "rms_mm", "rig", look, hollow=not_all)
             pace.points(mine, "kept", "rig", look, hollow=not_all)
     failures = "; ".join(
-        f"{rig} (" + ", ".join(f"{r['scenario']} {r['succeeded']}" for r in these) + ")"
+        f"{rig} (" + ", ".join(f"{r['scenario']}: {r['succeeded']} succeeded" for r in these) + ")"
         for rig, these in by(list(filter(not_all, rows)), "rig").items()
     )
-    ends = f"Not all runs ended well on these rigs: {failures}." if failures else "All ended well."
+    ends = f"Some runs failed on these rigs: {failures}." if failures else "All runs succeeded."
     right = sum((r["feasible"] == "likely") == (percent(r) > 50) for r in rows)
     return Drawn(
         panels,
-        f"{ends} `feasible` was right in {right} of {len(rows)} cases; *likely* means that more "
-        "than half of the runs end well.",
+        f"{ends} The prediction of `feasible` was right in {right} of {len(rows)} cases. The "
+        "prediction *likely* is right if more than half of the runs succeed.",
     )
 
 

@@ -39,5 +39,5 @@ def model(rows: list[Row]) -> Drawn:
     times = ", ".join(f"{r['scene']} {shown(r['cpu_ms'])}" for r in most)
     return Drawn(
         panels,
-        f"CPU time of a cycle with {most[0]['parts']} parts [ms]: {times}.",
+        f"CPU time of a cycle with {most[0]['parts']} parts [ms], by scene: {times}.",
     )

@@ -18,15 +18,23 @@ FACTS = "measured.json"
 
 ABOUT = """# Results: speed against accuracy
 
-This page compares each stage with baselines in speed and accuracy, and shows where methods fail.
-`make charts` writes it; do not edit it. `out/report/index.html` has the same charts with zoom and
-all rows. Forces are in mu mg, the sliding friction of one part. A black line
-connects the results that no other result beats in both time and error. A ring marks the default. A
-hollow mark means that not all runs ended well. Times are CPU times without ROS; on a busy machine
-(the load is given) they are up to twice as long. `make bench ARGS=NAME` repeats a measurement.
+This page compares each stage of the control loop with other methods (baselines), and shows where
+methods fail. `make charts` generates the page. `out/report/index.html` has the same charts with
+zoom and all rows.
 
-The solver evaluates motions after two plays, but `free_running`, `drives`, `rigs`, `feeding` and
-the films were made before, with one play.
+- A black line connects the results that no other result beats in both time and error.
+- A ring marks the default of the project.
+- A hollow point means that some runs failed.
+- Forces are in mu mg, the sliding friction of one part.
+- Method A moves the plate in a sequence of rotations, Method B in a sum of sinusoids.
+- Times are CPU times without ROS. If the computer's load was high, they are up to twice as long.
+- In the stability maps (the last five charts), the black line is the measured border between
+  success and failure. The dashed line is this border by theory.
+- The line *Data* gives the duration of each measurement, and the computer's load. `make bench
+  ARGS=NAME` repeats the measurement.
+
+The solver predicts each motion over two successive plays. The measurements `free_running`,
+`drives`, `rigs`, `feeding` and the films are older: they were made with one play.
 """
 
 
@@ -63,7 +71,7 @@ def write_results(path: Path, facts: Data, charts: Sequence[Chart]) -> None:
     quick = ", ".join(name for name, item in used.items() if item["quick"])
     lines += [f"**Quick measurements with few cases: {quick}.**"] if quick else []
     commit = usual_commit(used)
-    lines += [f"Commit: {commit}, unless another is given."]
+    lines += [f"Commit of the code: {commit}, unless the line *Data* gives another."]
     parts = [
         ABOUT,
         "\n".join(lines) + "\n",
@@ -85,8 +93,7 @@ def section(chart: Chart, facts: Data, commit: str) -> str:
         lines.append(f"Default: {chart.default}\n")
     measurements = [f"`{name}`{measured(facts.get(name), commit)}" for name in chart.sources]
     rows = f"[{len(chart.sheet.rows)} rows]({FOLDER}/{chart.key}.csv)"
-    plural = "s" if len(measurements) > 1 else ""
-    lines.append(f"Data: {rows} of the measurement{plural} {' and '.join(measurements)}.\n")
+    lines.append(f"Data: {rows} of {' and '.join(measurements)}.\n")
     return "\n".join(lines)
 
 
@@ -98,9 +105,9 @@ def demos(folder: Path) -> str:
     runs: Mapping[str, Mapping[str, Any]] = json.loads(path.read_text(encoding="utf-8"))
     lines = [
         "## Demos\n",
-        "Each film is one run of the real graph by `make demo SCENARIO=NAME ARGS=--lockstep`, "
-        "unless another command is given; `python tools/demos.py` makes all films. Arrows show the "
-        "mean friction force of the running cycle.\n",
+        "Each film shows one run of the ROS graph with the simulator. If no other command is "
+        "given, the command is `make demo SCENARIO=NAME ARGS=--lockstep`. `python tools/demos.py` "
+        "makes all films. An arrow is the mean friction force on a part in the running cycle.\n",
     ]
     for name, run in runs.items():
         text = run["description"]

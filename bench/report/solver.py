@@ -55,11 +55,12 @@ def solver(rows: list[Row]) -> Drawn:
         return f"{met:.0f} % in {shown(float(np.median(column(mine, 'ms'))))} ms"
 
     lead = " ".join(
-        f"Of the requests with {parts(n)}, Method B solves {solved_text(n, 'SinusoidSolver')} "
-        f"within 1e-4 mu mg, and scipy {solved_text(n, 'scipy lm')}."
+        f"Of the requests with {parts(n)}, Method B solves {solved_text(n, 'SinusoidSolver')}, and "
+        f"scipy {solved_text(n, 'scipy lm')}."
         for n in sorted({counts[0], counts[-1]})
     )
-    return Drawn(panels, lead)
+    met = f"A solved request has an error of at most {MAX_ERROR:g} mu mg."
+    return Drawn(panels, f"{lead} {met} Times are medians.")
 
 
 def options(rows: list[Row]) -> Drawn:
@@ -93,9 +94,9 @@ def options(rows: list[Row]) -> Drawn:
 
     counts = sorted(by(rows, "parts"))
     lead = " ".join(
-        f"With {parts(n)}, the error is {error_text(n, 'B', '40 restarts')} by Method B, "
-        f"{error_text(n, 'A', '1 restarts')} by Method A, and "
-        f"{error_text(n, 'scipy, own differences', '3 restarts')} by scipy with finite differences."
+        f"With {parts(n)}, Method B has an error of {error_text(n, 'B', '40 restarts')}, Method A "
+        f"{error_text(n, 'A', '1 restarts')}, and scipy with finite differences "
+        f"{error_text(n, 'scipy, own differences', '3 restarts')}."
         for n in sorted({counts[0], counts[-1]})
     )
     return Drawn(panels, lead)

@@ -28,8 +28,8 @@ def rows_of(data: Data, one: StabilityMap) -> Sheet:
 
 def words_of(one: StabilityMap) -> dict[str, str]:
     """Return the texts of one map's chart."""
-    reading = f"Colours show the {one.z_label}. The black line is the border at {one.level:g}. "
-    reading += f"The dashed line is the border by theory: {one.line_label}. {one.note}"
+    reading = f"Colours: {one.z_label}; border at {one.level:g}. "
+    reading += f"Border by theory: {one.line_label}. {one.note}"
     return {"title": one.title, "reading": reading}
 
 

@@ -71,11 +71,11 @@ def sim(rows: list[Row]) -> Drawn:
     counts = ", ".join(str(r["parts"]) for r in cases["lead"])
     return Drawn(
         panels,
-        f"At the same error, the simulator is {lead} times as fast as pymunk with {counts} parts "
-        "that move in all directions. The minimum error is "
+        f"With {counts} parts, the simulator is {lead} times as fast as pymunk at the same error. "
+        "The minimum error of the simulator is "
         f"{min(column(cases['travel'], 'error_mm')):.0e} mm.",
-        f"Points are simulated by events with a tolerance of {DEFAULT_TOLERANCE}, finite parts in "
-        f"steps of {1e3 * STEP:g} ms. The overlap of finite parts is too small to be seen.",
+        f"Points are simulated event by event with a tolerance of {DEFAULT_TOLERANCE}. Parts of "
+        f"finite size are simulated in steps of {1e3 * STEP:g} ms, with an invisible overlap.",
     )
 
 
@@ -132,9 +132,10 @@ def cost(rows: list[Row]) -> Drawn:
     last = stages[-1]
     return Drawn(
         panels,
-        f"{last['parts']} parts: {last['answer']:.1f} ms from image to setpoints, "
-        f"{100 * last['answer'] / last['period']:.0f} % of a cycle of {last['period']:.0f} ms. "
-        f"The solver takes {100 * last['solver'] / last['answer']:.0f} % of this time.",
+        f"With {last['parts']} parts, the stages take {last['answer']:.1f} ms from image to "
+        f"setpoints. This is {100 * last['answer'] / last['period']:.0f} % of a cycle of "
+        f"{last['period']:.0f} ms. The solver takes "
+        f"{100 * last['solver'] / last['answer']:.0f} % of this time.",
     )
 
 
@@ -162,9 +163,9 @@ def vision(rows: list[Row]) -> Drawn:
     ours = [r for r in rows if r["method"] == methods[0]]
     return Drawn(
         panels,
-        f"The detector has an error of {span(ours, 'rms_px')} px. It takes {span(ours, 'loop_ms')} "
-        f"ms in a separate loop, or {span(ours, 'turns_ms')} ms in turns with the baselines. It "
-        "misses no disc, and detects no false disc.",
+        f"The detector has an error of {span(ours, 'rms_px')} px, misses no disc, and detects no "
+        f"false disc. An image takes {span(ours, 'loop_ms')} ms, or {span(ours, 'turns_ms')} ms if "
+        "the baselines run in between.",
     )
 
 

@@ -49,18 +49,18 @@ WORLDS = {
 disturbances. The world `held_out` is intended for evaluations with random seeds."""
 
 TASKS = {
-    "Sort4-v1": ("sort_4", "465f434df34c169d"),
-    "Sort10-v1": ("sort_10", "42ebdb5c05a02b26"),
-    "Sort24-v1": ("sort_24", "e277fc1ab76f0f93"),
-    "Sort50-v1": ("sort_50", "ed57b3b26b6eb6ef"),
-    "Corners12-v1": ("sort_corners_12", "4b4755c75f38f85e"),
-    "Assemble8-v1": ("assemble_8", "3eff4724f5357ad9"),
-    "AlignBars-v1": ("align_6", "812251a9d81431b5"),
-    "Letters-v1": ("assemble_letters", "f882fe1a40841667"),
-    "Follow1-v1": ("follow_1", "7ff500bbf5727d5f"),
-    "Follow2-v1": ("follow_2", "a308ffcb1e295d1c"),
-    "Follow5-v1": ("follow_5", "3057df7c5f244eed"),
-    "Feed-v1": ("feed", "5b99341f03a50dbc"),
+    "Sort4-v1": ("sort_4", "996659cd0c19052a"),
+    "Sort10-v1": ("sort_10", "09cb7551aee2010d"),
+    "Sort24-v1": ("sort_24", "1d28d949ef2a00f9"),
+    "Sort50-v1": ("sort_50", "fa30dcf2a7f9bb94"),
+    "Corners12-v1": ("sort_corners_12", "fa48fddb4a4d15aa"),
+    "Assemble8-v1": ("assemble_8", "24a6a1dd24bb45ac"),
+    "AlignBars-v1": ("align_6", "b0ee32c9dc902b4f"),
+    "Letters-v1": ("assemble_letters", "0f64101d3c9a5865"),
+    "Follow1-v1": ("follow_1", "975827ce93056271"),
+    "Follow2-v1": ("follow_2", "6c1f8071b3c1583c"),
+    "Follow5-v1": ("follow_5", "2fb08bd80f644f14"),
+    "Feed-v1": ("feed", "4004538ca1f5638b"),
 }
 """Scenario of each task, and a digest of the files that define the task. The files of a task are
 the scenario file, the rig file, and the file of part types that the rig file names."""
@@ -102,9 +102,10 @@ def chosen(name: str, key: str, among: dict[str, Value]) -> Value:
 
 def digest(scenario: str) -> str:
     """Return a digest of the contents of a scenario file, its rig file, and the rig's file of part
-    types. Comments in the files do not change the digest."""
+    types. Comments in the files and the scenario's description do not change the digest."""
     path = config_path("scenarios") / f"{scenario}.yaml"
     contents = [yaml.safe_load(path.read_text("utf-8"))]
+    contents[0].pop("description", None)
     path = config_path(f"rigs/{contents[0]['rig']}.yaml" if "rig" in contents[0] else "rig.yaml")
     contents.append(yaml.safe_load(path.read_text("utf-8")))
     if "types" in contents[1]:
