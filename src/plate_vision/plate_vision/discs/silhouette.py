@@ -81,8 +81,8 @@ class SeenDiscs:
                 * self.height
                 / (place[2] - self.height)
             )
-            # l is the vector (x, y) on the plate. In the disc's frame, it is Q' l = S^-1 J' l, here
-            # divided by the pixel size
+            # Let l be the vector (x, y) on the plate. In the disc's frame, this vector is Q' l =
+            # S^-1 J' l. Here, it is divided by the pixel size.
             right, down = (a * x + c * y) / area, (b * x + d * y) / area
             p, q, r, s = across
             found["lean_px"][:, 0] = s * right - q * down

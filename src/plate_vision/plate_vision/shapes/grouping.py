@@ -186,7 +186,7 @@ def traits(inside: np.ndarray) -> Traits:
     contour = max(contours, key=len)
     hull = cv2.convexHull(contour)
     # OpenCV's contour connects the centres of the outermost pixels, which are half a pixel inside
-    # the edge. The area is corrected for this.
+    # the edge. The computed area is corrected for this half pixel.
     whole = cv2.contourArea(hull) + 0.5 * cv2.arcLength(hull, True) + 1
     return area, (moments["mu20"] + moments["mu02"]) / area**2, min(area / whole, 1.0)
 
