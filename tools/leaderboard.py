@@ -21,7 +21,8 @@ MARK = "<!-- made of benchmarks/ -->\n"
 """Line that separates the handwritten text from the generated tables."""
 
 ERRORS = {"error_mm": "error [mm]", "turn_error_deg": "error [degrees]"}
-"""Columns of errors. The table of a task has such a column only if an episode has this error."""
+LOST = "lost"
+"""Headings of columns. A table omits these columns if all their values are zero."""
 
 MIN_SEEDS = 20
 """Minimum number of seeds per task. The seeds start at 0."""
@@ -61,16 +62,23 @@ def tables(folder: Path) -> str:
     text = ""
     for task in TASKS:
         there = {name: result for name, result in results.items() if task in result["tasks"]}
-        every = [own for result in there.values() for own in result["tasks"][task]["rows"]]
-        errors = [key for key in ERRORS if any(own[key] for own in every)]
-        columns = ["agent", "done (interval [%])", "plate time [s]"]
-        columns += [*(ERRORS[key] for key in errors), "lost", "decision [ms]", "commit"]
-        rows = sorted(row(name, result, task, errors) for name, result in there.items())
+        rows = sorted(
+            (row(name, result, task) for name, result in there.items()),
+            key=lambda one: (one[0], one[1]["agent"]),
+        )
         text += f"\n## {task}\n"
-        if lines := [f"| {' | '.join(cells)} |\n" for order, cells in rows if order[2]]:
-            text += f"\n| {' | '.join(columns)} |\n|{'---|' * len(columns)}\n{''.join(lines)}"
-        if failed := ", ".join(cells[0] for order, cells in rows if not order[2]):
-            text += f"\nThese agents completed no episode: {failed}.\n"
+        if listed := [cells for order, cells in rows if order[2]]:
+            omitted = {
+                key
+                for key in (*ERRORS.values(), LOST)
+                if all(float(cells[key]) == 0 for cells in listed)
+            }
+            columns = [key for key in listed[0] if key not in omitted]
+            text += f"\n| {' | '.join(columns)} |\n|{'---|' * len(columns)}\n"
+            for cells in listed:
+                text += f"| {' | '.join(cells[key] for key in columns)} |\n"
+        if failed := ", ".join(cells["agent"] for order, cells in rows if not order[2]):
+            text += f"\nNo completed episode: {failed}.\n"
     return text
 
 
@@ -79,8 +87,8 @@ Order = tuple[bool, str, float, float]
 episodes (descending), then plate time."""
 
 
-def row(file: str, result: dict[str, Any], task: str, errors: list[str]) -> tuple[Order, list[str]]:
-    """Return the sort key of a result, and its cells in the table of a task."""
+def row(file: str, result: dict[str, Any], task: str) -> tuple[Order, dict[str, str]]:
+    """Return the sort key of a result, and its cells in the table of a task, by heading."""
     from plate_gym.result import summary
 
     world = result["world"]
@@ -90,15 +98,17 @@ def row(file: str, result: dict[str, Any], task: str, errors: list[str]) -> tupl
     share, took, count = found["success"], found.get("time_s", np.inf), len(found["rows"])
     ended = [own for own in found["rows"] if "failure" not in own] or found["rows"]
     link = f"[{result['agent']}](../../benchmarks/{file})"
-    cells = [
-        link if world == "nominal" else f"{link}, {world}",
-        f"{share * count:.0f}/{count} ({low:.0f}-{high:.0f})",
-        f"{took:.1f}" if np.isfinite(took) else "-",
-        *(f"{np.median([own[key] for own in ended]):.3g}" for key in errors),
-        str(found["dropped"]),
-        f"{found['decision_ms']:.3g}",
-        result["commit"],
-    ]
+    cells = {
+        "agent": link if world == "nominal" else f"{link}, {world}",
+        "done (interval [%])": f"{share * count:.0f}/{count} ({low:.0f}-{high:.0f})",
+        "plate time [s]": f"{took:.1f}" if np.isfinite(took) else "-",
+        **{
+            heading: f"{np.median([own[key] for own in ended]):.3g}"
+            for key, heading in ERRORS.items()
+        },
+        LOST: str(found["dropped"]),
+        "decision [ms]": f"{found['decision_ms']:.3g}",
+    }
     return (world != "nominal", world, -share, took), cells
 
 
