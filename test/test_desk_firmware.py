@@ -56,8 +56,8 @@ def test_the_motors_are_where_the_drives_have_brought_them(desk):
         np.arange(0, 0.1, 2.5e-4), key=miss
     )  # when a play began, and how late the motors are
     assert 0 < miss(best) < 1.5e-4  # they lag, by little
-    assert 0.3 < desk.check.shares[0] < 0.5
-    assert np.all(desk.check.shares < 1)
+    assert 0.3 < desk.check.fractions[0] < 0.5
+    assert np.all(desk.check.fractions < 1)
 
 
 @pytest.mark.parametrize(("rig", "has"), [("desk", "bridge"), ("odrives", "odrive")])

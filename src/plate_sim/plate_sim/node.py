@@ -230,8 +230,8 @@ class Options(NodeOptions):
     def disturbances(self) -> Disturbances:
         """Return the disturbances that the parameters set."""
         kinds = {f.name for f in fields(Disturbances)}
-        ours = {f.name: getattr(self, f.name) for f in fields(self) if f.name in kinds}
-        return Disturbances(**ours)
+        values = {f.name: getattr(self, f.name) for f in fields(self) if f.name in kinds}
+        return Disturbances(**values)
 
 
 @dataclass
@@ -734,7 +734,7 @@ class SimulatorNode(SafeLifecycleNode[Options]):
         return worst(findings, "all parts on the plate, all cycles on time")
 
     def _values(self) -> Mapping[str, object]:
-        limits, share = self._rig.limits, self._usage
+        limits, used = self._rig.limits, self._usage
         mu = self._simulation.mu
         return {
             **self._count,
@@ -744,9 +744,9 @@ class SimulatorNode(SafeLifecycleNode[Options]):
                 f"{label} over the chute": count
                 for label, count in self._simulation.chuted_classes.items()
             },
-            "stroke used": f"{share.stroke_m / limits.stroke_m:.3f}",
-            "speed used": f"{share.speed / limits.speed:.3f}",
-            "acceleration used": f"{share.accel / limits.accel:.3f}",
+            "stroke used": f"{used.stroke_m / limits.stroke_m:.3f}",
+            "speed used": f"{used.speed / limits.speed:.3f}",
+            "acceleration used": f"{used.accel / limits.accel:.3f}",
             "true friction": f"{np.min(mu, initial=np.inf):.3g} to {np.max(mu, initial=0):.3g}",
             "disturbances": self._simulation.disturbances.summary,
             "silent": f"{self._input.age(time.monotonic()):.2f} s",

@@ -110,7 +110,7 @@ def test_the_judge_sees_what_odrives_are_told_beyond():
     check = SetpointCheck(ODRIVES, drives.zeros, LIMITS)
     for place in (0.0, 0.0021, 0.0042):
         check.receive(odrive_frames(drives, place), True)
-    assert check.shares[1] == pytest.approx(1.05, rel=1e-3)
+    assert check.fractions[1] == pytest.approx(1.05, rel=1e-3)
 
 
 def test_only_the_states_in_order_give_current():
@@ -138,10 +138,10 @@ def test_the_judge_sees_what_is_beyond(places, share, value):
     check = SetpointCheck(DRIVES, drives.zeros, LIMITS)
     for place in places:
         check.receive(frames(drives, place), True)
-    assert check.shares[share] == pytest.approx(value, rel=1e-3)
-    before = check.shares.copy()
+    assert check.fractions[share] == pytest.approx(value, rel=1e-3)
+    before = check.fractions.copy()
     check.receive(frames(drives, 1.0), False)  # without current nothing counts
-    assert (check.shares == before).all()
+    assert (check.fractions == before).all()
 
 
 def test_a_header_has_the_drives():

@@ -18,7 +18,7 @@ from plate_core.rig import PartType, camera_place, homography, project, to_home
 from .raster import Outlines, Sprites, draw_parts, draw_plate, expose, joined, outlines_of
 from .sweeps import scaled, swept
 
-ROOM = 60.0
+SURROUNDINGS = 60.0
 """Grey value of the surroundings of the plate at full brightness."""
 
 PLATE = 220.0
@@ -75,7 +75,7 @@ STRIP_STEP = 0.002
 """If the plate has moved, a strip along its edge is repainted in the image. The width of this strip
 is a multiple of this value [m]. The pixels of the strip are cached for each width."""
 
-FAR = 1e6
+NO_POINT = 1e6
 """Coordinate that is assigned to pixels that show no point of the plate's plane [m]. The coordinate
 is far outside the plate."""
 
@@ -178,7 +178,7 @@ class Lighting:
     level: float = 1.0
 
     @property
-    def shadow_way(self) -> np.ndarray:
+    def shadow_direction(self) -> np.ndarray:
         """Unit vector (2,) in the direction of the shadows, in plate_home."""
         angle = np.radians(self.shadow_deg)
         return np.array([np.cos(angle), np.sin(angle)])
@@ -249,15 +249,15 @@ class _Solids(NamedTuple):
 
 class _Layer(NamedTuple):
     """Layer of the drawing with one shape for each of M parts. For example, a layer contains all
-    side faces. `path` contains the positions (s, M, 2) [m], and `turn` the cosine and sine of the
-    angles, (M, 2) or (2,). `kind` is the row of the shapes' grey values in the array that
+    side faces. `path` contains the positions (s, M, 2) [m], and `cos_sin` the cosine and sine of
+    the angles, (M, 2) or (2,). `kind` is the row of the shapes' grey values in the array that
     `Camera._sprites` describes."""
 
     kind: int
     path: np.ndarray
     outlines: Outlines
     opacity: float
-    turn: np.ndarray
+    cos_sin: np.ndarray
 
 
 class Camera:
@@ -283,12 +283,12 @@ class Camera:
         noise: float = NOISE,
         *,
         plate: float = PLATE,
-        room: float = ROOM,
+        surroundings: float = SURROUNDINGS,
         defocus_px: float = 0.0,
     ) -> None:
         self._rig = rig
         self.noise = noise
-        self._greys, self._defocus_px = (room, plate), defocus_px
+        self._greys, self._defocus_px = (surroundings, plate), defocus_px
         self._lens = rig.camera.lens
         if self._lens is not None and not self._lens.bends:
             self._lens = None
@@ -373,10 +373,10 @@ class Camera:
         count = path.shape[1]
         colour = np.ndim(grey) == 2
         values = _checked("grey", grey, (count, 3) if colour else (count,))
-        turns = np.zeros(count) if angle is None else _checked("angle", angle, (count,))
+        angles = np.zeros(count) if angle is None else _checked("angle", angle, (count,))
         scene = self._solids(path, types, height, size)
         sprites, outlines, kind = self._sprites(
-            scene, turns, angle is not None and types is None, lighting
+            scene, angles, angle is not None and types is None, lighting
         )
         robot = None if gripper is None else self._robot(_checked("gripper", gripper, (2,)))
         channels = []
@@ -491,19 +491,19 @@ class Camera:
         point below the camera is drawn first.
         """
         own, path, count = scene.top, scene.seen, scene.seen.shape[1]
-        turn, level = np.stack([np.cos(angle), np.sin(angle)], axis=1), np.array([1.0, 0.0])
-        layers = [_Layer(1, path, own, 1.0, turn)]
+        cos_sin, level = np.stack([np.cos(angle), np.sin(angle)], axis=1), np.array([1.0, 0.0])
+        layers = [_Layer(1, path, own, 1.0, cos_sin)]
         size = np.ones(count) if scene.size is None else scene.size
         if lighting.shadows:
             # A shadow is drawn as several layers with the same opacity. Where all layers overlap,
             # their total opacity is the opacity of the shadow.
             opacity = 1 - (1 - lighting.shadows) ** (1 / PENUMBRA_STEPS)
-            shift = np.tile(lighting.shadow_m * lighting.shadow_way, (count, 1))
+            shift = np.tile(lighting.shadow_m * lighting.shadow_direction, (count, 1))
             reach = size * [part.reach_m for part in scene.types]
             shadows = []
             for step in np.linspace(-1, 1, PENUMBRA_STEPS):
                 growth = np.maximum(1 + step * lighting.penumbra_m / (2 * reach), 0.0)
-                outlines = swept(scene.types, turn, size, growth, shift)
+                outlines = swept(scene.types, cos_sin, size, growth, shift)
                 shadows.append(_Layer(0, scene.path + shift / 2, outlines, opacity, level))
             layers = [*shadows, *layers]
         first = len(layers) - 1
@@ -514,29 +514,29 @@ class Camera:
             reach = size * [part.reach_m for part in scene.types]
             extent = self._scale * (np.hypot(*rise.T) + swell[:, 0] * reach)
             part = np.maximum(1 - EDGE_PX / np.maximum(extent, EDGE_PX), 0)[:, None]
-            outlines = swept(scene.types, turn, size, 1 + (part * swell)[:, 0], part * rise)
+            outlines = swept(scene.types, cos_sin, size, 1 + (part * swell)[:, 0], part * rise)
             layers.insert(first, _Layer(4, scene.path + part * rise / 2, outlines, 1.0, level))
         if marked:
             marks = own.discs(MARK_RADIUS * own.reach)
-            there = path + MARK_PLACE * own.reach[:, None] * turn
-            layers.append(_Layer(2, there, marks, 1.0, turn))
+            there = path + MARK_PLACE * own.reach[:, None] * cos_sin
+            layers.append(_Layer(2, there, marks, 1.0, cos_sin))
         if lighting.highlights or lighting.gloss:
             x, y, depth, area = own.spot.T
-            (c, s), there = turn.T, np.empty((count, 2))
+            (c, s), there = cos_sin.T, np.empty((count, 2))
             there[:, 0], there[:, 1] = c * x - s * y, s * x + c * y
         if lighting.highlights:
             radius = np.minimum(
                 np.sqrt(lighting.highlights * area / np.pi), HIGHLIGHT_WIDEST * depth
             )
-            layers.append(_Layer(3, path + there, own.discs(radius), HIGHLIGHT_OPACITY, turn))
+            layers.append(_Layer(3, path + there, own.discs(radius), HIGHLIGHT_OPACITY, cos_sin))
         if lighting.gloss:
-            there = there - GLOSS_PLACE * depth[:, None] * lighting.shadow_way
-            layers.append(_Layer(3, path + there, own.discs(lighting.gloss * depth), 1.0, turn))
+            there = there - GLOSS_PLACE * depth[:, None] * lighting.shadow_direction
+            layers.append(_Layer(3, path + there, own.discs(lighting.gloss * depth), 1.0, cos_sin))
         every = [layer.outlines for layer in layers]
         there, outlines = np.concatenate([layer.path for layer in layers], axis=1), joined(every)
         sprites = Sprites(
             *self._windows(there, outlines.reach), there, outlines.reach,
-            np.concatenate([np.broadcast_to(layer.turn, (count, 2)) for layer in layers]),
+            np.concatenate([np.broadcast_to(layer.cos_sin, (count, 2)) for layer in layers]),
             np.full(there.shape[1], WHITE),
             np.repeat([layer.opacity for layer in layers], count),
         )  # fmt: skip
@@ -564,9 +564,16 @@ class Camera:
         for axis in (0, 1):
             lines = np.flatnonzero(covered.any(axis=1 - axis))
             window[0, 2 * axis : 2 * axis + 2] = (lines[0], lines[-1] + 1) if len(lines) else (0, 0)
-        turn = np.tile([1.0, 0.0], (count, 1))
+        cos_sin = np.tile([1.0, 0.0], (count, 1))
         return Sprites(
-            window, scale, copies, path, outlines.reach, turn, np.array(ROBOT_GREY), np.ones(count)
+            window,
+            scale,
+            copies,
+            path,
+            outlines.reach,
+            cos_sin,
+            np.array(ROBOT_GREY),
+            np.ones(count),
         )
 
     def _windows(
@@ -589,11 +596,11 @@ class Camera:
             seen = self._lens.bend(seen)
         area = np.abs(slopes[:, 0, 0] * slopes[:, 1, 1] - slopes[:, 0, 1] * slopes[:, 1, 0])
         square = np.sum(slopes**2, axis=(1, 2))
-        longest = np.sqrt(0.5 * (square + np.sqrt(np.maximum(square**2 - 4 * area**2, 0))))
+        stretch = np.sqrt(0.5 * (square + np.sqrt(np.maximum(square**2 - 4 * area**2, 0))))
         spread = np.linalg.norm(path - middle, axis=2).max(axis=0)
         # The window of pixels around a part is 10 % larger than computed, because the image scale
         # varies across the part.
-        reach = 1.1 * longest * (radius + spread) + MARGIN_PX
+        reach = 1.1 * stretch * (radius + spread) + MARGIN_PX
         size = np.array([self._rig.camera.width_px, self._rig.camera.height_px])
         low = np.clip(seen - reach[:, None], 0, size).astype(int)
         high = np.clip(seen + reach[:, None] + 1, 0, size).astype(int)
@@ -665,7 +672,7 @@ def _pixel_places(rig: Rig) -> np.ndarray:
     pixel = np.stack([u.ravel(), v.ravel()], axis=1)
     if camera.lens is not None and camera.lens.bends:
         pixel = camera.lens.straighten(pixel)
-    places = np.nan_to_num(project(np.linalg.inv(homography(rig)), pixel), nan=FAR)
+    places = np.nan_to_num(project(np.linalg.inv(homography(rig)), pixel), nan=NO_POINT)
     places.flags.writeable = False
     return places.reshape(*u.shape, 2)
 

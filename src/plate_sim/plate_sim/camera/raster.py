@@ -82,7 +82,7 @@ class Sprites(NamedTuple):
         Positions [m, plate_home] at equal intervals over the exposure.
     radius : (n,)
         Radius of a disc, or of a circle that contains the polygons [m].
-    turn : (n, 2)
+    cos_sin : (n, 2)
         Cosine and sine of the angle of each shape.
     grey : (n,)
         Grey values at full brightness.
@@ -95,7 +95,7 @@ class Sprites(NamedTuple):
     copies: np.ndarray
     path: np.ndarray
     radius: np.ndarray
-    turn: np.ndarray
+    cos_sin: np.ndarray
     grey: np.ndarray
     opacity: np.ndarray
 

@@ -63,7 +63,7 @@ def scaled(outlines: Outlines, factor: np.ndarray) -> Outlines:
 
 def swept(
     types: Sequence[PartType],
-    turn: np.ndarray,
+    cos_sin: np.ndarray,
     size: np.ndarray,
     growth: np.ndarray,
     shift: np.ndarray,
@@ -74,7 +74,7 @@ def swept(
     Parameters
     ----------
     types : sequence of M
-    turn : (M, 2)
+    cos_sin : (M, 2)
         Cosine and sine of the angles of the parts.
     size : (M,)
         Initial size of each part divided by the size of its type.
@@ -97,7 +97,7 @@ def swept(
     for part in dict.fromkeys(types):
         rows = np.array([k for k, other in enumerate(types) if other == part])
         solid, holes = _contours(part)
-        c, s = turn[rows].T
+        c, s = cos_sin[rows].T
         rotation = np.stack([np.stack([c, -s], axis=1), np.stack([s, c], axis=1)], axis=1)
         own = [
             _swept_piece(piece, rotation, size[rows], growth[rows], shift[rows], kind)
@@ -160,10 +160,10 @@ def _disc_tangents(
     (P, 2, 2) and its distance from the origin (P, 2) [m]. The first disc has its centre at the
     origin and the radius `radius`. The second disc has its centre at `shift` and the radius
     `growth` times `radius`. If one disc is inside the other, the values are NaN."""
-    way = np.hypot(*shift.T)
+    distance = np.hypot(*shift.T)
     with np.errstate(all="ignore"):
-        cosine = (1 - growth) * radius / way
-        half = np.where((way > STRAIGHT) & (np.abs(cosine) < 1), np.arccos(cosine), np.nan)
+        cosine = (1 - growth) * radius / distance
+        half = np.where((distance > STRAIGHT) & (np.abs(cosine) < 1), np.arccos(cosine), np.nan)
     along = np.arctan2(shift[:, 1], shift[:, 0])
     angle = along[:, None] + half[:, None] * np.array([1.0, -1.0])
     touch = np.where(np.isnan(angle), np.nan, radius[:, None])
@@ -186,10 +186,10 @@ def _tangents(
     tangent if both polygons are on one side of this line.
     """
     point = size[:, None, None] * (corners @ np.swapaxes(rotation, 1, 2))
-    way = (growth[:, None, None] - 1) * point + shift[:, None]
-    length = np.hypot(way[..., 0], way[..., 1])
+    displacement = (growth[:, None, None] - 1) * point + shift[:, None]
+    length = np.hypot(displacement[..., 0], displacement[..., 1])
     with np.errstate(all="ignore"):
-        normal = np.stack([way[..., 1], -way[..., 0]], axis=2) / length[..., None]
+        normal = np.stack([displacement[..., 1], -displacement[..., 0]], axis=2) / length[..., None]
     found, touch = [], []
     for side in (1.0, -1.0):
         across = side * np.einsum("pmi,pni->pmn", normal, point)

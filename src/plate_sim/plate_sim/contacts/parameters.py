@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 from plate_core import PlateError
 
-from ..friction.checks import LARGEST
+from ..friction.checks import MAX_ABS
 
 
 @dataclass(frozen=True)
@@ -36,8 +36,8 @@ class Contacts:
     def __post_init__(self) -> None:
         if not 0 <= self.restitution <= 1:
             raise PlateError(f"contacts: restitution is {self.restitution!r}, allowed: 0 to 1")
-        if not 0 <= self.friction <= LARGEST:
-            raise PlateError(f"contacts: friction is {self.friction!r}, allowed: 0 to {LARGEST:g}")
+        if not 0 <= self.friction <= MAX_ABS:
+            raise PlateError(f"contacts: friction is {self.friction!r}, allowed: 0 to {MAX_ABS:g}")
 
 
 INELASTIC = Contacts()

@@ -224,7 +224,7 @@ class _ODrive:
     goal: float = 0.0  # requested position [turns]
     speed: float = 0.0  # requested speed [turns/s]
 
-    def execute(self, message: int, data: bytes, now_ms: int, turns: float) -> list[Frame]:
+    def execute(self, message: int, data: bytes, now_ms: int, rotations: float) -> list[Frame]:
         """Execute a message to the drive, and return the drive's reply."""
         self.fed_ms = now_ms
         if message == SET_POSITION:
@@ -239,7 +239,7 @@ class _ODrive:
         known = {
             REMOTE | GET_VERSION: bytes([2, 4, 4, 58, 0, 6, 10, 0]),
             REMOTE | GET_ERROR: struct.pack("<II", self.errors, self.errors),
-            REMOTE | GET_ESTIMATES: struct.pack("<ff", turns, 0.0),
+            REMOTE | GET_ESTIMATES: struct.pack("<ff", rotations, 0.0),
         }
         if message not in known:
             return []
@@ -261,12 +261,14 @@ class SimulatedODrives(SimulatedDrives):
     def receive(self, frames: Sequence[Frame]) -> list[Frame]:
         """Process the frames of the master, and return the replies of the drives."""
         answers: list[Frame] = []
-        turns = dict(zip(self._odrives, np.array(self._counts()) / ODRIVE_COUNTS, strict=True))
+        rotations = dict(zip(self._odrives, np.array(self._counts()) / ODRIVE_COUNTS, strict=True))
         for identifier, data in frames:
             number = identifier >> 5 & 63
             if number in self._odrives:
                 message = identifier & (REMOTE | 31)
-                answers += self._odrives[number].execute(message, data, self._now_ms, turns[number])
+                answers += self._odrives[number].execute(
+                    message, data, self._now_ms, rotations[number]
+                )
         return answers
 
     def _driven(self) -> np.ndarray:
@@ -310,10 +312,10 @@ class SetpointCheck:
         self._last = max(self._places) if self._odrives else SYNC
         self._scale = np.array([drive.counts_per_m * drive.sign for drive in drives])
         self._zeros, self._targets = zeros, np.zeros(len(drives), int)
-        self._most = np.array([limits.stroke_m, limits.speed, limits.accel])
+        self._limits = np.array([limits.stroke_m, limits.speed, limits.accel])
         # last three setpoints [m]; empty while the motors have no current
         self._led: list[np.ndarray] = []
-        self.shares = np.zeros(3)
+        self.fractions = np.zeros(3)
         """Maximum stroke, speed and acceleration of the setpoints so far, as fractions of the
         limits."""
 
@@ -333,5 +335,5 @@ class SetpointCheck:
                 steps = np.diff(places, axis=0) / CYCLE_S
                 if led:
                     found = (places, steps, np.diff(steps, axis=0) / CYCLE_S)
-                    most = [np.max(np.abs(each), initial=0.0) for each in found]
-                    self.shares = np.maximum(self.shares, most / self._most)
+                    maxima = [np.max(np.abs(each), initial=0.0) for each in found]
+                    self.fractions = np.maximum(self.fractions, maxima / self._limits)

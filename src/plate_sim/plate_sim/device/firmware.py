@@ -84,7 +84,7 @@ class FirmwareOnDesk:
 
     def reset(self) -> None:
         """Restart the firmware. The simulated drives continue to run."""
-        self._say("reset")
+        self._send_order("reset")
         self.to_device.cut()
         self.to_host.cut()
 
@@ -95,7 +95,7 @@ class FirmwareOnDesk:
 
     def values(self) -> Mapping[str, object]:
         """Return values for the diagnostics, by name."""
-        stroke, speed, accel = self.check.shares
+        stroke, speed, accel = self.check.fractions
         return {
             "state": self.state.name.lower(),
             "damaged frames": self._refused,
@@ -109,16 +109,16 @@ class FirmwareOnDesk:
         this tick."""
         self.now_us += TICK_US
         if received := self.to_device.arrived(self.now):
-            self._say(f"rx {received.hex()}")
+            self._send_order(f"rx {received.hex()}")
         for identifier, data in self._coming + self.drives.passed():
-            self._say(f"can {identifier:x} {data.hex()}")
-        self._say(f"run {TICK_US}")
+            self._send_order(f"can {identifier:x} {data.hex()}")
+        self._send_order(f"run {TICK_US}")
         frames = self._output()
         self._coming = self.drives.receive(frames)
         self.check.receive(frames, bool(self.drives.enabled.all()))
         return self._recorder.followed(self.now, None, self.drives.motors, self.triggered)
 
-    def _say(self, order: str) -> None:
+    def _send_order(self, order: str) -> None:
         assert self._process.stdin is not None
         self._process.stdin.write(order + "\n")
 
@@ -134,15 +134,15 @@ class FirmwareOnDesk:
         except OSError as error:
             raise PlateError(f"the firmware has ended: {error}") from None
         for line in iter(self._process.stdout.readline, ""):
-            kind, *words = line.split()
+            kind, *arguments = line.split()
             if kind == "can":
-                frames.append((int(words[0], 16), bytes.fromhex("".join(words[1:]))))
+                frames.append((int(arguments[0], 16), bytes.fromhex("".join(arguments[1:]))))
             elif kind == "tx":
-                self.to_host.sent(bytes.fromhex(words[0]), self.now)
+                self.to_host.sent(bytes.fromhex(arguments[0]), self.now)
             elif kind == "trigger":
-                self.triggered = words[1] == "1"
+                self.triggered = arguments[1] == "1"
             elif kind == "state":
-                self.state, self.faults = State(int(words[0])), Fault(int(words[1]))
-                self._refused = int(words[2])
+                self.state, self.faults = State(int(arguments[0])), Fault(int(arguments[1]))
+                self._refused = int(arguments[2])
                 return frames
         raise PlateError("the firmware has ended")

@@ -29,7 +29,7 @@ class Line:
     def __init__(self, faults: LineFaults, rng: np.random.Generator) -> None:
         self.faults = faults
         self._rng = rng
-        self._way: list[tuple[float, bytes]] = []
+        self._in_transit: list[tuple[float, bytes]] = []
         self._free_at = float("-inf")  # time at which the last byte arrives at the receiver [s]
 
     def sent(self, data: bytes, now: float) -> None:
@@ -40,7 +40,7 @@ class Line:
             start = max(now + self.faults.delay + late, self._free_at)
             baud = self.faults.baud
             self._free_at = start + (len(part) * BITS_PER_BYTE / baud if baud else 0.0)
-            self._way.append((self._free_at, self._damaged(part)))
+            self._in_transit.append((self._free_at, self._damaged(part)))
 
     def idle(self, now: float) -> bool:
         """Return whether the sender has transmitted all bytes by the time `now` [s]."""
@@ -48,14 +48,14 @@ class Line:
 
     def arrived(self, now: float) -> bytes:
         """Remove the bytes that have arrived by the time `now` [s], and return them."""
-        arrived_bytes = b"".join(data for at, data in self._way if at <= now)
-        if arrived_bytes or (self._way and self._way[0][0] <= now):
-            self._way = [item for item in self._way if item[0] > now]
+        arrived_bytes = b"".join(data for at, data in self._in_transit if at <= now)
+        if arrived_bytes or (self._in_transit and self._in_transit[0][0] <= now):
+            self._in_transit = [item for item in self._in_transit if item[0] > now]
         return arrived_bytes
 
     def cut(self) -> None:
         """Discard all bytes on the line."""
-        self._way, self._free_at = [], float("-inf")
+        self._in_transit, self._free_at = [], float("-inf")
 
     def _split(self, data: bytes) -> list[tuple[float, bytes]]:
         if len(data) < 2 or self._rng.random() >= self.faults.split:

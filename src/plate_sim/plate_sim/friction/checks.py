@@ -12,7 +12,7 @@ from plate_core.motion import REST_TOLERANCE
 
 from ..plate.motion import PlateMotion
 
-LARGEST = 1e60
+MAX_ABS = 1e60
 """Maximum absolute value of a state or coefficient. With this limit, products of such values are
 finite."""
 
@@ -32,13 +32,13 @@ def check_motion(cycle: PlateCycle | PlateMotion, cycles: int) -> None:
     if isinstance(cycle, PlateCycle):
         if cycles > 1 and not cycle.closes:
             pose, twist, accel = np.abs(cycle.state(-1) - cycle.state(0)).max(axis=1)
-            most, most_angle = REST_TOLERANCE[0], REST_TOLERANCE[2]
+            max_m, max_rad = REST_TOLERANCE[0], REST_TOLERANCE[2]
             raise PlateError(
                 f"cycles is {cycles}, allowed: 1, because the cycle does not close. Its end and "
                 f"start differ by {pose:.3g} m or rad in pose, {twist:.3g} m/s or rad/s in "
-                f"twist, {accel:.3g} m/s2 or rad/s2 in acceleration, allowed: {most:g} m and "
-                f"{most_angle:g} rad, {1e2 * most:g} m/s and {1e2 * most_angle:g} rad/s, "
-                f"{1e4 * most:g} m/s2 and {1e4 * most_angle:g} rad/s2"
+                f"twist, {accel:.3g} m/s2 or rad/s2 in acceleration, allowed: {max_m:g} m and "
+                f"{max_rad:g} rad, {1e2 * max_m:g} m/s and {1e2 * max_rad:g} rad/s, "
+                f"{1e4 * max_m:g} m/s2 and {1e4 * max_rad:g} rad/s2"
             )
         return
     if cycles > 1:
@@ -50,18 +50,18 @@ def check_motion(cycle: PlateCycle | PlateMotion, cycles: int) -> None:
 
 def pairs(name: str, array: np.ndarray, count: int | None = None) -> np.ndarray:
     """Check that `array` has the shape (count, 2) and that its absolute values are at most
-    `LARGEST`. Return a copy with the type float."""
+    `MAX_ABS`. Return a copy with the type float."""
     array = np.array(array, dtype=float)
     if array.ndim != 2 or array.shape[1] != 2 or (count is not None and len(array) != count):
         rows = "M" if count is None else count
         raise PlateError(f"{name} has shape {array.shape}, allowed: ({rows}, 2)")
-    usable = np.abs(array) <= LARGEST  # False for NaN
+    usable = np.abs(array) <= MAX_ABS  # False for NaN
     if not usable.all():
         part = int(np.argmin(usable.all(axis=1)))
         finite = "not finite" if not np.isfinite(array[part]).all() else "too large"
         raise PlateError(
             f"{name} has values that are {finite}: part {part} has {array[part].tolist()}, "
-            f"allowed: up to {LARGEST:g}"
+            f"allowed: up to {MAX_ABS:g}"
         )
     return array
 
@@ -71,13 +71,13 @@ def friction_accel(friction: float | np.ndarray, gravity: float, count: int) -> 
     mu = np.array(friction, dtype=float)
     if mu.shape not in ((), (count,)):
         raise PlateError(f"friction has shape {mu.shape}, allowed: () or ({count},)")
-    if not 0 <= gravity <= LARGEST:
-        raise PlateError(f"gravity is {gravity!r} m/s2, allowed: 0 to {LARGEST:g}")
-    usable = (mu >= 0) & (mu <= LARGEST)  # False for NaN
+    if not 0 <= gravity <= MAX_ABS:
+        raise PlateError(f"gravity is {gravity!r} m/s2, allowed: 0 to {MAX_ABS:g}")
+    usable = (mu >= 0) & (mu <= MAX_ABS)  # False for NaN
     if not usable.all():
         part = int(np.argmin(usable))
         which = f" for part {part}" if mu.ndim else ""
-        raise PlateError(f"friction is {mu.flat[part]:g}{which}, allowed: 0 to {LARGEST:g}")
+        raise PlateError(f"friction is {mu.flat[part]:g}{which}, allowed: 0 to {MAX_ABS:g}")
     return mu * gravity if mu.ndim else np.full(count, float(mu) * gravity)
 
 
@@ -87,6 +87,6 @@ def for_each(name: str, value: float | np.ndarray, count: int) -> np.ndarray:
     array = np.asarray(value, dtype=float)
     if array.shape not in ((), (count,)):
         raise PlateError(f"{name} has shape {array.shape}, allowed: () or ({count},)")
-    if not (np.abs(array) <= LARGEST).all():
-        raise PlateError(f"{name} is {array.tolist()}, allowed: -{LARGEST:g} to {LARGEST:g}")
+    if not (np.abs(array) <= MAX_ABS).all():
+        raise PlateError(f"{name} is {array.tolist()}, allowed: -{MAX_ABS:g} to {MAX_ABS:g}")
     return np.broadcast_to(array, (count,))

@@ -154,20 +154,21 @@ class Footprint:
             return np.array([self._disc_friction(*row[0]) for row in slip]).reshape(-1, 3)
         x, y = self.points.T
         u, v = slip[..., 0] - slip[..., 2] * y, slip[..., 1] + slip[..., 2] * x
-        turn = slip[..., 2] * self.blur**2
-        size = np.sqrt(u * u + v * v + slip[..., 2] * turn)
-        share = self.weights / np.where(size > 0, size, np.inf)
+        blurred = slip[..., 2] * self.blur**2
+        size = np.sqrt(u * u + v * v + slip[..., 2] * blurred)
+        stress = self.weights / np.where(size > 0, size, np.inf)
         return np.stack(
-            [(share * u).sum(1), (share * v).sum(1), (share * (x * v - y * u + turn)).sum(1)], 1
+            [(stress * u).sum(1), (stress * v).sum(1), (stress * (x * v - y * u + blurred)).sum(1)],
+            1,
         )
 
     def _disc_friction(self, u: float, v: float, c: float) -> tuple[float, float, float]:
         s = float(np.hypot(u, v))
         if s == 0 and c == 0:
             return 0.0, 0.0, 0.0
-        force, turn = disc_force(s, self.radius * abs(c))
-        share = force / s if s > 0 else 0.0
-        return share * u, share * v, float(np.copysign(self.radius * turn, c))
+        force, torque = disc_force(s, self.radius * abs(c))
+        ratio = force / s if s > 0 else 0.0
+        return ratio * u, ratio * v, float(np.copysign(self.radius * torque, c))
 
 
 def disc(radius: float, *, mass: float = MASS) -> Footprint:
@@ -231,14 +232,14 @@ def union(polygons: Sequence[np.ndarray], *, mass: float = MASS, points: int = P
     ]
     place = np.concatenate([rule[0] for rule in rules])
     weight = np.concatenate([rule[1] for rule in rules])
-    share = weight / weight.sum()
-    middle = share @ place
+    fraction = weight / weight.sum()
+    middle = fraction @ place
     place -= middle
     return Footprint(
         mass,
-        mass * float(share @ (place**2).sum(1)),
+        mass * float(fraction @ (place**2).sum(1)),
         place,
-        share,
+        fraction,
         CELL * np.sqrt(weight),
         tuple(corners - middle for corners in shapes),
     )

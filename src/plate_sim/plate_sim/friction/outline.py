@@ -44,9 +44,9 @@ def _footprint(part: PartType) -> Footprint:
     # Transform the grid points so that their first and second moments are equal to the moments of
     # the part. With this transformation, the centre of mass and the inertia are exact.
     place = place - weight @ place
-    wanted, _, second = moments(part.polygon, holes)
+    true_area, _, second = moments(part.polygon, holes)
     own = np.linalg.cholesky((weight[:, None] * place).T @ place)
-    place = place @ np.linalg.inv(own).T @ np.linalg.cholesky(second / wanted).T
+    place = place @ np.linalg.inv(own).T @ np.linalg.cholesky(second / true_area).T
     outline = (part.polygon,) if part.radius_m else tuple(convex_pieces(part.polygon))
     inertia = mass * float(np.trace(part.spread_m2))
     return Footprint(mass, inertia, place, weight, CELL * np.sqrt(area), outline, part.radius_m)
@@ -109,24 +109,24 @@ def _triangles(outline: np.ndarray) -> list[list[int]]:
         best = int(np.argmax([_slimness(outline[corner]) for corner in corners]))
         triangles.append(corners[best])
         rest.pop(ears[best])
-    return [*triangles, rest] if _turn(*outline[rest[:3]]) > 0 else triangles
+    return [*triangles, rest] if _double_area(*outline[rest[:3]]) > 0 else triangles
 
 
 def _slimness(triangle: np.ndarray) -> float:
     """Return the area of a triangle with the corners (3, 2), divided by its squared perimeter. The
     value is small for narrow triangles."""
     length = np.linalg.norm(triangle - np.roll(triangle, 1, axis=0), axis=1).sum()
-    return float(_turn(*triangle) / length**2)
+    return float(_double_area(*triangle) / length**2)
 
 
 def _is_ear(outline: np.ndarray, rest: list[int], k: int) -> bool:
     """Return whether corner k of the remaining polygon is an ear, which can be cut off."""
     a, b, c = (outline[rest[i % len(rest)]] for i in (k - 1, k, k + 1))
-    if _turn(a, b, c) <= STRAIGHT * np.ptp(outline, axis=0).max() ** 2:
+    if _double_area(a, b, c) <= STRAIGHT * np.ptp(outline, axis=0).max() ** 2:
         return False
     others = [outline[i] for i in rest if not any(outline[i] is x for x in (a, b, c))]
     return not any(
-        min(_turn(a, b, p), _turn(b, c, p), _turn(c, a, p)) >= 0
+        min(_double_area(a, b, p), _double_area(b, c, p), _double_area(c, a, p)) >= 0
         for p in others
         if not (np.array_equal(p, a) or np.array_equal(p, b) or np.array_equal(p, c))
     )
@@ -147,11 +147,11 @@ def _joined(one: list[int], other: list[int]) -> list[int] | None:
 
 def _is_convex(corner: np.ndarray) -> bool:
     before, after = np.roll(corner, 1, axis=0), np.roll(corner, -1, axis=0)
-    turn = [_turn(*three) for three in zip(before, corner, after, strict=True)]
-    return min(turn) > STRAIGHT * float(np.ptp(corner, axis=0).max()) ** 2
+    areas = [_double_area(*three) for three in zip(before, corner, after, strict=True)]
+    return min(areas) > STRAIGHT * float(np.ptp(corner, axis=0).max()) ** 2
 
 
-def _turn(a: np.ndarray, b: np.ndarray, c: np.ndarray) -> float:
+def _double_area(a: np.ndarray, b: np.ndarray, c: np.ndarray) -> float:
     """Return twice the area of a triangle. The area is positive if the corners are
     counter-clockwise."""
     return float((b[0] - a[0]) * (c[1] - a[1]) - (b[1] - a[1]) * (c[0] - a[0]))

@@ -22,7 +22,7 @@ from .. import _kernels
 from ..plate.ground import LEVEL, Ground
 from ..plate.motion import PlateMotion
 from ..plate.pieces import tabulate
-from .checks import LARGEST, check_motion, friction_accel, pairs, whole
+from .checks import MAX_ABS, check_motion, friction_accel, pairs, whole
 
 TOLERANCE = 1e-7
 """Default tolerance of the displacement in one cycle [m]: a ten-thousandth of a pixel."""
@@ -110,15 +110,15 @@ def simulate(
     velocity = pairs("velocity", velocity, len(position))
     limit = friction_accel(friction, gravity, len(position))
     samples = whole("samples", SAMPLES if samples is None else samples)
-    if not 0 < tolerance <= LARGEST:
+    if not 0 < tolerance <= MAX_ABS:
         raise PlateError(f"tolerance is {tolerance!r} m, allowed: a positive number")
     for name in ("friction_slope", "heave"):
         if getattr(ground, name) != 0:
             raise PlateError(f"{name} is {getattr(ground, name):g}, allowed: 0 for point parts")
     effect = ground.effect(gravity)
     table, scales = tabulate(cycle, effect[:2])
-    if not scales.max() <= LARGEST:
-        raise PlateError(f"cycle accelerates by {scales.max():g}, allowed: up to {LARGEST:g}")
+    if not scales.max() <= MAX_ABS:
+        raise PlateError(f"cycle accelerates by {scales.max():g}, allowed: up to {MAX_ABS:g}")
     path, speed = np.empty((2, cycles * samples + 1, len(position), 2))
     path[0], speed[0] = position, velocity
     checked = np.ones(len(position), bool)

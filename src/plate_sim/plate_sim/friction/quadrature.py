@@ -46,8 +46,8 @@ def polygon_rule(corners: np.ndarray, count: int) -> tuple[np.ndarray, np.ndarra
 def _parallelogram(corners: np.ndarray, count: int) -> tuple[np.ndarray, np.ndarray]:
     first, second = corners[1] - corners[0], corners[3] - corners[0]
     ratio = np.linalg.norm(first) / np.linalg.norm(second)
-    most = max(2, count // 2)
-    columns = int(np.clip(round(np.sqrt(count * ratio)), 2, most))
+    max_columns = max(2, count // 2)
+    columns = int(np.clip(round(np.sqrt(count * ratio)), 2, max_columns))
     rows = max(2, round(count / columns))
     u, uw = np.polynomial.legendre.leggauss(columns)
     v, vw = np.polynomial.legendre.leggauss(rows)
@@ -79,13 +79,13 @@ def convex(corners: np.ndarray) -> np.ndarray:
         corners = corners[::-1].copy()
     side = np.roll(corners, -1, axis=0) - corners
     after = np.roll(side, -1, axis=0)
-    turn = side[:, 0] * after[:, 1] - side[:, 1] * after[:, 0]
+    crosses = side[:, 0] * after[:, 1] - side[:, 1] * after[:, 0]
     size = np.ptp(corners, axis=0).max()
-    around = np.arctan2(turn, (side * after).sum(1)).sum()
+    around = np.arctan2(crosses, (side * after).sum(1)).sum()
     if area(corners) <= ALIKE * size**2:
         raise PlateError(f"corners {corners.tolist()} enclose no area, allowed: a convex polygon")
-    if turn.min() < -ALIKE * size**2 or around > 3 * np.pi:
-        k = (int(np.argmin(turn)) + 1) % len(corners)
+    if crosses.min() < -ALIKE * size**2 or around > 3 * np.pi:
+        k = (int(np.argmin(crosses)) + 1) % len(corners)
         raise PlateError(
             f"polygon is not convex at {corners[k].tolist()}, allowed: a convex polygon "
             "(divide other shapes into convex polygons, and pass these to `union`)"
@@ -93,12 +93,14 @@ def convex(corners: np.ndarray) -> np.ndarray:
     return corners
 
 
-def places(name: str, array: np.ndarray, least: int) -> np.ndarray:
-    """Check that points (n, 2) [m] are finite, and that n is at least `least`. Return a copy with
-    the type float."""
+def places(name: str, array: np.ndarray, min_count: int) -> np.ndarray:
+    """Check that points (n, 2) [m] are finite, and that n is at least `min_count`. Return a copy
+    with the type float."""
     array = np.array(array, dtype=float)
-    if array.ndim != 2 or array.shape[1] != 2 or len(array) < least:
-        raise PlateError(f"{name} has shape {array.shape}, allowed: (n, 2) with n at least {least}")
+    if array.ndim != 2 or array.shape[1] != 2 or len(array) < min_count:
+        raise PlateError(
+            f"{name} has shape {array.shape}, allowed: (n, 2) with n at least {min_count}"
+        )
     if not np.isfinite(array).all():
         bad = array[~np.isfinite(array).all(axis=1)][0]
         raise PlateError(f"{name} has {bad.tolist()}, allowed: finite numbers")

@@ -139,7 +139,7 @@ class Plant:
         return self.matrices * np.array(self.suspension.feedforward[::-1])[:, None, None]
 
     @cached_property
-    def share(self) -> np.ndarray:
+    def inverse(self) -> np.ndarray:
         """Least-squares inverse B^+ of the matrix B (4, 3)."""
         return np.asarray(np.linalg.pinv(self.push))
 
@@ -214,7 +214,7 @@ class Command:
         derivatives = [_derivative(pose, order) for order in range(3)]
         needed = sum(d @ m for d, m in zip(derivatives, plant.matrices, strict=True))
         known = sum(d @ m for d, m in zip(derivatives, plant.known, strict=True))
-        force = known @ plant.share.T
+        force = known @ plant.inverse.T
         excess = (force * (plant.gain - 1)) @ plant.push.T + (known - needed)
         rows = [np.zeros_like(pose), excess @ plant.mobility]
         if plant.lags:

@@ -205,8 +205,8 @@ def _misses(
     p, q = spans.before[:, :3], spans.after[:, :3]
     v, w = spans.before[:, 3:6], spans.after[:, 3:6]
     accels = [
-        _accel(plant, command, spans.piece, spans.offset + share * step, z)
-        for share, z in ((0.0, spans.before), (0.5, middle), (1.0, spans.after))
+        _accel(plant, command, spans.piece, spans.offset + fraction * step, z)
+        for fraction, z in ((0.0, spans.before), (0.5, middle), (1.0, spans.after))
     ]
     pose = (p + q) / 2 + 5 / 32 * h * (v - w) + h**2 / 64 * (accels[0] + accels[2])
     accel = 3 / 2 * (w - v) / h - (accels[0] + accels[2]) / 4

@@ -23,7 +23,7 @@ from plate_core import PlateCycle, PlateError
 
 from .. import _kernels
 from ..contacts import INELASTIC, Contacts
-from ..friction.checks import LARGEST, check_motion, for_each, friction_accel, pairs, whole
+from ..friction.checks import MAX_ABS, check_motion, for_each, friction_accel, pairs, whole
 from ..friction.footprint import Footprint
 from ..friction.step import BODY
 from ..plate.ground import LEVEL, Ground, GroundEffect
@@ -291,11 +291,11 @@ def run_plates(
         touch.restitution, touch.friction, contacts is not None, touch.walls, START_OVERLAP,
         np.asarray(half, float), threads,
     )  # fmt: skip
-    for i, j, depth, share in overlap[overlap[:, 3] > START_OVERLAP]:
+    for i, j, depth, relative in overlap[overlap[:, 3] > START_OVERLAP]:
         first, second = sorted(str(names[int(k)]) for k in (i, j))
         raise PlateError(
             f"parts {first} and {second} overlap by {1e3 * depth:.3g} mm, "
-            f"allowed: at most {1e3 * depth / share * START_OVERLAP:.3g} mm"
+            f"allowed: at most {1e3 * depth / relative * START_OVERLAP:.3g} mm"
         )
     return record
 
@@ -311,7 +311,7 @@ def columns(starts: Sequence[tuple[Any, Any, Any, Any]]) -> np.ndarray:
         states = np.empty((len(starts), count, 6))
         for own, field in zip(COLUMNS, fields, strict=True):
             states[..., own] = field
-        if np.abs(states).max(initial=0.0) <= LARGEST:
+        if np.abs(states).max(initial=0.0) <= MAX_ABS:
             return states
     # At least one value is wrong. `_columns` raises an error that names the wrong value.
     return np.stack([_columns(*start) for start in starts])

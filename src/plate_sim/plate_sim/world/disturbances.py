@@ -14,10 +14,10 @@ from ..camera import (
     GREY_OF_CLASS,
     PENUMBRA_M,
     PLATE,
-    ROOM,
     SHADOW_DEG,
     SHADOW_M,
     SIDE_SHADE,
+    SURROUNDINGS,
     Lighting,
 )
 from ..plate.ground import HEAVE, SLOPE, STATIC, TILT, Ground
@@ -172,7 +172,7 @@ class Disturbances:
     flicker_hz: float = FLICKER_HZ
     defocus_px: float = 0.0
     plate_grey: float = PLATE
-    room_grey: float = ROOM
+    room_grey: float = SURROUNDINGS
     black_grey: float = GREY_OF_CLASS["black"]
     grey_grey: float = GREY_OF_CLASS["grey"]
 

@@ -43,7 +43,7 @@ class FrictionField:
         The value is from -1 to 1.
     spread : float
         Maximum relative deviation of friction between parts.
-    share : float
+    patches : float
         Maximum relative deviation of friction between places of the plate.
     wave : (K, 2)
         Wave vectors of the field [rad/m], in the plate's frame.
@@ -53,7 +53,7 @@ class FrictionField:
 
     unit: np.ndarray
     spread: float
-    share: float
+    patches: float
     wave: np.ndarray
     phase: np.ndarray
 
@@ -93,7 +93,7 @@ class FrictionField:
         pose : (3,)
             Pose of the plate [m, m, rad].
         """
-        if self.share == 0:
+        if self.patches == 0:
             return np.asarray(mu * self.part)
         # SciPy is imported here, because the import takes 0.2 s and few simulations need it.
         from scipy.special import erf
@@ -103,4 +103,4 @@ class FrictionField:
         # variance 1. The function erf converts `height` to a value that is uniformly distributed
         # from -1 to 1.
         height = np.sqrt(2 / len(self.phase)) * np.cos(place @ self.wave.T + self.phase).sum(1)
-        return np.asarray(mu * self.part * (1 + self.share * erf(height / np.sqrt(2))))
+        return np.asarray(mu * self.part * (1 + self.patches * erf(height / np.sqrt(2))))

@@ -90,11 +90,11 @@ class Hand:
                 f"no part can be added: {len(state.ids)} parts exist, allowed: fewer than "
                 f"{MAX_PARTS}"
             )
-        room = self._rig.plate.half - self._rig.part_type(label).reach_m
-        if not np.all(np.abs(position) <= room + 1e-9):  # this condition also refuses NaN
+        limit = self._rig.plate.half - self._rig.part_type(label).reach_m
+        if not np.all(np.abs(position) <= limit + 1e-9):  # this condition also refuses NaN
             raise PlateError(
                 f"place is ({position[0]:g}, {position[1]:g}) m, allowed for {label}: |x| up to "
-                f"{room[0]:g}, |y| up to {room[1]:g} m"
+                f"{limit[0]:g}, |y| up to {limit[1]:g} m"
             )
         if not np.isfinite(angle):
             raise PlateError(f"angle is {angle:g}, allowed: finite")

@@ -157,7 +157,9 @@ def _between(
     """
     k = int(np.clip(np.searchsorted(time, t, "right") - 1, 0, len(time) - 2))
     h = time[k + 1] - time[k]
-    share = (t - time[k]) / h
+    fraction = (t - time[k]) / h
     start, end = rate[k], rate[k + 1]
-    line = place[k] + share * (place[k + 1] - place[k])
-    return line - 0.5 * h * share * (1 - share) * (end - start), start + share * (end - start)
+    line = place[k] + fraction * (place[k + 1] - place[k])
+    return line - 0.5 * h * fraction * (1 - fraction) * (end - start), start + fraction * (
+        end - start
+    )

@@ -99,30 +99,30 @@ def drop_part(
     """
     label = str(rng.choice(list(hopper.mix), p=list(hopper.mix.values())))
     kind, angle, unit = rig.part_type(label), rng.uniform(-np.pi, np.pi), rng.uniform(-1, 1)
-    room, others = rig.plate.half - kind.reach_m, PartsOnPlate.of(state, rig)
+    limit, others = rig.plate.half - kind.reach_m, PartsOnPlate.of(state, rig)
     for _ in range(TRIES):
-        radius, way = hopper.spread_m * np.sqrt(rng.random()), rng.uniform(-np.pi, np.pi)
-        place = np.array(hopper.place) + radius * np.array([np.cos(way), np.sin(way)])
-        found = _slid_off(others, kind, place, angle, room)
+        radius, direction = hopper.spread_m * np.sqrt(rng.random()), rng.uniform(-np.pi, np.pi)
+        place = np.array(hopper.place) + radius * np.array([np.cos(direction), np.sin(direction)])
+        found = _slid_off(others, kind, place, angle, limit)
         if found is not None:
             return Dropped(label, found, angle, unit)
     return None
 
 
 def _slid_off(
-    others: PartsOnPlate, kind: PartType, place: np.ndarray, angle: float, room: np.ndarray
+    others: PartsOnPlate, kind: PartType, place: np.ndarray, angle: float, limit: np.ndarray
 ) -> np.ndarray | None:
     """Return the final position of a part that falls at the place `place` (2,) [m]. Return None if
     the part is not completely on the plate in the end."""
     hit = others.met(kind, place, angle)
     if not hit:
-        return place if np.all(np.abs(place) <= room) else None
+        return place if np.all(np.abs(place) <= limit) else None
     away = place - others.position[hit[0]]
-    far = np.hypot(*away)
-    away = away / far if far > 0 else np.array([1.0, 0.0])
-    for step in range(1, 1 + ceil(2 * np.hypot(*room) / SLIDE_STEP_M)):
+    distance = np.hypot(*away)
+    away = away / distance if distance > 0 else np.array([1.0, 0.0])
+    for step in range(1, 1 + ceil(2 * np.hypot(*limit) / SLIDE_STEP_M)):
         end = place + step * SLIDE_STEP_M * away
-        if not np.all(np.abs(end) <= room):
+        if not np.all(np.abs(end) <= limit):
             return None
         if not others.met(kind, end, angle):
             touching, free = (step - 1) * SLIDE_STEP_M, step * SLIDE_STEP_M

@@ -81,7 +81,7 @@ def grip(state: WorldState, rig: Rig, gripper: Sequence[float], slips: bool, mar
 
     If `marked` is True, round parts have marks, so that they have an angle.
     """
-    x, y, turn = gripper
+    x, y, angle = gripper
     apart = np.where(state.on_plate, np.hypot(*(state.position - (x, y)).T), np.inf)
     nearest = float(np.min(apart, initial=np.inf))
     if not nearest <= GRIP_REACH_M:
@@ -96,7 +96,7 @@ def grip(state: WorldState, rig: Rig, gripper: Sequence[float], slips: bool, mar
     error = 0.0
     if symmetry:
         period = 2 * np.pi / symmetry
-        error = float((state.angle[row] - turn + period / 2) % period - period / 2)
+        error = float((state.angle[row] - angle + period / 2) % period - period / 2)
     here = np.flatnonzero(state.on_plate)
     parts = Parts.make(
         tuple(state.ids[i] for i in here), state.position[here], angle=state.angle[here]
@@ -115,8 +115,8 @@ def nudged(
     overlap another part or leave the plate, the part stays at its place instead."""
     row = state.ids.index(part_id)
     place, angle = state.position[row], float(state.angle[row])
-    radius, way = NUDGE_M * np.sqrt(rng.random()), rng.uniform(-np.pi, np.pi)
-    new = place + radius * np.array([np.cos(way), np.sin(way)])
+    radius, direction = NUDGE_M * np.sqrt(rng.random()), rng.uniform(-np.pi, np.pi)
+    new = place + radius * np.array([np.cos(direction), np.sin(direction)])
     turned = angle + rng.uniform(-NUDGE_RAD, NUDGE_RAD)
     kind = rig.part_type(part_class(part_id))
     free = np.all(np.abs(new) <= rig.plate.half - kind.reach_m)

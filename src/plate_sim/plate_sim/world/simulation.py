@@ -139,7 +139,7 @@ class Simulation:
     def _limit(self) -> np.ndarray:
         """Maximum acceleration that friction can give each part at its current position (M,)
         [m/s2]."""
-        if self._field.share:
+        if self._field.patches:
             return self.mu * self._rig.friction.gravity
         if self._even_limit is None:
             self._even_limit = self.mu * self._rig.friction.gravity
@@ -162,7 +162,7 @@ class Simulation:
         self.disturbances, self._mu_scale = disturbances, mu_scale
         self._view.change(disturbances, noise)
         self._field = replace(
-            self._field, spread=disturbances.friction_spread, share=disturbances.friction_patches
+            self._field, spread=disturbances.friction_spread, patches=disturbances.friction_patches
         )
         self._set_types()
 
