@@ -19,7 +19,7 @@ from tempfile import TemporaryDirectory
 
 import numpy as np
 
-from harness import Rows, cluster_option, executor, of_median, parallel, share
+from harness import Rows, cluster_option, executor, of_median, parallel, rate_text
 from plate_bringup.cluster import Cluster
 from plate_bringup.identity import code_of_packages, machine
 from plate_bringup.loop import Setup, load_planner, summary, with_settings
@@ -152,7 +152,9 @@ def _line(row: dict) -> str:
 
 def _conclusion(rows: list[dict]) -> str:
     all_runs = summed(rows)
-    text = f"{share(all_runs['good'], len(rows))} ended well, {all_runs['dropped']} parts dropped"
+    text = (
+        f"{rate_text(all_runs['good'], len(rows))} ended well, {all_runs['dropped']} parts dropped"
+    )
     if all_runs["good"]:
         low, high = of_median([row["time_s"] for row in rows if row["success"]])
         text += f"; time median {all_runs['time_s']:.1f} s ({low:.1f} to {high:.1f})"

@@ -19,13 +19,13 @@ from trajectory_msgs.msg import JointTrajectory
 
 from plate_core.ros import cycle_to_msg, nanoseconds, start_nodes, to_time
 from plate_driver.node import DriverNode
-from plate_driver.status import LOOK
+from plate_driver.status import CHECK_RIG
 from plate_driver.transports import TransportThread
 
 TICK_S = 0.01
 """Step of the clock [s]. All periods of the driver's timers are multiples of it."""
 
-EMERGENCY, CUT = (f"stopped: {what}; {LOOK}" for what in ("emergency stop", "power cut"))
+EMERGENCY, CUT = (f"stopped: {what}; {CHECK_RIG}" for what in ("emergency stop", "power cut"))
 
 EPOCH_NS = 1_700_000_000_000_000_000
 

@@ -251,7 +251,7 @@ def pass_time(
 
 def settled(firmware: SimulatedFirmware, transport: SerialTransport, order: Order) -> Order:
     """Advance the time until an order is settled, or its maximum time is over."""
-    end = firmware.now + order.longest_s
+    end = firmware.now + order.max_s
     while not order.completed and firmware.now < end:
         pass_time(firmware, transport, 0.005)
     return order

@@ -18,7 +18,7 @@ import yaml
 from shaking import from_rest
 from short_task import short_task
 
-from harness import MEASUREMENTS, Result, of_median, of_share, share
+from harness import MEASUREMENTS, Result, of_median, of_rate, rate_text
 from harness.measurements import MAX_CORES, busy_cores
 from harness.result import WORDS
 from plate_core import load_rig
@@ -257,10 +257,8 @@ def test_intervals_are_as_wide_as_they_say():
     # Wilson's interval by hand: (p + z²/2n ± z sqrt(p(1-p)/n + z²/4n²)) / (1 + z²/n)
     p, n, z = 0.7, 20, 1.959964
     middle, half = p + z * z / 2 / n, z * math.sqrt(p * (1 - p) / n + (z / 2 / n) ** 2)
-    assert of_share(14, n) == pytest.approx(
-        [(middle + s * half) / (1 + z * z / n) for s in (-1, 1)]
-    )
-    assert share(100, 100) == "100 of 100 (96 to 100 %)"
+    assert of_rate(14, n) == pytest.approx([(middle + s * half) / (1 + z * z / n) for s in (-1, 1)])
+    assert rate_text(100, 100) == "100 of 100 (96 to 100 %)"
     rng, held = np.random.default_rng(1), 0
     for _ in range(200):
         low, high = of_median(rng.exponential(size=40))

@@ -201,7 +201,7 @@ def test_drives_that_are_not_there_are_named(bench):
     bench.drives[0].boot()
     live(bench, 1200)
     assert Fault(bench.faults) == Fault.HARDWARE | Fault.NO_HOME
-    assert said_by(bench, DriveTrouble)[-1].words == "motor_2: the drive does not answer"
+    assert said_by(bench, DriveTrouble)[-1].text == "motor_2: the drive does not answer"
 
 
 def test_the_drives_are_told_the_table_and_follow(bench):

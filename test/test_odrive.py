@@ -152,7 +152,7 @@ def test_a_drive_without_a_watchdog_is_named_and_none_is_led(bench):
     assert bench.state == State.OFF
     trouble = said_by(bench, DriveTrouble)[-1]
     assert trouble == DriveTrouble(3, Trouble.NO_WATCHDOG, 0, 0)
-    assert "enable_watchdog" in trouble.words
+    assert "enable_watchdog" in trouble.text
     assert all(drive.state == 1 for drive in bench.drives)
     assert np.max(np.abs(led(bench)[:, 2])) < FINE
 
@@ -365,14 +365,14 @@ def test_its_own_words_are_told(bench):
     playing(bench, PLATE)
     bench.drives[1].disarm("low voltage")
     live(bench, 100)
-    words = said_by(bench, DriveTrouble)[-1].words
+    words = said_by(bench, DriveTrouble)[-1].text
     assert words == "motor_2: errors of the drive: DC_BUS_UNDER_VOLTAGE (00000200h)"
 
 
 def test_names_of_errors_are_those_of_the_dbc(dbc):
     choices = dbc[0x01].get_signal_by_name("Axis_Error").choices
     for value, name in choices.items():
-        words = DriveTrouble(1, Trouble.ERROR, 0, value).words
+        words = DriveTrouble(1, Trouble.ERROR, 0, value).text
         assert words == f"motor_1: errors of the drive: {name} ({value:08X}h)" or value == 0
 
 

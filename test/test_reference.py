@@ -234,7 +234,9 @@ def known_at(sections, place, heads):
     """Names of keys that the reference has for a place, by the heads of its sections."""
     if place.endswith(("feedforward", "servo")):  # their keys stand in the words of the table
         table = sections["suspension"][place.rpartition(": ")[2]]
-        return set(re.findall(r"\b(mass|damping|stiffness|\w+_npm|\w+_nspm)\b", table.kind.words))
+        return set(
+            re.findall(r"\b(mass|damping|stiffness|\w+_npm|\w+_nspm)\b", table.kind.description)
+        )
     return {key.name for head in heads for key in sections[head].keys}
 
 

@@ -36,7 +36,7 @@ from plate_core.ros import (  # noqa: E402
     to_time,
 )
 from plate_driver.safety.node import LATE, LIFE_PERIOD_S  # noqa: E402
-from plate_driver.status import AT_REST, LOOK, OFF, UNANSWERED  # noqa: E402
+from plate_driver.status import AT_REST, CHECK_RIG, OFF, UNANSWERED  # noqa: E402
 from plate_interfaces.msg import DriverStatus  # noqa: E402
 
 RIG = load_rig()
@@ -49,7 +49,7 @@ NODE = "plate_driver.node"
 LIFECYCLE = {"configure": 1, "cleanup": 2, "activate": 3, "deactivate": 4}
 
 
-EMERGENCY, CUT = (f"stopped: {what}; {LOOK}" for what in ("emergency stop", "power cut"))
+EMERGENCY, CUT = (f"stopped: {what}; {CHECK_RIG}" for what in ("emergency stop", "power cut"))
 
 
 def driver(log, namespace: str, *parameters: str) -> Fork:

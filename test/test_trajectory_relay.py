@@ -14,7 +14,7 @@ from shaking import shaking
 from plate_core import CycleError, load_rig
 from plate_core.driver_status import DriverReason, DriverState, DriverStatus
 from plate_driver.setpoints import MotorTable, prepare
-from plate_driver.status import LOOK, driver_status
+from plate_driver.status import CHECK_RIG, driver_status
 from plate_driver.transports import Condition, Latch
 
 EXAMPLE = Path(__file__).resolve().parents[1] / "examples" / "plate_trajectory_controller"
@@ -95,7 +95,7 @@ def test_nothing_moves_before_an_enable(rig):
     report = rig.relay.report()
     assert report.condition is Condition.OFF
     assert driver_status(True, Latch(), report, calibrating=False) == DriverStatus(
-        DriverState.STOPPED, DriverReason.OTHER, f"stopped: {report.text}; {LOOK}"
+        DriverState.STOPPED, DriverReason.OTHER, f"stopped: {report.text}; {CHECK_RIG}"
     )
     with pytest.raises(CycleError, match="the motors are off"):
         rig.relay.send(table(0.001), 3)

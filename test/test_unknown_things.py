@@ -47,4 +47,4 @@ def test_unknown_things_stay_on_the_plate_and_clear_of_its_edge(scenario, monkey
     assert moment.progress.phase == "done"
     assert f"{MORE} unknown objects are on the plate (unknown_1 at (" in moment.progress.text
     assert moment.world.dropped == 0
-    assert least > rig.edge_margin("unknown").least_m
+    assert least > rig.edge_margin("unknown").min_m

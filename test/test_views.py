@@ -7,7 +7,7 @@ import pytest
 from plate_bringup.loop import Setup, with_settings, with_setup_camera
 from plate_bringup.views import MARGIN_PX, view_from, with_height
 from plate_core import PlateError, load_rig
-from plate_core.rig import camera_place, doubts
+from plate_core.rig import camera_place, rig_warnings
 
 
 @pytest.mark.parametrize(("tilt", "towards"), [(0, 0), (25, 0), (25, 180), (40, -90), (15, 70)])
@@ -32,7 +32,7 @@ def test_the_camera_is_where_it_is_set(tilt, towards, distortion):
         np.array(distortion or np.zeros(5)),
     )[0][:, 0]  # fmt: skip
     assert np.allclose(rig.camera.corners_px, seen, atol=1e-6)
-    assert not [doubt for doubt in doubts(rig, "camera") if doubt.impossible]
+    assert not [doubt for doubt in rig_warnings(rig, "camera") if doubt.impossible]
 
 
 def test_as_near_as_shows_all_of_the_plate():

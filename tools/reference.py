@@ -58,9 +58,9 @@ def _what(key: Key) -> str:
         case Whole(low, high):
             return f"whole number, {low} to {high}{unit}"
         case Numbers(_, low, high):
-            size = key.kind.words.split(" numbers")[0]
+            size = key.kind.description.split(" numbers")[0]
             return f"{size} numbers, {low:g} to {high:g}{unit}"
-    return key.kind.words + (unit and f" [{key.unit}]")
+    return key.kind.description + (unit and f" [{key.unit}]")
 
 
 def _default(key: Key) -> str:

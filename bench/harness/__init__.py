@@ -28,7 +28,7 @@ from harness.result import (
     write,
 )
 from harness.rows import Rows
-from plate_core.intervals import of_median, of_share, share
+from plate_core.intervals import of_median, of_rate, rate_text
 
 __all__ = [
     "LONG",
@@ -49,19 +49,19 @@ __all__ = [
     "is_done",
     "missing",
     "of_median",
-    "of_share",
+    "of_rate",
     "on_cluster",
     "optional",
     "paired",
     "parallel",
     "places",
     "race",
+    "rate_text",
     "read",
     "report_failures",
     "resumed",
     "rounded",
     "run_all",
-    "share",
     "shown",
     "text_table",
     "timed",

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from harness import Cache, Result, Table, of_median, share
+from harness import Cache, Result, Table, of_median, rate_text
 from plate_bringup.loop import Setup
 from plate_core import load_rig
 from plate_core.tasks import load_scenario
@@ -39,7 +39,7 @@ def row(scenario: str, runs: list[dict[str, Any]]) -> dict[str, Any]:
     middle, (low, high) = median(times), of_median(times)
     return {
         "task": f"`{scenario}`",
-        "well": share(len(good), len(runs)),
+        "well": rate_text(len(good), len(runs)),
         "time": f"{middle:.1f} s, {low:.1f} to {high:.1f} ({max(times):.1f})",
         "error": error(good),
         "dropped": sum(run["dropped"] for run in runs),

@@ -29,7 +29,7 @@ from trajectory_msgs.msg import JointTrajectory
 from plate_bringup import GraphError, RunOptions, load_graph
 from plate_bringup.production import check_robot
 from plate_core import PlateError, Rig, did_you_mean, load_rig
-from plate_core.rig import doubts, unmeasured
+from plate_core.rig import rig_warnings, unmeasured
 from plate_core.tasks import (
     FeedTask,
     FollowTask,
@@ -238,7 +238,7 @@ def check_camera(camera: str, port: str) -> None:
 def print_unmeasured(program: str, rig: Rig, port: str) -> None:
     """Before anything moves, print the properties of the rig that are not measured or are
     inconsistent."""
-    facts = [*unmeasured(rig), *(doubt.text for doubt in doubts(rig))]
+    facts = [*unmeasured(rig), *(doubt.text for doubt in rig_warnings(rig))]
     if facts:
         print(f"{program}: before anything moves, check these facts of your rig:")
         print("\n".join(f"  - {text}" for text in facts))

@@ -22,7 +22,7 @@ from plate_core.tasks import (
     Scenario,
     Side,
     SortTask,
-    edge_doubts,
+    edge_warnings,
     load_scenario,
 )
 from plate_planner.supervision import weak_plate_text
@@ -134,7 +134,7 @@ def of_task(rig: Rig, scenario: Scenario) -> tuple[list[str], bool]:
     ]
     if any(each.lost for each in verdict.rehearsals):
         lines.append("a part leaves the plate: move starts and goals away from the edges")
-    lines += [f"warning: {warning}" for warning in edge_doubts(scenario, rig)]
+    lines += [f"warning: {warning}" for warning in edge_warnings(scenario, rig)]
     if not likely:
         lines.append(advice_for(rig, verdict))
     return lines, likely

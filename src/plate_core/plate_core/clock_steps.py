@@ -129,9 +129,9 @@ def read_together(steady_s: Callable[[], float], stamp_ns: Callable[[], int]) ->
     """
     shortest, now, clock_ns = float("inf"), 0.0, 0
     for _ in range(READINGS):
-        began, other, end = steady_s(), stamp_ns(), steady_s()
-        if end - began < shortest:
-            shortest, now, clock_ns = end - began, end, other
+        start, other, end = steady_s(), stamp_ns(), steady_s()
+        if end - start < shortest:
+            shortest, now, clock_ns = end - start, end, other
         if shortest <= TOGETHER_S:
             break
     return now, clock_ns

@@ -51,7 +51,7 @@ class DriverReason(IntEnum):
     DEVICE_CLOCK = 19
 
     @property
-    def words(self) -> str:
+    def text(self) -> str:
         """Name of the reason in lower case, for use in a sentence."""
         return self.name.lower().replace("_", " ")
 

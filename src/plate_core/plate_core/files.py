@@ -32,13 +32,13 @@ KINDS = {
 }  # fmt: skip
 
 
-def read_file(path: str | Path, most_bytes: int, error: type[PlateError] = PlateError) -> bytes:
+def read_file(path: str | Path, max_bytes: int, error: type[PlateError] = PlateError) -> bytes:
     """Return the content of a regular file. Symbolic links are followed.
 
     Parameters
     ----------
     path : path
-    most_bytes : int
+    max_bytes : int
         Maximum size of the file [bytes].
     error : type
         Class of the errors that the function raises.
@@ -50,17 +50,17 @@ def read_file(path: str | Path, most_bytes: int, error: type[PlateError] = Plate
         does not block. The message states the path, the kind or size, and what is allowed.
     """
     # Check the file before it is opened, because opening a device file may start the device.
-    check_file(path, most_bytes, error)
+    check_file(path, max_bytes, error)
     with (
         _explained(path, error),
         open(os.open(path, os.O_RDONLY | os.O_NONBLOCK), "rb") as file,
     ):
         # check again, because the file may have been replaced after the first check
-        _check(path, os.fstat(file.fileno()), most_bytes, error)
+        _check(path, os.fstat(file.fileno()), max_bytes, error)
         # the result of `read` can be larger than the reported size, for example in /proc
-        data = file.read(most_bytes + 1) or b""
-    if len(data) > most_bytes:
-        raise error(f"{path}: its size is unlimited, allowed: {_allowed(most_bytes)}")
+        data = file.read(max_bytes + 1) or b""
+    if len(data) > max_bytes:
+        raise error(f"{path}: its size is unlimited, allowed: {_allowed(max_bytes)}")
     return data
 
 
@@ -75,11 +75,11 @@ def kind_of(path: str | Path) -> str:
     return KINDS.get(stat.S_IFMT(found.st_mode), "a file")
 
 
-def check_file(path: str | Path, most_bytes: int, error: type[PlateError] = PlateError) -> None:
+def check_file(path: str | Path, max_bytes: int, error: type[PlateError] = PlateError) -> None:
     """Raise the same errors as `read_file`. Use this function before a library opens the file
     itself."""
     with _explained(path, error):
-        _check(path, os.stat(path), most_bytes, error)
+        _check(path, os.stat(path), max_bytes, error)
 
 
 @contextlib.contextmanager
@@ -95,18 +95,18 @@ def _explained(path: str | Path, error: type[PlateError]) -> Iterator[None]:
 
 
 def _check(
-    path: str | Path, found: os.stat_result, most_bytes: int, error: type[PlateError]
+    path: str | Path, found: os.stat_result, max_bytes: int, error: type[PlateError]
 ) -> None:
     kind = stat.S_IFMT(found.st_mode)
     if kind != stat.S_IFREG:
-        raise error(f"{path}: is {KINDS.get(kind, 'no file')}, allowed: {_allowed(most_bytes)}")
-    if found.st_size > most_bytes:
+        raise error(f"{path}: is {KINDS.get(kind, 'no file')}, allowed: {_allowed(max_bytes)}")
+    if found.st_size > max_bytes:
         size = f"{found.st_size / 1e6:.4g} MB"
-        raise error(f"{path}: has {size}, allowed: {_allowed(most_bytes)}")
+        raise error(f"{path}: has {size}, allowed: {_allowed(max_bytes)}")
 
 
-def _allowed(most_bytes: int) -> str:
-    return f"a regular file up to {most_bytes / 1e6:g} MB"
+def _allowed(max_bytes: int) -> str:
+    return f"a regular file up to {max_bytes / 1e6:g} MB"
 
 
 @contextlib.contextmanager

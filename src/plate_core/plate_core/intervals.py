@@ -6,10 +6,10 @@ from collections.abc import Sequence
 
 import numpy as np
 
-__all__ = ["of_median", "of_share", "share"]
+__all__ = ["of_median", "of_rate", "rate_text"]
 
 
-def of_share(good: int, runs: int) -> tuple[float, float]:
+def of_rate(good: int, runs: int) -> tuple[float, float]:
     """Return the Wilson interval of the fraction of successful runs, 0 to 1."""
     # SciPy is imported here, because the import takes half a second
     from scipy.stats import binomtest
@@ -26,7 +26,7 @@ def of_median(values: Sequence[float]) -> tuple[float, float]:
     return float(low), float(high)
 
 
-def share(good: int, runs: int) -> str:
+def rate_text(good: int, runs: int) -> str:
     """Return a text with the number of successful runs and the interval of their fraction."""
-    low, high = of_share(good, runs)
+    low, high = of_rate(good, runs)
     return f"{good} of {runs} ({100 * low:.0f} to {100 * high:.0f} %)"

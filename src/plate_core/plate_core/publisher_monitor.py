@@ -13,7 +13,7 @@ WITHIN_S = 3.0
 
 LOST = 5
 """Maximum difference between two successive sequence numbers of the accepted publisher [-]."""
-SILENCE_S = 1.0
+TIMEOUT_S = 1.0
 """Time without messages of the accepted publisher after which another publisher may replace it
 [s]."""
 
@@ -36,14 +36,14 @@ class PublisherMonitor:
         `number` is None if the middleware provides no sequence numbers.
 
         Return whether the message comes from the accepted publisher. At first, this is the
-        publisher of the first message. If the accepted publisher sends no messages for `SILENCE_S`,
+        publisher of the first message. If the accepted publisher sends no messages for `TIMEOUT_S`,
         another publisher replaces it.
         """
         if number is None:
             return True
         if number <= self._last:
             self._back.append(now)
-        replaced = number - 1 == self._last and now - self._accepted_at > SILENCE_S
+        replaced = number - 1 == self._last and now - self._accepted_at > TIMEOUT_S
         follows = self._last < 0 or 0 < number - self._accepted <= LOST or replaced
         self._last = number
         if follows:

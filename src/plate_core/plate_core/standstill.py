@@ -19,20 +19,20 @@ class Standstill:
 
     Parameters
     ----------
-    longest_s : float
+    max_s : float
         Maximum time between two calls of `is_late` [s]. A longer time counts as a stall.
     now : float
         Current time of the steady clock [s].
     """
 
-    def __init__(self, longest_s: float, now: float) -> None:
-        self.longest_s = longest_s
+    def __init__(self, max_s: float, now: float) -> None:
+        self.max_s = max_s
         self._checked, self._until = now, now
 
     def is_late(self, now: float) -> bool:
         """Update the detector. Return whether a request that is received at `now` [s] may have
         waited during a stall."""
-        if now - self._checked > self.longest_s:
+        if now - self._checked > self.max_s:
             self._until = now + AFTER_S
         self._checked = now
         return now < self._until

@@ -116,10 +116,10 @@ class Input:
 
     def timed_out(self, now: float) -> Finding | None:
         """Return a STALE finding if the input has timed out, otherwise None."""
-        silence = self.age(now)
-        if silence <= self.timeout_s:
+        age = self.age(now)
+        if age <= self.timeout_s:
             return None
-        how_long = f"for {silence:.1f} s" if self.arrival is not None else "yet"
+        how_long = f"for {age:.1f} s" if self.arrival is not None else "yet"
         message = f"no {self.what} {how_long} on {self.topic}; {self.advice}"
         return Finding(Level.STALE, message)
 

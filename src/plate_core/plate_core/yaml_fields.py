@@ -68,7 +68,7 @@ class Kind(Protocol):
     """Type and range of the value of a key."""
 
     @property
-    def words(self) -> str:
+    def description(self) -> str:
         """Description of the allowed values, for messages and for the reference."""
         ...
 
@@ -85,7 +85,7 @@ class Number:
     high: float
 
     @property
-    def words(self) -> str:
+    def description(self) -> str:
         """Description of the allowed values."""
         return f"a number from {self.low:g} to {self.high:g}"
 
@@ -106,7 +106,7 @@ class Whole:
     high: int
 
     @property
-    def words(self) -> str:
+    def description(self) -> str:
         """Description of the allowed values."""
         return f"a whole number from {self.low} to {self.high}"
 
@@ -123,7 +123,7 @@ class Whole:
 class Sign:
     """1 or -1."""
 
-    words: ClassVar[str] = "1 or -1"
+    description: ClassVar[str] = "1 or -1"
 
     def read(self, value: Any) -> int:
         """Return the checked value."""
@@ -136,7 +136,7 @@ class Sign:
 class _OfType:
     """Any value of one Python type."""
 
-    words: str
+    description: str
     python_type: ClassVar[type]
 
     def read(self, value: Any) -> Any:
@@ -150,7 +150,7 @@ class _OfType:
 class Flag(_OfType):
     """True or false."""
 
-    words: str = "true or false"
+    description: str = "true or false"
     python_type = bool
 
 
@@ -158,7 +158,7 @@ class Flag(_OfType):
 class Text(_OfType):
     """Any text."""
 
-    words: str = "a text"
+    description: str = "a text"
     python_type = str
 
 
@@ -166,7 +166,7 @@ class Text(_OfType):
 class Table(_OfType):
     """A mapping. A separate section defines its keys."""
 
-    words: str = "a mapping"
+    description: str = "a mapping"
     python_type = Mapping
 
 
@@ -174,7 +174,7 @@ class Table(_OfType):
 class List(_OfType):
     """A list of mappings. A separate section defines their keys."""
 
-    words: str = "a list of mappings"
+    description: str = "a list of mappings"
     python_type = list
 
 
@@ -185,7 +185,7 @@ class Choice:
     choices: Sequence[str]
 
     @property
-    def words(self) -> str:
+    def description(self) -> str:
         """Description of the allowed values."""
         return "one of " + ", ".join(self.choices)
 
@@ -206,7 +206,7 @@ class Numbers:
     high: float
 
     @property
-    def words(self) -> str:
+    def description(self) -> str:
         """Description of the allowed values."""
         size = " x ".join("n" if n is None else str(n) for n in self.shape)
         return f"{size} numbers from {self.low:g} to {self.high:g}"
@@ -230,19 +230,19 @@ class Numbers:
 
 @dataclass(frozen=True)
 class Several:
-    """A list of up to `most` arrays."""
+    """A list of up to `max_count` arrays."""
 
     each: Numbers
-    most: int
+    max_count: int
 
     @property
-    def words(self) -> str:
+    def description(self) -> str:
         """Description of the allowed values."""
-        return f"a list of up to {self.most}, each {self.each.words}"
+        return f"a list of up to {self.max_count}, each {self.each.description}"
 
     def read(self, value: Any) -> list[np.ndarray]:
         """Return the checked values as arrays."""
-        if not isinstance(value, list) or len(value) > self.most:
+        if not isinstance(value, list) or len(value) > self.max_count:
             raise ValueError
         return [self.each.read(item) for item in value]
 
@@ -400,11 +400,11 @@ class Fields:
         self._used.add(key.name)
         if not key.required and key.name not in self._data:
             return key.default
-        value = self._get(key.name, key.kind.words)
+        value = self._get(key.name, key.kind.description)
         try:
             return key.kind.read(value)
         except ValueError:
-            raise self.fail(key.name, key.kind.words) from None
+            raise self.fail(key.name, key.kind.description) from None
 
     def number(self, key: str, low: float, high: float, default: float | None = None) -> float:
         """Return a finite number in [low, high]."""

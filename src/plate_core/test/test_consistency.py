@@ -17,9 +17,9 @@ from plate_core.rig import (
     MIN_GAMMA,
     Lens,
     camera_pose,
-    doubts,
     part_radius_px,
     rig_names,
+    rig_warnings,
     to_image,
 )
 from plate_core.rig.check_rig import main, report, shake
@@ -90,7 +90,7 @@ def test_what_cannot_be_is_refused(spoilt, keys, value, words):
 
 @pytest.mark.parametrize(("keys", "value", "words"), WARNINGS)
 def test_what_is_hardly_meant_is_a_warning(spoilt, keys, value, words):
-    (doubt,) = doubts(load_rig(spoilt(keys, value)))
+    (doubt,) = rig_warnings(load_rig(spoilt(keys, value)))
     assert not doubt.impossible
     with pytest.raises(AssertionError, match=words):
         raise AssertionError(doubt.text)
@@ -106,12 +106,12 @@ def test_corners_in_another_order_are_recognised(spoilt):
 @pytest.mark.parametrize("name", rig_names())
 def test_rigs_that_are_shipped_are_consistent(name):
     rig = load_rig(name)
-    assert doubts(rig) == []
+    assert rig_warnings(rig) == []
     assert rig.gamma > MIN_GAMMA
 
 
 def test_default_rig_is_consistent():
-    assert doubts(RIG) == []
+    assert rig_warnings(RIG) == []
 
 
 @pytest.mark.parametrize("seed", range(30))
@@ -137,10 +137,12 @@ def test_views_of_the_plate_are_believed_and_those_of_others_are_not(seed):
     lens = Lens((focal, focal), (319.5, 239.5)) if seed % 2 else None
     camera = replace(RIG.camera, corners_px=tuple(map(tuple, corners)), lens=lens)
     rig = replace(RIG, plate=plate, camera=camera)
-    assert [d.text for d in doubts(rig, "camera") if "ratio" in d.text or "order" in d.text] == []
+    assert [
+        d.text for d in rig_warnings(rig, "camera") if "ratio" in d.text or "order" in d.text
+    ] == []
     longer = replace(plate, length_m=1.3 * plate.length_m)
     if seed % 2:
-        texts = [d for d in doubts(replace(rig, plate=longer), "camera") if "ratio" in d.text]
+        texts = [d for d in rig_warnings(replace(rig, plate=longer), "camera") if "ratio" in d.text]
         assert texts[0].impossible
 
 
@@ -223,7 +225,7 @@ def test_heights_that_contradict_each_other(spoilt):
                 parts=replace(RIG.parts, height_m=0.1),
             )
         )  # fmt: skip
-    (doubt,) = doubts(load_rig(spoilt(("camera", "height_m"), 1.2)))
+    (doubt,) = rig_warnings(load_rig(spoilt(("camera", "height_m"), 1.2)))
     assert says(doubt.text, "height_m is 1.2", "focal_px", "allowed: 0.9")
     assert not doubt.impossible
 
@@ -357,7 +359,7 @@ def test_what_a_millimetre_is_to_a_drive_is_told():
     ],
 )
 def test_drives_that_do_not_fit_are_named(rig, impossible, text):
-    doubt, *more = doubts(rig)
+    doubt, *more = rig_warnings(rig)
     assert doubt.impossible == impossible
     assert text in doubt.text
     assert all("check them" in each.text for each in more)

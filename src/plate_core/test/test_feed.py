@@ -16,7 +16,7 @@ from plate_core.tasks import (
     load_scenario,
     pick_window,
     ready_parts,
-    to_turn,
+    remaining_rotation,
 )
 
 RIG, SHAPES = load_rig(), load_rig("shapes")
@@ -175,5 +175,5 @@ def test_ready_is_in_the_window_turned_and_alone():
 
 def test_the_shorter_way_to_an_angle():
     parts = Parts.make(("bar_1", "bar_2"), np.zeros((2, 2)), angle=np.array([3.0, -1.0]))
-    assert to_turn(parts, 0.0, 2) == pytest.approx([np.pi - 3.0, 1.0])
-    assert to_turn(parts, 0.0, 1) == pytest.approx([-3.0, 1.0])
+    assert remaining_rotation(parts, 0.0, 2) == pytest.approx([np.pi - 3.0, 1.0])
+    assert remaining_rotation(parts, 0.0, 1) == pytest.approx([-3.0, 1.0])

@@ -14,12 +14,12 @@ from plate_core.tasks import (
     Side,
     SortTask,
     check_scenario,
-    edge_doubts,
+    edge_warnings,
     load_scenario,
     scenario_names,
     start_positions,
 )
-from plate_core.tasks.scenario import SCATTER_GAPS
+from plate_core.tasks.scenario import RANDOM_GAPS
 
 SORT = """
 description: test
@@ -260,7 +260,7 @@ def test_places_where_parts_are_lost_are_refused_and_others_near_an_edge_doubted
         place[axis] = round(sign * (float(rig.plate.half[axis]) - 1e-3 * mm), 6)
         scenario = load_scenario(write(tmp_path, text.replace(old, str(place))))
         check_scenario(scenario, rig)
-        return edge_doubts(scenario, rig)
+        return edge_warnings(scenario, rig)
 
     assert text.count(old) == 1
     with pytest.raises(ScenarioError, match=rf"{key}.* is \(.*286, \|y\| up to 0.136 .* 14 mm"):
@@ -390,7 +390,7 @@ def test_scattered_parts_keep_apart_and_clear_of_the_edges(rig):
     for seed in range(20):
         _, position = start_positions(scenario, rig, np.random.default_rng(seed))
         gap = np.hypot(*(position[:, None] - position[None]).transpose(2, 0, 1))
-        assert np.min(gap + np.eye(len(position))) >= SCATTER_GAPS[0] * rig.parts.radius_m
+        assert np.min(gap + np.eye(len(position))) >= RANDOM_GAPS[0] * rig.parts.radius_m
         assert np.all(np.abs(position) <= [0.85 * 0.30, 0.80 * 0.15])
 
 

@@ -306,4 +306,4 @@ def test_sequence_numbers_wrap(sequence, step):
     ],
 )  # fmt: skip
 def test_what_a_drive_says_is_explained(trouble, words):
-    assert DriveTrouble(4, *trouble).words == f"motor_4: {words}"
+    assert DriveTrouble(4, *trouble).text == f"motor_4: {words}"

@@ -130,8 +130,8 @@ class CycleStarts:
         off = later - round(later / before) * before
         if last.table != new.table:
             if later < before - MARGIN_S:
-                least = f"allowed: at least {before:.3g} s"
-                return 0.0, f"began {later:.3g} s after the last table, {least}"
+                allowed = f"allowed: at least {before:.3g} s"
+                return 0.0, f"began {later:.3g} s after the last table, {allowed}"
             # The plate rested between the two tables, so the delay of this table is unknown.
             if abs(off) > MARGIN_S:
                 return 0.0, ""

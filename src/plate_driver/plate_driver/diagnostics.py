@@ -65,12 +65,12 @@ class DriverDiagnostics:
             lasting.append(f"calibration {self._calibration.text}")
         if self._values.get("following_watched") == "no":
             lasting.append("following error is not checked: limits.following_error_m is 0")
-        quiet_s = self._playback.quiet_s(self._clocks.playback_s(), self._ready_since)
-        if quiet_s is not None and self._intake.refusal:
+        idle_s = self._playback.idle_s(self._clocks.playback_s(), self._ready_since)
+        if idle_s is not None and self._intake.refusal:
             lasting.append(f"the last cycle was refused: {self._intake.refusal}")
         unplayed = self._problems.unplayed(self._clocks.steady_s())
         statistics, task_runs = self._playback.guard.statistics, self._intake.task_runs
-        return health(status, statistics, self._retries, quiet_s, task_runs, lasting, unplayed)
+        return health(status, statistics, self._retries, idle_s, task_runs, lasting, unplayed)
 
     def values(self, status: DriverStatus, transport: TransportThread | None) -> dict[str, str]:
         """Return the values of the diagnostics, by name."""

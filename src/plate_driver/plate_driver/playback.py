@@ -134,13 +134,13 @@ class Playback:
         self.guard, over = self.guard.watched(now)
         return f"no plate_cycle for {hold_s:.3g} s: the plate rests" if over else ""
 
-    def quiet_s(self, now: float, ready_since: float) -> float | None:
+    def idle_s(self, now: float, ready_since: float) -> float | None:
         """Return the time without cycles [s] if the plate rests because cycles no longer arrive,
         otherwise None."""
         if self.guard.table is not None:
             return None
-        quiet = now - max(self.guard.sent_at, ready_since)
-        return quiet if quiet > max(INPUT_TIMEOUT_S, self.guard.lasts_s) else None
+        idle = now - max(self.guard.sent_at, ready_since)
+        return idle if idle > max(INPUT_TIMEOUT_S, self.guard.lasts_s) else None
 
     def commanded(self, now: float) -> tuple[list[float], list[float]]:
         """Return the travel [m] and speed [m/s] of each motor that are commanded at `now` [s]."""

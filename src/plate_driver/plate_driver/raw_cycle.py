@@ -17,7 +17,7 @@ HEAD_BYTES = 4096
 MAX_NAMES = 16
 
 
-def check_length(data: bytes, size: int, most_points: int) -> None:
+def check_length(data: bytes, size: int, max_points: int) -> None:
     """Refuse a trajectory_msgs/JointTrajectory (CDR) that has too many points.
 
     Parameters
@@ -33,12 +33,12 @@ def check_length(data: bytes, size: int, most_points: int) -> None:
         If the message is too long. The text states the actual and the allowed number.
     """
     points = _points(data)
-    if points is not None and points > most_points:
-        raise CycleError(f"plate_cycle: {points} points, allowed: at most {most_points}")
-    most = HEAD_BYTES + POINT_BYTES * most_points
-    if size > most:
+    if points is not None and points > max_points:
+        raise CycleError(f"plate_cycle: {points} points, allowed: at most {max_points}")
+    max_size = HEAD_BYTES + POINT_BYTES * max_points
+    if size > max_size:
         raise CycleError(
-            f"plate_cycle: {size} bytes, allowed: at most {most} (for {most_points} points)"
+            f"plate_cycle: {size} bytes, allowed: at most {max_size} (for {max_points} points)"
         )
 
 

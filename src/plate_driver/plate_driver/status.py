@@ -12,12 +12,12 @@ from plate_core.status import Finding, Level
 from .setpoints import Statistics
 from .transports import Condition, Latch, Report
 
-__all__ = ["AT_REST", "LOOK", "OFF", "UNANSWERED", "driver_status", "health"]
+__all__ = ["AT_REST", "CHECK_RIG", "OFF", "UNANSWERED", "driver_status", "health"]
 
 PERSONS = (DriverReason.EMERGENCY_STOP, DriverReason.POWER_CUT)
 """Reasons of stops that a person has requested because of a danger."""
 
-LOOK = "look at the rig, then call enable"
+CHECK_RIG = "look at the rig, then call enable"
 OFF = "disabled: the motors are off; call enable"
 UNCERTAIN = "error: the last stop was not acknowledged; cut the power by hand"
 """Text of the status after a stop that the device has not acknowledged. This text remains until a
@@ -63,24 +63,26 @@ def driver_status(
     stopping = condition is Condition.READY and bool(requested) and not latch.enabling
     if condition is Condition.BRAKING or (active and stopping):
         why = requested or current.reason
-        text = f"braking: {requested.words if requested else current.text or 'stopped'}"
+        text = f"braking: {requested.text if requested else current.text or 'stopped'}"
         return status(DriverState.BRAKING, text, why)
     if report is None or not active:
         state = DriverState.UNCONFIGURED if report is None else DriverState.INACTIVE
         text = state.name.lower()
         if requested in PERSONS:
-            return status(state, f"{text}: {requested.words}; {LOOK}", requested)
+            return status(state, f"{text}: {requested.text}; {CHECK_RIG}", requested)
         return status(state, text)
     if condition is Condition.GONE:
         return status(DriverState.ERROR, f"error: {current.text}", current.reason)
     if condition is Condition.OFF:
         if requested in PERSONS:
-            return status(DriverState.STOPPED, f"stopped: {requested.words}; {LOOK}", requested)
+            return status(DriverState.STOPPED, f"stopped: {requested.text}; {CHECK_RIG}", requested)
         if current.reason not in (DriverReason.NONE, DriverReason.EARLIER_STOP):
-            return status(DriverState.STOPPED, f"stopped: {current.text}; {LOOK}", current.reason)
+            return status(
+                DriverState.STOPPED, f"stopped: {current.text}; {CHECK_RIG}", current.reason
+            )
         if requested or not current.reason:
             return status(DriverState.DISABLED, OFF, requested)
-        text = f"stopped while this driver was not connected; {LOOK}"
+        text = f"stopped while this driver was not connected; {CHECK_RIG}"
         return status(DriverState.STOPPED, text, current.reason)
     if condition is Condition.ENABLING or latch.enabling:
         return status(DriverState.ENABLING, "enabling: the plate moves to home")
@@ -93,7 +95,7 @@ def health(
     status: DriverStatus,
     statistics: Statistics,
     retries: int,
-    quiet_s: float | None,
+    idle_s: float | None,
     task: bool,
     lasting: Sequence[str] = (),
     unplayed: str = "",
@@ -107,7 +109,7 @@ def health(
         Statistics of the last second.
     retries : int
         Number of messages that were repeated in the last second.
-    quiet_s : float or None
+    idle_s : float or None
         Time since the last cycle [s] if the plate rests because no cycle arrives, otherwise None.
     task : bool
         Whether a task runs. If no task runs, no warning is given about a plate at rest.
@@ -120,9 +122,9 @@ def health(
         return Finding(Level.ERROR, status.text)
     if status.state not in (DriverState.READY, DriverState.CALIBRATING):
         return Finding(Level.WARN, "; ".join([status.text, *lasting]))
-    if quiet_s is not None and task:
-        quiet = f"no plate_cycle for {quiet_s:.1f} s, the plate rests"
-        return Finding(Level.STALE, "; ".join([quiet, *lasting]))
+    if idle_s is not None and task:
+        text = f"no plate_cycle for {idle_s:.1f} s, the plate rests"
+        return Finding(Level.STALE, "; ".join([text, *lasting]))
     if unplayed:
         return Finding(Level.STALE, "; ".join([unplayed, *lasting]))
     problems = (*statistics.problems, *lasting)
@@ -130,4 +132,4 @@ def health(
         problems = (*problems, f"{retries} messages were repeated, so the serial line is bad")
     if problems:
         return Finding(Level.WARN, ", ".join(problems))
-    return Finding(Level.OK, "all cycles as requested" if quiet_s is None else AT_REST)
+    return Finding(Level.OK, "all cycles as requested" if idle_s is None else AT_REST)

@@ -36,7 +36,7 @@ from plate_driver.transports.link import (
     LATER_GREETING_S,
     QUEUE_S,
     SESSION_STEP,
-    SILENCE_S,
+    TIMEOUT_S,
     Link,
 )  # fmt: skip
 
@@ -66,7 +66,7 @@ def capabilities(**changes) -> Packet:
 
 def met(state: State = State.READY, baud: float = float("inf")) -> Link:
     """A link of a line without delay, that has had its first pulse."""
-    link, _ = Link.begun(5, 0.0, baud).due(0.0)
+    link, _ = Link.connecting(5, 0.0, baud).due(0.0)
     link = link.received(capabilities(), 0.0).received(told(state), 0.0)
     return link.received(Packet(0, Pulse(0, 0)), 0.0)
 
@@ -83,7 +83,7 @@ def done(link: Link, packets: list[Packet], now: float, status=Status.DONE) -> L
 
 
 def test_hello_is_repeated_and_given_up():
-    link, now, sent = Link.begun(5, 0.0), 0.0, []
+    link, now, sent = Link.connecting(5, 0.0), 0.0, []
     while not link.failed and now < 2 * GREETING_S:
         link, packets = link.due(now)
         sent += [(now, p) for p in packets]
@@ -199,7 +199,7 @@ def test_commands_have_consecutive_numbers_of_65536(start):
 
 
 def test_sessions_begin_with_numbers_far_apart():
-    numbers = [Link.begun(session, 0.0).queue[0].sequence for session in range(1, 9)]
+    numbers = [Link.connecting(session, 0.0).queue[0].sequence for session in range(1, 9)]
     assert numbers[0] == SESSION_STEP
     gaps = [abs(a - b) for a, b in itertools.combinations(numbers, 2)]
     assert min(*gaps, *(2**16 - gap for gap in gaps)) > 1000
@@ -277,13 +277,13 @@ def test_stop_overtakes_everything():
     link, packets = link.uploading(4, KNOTS, 5).stopping().due(0.011)
     assert said(packets) == [Stop(0)]
     # Even a greeting, which goes on after it.
-    link, packets = Link.begun(5, 0.0).stopping(True).due(0.0)
+    link, packets = Link.connecting(5, 0.0).stopping(True).due(0.0)
     assert said(packets) == [Stop(1), Hello(VERSION, 5)]
 
 
 def test_the_trigger_follows_the_greeting_and_no_stop_forgets_it():
     trigger = Trigger(100, 2)
-    link, first = Link.begun(5, 0.0, trigger=trigger).due(0.0)
+    link, first = Link.connecting(5, 0.0, trigger=trigger).due(0.0)
     assert said(first) == [Hello(VERSION, 5)]
     link = link.received(capabilities(), 0.0).received(told(State.PLAYING), 0.0)
     link, packets = link.uploading(1, KNOTS[:4], 1).stopping().due(0.01)
@@ -334,9 +334,9 @@ def test_what_ends_a_link(packet, failed):
 
 def test_silence_ends_a_link_later_where_the_way_is_long():
     link = met()
-    assert not link.due(SILENCE_S - 1e-3)[0].failed
+    assert not link.due(TIMEOUT_S - 1e-3)[0].failed
     silent = gone(NO_ANSWER, "device has been silent for 1 s")
-    assert link.due(SILENCE_S + 1e-3)[0].failed == silent
+    assert link.due(TIMEOUT_S + 1e-3)[0].failed == silent
     far = replace(link, line=replace(link.line, trip_s=0.2, deviation_s=0.05))
-    assert not far.due(SILENCE_S + 0.399)[0].failed
-    assert far.due(SILENCE_S + 0.401)[0].failed
+    assert not far.due(TIMEOUT_S + 0.399)[0].failed
+    assert far.due(TIMEOUT_S + 0.401)[0].failed

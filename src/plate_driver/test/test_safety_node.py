@@ -13,7 +13,7 @@ from std_srvs.srv import SetBool, Trigger  # noqa: E402
 from plate_core.driver_status import DriverReason, DriverState  # noqa: E402
 from plate_core.ros import CALLS, start_nodes  # noqa: E402
 from plate_driver.node import DriverNode  # noqa: E402
-from plate_driver.safety.node import ENABLING, LATE, SILENT  # noqa: E402
+from plate_driver.safety.node import ENABLING, LATE, NO_REPLY  # noqa: E402
 from plate_driver.setpoints import MAX_KNOTS  # noqa: E402
 from plate_driver.status import UNANSWERED, UNCERTAIN  # noqa: E402
 from plate_driver.transports import Condition, Measured, Order, Report  # noqa: E402
@@ -83,8 +83,8 @@ class Desk(Driven):
 
     def __init__(self, monkeypatch) -> None:
         class TimedOrder(Order):
-            def wait(order, longest_s=None):
-                self.pass_time(max(TICK_S, order.longest_s if longest_s is None else longest_s))
+            def wait(order, max_s=None):
+                self.pass_time(max(TICK_S, order.max_s if max_s is None else max_s))
                 return order.done
 
         self.motors = Withheld(lambda: self.clock.now, TimedOrder)
@@ -133,7 +133,7 @@ def test_a_stop_that_is_not_acknowledged_is_answered_and_goes_on_being_tried(des
 def test_an_enable_is_answered_before_the_motors_are_ready(desk):
     start_nodes(desk.node)
     answer = desk.call("home")
-    assert (answer.success, answer.message) == (False, SILENT)
+    assert (answer.success, answer.message) == (False, NO_REPLY)
     answer = desk.enable()
     assert (answer.success, answer.message) == (True, ENABLING)
     desk.motors.reported = Report(Condition.ENABLING)

@@ -12,7 +12,7 @@ from plate_core.status import Finding, Level
 from plate_driver.raw_cycle import HEAD_BYTES, POINT_BYTES, check_length
 from plate_driver.setpoints import Statistics
 from plate_driver.setpoints.motor_table import MotorTable
-from plate_driver.status import LOOK, OFF, UNCERTAIN, driver_status, health
+from plate_driver.status import CHECK_RIG, OFF, UNCERTAIN, driver_status, health
 from plate_driver.transports import Condition, Measured, Order, Report, SimTransport
 from plate_driver.transports.thread import BUSY, STOPPED_SINCE, Latch, TransportThread
 
@@ -297,7 +297,7 @@ def closed(reason: DriverReason, unanswered: bool = False) -> Latch:
 
 
 SUPPLY, FOLLOWING, EARLIER = (
-    Report(Condition.OFF, reason, reason.words)
+    Report(Condition.OFF, reason, reason.text)
     for reason in (DriverReason.SUPPLY, DriverReason.FOLLOWING, DriverReason.EARLIER_STOP)
 )
 SILENT = Report(Condition.GONE, DriverReason.NO_ANSWER, "the device does not answer")
@@ -308,7 +308,7 @@ SILENT = Report(Condition.GONE, DriverReason.NO_ANSWER, "the device does not ans
     [
         (False, NONE, None, DriverState.UNCONFIGURED, NONE, "unconfigured"),
         (False, EMERGENCY, None, DriverState.UNCONFIGURED, EMERGENCY,
-         f"unconfigured: emergency stop; {LOOK}"),
+         f"unconfigured: emergency stop; {CHECK_RIG}"),
         (False, OFF_SWITCH, Report(Condition.OFF), DriverState.INACTIVE, NONE, "inactive"),
         (True, NONE, SILENT, DriverState.ERROR, DriverReason.NO_ANSWER,
          "error: the device does not answer"),
@@ -317,13 +317,13 @@ SILENT = Report(Condition.GONE, DriverReason.NO_ANSWER, "the device does not ans
         (True, NONE, Report(Condition.OFF), DriverState.DISABLED, NONE, OFF),
         (True, OFF_SWITCH, EARLIER, DriverState.DISABLED, OFF_SWITCH, OFF),
         (True, OFF_SWITCH, SUPPLY, DriverState.STOPPED, DriverReason.SUPPLY,
-         f"stopped: supply; {LOOK}"),
+         f"stopped: supply; {CHECK_RIG}"),
         (True, EMERGENCY, SUPPLY, DriverState.STOPPED, EMERGENCY,
-         f"stopped: emergency stop; {LOOK}"),
+         f"stopped: emergency stop; {CHECK_RIG}"),
         (True, NONE, FOLLOWING, DriverState.STOPPED, DriverReason.FOLLOWING,
-         f"stopped: following; {LOOK}"),
+         f"stopped: following; {CHECK_RIG}"),
         (True, NONE, EARLIER, DriverState.STOPPED, DriverReason.EARLIER_STOP,
-         f"stopped while this driver was not connected; {LOOK}"),
+         f"stopped while this driver was not connected; {CHECK_RIG}"),
         (True, NONE, Report(Condition.ENABLING), DriverState.ENABLING, NONE,
          "enabling: the plate moves to home"),
         (True, OFF_SWITCH, Report(Condition.BRAKING, DriverReason.EARLIER_STOP, "stopped"),
@@ -355,16 +355,16 @@ def test_motors_that_are_ready_before_the_latch_is_open_do_not_brake():
     def state() -> DriverState:
         return driver_status(True, latch, Report(Condition.READY), calibrating=False).state
 
-    latch.enable_began(number)
+    latch.enable_started(number)
     assert state() is DriverState.ENABLING
-    latch.enable_began(number)  # by somebody else, who is refused
+    latch.enable_started(number)  # by somebody else, who is refused
     latch.enable_ended(number)
     assert state() is DriverState.ENABLING
     assert latch.open(number)
     latch.enable_ended(number)
     assert state() is DriverState.READY
     latch.close(CUT)
-    latch.enable_began(latch.number)
+    latch.enable_started(latch.number)
     latch.close(EMERGENCY, over=())
     assert state() is DriverState.BRAKING
 
@@ -401,7 +401,7 @@ def test_a_stop_that_nobody_acknowledged_is_told_until_the_device_is_heard(activ
 
 
 @pytest.mark.parametrize(
-    ("state", "text", "troubles", "retries", "quiet_s", "task", "level", "message"),
+    ("state", "text", "troubles", "retries", "idle_s", "task", "level", "message"),
     [
         (DriverState.READY, "", (), 0, None, True, Level.OK, "all cycles as requested"),
         (DriverState.CALIBRATING, "", (), 50, None, True, Level.OK, "all cycles as requested"),
@@ -420,9 +420,9 @@ def test_a_stop_that_nobody_acknowledged_is_told_until_the_device_is_heard(activ
         (DriverState.STOPPED, "stopped: y", (), 0, None, True, Level.ERROR, "stopped: y"),
     ],
 )  # fmt: skip
-def test_levels(state, text, troubles, retries, quiet_s, task, level, message):
+def test_levels(state, text, troubles, retries, idle_s, task, level, message):
     status, statistics = DriverStatus(state, text=text), Statistics(problems=troubles)
-    found = health(status, statistics, retries, quiet_s, task)
+    found = health(status, statistics, retries, idle_s, task)
     assert found == Finding(level, message)
 
 

@@ -13,7 +13,7 @@ from dataclasses import dataclass, field
 from typing import Any
 
 from plate_core import PlateError
-from plate_core.serial_protocol import DriveTrouble, Trouble, abort_words
+from plate_core.serial_protocol import DriveTrouble, Trouble, abort_text
 
 __all__ = ["Master", "open_bus", "trouble_text"]
 
@@ -34,13 +34,13 @@ class Refused(PlateError):
 
     def __init__(self, node: int, index: int, sub: int, code: int) -> None:
         self.code = code
-        super().__init__(f"node {node} refuses object {index:04X}h:{sub:02X} ({abort_words(code)})")
+        super().__init__(f"node {node} refuses object {index:04X}h:{sub:02X} ({abort_text(code)})")
 
 
 def trouble_text(motor: int, kind: Trouble, index: int = 0, code: int = 0) -> str:
     """Return the text of a fault of a motor's drive. `driver_status` contains the same text if a
     board commands the drives."""
-    return DriveTrouble(motor, kind, index, code % 2**32).words
+    return DriveTrouble(motor, kind, index, code % 2**32).text
 
 
 @dataclass

@@ -6,8 +6,8 @@ from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 
 from plate_core import PlateError, Rig
-from plate_core.rig import Doubt, Drive, Limits
-from plate_core.serial_protocol import Trouble, emergency_words
+from plate_core.rig import Drive, Limits, RigWarning
+from plate_core.serial_protocol import Trouble, emergency_text
 
 from .master import Master, Refused, trouble_text
 
@@ -105,20 +105,20 @@ def drives_of(rig: Rig) -> list[Drive]:
     return drives
 
 
-def doubts(rig: Rig, found: Mapping[int, Found], other_master: bool) -> Iterator[Doubt]:
+def doubts(rig: Rig, found: Mapping[int, Found], other_master: bool) -> Iterator[RigWarning]:
     """Yield the differences between the drives on the bus and the rig file. If a difference is
     `impossible`, it must be corrected before motors are moved."""
     if other_master:
-        yield Doubt("bus", trouble_text(0, Trouble.OTHER_MASTER), True)
+        yield RigWarning("bus", trouble_text(0, Trouble.OTHER_MASTER), True)
     drives = drives_of(rig)
     for number, drive in enumerate(drives, 1):
         for text in _of_drive(number, drive, found):
-            yield Doubt("motors", text, True)
+            yield RigWarning("motors", text, True)
         one = found.get(drive.node)
         for text, wrong in _of_limits(drive, one, rig.limits) if one and one.is_drive else ():
-            yield Doubt("limits", f"motor_{number}: {text}", wrong)
+            yield RigWarning("limits", f"motor_{number}: {text}", wrong)
     for node in sorted(set(found) - {drive.node for drive in drives}):
-        yield Doubt("bus", f"node {node} is on the bus but not in the rig file")
+        yield RigWarning("bus", f"node {node} is on the bus but not in the rig file")
 
 
 def _of_drive(number: int, drive: Drive, found: Mapping[int, Found]) -> Iterator[str]:
@@ -145,7 +145,7 @@ def _of_drive(number: int, drive: Drive, found: Mapping[int, Found]) -> Iterator
     for needed in set(NEEDED) & set(one.refusals):
         yield f"{name}: {one.refusals[needed]}, so it cannot be controlled"
     if in_fault(status):
-        why = f"error code {code:04X}h{emergency_words(code)}, error register {register:02X}h"
+        why = f"error code {code:04X}h{emergency_text(code)}, error register {register:02X}h"
         yield f"{trouble_text(number, Trouble.FAULT, code=status)}: {why}"
     elif enabled(status):
         yield (

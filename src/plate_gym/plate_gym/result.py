@@ -20,7 +20,7 @@ import numpy as np
 
 from plate_core import PlateError
 from plate_core.files import read_file
-from plate_core.intervals import of_median, of_share
+from plate_core.intervals import of_median, of_rate
 
 from .isolation import LIMITS
 from .tasks import TASKS, WORLDS, chosen
@@ -150,7 +150,7 @@ def summary(rows: list[dict[str, Any]]) -> dict[str, Any]:
     found = {
         "episodes": len(rows),
         "success": len(good) / len(rows),
-        "success_interval": of_share(len(good), len(rows)),
+        "success_interval": of_rate(len(good), len(rows)),
         "return": float(np.mean([row["return"] for row in rows])),
         "dropped": sum(row["dropped"] for row in rows),
         "decision_ms": float(np.median(spent)),

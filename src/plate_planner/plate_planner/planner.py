@@ -33,7 +33,7 @@ from plate_core.tasks import (
     PartTarget,
     Scenario,
     check_scenario,
-    edge_doubts,
+    edge_warnings,
     pick_problem,
     target_problem,
 )
@@ -175,7 +175,7 @@ class Planner:
         """Return warnings about requests of the scenario that are infeasible on this rig. Each
         warning contains a remedy. The warnings are shown before the task starts."""
         slow = outlook(self.rig, self.scenario.count, self.scenario.time_limit_s)
-        warnings = (*self.rules.warnings(), *edge_doubts(self.scenario, self.rig))
+        warnings = (*self.rules.warnings(), *edge_warnings(self.scenario, self.rig))
         return (*warnings, slow) if slow else warnings
 
     @property

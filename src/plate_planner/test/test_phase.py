@@ -17,7 +17,7 @@ from plate_planner.supervision import (
     started,
     stopped,
 )
-from plate_planner.supervision.phase import LOOK
+from plate_planner.supervision.phase import CHECK_IMAGE
 
 LIMITS = TaskLimits(
     time_limit_s=10.0, hold_s=0.5, start_timeout_s=3.0, unseen_timeout_s=1.0, nearer_m=0.002
@@ -54,7 +54,7 @@ def test_it_gives_up_waiting_for_parts():
     assert run((8.0, GONE, False), state=waiting).phase is Phase.RUNNING
     state = run((8.0 + EPS, ("2 of 5 black parts", "grey_1"), False), state=waiting)
     why = "aborted: 2 of 5 black parts, grey_1 not detected within 3 s of the start; "
-    assert state.text == why + LOOK
+    assert state.text == why + CHECK_IMAGE
 
 
 def test_it_gives_up_waiting_for_the_same_parts_again():
@@ -62,7 +62,10 @@ def test_it_gives_up_waiting_for_the_same_parts_again():
     assert not waiting.active
     assert begin(waiting, 8.0, (), False, LIMITS).phase is Phase.RUNNING
     state = begin(waiting, 8.0 + EPS, (), False, LIMITS)
-    assert state.text == "aborted: no two images with equal parts within 3 s of the start; " + LOOK
+    assert (
+        state.text
+        == "aborted: no two images with equal parts within 3 s of the start; " + CHECK_IMAGE
+    )
 
 
 def test_done_when_the_goal_was_met_for_the_hold_time():

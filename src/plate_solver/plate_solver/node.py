@@ -18,7 +18,7 @@ from visualization_msgs.msg import MarkerArray
 
 from plate_core import CycleRequest, PlateCycle, PlateError, load_rig
 from plate_core.motion import IDLE_S, in_time, is_rest
-from plate_core.rig import doubts
+from plate_core.rig import rig_warnings
 from plate_core.ros import (
     DATA,
     NEWEST,
@@ -142,7 +142,7 @@ class SolverNode(SafeLifecycleNode[Options]):
         self.get_logger().info(
             f"shaking ratio Gamma = {rig.gamma:.1f}, limited by {limit} in the rig file"
         )
-        for doubt in doubts(rig, "motors", "limits"):
+        for doubt in rig_warnings(rig, "motors", "limits"):
             self.get_logger().warning(doubt.text)
         self._library = Library.around(rig.plate.half)
         effort: dict[str, Any] = {"restarts": options.restarts} if options.restarts else {}

@@ -55,7 +55,7 @@ async def answer(connection, number):
 
 
 def test_what_was_sent_while_it_stood_still_is_not_done_but_for_stops(server, taken):
-    server._standstill.longest_s = 0.2
+    server._standstill.max_s = 0.2
 
     async def talk():
         connection = await opened(server)

@@ -21,7 +21,7 @@ from tf2_msgs.msg import TFMessage
 from visualization_msgs.msg import MarkerArray
 
 from plate_core import NAMELESS, OverlookedThing, PlateError, load_rig, part_class
-from plate_core.rig import doubts, home_pose
+from plate_core.rig import home_pose, rig_warnings
 from plate_core.ros import (
     CAMERA,
     DATA,
@@ -241,7 +241,7 @@ class DetectorNode(SafeLifecycleNode[DetectorParameters]):
         self._lens_message: tuple[object, ...] | None = None
         self._lens: Lens | None = None
         self._lens_problem = ""  # reason why the last camera_info was refused, or ""
-        for warning in doubts(self._rig, "camera", "parts"):
+        for warning in rig_warnings(self._rig, "camera", "parts"):
             self.get_logger().warning(warning.text)
         if values.camera_file:
             size = self._rig.camera
@@ -343,7 +343,7 @@ class DetectorNode(SafeLifecycleNode[DetectorParameters]):
         rig, text = rig_of_picture(self._rig, size_px)
         if not text:
             return
-        for warning in doubts(rig, "camera", "parts"):
+        for warning in rig_warnings(rig, "camera", "parts"):
             if warning.impossible:
                 raise ImageError(warning.text)
         self._rig, self._lens = rig, None

@@ -274,13 +274,13 @@ class PlateCycle:
         return PlateCycle.from_knots(times, *(factor * state for state in states))
 
     @classmethod
-    def stopping(cls, state: np.ndarray, way_s: float, period: float = 0.0) -> PlateCycle:
+    def stopping(cls, state: np.ndarray, duration_s: float, period: float = 0.0) -> PlateCycle:
         """Return a motion that stops the plate.
 
         A single quintic leads from `state` (3, 3), in the form of `PlateCycle.state`, to rest at
-        home within `way_s` [s]. If `period` [s] is longer, the plate rests until its end.
+        home within `duration_s` [s]. If `period` [s] is longer, the plate rests until its end.
         """
-        times = [0.0, way_s, period][: 2 + (period > way_s)]
+        times = [0.0, duration_s, period][: 2 + (period > duration_s)]
         knots = [np.vstack([own, np.zeros((len(times) - 1, 3))]) for own in state]
         return cls._ending(np.array(times), knots, at_rest=True)
 

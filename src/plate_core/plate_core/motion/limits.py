@@ -86,7 +86,7 @@ def usage(rig: Rig, cycle: PlateCycle, thermal_load: np.ndarray | float = 1.0) -
     pushes = np.concatenate([motor_force(rig, part) for part in parts])
     moves = [travel, _padded(derivative(travel)), pushes]
     each = polynomial_peaks(np.concatenate(moves, axis=2), steps)
-    stroke, speed, force = (float(np.max(most)) for most in np.split(each, 3))
+    stroke, speed, force = (float(np.max(peaks)) for peaks in np.split(each, 3))
     accel = _corner_peak(rig, np.concatenate([part.coefficients for part in parts]), steps)
     # The tail of the cycle may be executed or not. Therefore use the larger load of both cases.
     load = np.maximum(*(mean_square(pushes[:k], steps[:k]) for k in (len(cycle.times) - 1, None)))
@@ -133,7 +133,7 @@ def polynomial_peaks(
     count, powers, columns = coefficients.shape
     each = coefficients.transpose(0, 2, 1).reshape(-1, powers, 1)
     steps = np.repeat(steps, columns)
-    bend = _largest(derivative(each, 2), steps)[:, 0]
+    bend = _max_abs(derivative(each, 2), steps)[:, 0]
     column = np.tile(np.arange(columns), count)
     return _peaks(lambda piece, t: np.abs(_at(each[piece], t)), bend, steps, column, enough)
 
@@ -170,10 +170,10 @@ def _corner_peak(rig: Rig, pose: np.ndarray, steps: np.ndarray) -> float:
     w^4).
     """
     orders = [derivative(pose, order) for order in range(5)]
-    w, w1, w2, w3 = (_largest(order[:, :, 2:], steps)[:, 0] for order in orders[1:])
+    w, w1, w2, w3 = (_max_abs(order[:, :, 2:], steps)[:, 0] for order in orders[1:])
     radius = float(np.hypot(*rig.plate.half))
     turning = w3 + 4 * w * w2 + 3 * w1**2 + 6 * w**2 * w1 + w**4
-    bend = np.hypot(*_largest(orders[4][:, :, :2], steps).T) + radius * turning
+    bend = np.hypot(*_max_abs(orders[4][:, :, :2], steps).T) + radius * turning
 
     def curve(piece: np.ndarray, t: np.ndarray) -> np.ndarray:
         return corner_accel(rig, *(_at(order[piece], t) for order in orders[:3]))
@@ -234,7 +234,7 @@ def _padded(coefficients: np.ndarray) -> np.ndarray:
     return np.pad(coefficients, ((0, 0), (0, 6 - coefficients.shape[1]), (0, 0)))
 
 
-def _largest(coefficients: np.ndarray, steps: np.ndarray) -> np.ndarray:
+def _max_abs(coefficients: np.ndarray, steps: np.ndarray) -> np.ndarray:
     """Upper bound (k, m) of the magnitude of each piece over its length."""
     powers = steps[:, None] ** np.arange(coefficients.shape[1])
     return np.asarray(np.einsum("kdm,kd->km", np.abs(coefficients), powers))

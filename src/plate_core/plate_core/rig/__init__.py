@@ -5,7 +5,7 @@ The package also converts between three frames: world-fixed (`plate_home`), movi
 `load_rig` reads a rig file, and `SECTIONS` defines the keys of the file.
 """
 
-from .consistency import CYCLE_HZ, MIN_GAMMA, PART_PX, Doubt, doubts
+from .consistency import CYCLE_HZ, MIN_GAMMA, PART_PX, RigWarning, rig_warnings
 from .edit import edit_rig
 from .fiducials import Fiducials
 from .frames import (
@@ -56,7 +56,6 @@ __all__ = [
     "SECTIONS",
     "Camera",
     "CameraTrigger",
-    "Doubt",
     "Drive",
     "EdgeMargin",
     "Fiducials",
@@ -69,11 +68,11 @@ __all__ = [
     "Plate",
     "Reach",
     "Rig",
+    "RigWarning",
     "Suspension",
     "camera_place",
     "camera_pose",
     "default_rig_path",
-    "doubts",
     "edit_rig",
     "fit_homography",
     "home_pose",
@@ -90,6 +89,7 @@ __all__ = [
     "read_part_types",
     "rig_names",
     "rig_path",
+    "rig_warnings",
     "row_delay",
     "surface_velocity",
     "to_home",

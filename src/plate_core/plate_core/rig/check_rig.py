@@ -15,7 +15,7 @@ import numpy as np
 
 from ..ending import piped
 from ..errors import PlateError
-from .consistency import Doubt, doubts
+from .consistency import RigWarning, rig_warnings
 from .frames import camera_place
 from .keys import ODRIVE_COUNTS
 from .motors import PEAK_OVER_RMS
@@ -64,7 +64,7 @@ def main() -> None:
     except PlateError as error:
         print(f"error: {error}", file=sys.stderr)
         sys.exit(2)
-    found = doubts(rig)
+    found = rig_warnings(rig)
     # Print the report before the drawing is made, because the drawing takes longer.
     print(report(rig, path.name, found), flush=True)
     drawing = args.drawing or Path(f"{path.stem if args.rig else 'default'}_rig.svg")
@@ -80,10 +80,10 @@ def main() -> None:
         sys.exit(2)
     else:
         print(f"drawing: {drawing}")
-    sys.exit(1 if any(doubt.impossible for doubt in found) else 0)
+    sys.exit(1 if any(warning.impossible for warning in found) else 0)
 
 
-def report(rig: Rig, name: str, found: list[Doubt]) -> str:
+def report(rig: Rig, name: str, found: list[RigWarning]) -> str:
     """Return the whole report as lines for a terminal."""
     plate, parts, limits = rig.plate, rig.parts, rig.limits
     lines = [
@@ -100,16 +100,16 @@ def report(rig: Rig, name: str, found: list[Doubt]) -> str:
         "",
         "short sinusoidal shaking            travel [mm]  speed [m/s]  accel. [m/s2]  limited by",
     ]
-    for way, words in (("x", "along x"), ("y", "along y"), ("theta", "theta, at a corner")):
+    for axis, description in (("x", "along x"), ("y", "along y"), ("theta", "theta, at a corner")):
         for hz in FREQUENCIES_HZ:
-            one = shake(rig, way, hz)
+            one = shake(rig, axis, hz)
             lines.append(
-                f"  {words:20} {hz:4g} Hz  {1e3 * one.travel:12.3g} {one.speed:12.3g} "
+                f"  {description:20} {hz:4g} Hz  {1e3 * one.travel:12.3g} {one.speed:12.3g} "
                 f"{one.accel:14.3g}  {one.limit}"
             )
     lines.append("")
-    for doubt in found:
-        lines.append(f"{'WRONG' if doubt.impossible else 'warning'}: {doubt.text}")
+    for warning in found:
+        lines.append(f"{'WRONG' if warning.impossible else 'warning'}: {warning.text}")
     if not found:
         lines.append("no inconsistencies")
     return "\n".join(lines)
@@ -155,17 +155,17 @@ def _view(rig: Rig) -> Iterator[str]:
         )
 
 
-def shake(rig: Rig, way: str, hz: float) -> Shake:
+def shake(rig: Rig, axis: str, hz: float) -> Shake:
     """Return the largest sinusoidal motion in one coordinate that exceeds no limit except possibly
     the thermal limit.
 
     The thermal limit depends on the whole motion and is part of `Rig.reach`.
     """
     omega, limits = 2 * np.pi * hz, rig.limits
-    pose = np.array([way == "x", way == "y", way == "theta"], dtype=float)
+    pose = np.array([axis == "x", axis == "y", axis == "theta"], dtype=float)
     # For theta, the amplitude is converted to a length by the distance of a corner from the centre
     # [m].
-    radius = float(np.hypot(*rig.plate.half)) if way == "theta" else 1.0
+    radius = float(np.hypot(*rig.plate.half)) if axis == "theta" else 1.0
     travel = float(np.max(np.abs(rig.motor_levers @ pose)))
     if travel < 1e-9:
         return Shake(0.0, 0.0, 0.0, "no motor in this direction")

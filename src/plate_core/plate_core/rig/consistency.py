@@ -65,12 +65,12 @@ HEIGHT_ERROR = 0.1
 """Relative difference between two camera heights above which a warning is given: `camera:
 height_m`, and the height computed from the lens and the corners."""
 
-PART_SHARE = (0.5, 0.15)
+PART_FRACTION = (0.5, 0.15)
 """Maximum radius of a part, and the radius above which a warning is given. Both radii are fractions
 of half the plate's shorter side. Larger parts cannot move."""
 
 
-class Doubt(NamedTuple):
+class RigWarning(NamedTuple):
     """An error (`impossible`) or a warning about a rig's data: its subject (motors, camera, parts
     or limits), and a text for the user with name, value and allowed values."""
 
@@ -85,29 +85,29 @@ def check(rig: Rig) -> None:
     Raises
     ------
     RigError
-        If the data contain an error (`Doubt.impossible`). The message states the key, its value and
-        the allowed values.
+        If the data contain an error (`RigWarning.impossible`). The message states the key, its
+        value and the allowed values.
     """
-    for doubt in doubts(rig):
-        if doubt.impossible:
-            raise RigError(doubt.text)
+    for warning in rig_warnings(rig):
+        if warning.impossible:
+            raise RigError(warning.text)
 
 
-def doubts(rig: Rig, *about: str) -> list[Doubt]:
+def rig_warnings(rig: Rig, *about: str) -> list[RigWarning]:
     """Return all errors, then all warnings. If subjects are given, return only errors and warnings
     about these subjects."""
     found = [*_motors(rig), *_limits(rig), *_parts(rig), *_fiducials(rig), *_camera(rig)]
-    asked = [doubt for doubt in found if not about or doubt.about in about]
-    return sorted(asked, key=lambda doubt: not doubt.impossible)
+    selected = [warning for warning in found if not about or warning.about in about]
+    return sorted(selected, key=lambda warning: not warning.impossible)
 
 
-def _motors(rig: Rig) -> Iterator[Doubt]:
+def _motors(rig: Rig) -> Iterator[RigWarning]:
     size = 2 * float(np.max(rig.plate.half))
     for motor in rig.motors:
         away = float(np.hypot(*np.maximum(np.abs(motor.point) - rig.plate.half, 0)))
         if away > BESIDE * size:
             x, y = motor.point
-            yield Doubt(
+            yield RigWarning(
                 "motors",
                 f"motors: {motor.name}: point_m is [{x:g}, {y:g}], {away:.3g} m outside the plate, "
                 f"allowed: |x| up to {rig.plate.half[0]:g}, |y| up to {rig.plate.half[1]:g}, or on "
@@ -118,7 +118,7 @@ def _motors(rig: Rig) -> Iterator[Doubt]:
     scale = np.array([1, 1, float(np.hypot(*rig.plate.half))])
     sizes = np.linalg.svd(rig.motor_levers / scale, compute_uv=False)
     if sizes[-1] < 0.05 * sizes[0]:
-        yield Doubt(
+        yield RigWarning(
             "motors",
             "motors: with these points and directions, one of the motions x, y and theta requires "
             "more than 20 times the force of another, allowed: motors whose lines of force are "
@@ -127,19 +127,19 @@ def _motors(rig: Rig) -> Iterator[Doubt]:
         )
 
 
-def _drives(rig: Rig) -> Iterator[Doubt]:
+def _drives(rig: Rig) -> Iterator[RigWarning]:
     drives = {motor.name: motor.drive for motor in rig.motors if motor.drive is not None}
     if not drives:
         return
     kinds = {motor.name: motor.drive.kind if motor.drive else "bridge" for motor in rig.motors}
     first, kind = next((name, drive.kind) for name, drive in drives.items())
     for name in [name for name in kinds if kinds[name] != kind][:1]:
-        yield Doubt(
+        yield RigWarning(
             "motors", f"motors: {name}: drive is {kinds[name]!r}, but {first} has {kind!r}, "
             "allowed: the same for all four motors", True,
         )  # fmt: skip
     if len({drive.absolute for drive in drives.values()}) > 1:
-        yield Doubt(
+        yield RigWarning(
             "motors", "motors: home is 'here' for some motors and 'absolute' for others, so "
             "home is correct only if the plate hangs there at the first enable; better: the same "
             "for all four motors",
@@ -148,13 +148,13 @@ def _drives(rig: Rig) -> Iterator[Doubt]:
     serials: dict[int, str] = {}
     for name, drive in drives.items():
         if drive.node in nodes:
-            yield Doubt(
+            yield RigWarning(
                 "motors", f"motors: {name}: node is {drive.node}, the same as for "
                 f"{nodes[drive.node]}, allowed: a different one for each motor", True,
             )  # fmt: skip
         nodes[drive.node] = name
         if drive.serial in serials:
-            yield Doubt(
+            yield RigWarning(
                 "motors", f"motors: {name}: serial is {drive.serial}, the same as for "
                 f"{serials[drive.serial]}, allowed: a different one for each motor", True,
             )  # fmt: skip
@@ -162,14 +162,14 @@ def _drives(rig: Rig) -> Iterator[Doubt]:
             serials[drive.serial] = name
         odrive = drive.kind == "odrive"
         if odrive and drive.node > ODRIVE_NODES:
-            yield Doubt(
+            yield RigWarning(
                 "motors", f"motors: {name}: node is {drive.node}, allowed for an ODrive: 1 to "
                 f"{ODRIVE_NODES}", True,
             )  # fmt: skip
         key, unit = ("turns_per_m", ODRIVE_COUNTS) if odrive else ("counts_per_m", 1)
         scale = drive.counts_per_m / unit
         if odrive and scale * rig.limits.speed > ODRIVE_SPEED:
-            yield Doubt(
+            yield RigWarning(
                 "motors", f"motors: {name}: turns_per_m is {scale:g}, so the drive turns at "
                 f"{scale * rig.limits.speed:.3g} turns/s at speed_mps {rig.limits.speed:g}, but "
                 f"its feed-forward is limited to {ODRIVE_SPEED:g} turns/s; better: reduce "
@@ -177,12 +177,12 @@ def _drives(rig: Rig) -> Iterator[Doubt]:
             )  # fmt: skip
         coarse = 1 / drive.counts_per_m
         if coarse > COARSEST_M:
-            yield Doubt(
+            yield RigWarning(
                 "motors", f"motors: {name}: {key} is {scale:g}, so one count is "
                 f"{1e6 * coarse:.3g} um, better: {1e6 * COARSEST_M:g} um or less",
             )  # fmt: skip
         if drive.counts_per_m * rig.limits.stroke_m > MAX_COUNTS:
-            yield Doubt(
+            yield RigWarning(
                 "motors", f"motors: {name}: {key} is {scale:g}, but a stroke of "
                 f"{rig.limits.stroke_m:g} m requires "
                 f"{MAX_COUNTS / unit / rig.limits.stroke_m:g} or less", True,
@@ -190,21 +190,21 @@ def _drives(rig: Rig) -> Iterator[Doubt]:
     scales = ", ".join(f"{drive.counts_per_m / unit:g}" for drive in drives.values())
     alike = len(set(kinds.values())) == 1
     if alike and len({drive.counts_per_m for drive in drives.values()}) > 1:
-        yield Doubt(
+        yield RigWarning(
             "motors", f"motors: {key} is {scales} for {', '.join(drives)}; check them, because "
             "drives of the same model usually have equal scales",
         )  # fmt: skip
     if rig.limits.following_error_m == 0:
-        yield Doubt(
+        yield RigWarning(
             "limits", "limits: following_error_m is 0, so only the drives themselves detect a "
             "drive that does not follow or has lost counts; better: more than 0",
         )  # fmt: skip
 
 
-def _limits(rig: Rig) -> Iterator[Doubt]:
+def _limits(rig: Rig) -> Iterator[RigWarning]:
     limits, floor = rig.limits, rig.friction.accel
     if limits.accel <= floor:
-        yield Doubt(
+        yield RigWarning(
             "limits",
             f"limits: accel_mps2 is {limits.accel:g}, allowed: more than mu g = {floor:g} m/s2 "
             "(below it parts never slide)",
@@ -213,7 +213,7 @@ def _limits(rig: Rig) -> Iterator[Doubt]:
     elif rig.gamma <= 1:
         key = rig.reach.limit.split()[0]
         value = limits.force if key == "force_n" else limits.continuous_force
-        yield Doubt(
+        yield RigWarning(
             "limits",
             f"limits: {key} is {value:g}, which accelerates a plate of {rig.plate.mass_kg:g} kg by "
             f"{rig.reach.accel:.3g} m/s2 in every direction, allowed: {value / rig.gamma:.3g} or "
@@ -221,27 +221,27 @@ def _limits(rig: Rig) -> Iterator[Doubt]:
             True,
         )
     elif rig.gamma < MIN_GAMMA:
-        yield Doubt(
+        yield RigWarning(
             "limits",
             f"limits: shaking ratio Gamma is {rig.gamma:.3g} (limited by {rig.reach.limit}), "
             f"advised: {MIN_GAMMA:g} or more; the plate shakes too little, so tasks take long or "
             "fail",
         )
     if 0 < limits.following_error_m < MIN_FOLLOWING_M:
-        yield Doubt(
+        yield RigWarning(
             "limits",
             f"limits: following_error_m is {limits.following_error_m:g}, allowed: 0 (no check), "
             f"or {MIN_FOLLOWING_M:g} and more",
             True,
         )
     elif limits.following_error_m >= limits.stroke_m:
-        yield Doubt(
+        yield RigWarning(
             "limits",
             f"limits: following_error_m is {limits.following_error_m:g}, so a motor that is stuck "
             f"at home is never detected; better: well below stroke_m, {limits.stroke_m:g}",
         )
     if limits.continuous_force > limits.force:
-        yield Doubt(
+        yield RigWarning(
             "limits",
             f"limits: continuous_force_n is {limits.continuous_force:g}, more than the peak "
             f"force_n of {limits.force:g}; check whether it belongs to other motors",
@@ -249,26 +249,26 @@ def _limits(rig: Rig) -> Iterator[Doubt]:
     yield from _speeds(rig)
 
 
-def _speeds(rig: Rig) -> Iterator[Doubt]:
+def _speeds(rig: Rig) -> Iterator[RigWarning]:
     """Check whether the stroke and speed limits fit sinusoidal motions in the frequency range of
     the solvers' cycles."""
     limits, floor = rig.limits, rig.friction.accel
     low, high = 2 * np.pi * np.array(CYCLE_HZ)
-    for key, value, unit, most in (
+    for key, value, unit, peak in (
         ("stroke_m", limits.stroke_m, "m", limits.stroke_m * high**2),
         ("speed_mps", limits.speed, "m/s", limits.speed * high),
     ):
-        if most < min(MIN_GAMMA * floor, 0.5 * rig.reach.accel):
-            yield Doubt(
+        if peak < min(MIN_GAMMA * floor, 0.5 * rig.reach.accel):
+            yield RigWarning(
                 "limits",
-                f"limits: {key} is {value:g} {unit}, which allows {most:.3g} m/s2 at "
+                f"limits: {key} is {value:g} {unit}, which allows {peak:.3g} m/s2 at "
                 f"{CYCLE_HZ[1]:g} Hz (the highest frequency in a cycle). Parts slide above mu g = "
-                f"{floor:g} m/s2; advised: {MIN_GAMMA * floor * value / most:.2g} {unit} or more",
-                bool(most <= floor),
+                f"{floor:g} m/s2; advised: {MIN_GAMMA * floor * value / peak:.2g} {unit} or more",
+                bool(peak <= floor),
             )
     needed = rig.reach.accel / low**2
     if limits.stroke_m > 3 * needed:
-        yield Doubt(
+        yield RigWarning(
             "limits",
             f"limits: stroke_m is {limits.stroke_m:g}, but cycles use only {needed:.2g} m: their "
             f"lowest frequency is {CYCLE_HZ[0]:g} Hz, and the acceleration is at most "
@@ -276,16 +276,16 @@ def _speeds(rig: Rig) -> Iterator[Doubt]:
         )
 
 
-def _parts(rig: Rig) -> Iterator[Doubt]:
+def _parts(rig: Rig) -> Iterator[RigWarning]:
     radius, half = rig.parts.radius_m, float(np.min(rig.plate.half))
-    if radius > PART_SHARE[1] * half:
-        most = PART_SHARE[0] * half
-        yield Doubt(
+    if radius > PART_FRACTION[1] * half:
+        limit = PART_FRACTION[0] * half
+        yield RigWarning(
             "parts",
             f"parts: radius_m is {radius:g} on a plate whose shorter side is {2 * half:g} m, "
-            f"allowed: up to {most:.3g}, advised: up to {PART_SHARE[1] * half:.2g}, so that "
+            f"allowed: up to {limit:.3g}, advised: up to {PART_FRACTION[1] * half:.2g}, so that "
             "several parts can pass each other",
-            radius > most,
+            radius > limit,
         )
     masses = {name: part.mass_kg or 0.0 for name, part in rig.types.items()}
     heaviest = max(masses, key=lambda name: masses[name], default="")
@@ -293,21 +293,21 @@ def _parts(rig: Rig) -> Iterator[Doubt]:
     if heaviest and masses[heaviest] > mass:
         where, mass = f"types: {heaviest}", masses[heaviest]
     if mass > 0.1 * rig.plate.mass_kg:
-        yield Doubt(
+        yield RigWarning(
             "parts",
             f"{where}: mass_kg is {mass:g} on a plate of {rig.plate.mass_kg:g} kg, advised: a "
             "tenth of that or less, because the model neglects the parts' forces on the plate",
         )
 
 
-def _fiducials(rig: Rig) -> Iterator[Doubt]:
+def _fiducials(rig: Rig) -> Iterator[RigWarning]:
     if rig.fiducials is None:
         return
     outside = np.abs(rig.fiducials.corners) > rig.plate.half + 1e-6
     for row in np.flatnonzero(np.any(outside, axis=(1, 2))):
         x, y = rig.fiducials.centres[row]
         limit = rig.plate.half - rig.fiducials.side_m / 2
-        yield Doubt(
+        yield RigWarning(
             "camera",
             f"fiducials: centre_m: marker_{rig.fiducials.numbers[row]} is [{x:g}, {y:g}], not "
             f"completely on the plate, allowed: |x| up to {limit[0]:g}, |y| up to {limit[1]:g} for "
@@ -316,7 +316,7 @@ def _fiducials(rig: Rig) -> Iterator[Doubt]:
         )
 
 
-def _camera(rig: Rig) -> Iterator[Doubt]:
+def _camera(rig: Rig) -> Iterator[RigWarning]:
     corners = np.array(rig.camera.corners_px)
     if rig.camera.lens is not None and rig.camera.lens.bends:
         corners = rig.camera.lens.straighten(corners)
@@ -333,24 +333,24 @@ def _camera(rig: Rig) -> Iterator[Doubt]:
     yield from _heights(rig)
 
 
-def _heights(rig: Rig) -> Iterator[Doubt]:
+def _heights(rig: Rig) -> Iterator[RigWarning]:
     """Check the camera's height against its lens and corners, and the parts' heights against the
     camera's height."""
     place = camera_place(rig)
     if place is None:
         return
-    said, height = rig.camera.height_m, float(place[2])
+    given, height = rig.camera.height_m, float(place[2])
     lens = rig.camera.lens
-    if said is not None and lens is not None and abs(said - height) > HEIGHT_ERROR * height:
-        yield Doubt(
+    if given is not None and lens is not None and abs(given - height) > HEIGHT_ERROR * height:
+        yield RigWarning(
             "camera",
-            f"camera: height_m is {said:g}, but focal_px and corners_px give {height:.3g} m, which "
-            f"is used; allowed: {height:.3g}, or no height_m",
+            f"camera: height_m is {given:g}, but focal_px and corners_px give {height:.3g} m, "
+            f"which is used; allowed: {height:.3g}, or no height_m",
         )
     parts = {f"types: {name}": part.height_m for name, part in rig.types.items()}
     for where, value in {"parts": rig.parts.height_m, **parts}.items():
         if value > height / 2:
-            yield Doubt(
+            yield RigWarning(
                 "parts",
                 f"{where}: height_m is {value:g}, but the camera is {height:.3g} m above the "
                 f"plate, allowed: up to {height / 2:.3g} (half of this height)",
@@ -358,16 +358,16 @@ def _heights(rig: Rig) -> Iterator[Doubt]:
             )
 
 
-def _order(corners: np.ndarray) -> Doubt | None:
+def _order(corners: np.ndarray) -> RigWarning | None:
     """Check that the corners (4, 2) [px] form a convex quadrilateral, and that a camera above the
     plate sees them in this order. Return None if so."""
     sides = np.roll(corners, -1, axis=0) - corners
     after = np.roll(sides, -1, axis=0)
-    turn = sides[:, 0] * after[:, 1] - sides[:, 1] * after[:, 0]
-    if np.all(turn < 0):
+    crosses = sides[:, 0] * after[:, 1] - sides[:, 1] * after[:, 0]
+    if np.all(crosses < 0):
         return None
-    what = "are in mirrored order" if np.all(turn > 0) else "are no convex quadrilateral"
-    return Doubt(
+    what = "are in mirrored order" if np.all(crosses > 0) else "are no convex quadrilateral"
+    return RigWarning(
         "camera",
         f"camera: corners_px {what}, allowed: the pixels of (-x,-y), (+x,-y), (+x,+y), (-x,+y) in "
         "this order, as seen from above (pixel rows count downwards)",
@@ -375,7 +375,7 @@ def _order(corners: np.ndarray) -> Doubt | None:
     )
 
 
-def _shape(rig: Rig, corners: np.ndarray) -> Doubt | None:
+def _shape(rig: Rig, corners: np.ndarray) -> RigWarning | None:
     """Check that a camera with square pixels can see this plate's corners at the given image
     points. Return None if so."""
     misfit, tilt = _misfit(rig, corners, rig.plate.corners)
@@ -386,7 +386,7 @@ def _shape(rig: Rig, corners: np.ndarray) -> Doubt | None:
         turned = np.roll(corners, 1, axis=0)
         other = _misfit(rig, turned, rig.plate.corners)[0] < min(GOOD_FIT, misfit / 3)
         hint = "; they would fit if the last pair came first" if other else ""
-        return Doubt(
+        return RigWarning(
             "camera",
             f"camera: corners_px show a plate with a side ratio of {ratio:.3g}, but the plate has "
             f"{length:g} x {width:g} m: {100 * misfit:.0f} % error, allowed: up to "
@@ -394,7 +394,7 @@ def _shape(rig: Rig, corners: np.ndarray) -> Doubt | None:
             misfit > WORST_FIT,
         )
     if np.degrees(tilt) > STEEP_DEG:
-        return Doubt(
+        return RigWarning(
             "camera",
             f"camera: its tilt from the vertical is {np.degrees(tilt):.0f} degrees by corners_px, "
             f"advised: up to {STEEP_DEG:g}",
@@ -432,14 +432,14 @@ def _misfit(rig: Rig, corners: np.ndarray, plate: np.ndarray) -> tuple[float, fl
     return best
 
 
-def _image(rig: Rig) -> Iterator[Doubt]:
+def _image(rig: Rig) -> Iterator[RigWarning]:
     size = np.array([rig.camera.width_px, rig.camera.height_px])
     corners = np.array(rig.camera.corners_px)
     out = np.any((corners < -0.5) | (corners > size - 0.5), axis=1)
     if np.any(out):
         row = int(np.flatnonzero(out)[0])
         middle = corners.mean(axis=0)
-        yield Doubt(
+        yield RigWarning(
             "camera",
             f"camera: corners_px[{row}] is [{corners[row, 0]:g}, {corners[row, 1]:g}], outside the "
             f"image of {size[0]} x {size[1]} px, so parts there are not visible, advised: all "
@@ -448,12 +448,12 @@ def _image(rig: Rig) -> Iterator[Doubt]:
         )
 
 
-def _size(rig: Rig) -> Iterator[Doubt]:
+def _size(rig: Rig) -> Iterator[RigWarning]:
     low, high = PART_PX
     radius_px = part_radius_px(rig)
     if radius_px < FINE_PX:
         need = rig.parts.radius_m * low / radius_px
-        yield Doubt(
+        yield RigWarning(
             "camera",
             f"parts: radius_m is {rig.parts.radius_m:g}, which is {radius_px:.3g} px in the image, "
             f"allowed: {low:g} to {high:g} px, advised: {FINE_PX:g} px or more; move the camera "
@@ -462,7 +462,7 @@ def _size(rig: Rig) -> Iterator[Doubt]:
             radius_px < low,
         )
     elif radius_px > high:
-        yield Doubt(
+        yield RigWarning(
             "camera",
             f"parts: radius_m is {rig.parts.radius_m:g}, which is {radius_px:.4g} px in the image, "
             f"allowed: {low:g} to {high:g} px; use a smaller image or smaller parts",

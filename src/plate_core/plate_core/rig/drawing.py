@@ -40,18 +40,18 @@ def _draw_plate(axes: Axes, rig: Rig) -> None:
     axes.set_title("plate from above, x to the right, with parts of true size")
     axes.add_patch(Polygon(rig.plate.corners, facecolor="#eeeeee", edgecolor="black"))
     for motor in rig.motors:
-        point, way = np.array(motor.point), np.array(motor.direction)
+        point, direction = np.array(motor.point), np.array(motor.direction)
         # Draw the motor's arrow outside the plate, away from the centre.
-        out = way if way @ point > 0 else -way
-        (x, y), (far_x, far_y) = point, point + 0.14 * size * out
-        style = "<|-" if way @ out < 0 else "-|>"
+        out = direction if direction @ point > 0 else -direction
+        (x, y), (end_x, end_y) = point, point + 0.14 * size * out
+        style = "<|-" if direction @ out < 0 else "-|>"
         arrow = {"arrowstyle": style, "color": "#b2182b", "lw": 2}
-        axes.annotate("", (far_x, far_y), (x, y), arrowprops=arrow, annotation_clip=False)
+        axes.annotate("", (end_x, end_y), (x, y), arrowprops=arrow, annotation_clip=False)
         axes.plot(x, y, "o", color="#b2182b", markersize=4)
         # Offset of the motor's name from the arrow [points].
         beside = (0, 5) if abs(out[0]) > abs(out[1]) else (30, 0)
         axes.annotate(
-            motor.name, ((x + 2 * far_x) / 3, (y + 2 * far_y) / 3), beside, ha="center",
+            motor.name, ((x + 2 * end_x) / 3, (y + 2 * end_y) / 3), beside, ha="center",
             textcoords="offset points", va="center" if beside[0] else "bottom",
         )  # fmt: skip
     if rig.fiducials is not None:
@@ -75,15 +75,15 @@ def _draw_image(axes: Axes, rig: Rig) -> None:
     axes.set_title("plate in the camera image, with a part in the middle")
     axes.add_patch(Rectangle((-0.5, -0.5), camera.width_px, camera.height_px, facecolor="#dddddd"))
     axes.add_patch(Polygon(corners, facecolor="#f7f7f7", edgecolor="black"))
-    for corner, words in zip(corners, ("-x, -y", "+x, -y", "+x, +y", "-x, +y"), strict=True):
+    for corner, text in zip(corners, ("-x, -y", "+x, -y", "+x, +y", "-x, +y"), strict=True):
         axes.plot(*corner, "o", color="#2166ac")
         x, y = corner + 0.2 * (corners.mean(axis=0) - corner)
-        axes.text(x, y, words, color="#2166ac", ha="center", va="center")
+        axes.text(x, y, text, color="#2166ac", ha="center", va="center")
     try:
         middle = to_image(rig, np.zeros((1, 2)))[0]
         axes.add_patch(Circle((middle[0], middle[1]), part_radius_px(rig), color="#666666"))
     except np.linalg.LinAlgError:
-        pass  # `doubts` has already reported that these corners are impossible
+        pass  # `rig_warnings` has already reported that these corners are impossible
     points = np.vstack([corners, [[0, 0], [camera.width_px, camera.height_px]]])
     low, high = points.min(axis=0) - 30, points.max(axis=0) + 30
     axes.set(xlim=(low[0], high[0]), ylim=(high[1], low[1]), aspect="equal")

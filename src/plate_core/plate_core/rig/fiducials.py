@@ -10,9 +10,9 @@ import numpy as np
 
 from ..errors import RigError
 from ..yaml_fields import Fields
-from .keys import FAR_M, FIDUCIALS
+from .keys import FIDUCIALS, MAX_XY
 
-LEAST, MOST = 4, 16
+LOW, HIGH = 4, 16
 """Minimum and maximum number of markers. With fewer than four markers, vision could not check the
 consistency of their positions."""
 
@@ -62,15 +62,15 @@ def read_fiducials(fields: Fields) -> Fiducials:
     side = fields.value(FIDUCIALS["side_m"])
     centres = fields.child("centre_m")
     names = centres.keys()
-    if not LEAST <= len(names) <= MOST:
+    if not LOW <= len(names) <= HIGH:
         raise RigError(
-            f"{centres.where}: number of markers is {len(names)}, allowed: {LEAST} to {MOST}"
+            f"{centres.where}: number of markers is {len(names)}, allowed: {LOW} to {HIGH}"
         )
     if not all(NAME.fullmatch(name) for name in names):
         raise RigError(
             f"{centres.where}: keys are {', '.join(names)}, allowed: marker_0, marker_1, ..."
         )
-    places = [centres.array(name, (2,), -FAR_M, FAR_M) for name in names]
+    places = [centres.array(name, (2,), -MAX_XY, MAX_XY) for name in names]
     gap = np.linalg.norm(np.array(places)[:, None] - places, axis=2)
     if np.any(gap[~np.eye(len(places), dtype=bool)] < 1.2 * side):
         raise RigError(

@@ -9,7 +9,7 @@ from __future__ import annotations
 from ..yaml_fields import Choice, Flag, Key, Number, Numbers, Section, Sign, Table, Whole
 from .lens import MODELS
 
-FAR_M = 10.0
+MAX_XY = 10.0
 """Maximum magnitude of a coordinate [m]."""
 
 ODRIVE_COUNTS = 2**20
@@ -25,7 +25,7 @@ MOTOR = Section(
     "Properties of one linear motor.",
     (
         Key(
-            "point_m", Numbers((2,), -FAR_M, FAR_M), "Point [x, y] at which the motor's shaft "
+            "point_m", Numbers((2,), -MAX_XY, MAX_XY), "Point [x, y] at which the motor's shaft "
             "meets the plate at rest.",
         ),
         Key(
@@ -166,7 +166,7 @@ SUSPENSION = Section(
             None, "the value of a uniform plate",
         ),
         Key(
-            "centre_of_mass_m", Numbers((2,), -FAR_M, FAR_M), "Position [x, y] of the plate's "
+            "centre_of_mass_m", Numbers((2,), -MAX_XY, MAX_XY), "Position [x, y] of the plate's "
             "centre of mass at rest.", (0.0, 0.0),
         ),
         Key("feedforward", Table("mass, damping and stiffness, each from 0 to 2"), "Fractions "

@@ -259,11 +259,18 @@ class Lens:
         if self.model == "equidistant" or (tau_x == 0 and tau_y == 0):
             return None
         (cx, sx), (cy, sy) = ((np.cos(tau), np.sin(tau)) for tau in (tau_x, tau_y))
-        turn = np.array([[cy, 0, -sy], [0, 1, 0], [sy, 0, cy]]) @ np.array(
+        rotation = np.array([[cy, 0, -sy], [0, 1, 0], [sy, 0, cy]]) @ np.array(
             [[1, 0, 0], [0, cx, sx], [0, -sx, cx]]
         )
         return (
-            np.array([[turn[2, 2], 0, -turn[0, 2]], [0, turn[2, 2], -turn[1, 2]], [0, 0, 1]]) @ turn
+            np.array(
+                [
+                    [rotation[2, 2], 0, -rotation[0, 2]],
+                    [0, rotation[2, 2], -rotation[1, 2]],
+                    [0, 0, 1],
+                ]
+            )
+            @ rotation
         )
 
     @cached_property

@@ -14,7 +14,7 @@ def unmeasured(rig: Rig) -> list[str]:
     """Return one sentence for each value that must still be measured. The sentence contains the
     command for the measurement.
 
-    A value counts as not measured if a shipped rig file has the same value. `doubts` finds
+    A value counts as not measured if a shipped rig file has the same value. `rig_warnings` finds
     inconsistent values.
     """
     shipped = [load_rig(name) for name in ("", *rig_names())]

@@ -20,7 +20,7 @@ PEAK_OVER_RMS = 1.6
 motions. For rotations, the ratio is 1.6 to 2. For sinusoids, the ratio is 2 to 2.5
 (`test_weak_motors.py`)."""
 
-TURN_STEPS = 400
+ANGULAR_STEPS = 400
 """Number of steps in which `force_per_accel` varies the angular acceleration from 0 to its maximum.
 At the maximum, the rotation alone accelerates the plate's corners by 1 m/s2."""
 
@@ -68,23 +68,23 @@ def force_per_accel(load: np.ndarray, half: np.ndarray) -> np.ndarray:
     half : (2,)
         Half sides of the plate [m].
     """
-    # angular acceleration, so that the distance r of a corner times `turn` is from 0 to 1 m/s2
-    turn = np.linspace(0, 1, TURN_STEPS + 1) / float(np.hypot(*half))
-    return np.array([np.max(_support(np.abs(row), half, turn)) for row in load])
+    # angular acceleration, so that the distance r of a corner times `angular` is from 0 to 1 m/s2
+    angular = np.linspace(0, 1, ANGULAR_STEPS + 1) / float(np.hypot(*half))
+    return np.array([np.max(_support(np.abs(row), half, angular)) for row in load])
 
 
-def _support(row: np.ndarray, half: np.ndarray, turn: np.ndarray) -> np.ndarray:
-    """Maximum of row . (ax, ay, turn) for each angular acceleration `turn`.
+def _support(row: np.ndarray, half: np.ndarray, angular: np.ndarray) -> np.ndarray:
+    """Maximum of row . (ax, ay, turn) for each angular acceleration `angular`.
 
     The acceleration of each corner must not exceed 1 m/s2. The translation (ax, ay) is therefore in
     the intersection of four unit discs about (+-p, +-q), with p = turn half_y and q = turn half_x.
     In the first quadrant, an arc about (-p, -q) bounds this intersection.
     """
-    q, p = np.minimum(turn * half[0], 1), np.minimum(turn * half[1], 1)
+    q, p = np.minimum(angular * half[0], 1), np.minimum(angular * half[1], 1)
     first, last = np.arcsin(q), np.arccos(p)
     angle = np.clip(np.arctan2(row[1], row[0]), first, np.maximum(first, last))
     shift = row[0] * (np.cos(angle) - p) + row[1] * (np.sin(angle) - q)
-    return np.asarray(np.maximum(shift, 0) + row[2] * turn)
+    return np.asarray(np.maximum(shift, 0) + row[2] * angular)
 
 
 def reach(motors: Sequence[Motor], load: np.ndarray, half: np.ndarray, limits: Limits) -> Reach:
@@ -94,9 +94,9 @@ def reach(motors: Sequence[Motor], load: np.ndarray, half: np.ndarray, limits: L
     force determines the other limit, for motions whose peak force is `PEAK_OVER_RMS` times the root
     mean square force. `load` and `half` are the same as in `force_per_accel`.
     """
-    most = force_per_accel(load, half)
-    motor = motors[int(np.argmax(most))].name
-    peak, lasting = limits.force / most.max(), limits.continuous_force / most.max()
+    max_force = force_per_accel(load, half)
+    motor = motors[int(np.argmax(max_force))].name
+    peak, lasting = limits.force / max_force.max(), limits.continuous_force / max_force.max()
     return min(
         Reach(float(peak), f"force_n of {motor}"),
         Reach(float(PEAK_OVER_RMS * lasting), f"continuous_force_n of {motor}"),

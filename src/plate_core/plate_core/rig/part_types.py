@@ -58,7 +58,7 @@ NAME = re.compile(r"[a-z][a-z0-9]*(_[a-z0-9]*[a-z][a-z0-9]*)*")
 """Pattern of a type's name, such as `nut` or `nut_m4`. A name must not end with _ and digits,
 because a part's id is the name of its type followed by _ and a number."""
 
-LONGEST = 32
+MAX_NAME = 32
 """Maximum length of a name [characters]."""
 
 TAKEN = ("black", "grey", *NAMELESS)
@@ -212,11 +212,11 @@ def read_part_types(fields: Fields) -> Mapping[str, PartType]:
     `load_part_types`."""
     types, names = {}, fields.keys()
     for name in names:
-        if not NAME.fullmatch(name) or len(name) > LONGEST or name in TAKEN:
+        if not NAME.fullmatch(name) or len(name) > MAX_NAME or name in TAKEN:
             raise RigError(
                 f"{fields.where}: name of a type is {name!r}, allowed: lower-case letters, digits "
                 "and _, such as nut or nut_m4; a letter first, and a letter in each word after _; "
-                f"at most {LONGEST} characters; reserved are {', '.join(TAKEN)} (classes of parts "
+                f"at most {MAX_NAME} characters; reserved are {', '.join(TAKEN)} (classes of parts "
                 "without a type)"
             )
         types[name] = _part_type(name, fields.child(name))
@@ -292,10 +292,10 @@ def _pairs(corner: np.ndarray) -> Polygon:
 def disc_polygon(radius: float) -> np.ndarray:
     """Return the `ROUND_CORNERS` corners (n, 2) [m] of a regular polygon with the area of a
     disc."""
-    turn = 2 * np.pi * np.arange(ROUND_CORNERS) / ROUND_CORNERS
+    angle = 2 * np.pi * np.arange(ROUND_CORNERS) / ROUND_CORNERS
     step = 2 * np.pi / ROUND_CORNERS
     own = radius * np.sqrt(step / np.sin(step))
-    return np.asarray(own * np.stack([np.cos(turn), np.sin(turn)], axis=1))
+    return np.asarray(own * np.stack([np.cos(angle), np.sin(angle)], axis=1))
 
 
 def symmetry_of(outline: np.ndarray) -> int:
@@ -303,8 +303,8 @@ def symmetry_of(outline: np.ndarray) -> int:
     must coincide after the rotation, within `CENTRED` of the polygon's reach."""
     near = CENTRED * np.max(np.hypot(*outline.T))
     before, after = np.roll(outline, 1, axis=0) - outline, np.roll(outline, -1, axis=0) - outline
-    turn = before[:, 0] * after[:, 1] - before[:, 1] * after[:, 0]
-    height = np.abs(turn) / np.linalg.norm(after - before, axis=1)
+    crosses = before[:, 0] * after[:, 1] - before[:, 1] * after[:, 0]
+    height = np.abs(crosses) / np.linalg.norm(after - before, axis=1)
     outline = outline[height > near / 3]  # remove corners that are nearly on a straight edge
     for count in range(len(outline), 1, -1):
         c, s = np.cos(2 * np.pi / count), np.sin(2 * np.pi / count)

@@ -26,12 +26,12 @@ added to both values. A part nearer than `MIN_RADII` is lost. Parts should stay 
 class EdgeMargin(NamedTuple):
     """Required distance of a part's centre from the plate's edges [m].
 
-    A part at a shorter distance than `least_m` is lost, because it overhangs the edge, or because
+    A part at a shorter distance than `min_m` is lost, because it overhangs the edge, or because
     the plate can move away under it by the motors' stroke. At the distance `wall_m` from the edges
     there is a virtual wall. A part farther from the edges than this wall is safe.
     """
 
-    least_m: float
+    min_m: float
     wall_m: float
 
 

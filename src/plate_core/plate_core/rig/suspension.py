@@ -80,11 +80,11 @@ def _checked(name: str, matrix: np.ndarray) -> Matrix:
     if np.max(np.abs(matrix - matrix.T)) > ASYMMETRY * size:
         raise RigError(f"suspension: {name} is {matrix.tolist()!r}, allowed: a symmetric matrix")
     matrix = (matrix + matrix.T) / 2
-    least = float(np.min(np.linalg.eigvalsh(matrix)))
-    if least < -1e-12 * size or (name == "mass" and least <= 0):
+    min_eigenvalue = float(np.min(np.linalg.eigvalsh(matrix)))
+    if min_eigenvalue < -1e-12 * size or (name == "mass" and min_eigenvalue <= 0):
         kind = "positive definite" if name == "mass" else "positive semidefinite"
         raise RigError(
-            f"suspension: {name} has the eigenvalue {least:.3g}, allowed: a {kind} matrix"
+            f"suspension: {name} has the eigenvalue {min_eigenvalue:.3g}, allowed: a {kind} matrix"
         )
     return tuple(tuple(row) for row in matrix.tolist())
 

@@ -24,17 +24,19 @@ def transform_to_msg(
     from scipy.spatial.transform import Rotation
 
     msg = TransformStamped(header=Header(stamp=stamp, frame_id=FRAME), child_frame_id=child)
-    place, turn = msg.transform.translation, msg.transform.rotation
+    place, quaternion = msg.transform.translation, msg.transform.rotation
     place.x, place.y, place.z = np.asarray(translation, dtype=float).tolist()
-    turn.x, turn.y, turn.z, turn.w = Rotation.from_matrix(rotation).as_quat().tolist()
+    quaternion.x, quaternion.y, quaternion.z, quaternion.w = (
+        Rotation.from_matrix(rotation).as_quat().tolist()
+    )
     return TFMessage(transforms=[msg])
 
 
 def plate_to_msg(pose: np.ndarray, stamp: Time) -> TFMessage:
     """Return the pose of the plate (3,) [m, m, rad] in plate_home as a message."""
     cos, sin = np.cos(pose[2]), np.sin(pose[2])
-    turn = np.array([[cos, -sin, 0], [sin, cos, 0], [0, 0, 1]])
-    return transform_to_msg(PLATE_FRAME, turn, np.append(pose[:2], 0.0), stamp)
+    matrix = np.array([[cos, -sin, 0], [sin, cos, 0], [0, 0, 1]])
+    return transform_to_msg(PLATE_FRAME, matrix, np.append(pose[:2], 0.0), stamp)
 
 
 def camera_to_msg(rotation: np.ndarray, translation: np.ndarray, stamp: Time) -> TFMessage:

@@ -37,7 +37,7 @@ FORCE_M = 0.1
 CENTRES = 200
 """Number of centres of rotation that are drawn per cycle, at equally spaced times."""
 
-FAR_HALVES = 4.0
+MAX_HALVES = 4.0
 """Maximum coordinate of a centre of rotation that is drawn, in half lengths of the plate."""
 
 
@@ -107,7 +107,7 @@ def centres_to_msg(rig: Rig, cycle: PlateCycle, stamp: Time) -> MarkerArray:
     pose, twist = cycle.pose(time), cycle.twist(time)
     with np.errstate(all="ignore"):
         centre = pose[:, :2] + np.stack([-twist[:, 1], twist[:, 0]], axis=1) / twist[:, 2:]
-    reach = np.max(np.abs(centre), axis=1) < FAR_HALVES * rig.plate.half.max()
+    reach = np.max(np.abs(centre), axis=1) < MAX_HALVES * rig.plate.half.max()
     points = _marker("centres", 0, Marker.POINTS, FORCE, stamp)
     points.scale.x = points.scale.y = LINE_M
     for at, spin in zip(centre[reach], twist[reach, 2], strict=True):

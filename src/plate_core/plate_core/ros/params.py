@@ -146,12 +146,12 @@ def _unknown(node: Node, name: str, known: Sequence[str]) -> str:
     )
 
 
-def for_others(words: Sequence[str], node: str) -> set[str]:
+def for_others(arguments: Sequence[str], node: str) -> set[str]:
     """Return the parameters that are given only in wildcard sections, such as `/**`.
 
     Parameters
     ----------
-    words : sequence of str
+    arguments : sequence of str
         Command line of the node.
     node : str
         Name of the node. A section `/**/NAME` is not a wildcard section for the node NAME, because
@@ -159,7 +159,7 @@ def for_others(words: Sequence[str], node: str) -> set[str]:
     """
     by_wildcard: set[str] = set()
     by_name: set[str] = set()
-    for word, value in pairwise(words):
+    for word, value in pairwise(arguments):
         if word in ("-p", "--param"):
             by_name.add(value.partition(":=")[0].rpartition(":")[2])
         elif word == "--params-file":

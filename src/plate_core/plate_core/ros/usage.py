@@ -36,15 +36,15 @@ def answered(node: Any, options: type | None, args: Sequence[str] | None) -> boo
     """
     check_parameter_files(args)
     try:
-        words = remove_ros_args(sys.argv if args is None else ["", *args])[1:]
+        arguments = remove_ros_args(sys.argv if args is None else ["", *args])[1:]
     except RuntimeError:  # the arguments are wrong; rclpy.init will report this error
         return False
-    if {"-h", "--help"} & set(words):
+    if {"-h", "--help"} & set(arguments):
         print(usage(command(sys.argv[0]), node, options))
         return True
-    if words and options is not None:
+    if arguments and options is not None:
         raise PlateError(
-            f"argument {words[0]!r}, allowed: --help, or --ros-args -p NAME:=VALUE ..."
+            f"argument {arguments[0]!r}, allowed: --help, or --ros-args -p NAME:=VALUE ..."
         )
     return False
 

@@ -276,23 +276,23 @@ class DriveTrouble:
     code: int = field(metadata=_wire("I"))
 
     @property
-    def words(self) -> str:
+    def text(self) -> str:
         """Description of the fault, for the user."""
         whose = f"motor_{self.motor}" if self.motor else "bus"
         errors = [name for bit, name in ODRIVE_ERRORS.items() if self.code >> bit & 1]
-        return f"{whose}: " + WORDS[self.kind].format(
+        return f"{whose}: " + TEXTS[self.kind].format(
             object=self.object, code=self.code, errors=", ".join(errors) or "none reported",
-            abort=abort_words(self.code), allowed=ALLOWED.get(self.object, "see its manual"),
-            meaning=emergency_words(self.code),
+            abort=abort_text(self.code), allowed=ALLOWED.get(self.object, "see its manual"),
+            meaning=emergency_text(self.code),
         )  # fmt: skip
 
 
-def abort_words(code: int) -> str:
+def abort_text(code: int) -> str:
     """Return the code and the meaning of an SDO abort, by which a node refuses an object."""
     return f"abort {code:08X}h, {ABORTS.get(code, 'see its manual')}"
 
 
-def emergency_words(code: int) -> str:
+def emergency_text(code: int) -> str:
     """Return the meaning of an emergency code (also object 603Fh) in brackets. The result is empty
     if the code is unknown."""
     fitting = [text for start, text in EMERGENCIES.items() if f"{code:04X}".startswith(start)]
@@ -323,7 +323,7 @@ ALLOWED = {
 are texts for messages. The key 0 is the protocol version of an ODrive."""
 
 
-WORDS = {
+TEXTS = {
     Trouble.SILENT: "the drive does not answer",
     Trouble.RESET: "the drive was reset",
     Trouble.NOT_OPERATIONAL: "the drive is not operational (NMT state {code})",

@@ -6,7 +6,7 @@ a scenario file.
 """
 
 from .curves import circle_points
-from .edges import behind_wall, edge_doubts
+from .edges import behind_wall, edge_warnings
 from .feed import (
     MAX_OPEN_S,
     as_picked,
@@ -14,7 +14,7 @@ from .feed import (
     pick_problem,
     pick_window,
     ready_parts,
-    to_turn,
+    remaining_rotation,
 )
 from .keys import CLASSES, SECTIONS, side_name
 from .scenario import (
@@ -77,7 +77,7 @@ __all__ = [
     "behind_wall",
     "check_scenario",
     "circle_points",
-    "edge_doubts",
+    "edge_warnings",
     "free_gap",
     "load_scenario",
     "pick_problem",
@@ -85,9 +85,9 @@ __all__ = [
     "read_scenario",
     "ready_parts",
     "region_outline",
+    "remaining_rotation",
     "scenario_names",
     "side_name",
     "start_positions",
     "target_problem",
-    "to_turn",
 ]

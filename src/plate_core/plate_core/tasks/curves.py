@@ -11,7 +11,7 @@ import numpy as np
 SAGITTA_M = 1e-6
 """Maximum distance between a chord and its arc [m]. A camera cannot resolve such a distance."""
 
-FEWEST_CHORDS, MAX_CHORDS = 12, 4000
+MIN_CHORDS, MAX_CHORDS = 12, 4000
 """Minimum and maximum number of chords of a circle, or of a spline between two of its points."""
 
 
@@ -53,7 +53,7 @@ def spline_points(point: np.ndarray, closed: bool) -> np.ndarray:
     spline = CubicSpline(place, knot, bc_type="periodic" if closed else "natural")
     pieces = []
     for begin, step in zip(place[:-1], length, strict=True):
-        trial = begin + step * np.linspace(0, 1, FEWEST_CHORDS)
+        trial = begin + step * np.linspace(0, 1, MIN_CHORDS)
         # The second derivative is approximately the curvature, because the length of the first
         # derivative is near 1.
         bend = np.max(np.hypot(*spline(trial, 2).T))
@@ -66,4 +66,4 @@ def _chords(radius: float, length: float) -> int:
     """Return the number of chords for an arc with this radius and length [m]. A chord is at most
     sqrt(8 radius `SAGITTA_M`) long."""
     count = length / np.sqrt(8 * radius * SAGITTA_M)
-    return int(np.clip(np.ceil(count), FEWEST_CHORDS, MAX_CHORDS))
+    return int(np.clip(np.ceil(count), MIN_CHORDS, MAX_CHORDS))

@@ -52,15 +52,15 @@ def goal_places(scenario: Scenario) -> list[Place]:
 def edge_problem(label: str, point: Point, rig: Rig) -> str:
     """Return the reason why parts of a class cannot be moved to a point [m, plate_home]. Return ""
     if this is possible."""
-    least = rig.edge_margin(label).least_m
-    limit, (x, y) = rig.plate.half - least, point
+    min_m = rig.edge_margin(label).min_m
+    limit, (x, y) = rig.plate.half - min_m, point
     # For NaN, the following condition is false.
     if abs(x) <= limit[0] + ROUNDING_M and abs(y) <= limit[1] + ROUNDING_M:
         return ""
     away = float(np.min(rig.plate.half - np.abs(point)))
     return (
         f"({x:g}, {y:g}) m, {1e3 * away:.3g} mm from an edge, allowed: |x| up to {limit[0]:g}, |y| "
-        f"up to {limit[1]:g} m on this plate, which is {1e3 * least:.3g} mm from its edges, "
+        f"up to {limit[1]:g} m on this plate, which is {1e3 * min_m:.3g} mm from its edges, "
         f"because the plate moves under the parts by up to {1e3 * rig.limits.stroke_m:g} mm (the "
         "stroke)"
     )
@@ -69,31 +69,31 @@ def edge_problem(label: str, point: Point, rig: Rig) -> str:
 def nowhere_text(label: str, rig: Rig) -> str:
     """Return the message for a region into which parts of a class cannot be moved. The caller puts
     "NAME has" before the message."""
-    least = rig.edge_margin(label).least_m
-    limit = rig.plate.half - least
+    min_m = rig.edge_margin(label).min_m
+    limit = rig.plate.half - min_m
     return (
-        f"no point that is at least {1e3 * least:.3g} mm from all edges of the plate, so parts "
+        f"no point that is at least {1e3 * min_m:.3g} mm from all edges of the plate, so parts "
         f"would be lost, allowed: a region that overlaps |x| up to {limit[0]:g}, |y| up to "
         f"{limit[1]:g} m"
     )
 
 
-def edge_doubts(scenario: Scenario, rig: Rig) -> tuple[str, ...]:
+def edge_warnings(scenario: Scenario, rig: Rig) -> tuple[str, ...]:
     """Return warnings about positions of a task whose distance from an edge is allowed but less
     than advised (`wall_m` of `EdgeMargin`). For each key and class, only the position nearest to an
     edge is reported."""
-    doubts: dict[tuple[str, str], tuple[float, str]] = {}
+    warnings: dict[tuple[str, str], tuple[float, str]] = {}
     for key, label, point in goal_places(scenario):
         wall, away = rig.edge_margin(label).wall_m, float(np.min(rig.plate.half - np.abs(point)))
-        if away >= min(wall - ROUNDING_M, doubts.get((key, label), (np.inf,))[0]):
+        if away >= min(wall - ROUNDING_M, warnings.get((key, label), (np.inf,))[0]):
             continue
         text = (
             f"{key} of {label} is ({point[0]:g}, {point[1]:g}) m, {1e3 * away:.3g} mm from an "
             f"edge, advised: {1e3 * wall:.3g} mm, because a push or a slippery spot may move a "
             "part over the edge"
         )
-        doubts[key, label] = away, text
-    return tuple(text for _, text in doubts.values())
+        warnings[key, label] = away, text
+    return tuple(text for _, text in warnings.values())
 
 
 def behind_wall(

@@ -158,15 +158,15 @@ def _space_problem(pick: Pick, clearance_m: float, rig: Rig) -> str:
     if not outline.contains(centre):
         return ""
     free = clearance_m / 2 + outline.exterior.distance(centre)
-    most = int(np.prod(high - low + 2 * free) / (np.pi * free**2))
+    fitting = int(np.prod(high - low + 2 * free) / (np.pi * free**2))
     # If two parts do not fit on the diagonal of the pick window, only one part fits into the
     # window.
     if np.hypot(*(high - low)) < 2 * free:
-        most = 1
-    if pick.ready <= max(most, 1):
+        fitting = 1
+    if pick.ready <= max(fitting, 1):
         return ""
     return (
-        f"ready of {pick.label} is {pick.ready}, allowed: at most {max(most, 1)}, because more "
+        f"ready of {pick.label} is {pick.ready}, allowed: at most {max(fitting, 1)}, because more "
         f"parts do not fit into the window of {1e3 * (high[0] - low[0]):g} by "
         f"{1e3 * (high[1] - low[1]):g} mm with a clearance of {1e3 * clearance_m:g} mm"
     )
@@ -181,8 +181,8 @@ def pick_problem(pick: Pick, rig: Rig) -> str:
             f"window of {pick.label} is ({low[0]:g}, {low[1]:g}) to ({high[0]:g}, {high[1]:g}) m, "
             f"allowed: |x| up to {limit[0]:g}, |y| up to {limit[1]:g} m, the lower corner first"
         )
-    least = rig.plate.half - rig.edge_margin(pick.label).least_m
-    if np.any(low > least) or np.any(high < -least):
+    inner = rig.plate.half - rig.edge_margin(pick.label).min_m
+    if np.any(low > inner) or np.any(high < -inner):
         return f"window of {pick.label} has {nowhere_text(pick.label, rig)}"
     if not 1 <= pick.ready <= MAX_PARTS:
         return f"ready of {pick.label} is {pick.ready}, allowed: 1 to {MAX_PARTS}"
@@ -206,7 +206,7 @@ def pick_window(pick: Pick, rig: Rig) -> tuple[np.ndarray, np.ndarray]:
     return np.where(np.isinf(low), -limit, low), np.where(np.isinf(high), limit, high)
 
 
-def to_turn(parts: Parts, angle: float, symmetry: int) -> np.ndarray:
+def remaining_rotation(parts: Parts, angle: float, symmetry: int) -> np.ndarray:
     """Return the smallest rotation (M,) [rad] that brings parts to an angle [rad]. `symmetry` is
     the order of the parts' rotational symmetry."""
     period = 2 * np.pi / max(symmetry, 1)
@@ -236,13 +236,13 @@ def ready_parts(
 
 def as_picked(parts: Parts, pick: Pick, rig: Rig) -> np.ndarray:
     """Whether each part (M,) has the class of the pick, is in its window, and has its angle."""
-    mine = np.array([part_class(name) == pick.label for name in parts.ids], dtype=bool)
+    ready = np.array([part_class(name) == pick.label for name in parts.ids], dtype=bool)
     low, high = pick_window(pick, rig)
-    mine &= np.all((parts.position >= low) & (parts.position <= high), axis=1)
+    ready &= np.all((parts.position >= low) & (parts.position <= high), axis=1)
     if pick.angle is not None:
-        turn = to_turn(parts, pick.angle, rig.part_type(pick.label).symmetry)
-        mine &= np.abs(turn) <= pick.tolerance_rad + ROUNDING_RAD
-    return mine
+        rotation = remaining_rotation(parts, pick.angle, rig.part_type(pick.label).symmetry)
+        ready &= np.abs(rotation) <= pick.tolerance_rad + ROUNDING_RAD
+    return ready
 
 
 def free_gap(parts: Parts, rig: Rig) -> np.ndarray:

@@ -6,7 +6,7 @@ docs/reference.md is generated from them.
 
 from __future__ import annotations
 
-from ..rig.keys import FAR_M
+from ..rig.keys import MAX_XY
 from ..yaml_fields import Choice, Flag, Key, List, Number, Numbers, Section, Table, Text, Whole
 from .tasks import Side
 
@@ -38,8 +38,8 @@ SLOWEST_MPS, FASTEST_MPS = 1e-5, 10.0
 ALL_DIFFERENT = "each class once"
 ANGLE_ERROR = "Maximum error of a part's angle."
 ANY_ANGLE = "any angle"
-PLACE = Numbers((2,), -FAR_M, FAR_M)
-PLACES = Numbers((None, 2), -FAR_M, FAR_M)
+PLACE = Numbers((2,), -MAX_XY, MAX_XY)
+PLACES = Numbers((None, 2), -MAX_XY, MAX_XY)
 TARGET = "Target position [x, y] of the part's centre."
 TARGET_ANGLE = "Target angle of the part, counter-clockwise from x."
 TOLERANCE = Key(
@@ -207,7 +207,7 @@ CIRCLE = Section(
     "A circular path.",
     (
         Key("centre_m", PLACE, "Centre [x, y] of the circle."),
-        Key("radius_m", Number(1e-4, FAR_M), "Radius of the circle."),
+        Key("radius_m", Number(1e-4, MAX_XY), "Radius of the circle."),
         Key(
             "start_deg", Number(-360, 360), "Direction from the circle's centre to the start of "
             "the path, counter-clockwise from x.", 0.0,
@@ -318,8 +318,8 @@ PICK = Section(
     "Parts of one class that are kept ready for the robot.",
     (
         class_key(),
-        Key("window_m", Numbers((2, 2), -FAR_M, FAR_M), "Lower left and upper right corner [x, y] "
-            "of the pick window. The centres of ready parts are inside this window.", None,
+        Key("window_m", Numbers((2, 2), -MAX_XY, MAX_XY), "Lower left and upper right corner "
+            "[x, y] of the pick window. The centres of ready parts are inside this window.", None,
             "all points whose distance from the edges is at least the stroke and 1.25 radii"),
         Key("ready", Whole(1, 100), "Number of parts that are kept ready at the same time.", 1),
         Key(

@@ -44,17 +44,17 @@ from .tasks import (
     Task,
 )
 
-SCATTER_GAPS = (5.0, 4.0, 3.0, 2.5)
+RANDOM_GAPS = (5.0, 4.0, 3.0, 2.5)
 """Minimum distances between random start positions that are tried one after the other [mean radius
 of the two parts]. The first distance with which all parts can be placed is used."""
 
-SCATTER_FRACTION = (0.85, 0.80)
+RANDOM_FRACTION = (0.85, 0.80)
 """Limits of random start positions, as fractions of the plate's half sides (x, y)."""
 
-SCATTER_CLEAR = 1.5
+RANDOM_CLEARANCE = 1.5
 """Minimum distance of random start positions from the edges [part radii]."""
 
-SCATTER_TRIES, SCATTER_STARTS = 80, 20
+RANDOM_TRIES, RANDOM_STARTS = 80, 20
 """Maximum number of attempts for each minimum distance: to place one part, and to place all
 parts."""
 
@@ -469,13 +469,13 @@ def _check_apart(
     scenario: Scenario, places: list[Place], reach: Mapping[str, float], factor: float
 ) -> None:
     for (key, one, a), (_, other, b) in combinations(places, 2):
-        least = factor * (reach[one] + reach[other])
+        min_gap = factor * (reach[one] + reach[other])
         gap = float(np.hypot(a[0] - b[0], a[1] - b[1]))
-        if gap < least - 1e-9:
+        if gap < min_gap - 1e-9:
             raise ScenarioError(
                 f"{scenario.where}: {key} of {one} ({a[0]:g}, {a[1]:g}) m and of {other} "
                 f"({b[0]:g}, {b[1]:g}) m are {1e3 * gap:.3g} mm apart, allowed: "
-                f"{1e3 * least:.3g} mm or more for these parts"
+                f"{1e3 * min_gap:.3g} mm or more for these parts"
             )
 
 
@@ -488,7 +488,7 @@ def _check_bins(scenario: Scenario, task: SortTask, rig: Rig) -> None:
     for label, region in task.regions.items():
         if not isinstance(region, Bin):
             continue
-        limit = rig.plate.half - rig.edge_margin(label).least_m
+        limit = rig.plate.half - rig.edge_margin(label).min_m
         if np.any(limit < 0) or not Polygon(region.corner).intersects(box(*-limit, *limit)):
             raise ScenarioError(
                 f"{scenario.where}: task: regions: bin_m of {label} has {nowhere_text(label, rig)}"
@@ -544,7 +544,7 @@ def start_positions(
     position.
 
     The minimum distance between a random position and all other parts is the first value in
-    `SCATTER_GAPS` with which all parts can be placed. `SCATTER_FRACTION` and `SCATTER_CLEAR`
+    `RANDOM_GAPS` with which all parts can be placed. `RANDOM_FRACTION` and `RANDOM_CLEARANCE`
     determine the minimum distances from the edges.
 
     Parameters
@@ -575,18 +575,18 @@ def start_positions(
         for included in (lambda g: g.position is not None, lambda g: g.position is None)
     ]
     radius, count = np.concatenate(sizes), len(sizes[1])
-    limit = np.array(SCATTER_FRACTION) * half
-    limit = np.maximum(np.minimum(limit, half - SCATTER_CLEAR * radius[:, None]), 0)
-    taken, most = np.array(given).reshape(-1, 2), 0
-    for gap in np.repeat(SCATTER_GAPS, SCATTER_STARTS):
-        scattered = _scatter(radius, taken, limit, gap, rng)
-        most = max(most, len(scattered))
-        if most == count:
+    limit = np.array(RANDOM_FRACTION) * half
+    limit = np.maximum(np.minimum(limit, half - RANDOM_CLEARANCE * radius[:, None]), 0)
+    taken, max_count = np.array(given).reshape(-1, 2), 0
+    for gap in np.repeat(RANDOM_GAPS, RANDOM_STARTS):
+        scattered = _random_positions(radius, taken, limit, gap, rng)
+        max_count = max(max_count, len(scattered))
+        if max_count == count:
             break
     else:
         raise ScenarioError(
             f"{scenario.where}: parts: count is {count} at random positions, allowed: at most "
-            f"{most}. More parts with radii of up to {1e3 * radius.max():g} mm do not fit on "
+            f"{max_count}. More parts with radii of up to {1e3 * radius.max():g} mm do not fit on "
             f"{2 * half[0]:g} x {2 * half[1]:g} m with {gap:g} radii between their centres. Use "
             "fewer parts or positions_m"
         )
@@ -599,7 +599,7 @@ def start_positions(
     return scenario.labels, np.array(rows, dtype=float).reshape(-1, 2)
 
 
-def _scatter(
+def _random_positions(
     radius: np.ndarray, taken: np.ndarray, limit: np.ndarray, gap: float, rng: np.random.Generator
 ) -> np.ndarray:
     """Return up to N - T random points (k, 2) [m], in addition to the T points `taken` (T, 2).
@@ -611,10 +611,10 @@ def _scatter(
     start = len(taken)
     points = np.vstack([taken, np.zeros((len(radius) - start, 2))])
     for i in range(start, len(radius)):
-        for _ in range(SCATTER_TRIES):
+        for _ in range(RANDOM_TRIES):
             points[i] = rng.uniform(-limit[i], limit[i])
-            least = gap * (radius[:i] + radius[i]) / 2
-            if np.all(np.hypot(*(points[:i] - points[i]).T) >= least):
+            min_gap = gap * (radius[:i] + radius[i]) / 2
+            if np.all(np.hypot(*(points[:i] - points[i]).T) >= min_gap):
                 break
         else:
             return points[start:i]

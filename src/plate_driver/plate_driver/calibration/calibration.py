@@ -227,17 +227,17 @@ def aligned(rig: Rig, cycle: PlateCycle, t: np.ndarray, q: np.ndarray) -> np.nda
     pose, _, _ = plate_state(rig, q, nothing, nothing, tolerance=np.inf)
     amplitudes = fit_harmonics(t, pose, cycle.period, COUNT)[:SLOWEST]
     requested = pose_harmonics(cycle, SLOWEST)[1:]
-    turn = np.sum(amplitudes * np.conj(requested), axis=1)
-    followed = float(np.sum(np.abs(turn)) / np.sum(np.abs(requested) ** 2))
+    product = np.sum(amplitudes * np.conj(requested), axis=1)
+    followed = float(np.sum(np.abs(product)) / np.sum(np.abs(requested) ** 2))
     if not followed >= FOLLOWED:
         raise PlateError(
             f"calibration: the plate performs {100 * followed:.2g} % of a slow commanded motion, "
             f"allowed: {100 * FOLLOWED:g} % or more"
         )
     omega = 2 * np.pi * np.arange(1, SLOWEST + 1) / cycle.period
-    late = -np.angle(turn[0]) / omega[0]
-    rest = -np.angle(turn * np.exp(1j * omega * late))
-    weight = np.abs(turn) * omega
+    late = -np.angle(product[0]) / omega[0]
+    rest = -np.angle(product * np.exp(1j * omega * late))
+    weight = np.abs(product) * omega
     return np.asarray(t - late - np.sum(weight * rest) / np.sum(weight * omega))
 
 

@@ -62,7 +62,7 @@ ONSET_TO = 2.0
 SLID_M = 5e-4
 """Minimum slip for a first estimate of mu [m]."""
 
-BEGAN_M = 6e-5
+MIN_SLIP_M = 6e-5
 """Minimum slip that shows that a part has begun to slide [m]."""
 
 NOISE_FACTOR = 5.0
@@ -152,10 +152,10 @@ class Rest:
         places = np.array(
             [[seen.position[seen.ids.index(name)] for name in ids] for seen in images]
         )
-        scatter = np.std(places, axis=0, ddof=1)
-        if np.max(scatter) > STILL_M:
+        deviation = np.std(places, axis=0, ddof=1)
+        if np.max(deviation) > STILL_M:
             return None
-        error = float(np.sqrt(np.mean(scatter**2) / len(images)))
+        error = float(np.sqrt(np.mean(deviation**2) / len(images)))
         return cls(dict(zip(ids, places.mean(axis=0), strict=True)), error)
 
 
@@ -268,7 +268,7 @@ class FrictionMeasurement:
     Attributes
     ----------
     rig : Rig
-    most : float
+    max_accel : float
         Maximum acceleration of a push on this rig [m/s2].
     stage : Stage
     todo : tuple of Push
@@ -284,7 +284,7 @@ class FrictionMeasurement:
     """
 
     rig: Rig
-    most: float
+    max_accel: float
     stage: Stage
     todo: tuple[Push, ...]
     rest: Rest
@@ -314,12 +314,12 @@ class FrictionMeasurement:
             raise PlateError("friction: no part is detected, allowed: one or more parts at rest")
         names = list(rest.place)
         for name in names:
-            far = float(np.min(rig.plate.half - np.abs(rest.place[name])))
-            least = rig.edge_margin(part_class(name)).wall_m + STEP_CLEARANCE_M
-            if far < least:
+            margin = float(np.min(rig.plate.half - np.abs(rest.place[name])))
+            min_margin = rig.edge_margin(part_class(name)).wall_m + STEP_CLEARANCE_M
+            if margin < min_margin:
                 raise PlateError(
-                    f"friction: {name} is {1e3 * far:.0f} mm from an edge, allowed: "
-                    f"{1e3 * least:.0f} mm or more"
+                    f"friction: {name} is {1e3 * margin:.0f} mm from an edge, allowed: "
+                    f"{1e3 * min_margin:.0f} mm or more"
                 )
         _check_gaps(rig, rest, MIN_GAP_M)
         slow = SLOW_G * rig.friction.gravity
@@ -329,13 +329,13 @@ class FrictionMeasurement:
                 "the rig has flexures but no calibration, so mu may be wrong: call calibrate first",
             )
         first = make_push(rig, 0, 1, FIRST_G * rig.friction.gravity, slow)
-        most = max_accel(rig, slow)
-        if first.accel > most:
+        reach = max_accel(rig, slow)
+        if first.accel > reach:
             raise PlateError(
-                f"friction: the rig's limits allow pushes of up to {most:.2g} m/s2, required: "
+                f"friction: the rig's limits allow pushes of up to {reach:.2g} m/s2, required: "
                 f"{first.accel:.2g} m/s2"
             )
-        return cls(rig, most, Stage.SEARCH, (first,), rest, slow=slow, notes=notes)
+        return cls(rig, reach, Stage.SEARCH, (first,), rest, slow=slow, notes=notes)
 
     @property
     def push(self) -> Push | None:
@@ -436,25 +436,25 @@ class FrictionMeasurement:
         new = replace(self, guess=guess)
         if not guess:
             new = replace(new, slow=max(self.slow, SLOW_FRACTION * trial.push.accel))
-        left = sorted(set(self.rest.place) - set(guess))
+        unknown = sorted(set(self.rest.place) - set(guess))
         accel = trial.push.accel * SEARCH_FACTOR
-        if 0 < len(left) <= len(guess):
+        if 0 < len(unknown) <= len(guess):
             typical = float(np.median(list(guess.values()))) * gravity
             if accel > STUCK_FACTOR * typical:
                 notes = tuple(
                     f"{name} is excluded, because it does not slide at {trial.push.accel:.1f} "
                     "m/s2, but other parts do"
-                    for name in left
+                    for name in unknown
                 )
                 place = {name: new.rest.place[name] for name in guess}
                 new = replace(new, notes=new.notes + notes, rest=replace(new.rest, place=place))
-                left = []
-        if not left:
+                unknown = []
+        if not unknown:
             return new._distance()
-        if accel > self.most:
+        if accel > self.max_accel:
             raise PlateError(
-                f"friction: {', '.join(left)} did not slide at {trial.push.accel:.1f} m/s2, and "
-                f"the rig's limits allow only {self.most:.1f} m/s2. Either mu is above "
+                f"friction: {', '.join(unknown)} did not slide at {trial.push.accel:.1f} m/s2, and "
+                f"the rig's limits allow only {self.max_accel:.1f} m/s2. Either mu is above "
                 f"{trial.push.accel / gravity:.2f}, or the plate does not move"
             )
         push = make_push(self.rig, 0, -trial.push.sign, accel, new.slow)
@@ -464,7 +464,7 @@ class FrictionMeasurement:
         """Return the measurement with the distance pushes."""
         gravity = self.rig.friction.gravity
         typical = float(np.median(list(self.guess.values())))
-        accel = min(ABOVE * typical * gravity, self.most)
+        accel = min(ABOVE * typical * gravity, self.max_accel)
         grip = {name: self.guess[name] * gravity for name in self.rest.place}
         kept = [name for name in grip if accel / RANGE < grip[name] < accel / MIN_ABOVE]
         if not kept:
@@ -519,7 +519,7 @@ class FrictionMeasurement:
         mu = [self._dynamic(name)[0] for name in self.rest.place]
         accel, last = ONSET_FROM * min(mu) * gravity, ONSET_TO * max(mu) * gravity
         todo: list[Push] = []
-        while accel < min(last, self.most):
+        while accel < min(last, self.max_accel):
             todo.append(make_push(self.rig, 0, 1 - 2 * (len(todo) % 2), accel, self.slow))
             accel *= ONSET_FACTOR
         stage = Stage.ONSET if todo else Stage.DONE
@@ -588,10 +588,10 @@ class FrictionMeasurement:
         # Use only pushes along the same axis, because friction may differ along x and y.
         local, away = local[along], away[along]
         mu = float(np.mean(local[away <= np.min(away) + HERE_M]))
-        least = grip = mu * self.rig.friction.gravity
+        lower = grip = mu * self.rig.friction.gravity
         if held is not None and held.lag_at(mu) > _visible(held):
-            least = max(least, held.push.accel)
-        return max(1.0, float(np.sqrt(least * max(slid.push.accel, grip))) / grip)
+            lower = max(lower, held.push.accel)
+        return max(1.0, float(np.sqrt(lower * max(slid.push.accel, grip))) / grip)
 
     @property
     def result(self) -> FrictionResult:
@@ -614,8 +614,8 @@ class FrictionMeasurement:
         ratios = ratios[np.isfinite(ratios)]
         static = float(np.mean(ratios)) if len(ratios) else np.nan
         width = np.log(ONSET_FACTOR) / np.sqrt(12)
-        scatter = float(np.std(ratios, ddof=1)) if len(ratios) > 1 else 0.0
-        static_error = float(np.hypot(width, scatter / np.sqrt(max(1, len(ratios)))))
+        deviation = float(np.std(ratios, ddof=1)) if len(ratios) > 1 else 0.0
+        static_error = float(np.hypot(width, deviation / np.sqrt(max(1, len(ratios)))))
         notes = self.notes + self._types(parts) + self._axes()
         if len(ratios) and ratios.size < count:
             notes += (f"static friction was measured for {len(ratios)} of {count} parts",)
@@ -684,18 +684,18 @@ def rig_mu(rig: Rig, result: FrictionResult) -> float:
 
 def _visible(trial: Trial) -> float:
     """Return the minimum measured slip [m] that shows that a part has slid."""
-    return max(BEGAN_M, NOISE_FACTOR * trial.error)
+    return max(MIN_SLIP_M, NOISE_FACTOR * trial.error)
 
 
 def _check_slip(trial: Trial, name: str, gravity: float) -> None:
     """Raise an error if a slip exceeds the maximum of the push's curve, because such a slip does
     not determine mu."""
-    longest = float(np.max(trial.curve[1]))
-    if trial.lag[name] > longest + NOISE_FACTOR * trial.error:
+    max_slip = float(np.max(trial.curve[1]))
+    if trial.lag[name] > max_slip + NOISE_FACTOR * trial.error:
         accel = trial.push.accel
         raise PlateError(
             f"friction: {name} slid {1e3 * trial.lag[name]:.1f} mm at {accel:.2f} m/s2, allowed: "
-            f"up to {1e3 * longest:.1f} mm. Either mu is below {accel / RANGE / gravity:.2g}, or "
+            f"up to {1e3 * max_slip:.1f} mm. Either mu is below {accel / RANGE / gravity:.2g}, or "
             "static friction is about twice the dynamic friction or more"
         )
 
@@ -719,15 +719,15 @@ def _curve(push: Push, gravity: float) -> np.ndarray:
     return np.stack([grid, slip(push, grid, 0.0, gravity)])
 
 
-def _check_gaps(rig: Rig, rest: Rest, least: float) -> None:
-    """Raise an error if the gap between two parts is less than `least` [m]."""
+def _check_gaps(rig: Rig, rest: Rest, min_gap: float) -> None:
+    """Raise an error if the gap between two parts is less than `min_gap` [m]."""
     names = list(rest.place)
     for i, one in enumerate(names):
         for other in names[i + 1 :]:
             reach = sum(rig.part_type(part_class(name)).reach_m for name in (one, other))
             gap = float(np.hypot(*(rest.place[one] - rest.place[other]))) - reach
-            if gap < least:
+            if gap < min_gap:
                 raise PlateError(
                     f"friction: {one} and {other} are {max(0.0, 1e3 * gap):.1f} mm apart, allowed: "
-                    f"{1e3 * least:g} mm or more"
+                    f"{1e3 * min_gap:g} mm or more"
                 )

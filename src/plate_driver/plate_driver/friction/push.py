@@ -155,11 +155,11 @@ def slip(push: Push, mu: np.ndarray, hold: np.ndarray | float, gravity: float) -
     grip = np.asarray(mu, dtype=float) * gravity
     hold = np.maximum(hold, grip)
     step = np.diff(t)[:, None]
-    most, held = grip * step, np.abs(np.diff(plate))[:, None] <= hold * step
+    max_change, held = grip * step, np.abs(np.diff(plate))[:, None] <= hold * step
     v, stuck, speed = np.zeros_like(grip), np.ones(grip.shape, bool), [np.zeros_like(grip)]
     # Each NumPy operation takes microseconds, even with few parts. Therefore the loop contains only
     # operations that depend on the previous step.
-    for after, change, holds in zip(plate[1:], most, held, strict=True):
+    for after, change, holds in zip(plate[1:], max_change, held, strict=True):
         rides = stuck & holds
         v = np.where(rides, after, v + np.minimum(np.maximum(after - v, -change), change))
         stuck = rides | (v == after)

@@ -57,7 +57,7 @@ is created only when a call needs it."""
 
 
 ENABLING = "enabling: driver_status reports when the motors are ready"
-SILENT = "the device has not answered yet"
+NO_REPLY = "the device has not answered yet"
 """Replies to a call of enable or home whose execution takes longer than the reply can wait."""
 
 LATE = "the driver was stalled, so this call may be old: call again"
@@ -205,9 +205,9 @@ class SafetyNode:
     ) -> Any:
         self._stop(response, reason, over)
         if response.success:
-            self.node.get_logger().warning(reason.words)
+            self.node.get_logger().warning(reason.text)
         else:
-            self.node.get_logger().error(f"{reason.words}: {UNANSWERED}")
+            self.node.get_logger().error(f"{reason.text}: {UNANSWERED}")
         return response
 
     def _on_enable(self, request: SetBool.Request, response: SetBool.Response) -> SetBool.Response:
@@ -251,5 +251,5 @@ class SafetyNode:
             response.success = order.wait(end - time.monotonic())
             response.message = "the next enable searches for home"
             if not response.success:
-                response.message = order.failure or SILENT
+                response.message = order.failure or NO_REPLY
         return response

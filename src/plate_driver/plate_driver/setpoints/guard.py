@@ -183,8 +183,10 @@ class Guard:
         # Upper bound of the time until the plate rests. The current table is played to its end
         # before the new table. Therefore the bound includes two additional plays, and the fade-in
         # and fade-out.
-        longest = (self.hold_cycles + 2) * (self.repeats + 2) * sum(p.period for p in cycle.parts)
-        allowed = thermal.allowed_load(self.rig, longest)
+        duration_s = (
+            (self.hold_cycles + 2) * (self.repeats + 2) * sum(p.period for p in cycle.parts)
+        )
+        allowed = thermal.allowed_load(self.rig, duration_s)
         table, fit = prepare(
             self.rig, cycle, stamp_ns, self.repeats, allowed, self.correction, self.sent
         )

@@ -153,13 +153,15 @@ def excess(rig: Rig, used: CycleUsage, thermal_load: np.ndarray | float = 1.0) -
     """
     limits, allowed = rig.limits, np.broadcast_to(thermal_load, 4)
     warmest = int(np.argmax(used.thermal_load / allowed))
-    mean, most = limits.continuous_force * np.sqrt([used.thermal_load[warmest], allowed[warmest]])
+    mean, max_force = limits.continuous_force * np.sqrt(
+        [used.thermal_load[warmest], allowed[warmest]]
+    )
     name, value, limit, unit = max(
         ("stroke", used.stroke_m, limits.stroke_m, "m"),
         ("speed", used.speed, limits.speed, "m/s"),
         ("acceleration", used.accel, limits.accel, "m/s2"),
         ("peak force", used.force, limits.force, "N"),
-        ("mean force at the motors' temperature", mean, most, "N"),
+        ("mean force at the motors' temperature", mean, max_force, "N"),
         key=lambda row: row[1] / row[2],
     )
     return f"{name} is {value:.4g} {unit}, allowed: {limit:.4g} {unit}"
@@ -208,11 +210,11 @@ def check_setpoints(
     first_q, first_qd = (0.0, 0.0) if start is None else start
     ends_q, ends_qd = np.abs([q[0] - first_q, q[-1]]), np.abs([qd[0] - first_qd, qd[-1]])
     where = "at rest" if start is None else "error at the start or at rest"
-    far = polynomial_peaks(travel, steps, rig.limits.stroke_m)
+    peaks = polynomial_peaks(travel, steps, rig.limits.stroke_m)
     fast = polynomial_peaks(derivative(travel), steps, rig.limits.speed)
     for number, motor in enumerate(rig.motors):
         for what, unit, value, limit in (
-            ("travel", "m", far[number], rig.limits.stroke_m),
+            ("travel", "m", peaks[number], rig.limits.stroke_m),
             ("speed", "m/s", fast[number], rig.limits.speed),
             (f"travel {where}", "m", np.max(ends_q[:, number]), home),
             (f"speed {where}", "m/s", np.max(ends_qd[:, number]), 100 * home),

@@ -105,25 +105,25 @@ class DeviceClock:
         """Return the clock after a message that shows that the offset is between `earliest` and
         `latest` [s]."""
         own, back = device_us * 1e-6, self.device_us - device_us
-        begun = replace(
+        restarted = replace(
             self, earliest=earliest, latest=latest, at=now, since=(now, own), device_us=device_us
         )
         if back > 0:  # messages arrive in order, so a step backwards is an error
-            return begun._found(f"went back by {1e-6 * back:.3f} s", now, strikes=True)
+            return restarted._with_problem(f"went back by {1e-6 * back:.3f} s", now, strikes=True)
         if not self.known:
-            return begun
+            return restarted
         drift = DRIFT * (now - self.at)
         fast = latest < self.earliest - drift
         earliest, latest = max(self.earliest - drift, earliest), min(self.latest + drift, latest)
         if earliest > latest + TICK_S:
             ran, passed = own - self.since[1], now - self.since[0]
-            return begun._found(f"ran {ran:.3f} s in {passed:.3f} s", now, strikes=fast)
+            return restarted._with_problem(f"ran {ran:.3f} s in {passed:.3f} s", now, strikes=fast)
         # due to rounding, `earliest` may exceed `latest` by up to a tick
         middle = (earliest + latest) / 2
         bounds = min(earliest, middle), max(latest, middle)
-        return replace(begun, earliest=bounds[0], latest=bounds[1], since=self.since)
+        return replace(restarted, earliest=bounds[0], latest=bounds[1], since=self.since)
 
-    def _found(self, problem: str, now: float, strikes: bool) -> DeviceClock:
+    def _with_problem(self, problem: str, now: float, strikes: bool) -> DeviceClock:
         new = (*self.strikes, now)[-STRIKES:] if strikes else self.strikes
         return replace(self, wrong_at=now, problem=f"the device's clock {problem}", strikes=new)
 
@@ -144,5 +144,5 @@ class DeviceClock:
 
     def broken(self, now: float, round_s: float) -> bool:
         """Return whether the clock is broken, for a line with the round trip `round_s` [s]."""
-        longest = REJECTED_S + 20 * round_s
-        return len(self.strikes) == STRIKES and now - self.strikes[0] < longest
+        window_s = REJECTED_S + 20 * round_s
+        return len(self.strikes) == STRIKES and now - self.strikes[0] < window_s

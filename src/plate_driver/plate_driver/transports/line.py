@@ -171,8 +171,8 @@ class LineModel:
         """Heartbeat interval [s]."""
         if not self.lossy:
             return HEARTBEAT_S
-        least = frame_bytes(Heartbeat(0)) * self.byte_s / HEARTBEAT_FRACTION
-        return min(HEARTBEAT_S, max(QUICK_HEARTBEAT_S, least))
+        min_s = frame_bytes(Heartbeat(0)) * self.byte_s / HEARTBEAT_FRACTION
+        return min(HEARTBEAT_S, max(QUICK_HEARTBEAT_S, min_s))
 
     def arriving(self, size: int) -> float:
         """Return the probability that a frame of `size` bytes arrives whole."""

@@ -38,7 +38,7 @@ from .device_clock import DeviceClock
 from .line import ANSWER_S, FULL_BYTES, LineModel, frame_bytes
 from .transport import Condition, Report
 
-SILENCE_S = 1.0
+TIMEOUT_S = 1.0
 """Maximum time without a message, in addition to a round trip [s]. After a longer time, the device
 counts as disconnected and the link is restarted. The device itself brakes after a quarter of this
 time. The time is long, because a restart of the link stops the motors. A very lossy line must
@@ -193,7 +193,7 @@ class Link:
     in_order: bool = False
 
     @classmethod
-    def begun(
+    def connecting(
         cls, session: int, now: float, baud: float = float("inf"), trigger: Trigger | None = None
     ) -> Link:
         """Return a link that will send Hello, and then the camera trigger if `trigger` is given.
@@ -382,9 +382,9 @@ class Link:
         first."""
         if self.failed:
             return self, []
-        silence = SILENCE_S + self.line.round_s
-        if now - self.received_at > silence and self.device is not None:
-            why = f"device has been silent for {silence:.2g} s"
+        timeout_s = TIMEOUT_S + self.line.round_s
+        if now - self.received_at > timeout_s and self.device is not None:
+            why = f"device has been silent for {timeout_s:.2g} s"
             return self._failing(DriverReason.NO_ANSWER, why), []
         link = self._fed(now)._split(now)
         link = replace(link, flight=tuple(item for item in link.flight if item[0] > now))
@@ -394,7 +394,7 @@ class Link:
         link = link._with_heartbeat(now, packets)
         sendable = link._sendable(now)
         for pending in sendable:
-            if pending.tries and now - pending.first_at > link._longest(pending.message):
+            if pending.tries and now - pending.first_at > link._max_repeat_s(pending.message):
                 why = f"device does not answer {type(pending.message).__name__}"
                 return link._failing(DriverReason.NO_ANSWER, why), []
             copies = link._copies(pending.message, len(sendable))
@@ -403,7 +403,7 @@ class Link:
             link = link._sent(pending, now, copies, packets)
         return link, packets
 
-    def _longest(self, message: Message) -> float:
+    def _max_repeat_s(self, message: Message) -> float:
         """Return the maximum time for which a command is repeated [s]."""
         if isinstance(message, Hello):
             return GREETING_S
@@ -518,8 +518,8 @@ class Link:
         if not isinstance(message, Knots) or self.device is None or not self.flight:
             return True
         size = frame_bytes(message)
-        most = self.device.window * FULL_BYTES
-        return sum(n for _, n in self.flight) + copies * size <= most
+        capacity = self.device.window * FULL_BYTES
+        return sum(n for _, n in self.flight) + copies * size <= capacity
 
 
 def _parts(table: int, first: int, knots: Sequence[Knot], count: int) -> list[Message]:

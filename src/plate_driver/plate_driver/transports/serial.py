@@ -62,7 +62,7 @@ LEAD_S = 0.3
 """Time by which setpoints of a stream are sent before the device plays them [s]. The device brakes
 if its setpoints end in less than 0.1 s."""
 
-QUIET_S = 0.5
+TIMEOUT_S = 0.5
 """Maximum time without a message, in addition to a round trip [s]. After a longer time, the device
 is reported as not answering."""
 
@@ -249,14 +249,14 @@ class SerialTransport:
         self._streams, self._baud = streams, baud
         self._streamed: SetpointStream | None = None
         # start time of the stream on the device's clock [s]
-        self._stream_began: float | None = None
+        self._stream_start: float | None = None
         # Stream that begins when the current stream has ended.
         self._next: SetpointStream | None = None
         self.min_lead_s = float("inf")
         self._make_port, self._clock, self._session = make_port, clock, seed
         self._port: Port | None = None
         self._reader = Reader()
-        self._link = Link.begun(self._session, clock(), baud, trigger)
+        self._link = Link.connecting(self._session, clock(), baud, trigger)
         self._stops: list[Order] = []
         self._request: Order | None = None  # pending enable or home command
         self._cut = False
@@ -264,7 +264,7 @@ class SerialTransport:
         self._sent: dict[int, MotorTable] = {}
         self._failures = 0
         self._reopen_at = 0.0
-        self._gone = NO_ANSWER
+        self._no_contact = NO_ANSWER
         self._troubles: list[str] = []
         self._stop_noted = -1
         self._following_m = self._load = 0.0
@@ -340,12 +340,12 @@ class SerialTransport:
         A stream begins only when its first setpoints are stored.
         """
         device = self._link.device
-        most = MAX_KNOTS if device is None else device.max_knots
+        capacity = MAX_KNOTS if device is None else device.max_knots
         ahead = densest(table, repeats, LEAD_S + MAX_S)
-        if ahead > most:
+        if ahead > capacity:
             raise CycleError(
                 f"plate_cycle: {ahead} setpoints within {LEAD_S + MAX_S:g} s, allowed by the "
-                f"device: {most}"
+                f"device: {capacity}"
             )
 
     def poll(self) -> list[Measured]:
@@ -392,11 +392,11 @@ class SerialTransport:
         """Return the state of the motors as the device reports it."""
         telemetry, now = self._link.telemetry, self._clock()
         if self._port is None or self._link.device is None or telemetry is None:
-            return self._gone
-        longest = QUIET_S + self._link.line.round_s
-        if now - self._link.received_at > longest:
+            return self._no_contact
+        timeout_s = TIMEOUT_S + self._link.line.round_s
+        if now - self._link.received_at > timeout_s:
             return NO_ANSWER
-        if now - self._link.telemetry_at > max(longest, self._link.line.telemetry_timeout_s):
+        if now - self._link.telemetry_at > max(timeout_s, self._link.line.telemetry_timeout_s):
             why = "the device does not report its state"
             return Report(Condition.GONE, DriverReason.NO_TELEMETRY, why)
         if self._unfit:
@@ -414,7 +414,7 @@ class SerialTransport:
         reasons = (reason for fault, reason in REASONS.items() if fault & telemetry.faults)
         text = named(telemetry.faults & ~Fault.NO_HOME)
         if self._link.trouble is not None and telemetry.faults & OF_DRIVES:
-            text += f": {self._link.trouble.words}"
+            text += f": {self._link.trouble.text}"
         return Report(condition, next(reasons, DriverReason.NONE), text)
 
     @property
@@ -521,8 +521,8 @@ class SerialTransport:
         self._closed = True
         self._release()
 
-    def _ordered(self, longest_s: float) -> Order:
-        return Order(longest_s + 4 * self._link.line.round_s)
+    def _ordered(self, max_s: float) -> Order:
+        return Order(max_s + 4 * self._link.line.round_s)
 
     def _complete_orders(self) -> None:
         """Complete the orders that the device has answered, with or without an error."""
@@ -577,7 +577,7 @@ class SerialTransport:
         if self._link.clock.suspect(now) and not suspect:
             self._note(self._link.clock.problem)
         if before is None and self._link.device is not None:
-            self._failures, self._gone = 0, NO_ANSWER
+            self._failures, self._no_contact = 0, NO_ANSWER
             self._greeted(self._link.device)
         message = packet.message
         if not isinstance(message, Telemetry):
@@ -637,17 +637,17 @@ class SerialTransport:
         device = self._link.device
         if not telemetry.faults & Fault.FOLLOWING or device is None:
             return ""
-        most, allowed = 1e3 * self._following_m, 1e3 * device.following_m
-        return f" (a motor was {most:.2g} mm from its setpoint, allowed: {allowed:.2g})"
+        error, allowed = 1e3 * self._following_m, 1e3 * device.following_m
+        return f" (a motor was {error:.2g} mm from its setpoint, allowed: {allowed:.2g})"
 
     def _lead(self, now: float) -> float:
         """Return the time by which the stream is ahead of the device [s].
 
         The result is infinite if no stream plays or if the whole stream was sent.
         """
-        if self._streamed is None or self._stream_began is None or self._streamed.ended:
+        if self._streamed is None or self._stream_start is None or self._streamed.ended:
             return float("inf")
-        return self._streamed.time - (now - self._link.clock.offset_s - self._stream_began)
+        return self._streamed.time - (now - self._link.clock.offset_s - self._stream_start)
 
     def _feed_stream(self, now: float) -> None:
         """Send setpoints so that the stream stays `LEAD_S` ahead of the device, or start the next
@@ -663,13 +663,13 @@ class SerialTransport:
                 self._table = self._table % 65_535 + 1
                 self._streamed, first = self._next.until(LEAD_S)
                 self._next = None
-                self._stream_began = None
+                self._stream_start = None
                 self._link = self._link.streaming(self._table, first)
             return
         if telemetry.table != self._table or not self._link.clock.known:
             return  # the stream does not play yet, or the offset of the device's clock is unknown
-        if self._stream_began is None:
-            self._stream_began = telemetry.device_us * 1e-6
+        if self._stream_start is None:
+            self._stream_start = telemetry.device_us * 1e-6
         if stream.ended:
             return
         self._streamed, more = stream.until(stream.time - self._lead(now) + LEAD_S)
@@ -679,7 +679,7 @@ class SerialTransport:
     def _connect(self, port: Port) -> None:
         self._port, self._reader = port, Reader()
         self._session = (self._session + 1) % 2**32
-        self._link = Link.begun(self._session, self._clock(), self._baud, self._trigger)
+        self._link = Link.connecting(self._session, self._clock(), self._baud, self._trigger)
         if self._stops:  # send stops again that the device has not acknowledged
             self._link = self._link.stopping(self._cut)
 
@@ -693,9 +693,9 @@ class SerialTransport:
             self._give_up(Report(Condition.GONE, DriverReason.PORT, why), now)
 
     def _give_up(self, why: Report, now: float) -> None:
-        if why != self._gone:  # record each reason only once
+        if why != self._no_contact:  # record each reason only once
             self._note(why.text)
-        self._gone = why
+        self._no_contact = why
         self._streamed = self._next = None
         self._complete_request(why.text)
         self._release()

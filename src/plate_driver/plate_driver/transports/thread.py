@@ -115,7 +115,7 @@ class Latch:
             if not over or self._reason in over:
                 self._reason = reason
 
-    def enable_began(self, number: int) -> None:
+    def enable_started(self, number: int) -> None:
         """Record that an enable has started. The enable applies to the stop `number`."""
         self._enabling.append(number)
 
@@ -230,7 +230,7 @@ class TransportThread:
                 continue
             opened = completed and not failure and self._latch.open(each.number)
             if not completed:
-                failure = f"the motors are not ready after {each.order.longest_s:.2g} s"
+                failure = f"the motors are not ready after {each.order.max_s:.2g} s"
             elif not failure and not opened:
                 failure = STOPPED_SINCE
             self._enables.remove(each)
@@ -334,8 +334,8 @@ class TransportThread:
         def shown() -> bool:
             return self._measured_at > end - SHOWN_S and self.report.condition in stopped
 
-        while not shown() and (left_s := end - time.monotonic()) > 0 and not order.completed:
-            order.wait(min(left_s, 2 * POLL_PERIOD_S))
+        while not shown() and (remaining_s := end - time.monotonic()) > 0 and not order.completed:
+            order.wait(min(remaining_s, 2 * POLL_PERIOD_S))
         return order.done if order.completed else shown()
 
     def enable(self, number: int) -> Order:
@@ -351,9 +351,9 @@ class TransportThread:
             if self._latch.number != number:
                 return Order().complete(STOPPED_SINCE)
             order = self._transport.enable()
-            result = Order(order.longest_s)
-            end = time.monotonic() + order.longest_s
-            self._latch.enable_began(number)
+            result = Order(order.max_s)
+            end = time.monotonic() + order.max_s
+            self._latch.enable_started(number)
             self._enables.append(_Enable(number, order, result, end))
             return result
 

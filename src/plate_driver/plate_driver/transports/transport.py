@@ -105,12 +105,12 @@ class Order:
 
     Parameters
     ----------
-    longest_s : float
+    max_s : float
         Maximum time until the motor controller confirms or refuses the order [s].
     """
 
-    def __init__(self, longest_s: float = 0.0) -> None:
-        self.longest_s = longest_s
+    def __init__(self, max_s: float = 0.0) -> None:
+        self.max_s = max_s
         self.failure = ""
         self._completed = threading.Event()
 
@@ -132,13 +132,13 @@ class Order:
             self._completed.set()
         return self
 
-    def wait(self, longest_s: float | None = None) -> bool:
+    def wait(self, max_s: float | None = None) -> bool:
         """Wait until the order is complete (done or failed), and return whether it is done.
 
-        The method waits at most `longest_s` [s]. If `longest_s` is None, the method uses the value
+        The method waits at most `max_s` [s]. If `max_s` is None, the method uses the value
         from the constructor.
         """
-        self._completed.wait(self.longest_s if longest_s is None else max(0.0, longest_s))
+        self._completed.wait(self.max_s if max_s is None else max(0.0, max_s))
         return self.done
 
 

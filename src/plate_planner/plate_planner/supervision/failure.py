@@ -15,7 +15,7 @@ from plate_core import NAMELESS, Parts, Rig, part_class
 from plate_core.rig import MIN_GAMMA
 
 from ..estimation import LastRequest
-from .phase import LOOK, Failure, Reason
+from .phase import CHECK_IMAGE, Failure, Reason
 
 NEAR_EDGE = 3.0
 """If a lost part was last detected within this distance of an edge, it counts as having left the
@@ -52,17 +52,19 @@ def loss_of(
     of the task [s], `count` is the number of parts, and `parts` are the parts in the image.
     """
     if last is None:
-        return Failure(Reason.PART_UNSEEN, f"{name} was not detected; {LOOK}")
+        return Failure(Reason.PART_UNSEEN, f"{name} was not detected; {CHECK_IMAGE}")
     x, y = last.position
     where = f"at ({x:.3f}, {y:.3f}) m, {last.stamp - began:.1f} s after the start"
     away = np.hypot(*(parts.position - last.position).T)
     for row in np.flatnonzero(away < SAME_PLACE * rig.parts.radius_m):
         if part_class(parts.ids[row]) in NAMELESS:
             text = f"{name} was last detected {where}, where {parts.ids[row]} is now"
-            return Failure(Reason.PART_UNSEEN, f"{text}: its class is no longer recognised; {LOOK}")
+            return Failure(
+                Reason.PART_UNSEEN, f"{text}: its class is no longer recognised; {CHECK_IMAGE}"
+            )
     edge = float(np.min(rig.plate.half - np.abs(last.position)))
     if edge > NEAR_EDGE * rig.parts.radius_m:
-        text = f"{name} was last detected {where}, {1e3 * edge:.0f} mm from the edge; {LOOK}"
+        text = f"{name} was last detected {where}, {1e3 * edge:.0f} mm from the edge; {CHECK_IMAGE}"
         return Failure(Reason.PART_UNSEEN, text)
     more = " or fewer parts" if count > FEW else ""
     return Failure(

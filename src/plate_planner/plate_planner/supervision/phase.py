@@ -22,7 +22,7 @@ TIME_TOLERANCE_S = 1e-6
 to nanoseconds."""
 
 
-LOOK = "look at the topic detections_image"
+CHECK_IMAGE = "look at the topic detections_image"
 """Advice for the user if parts are not detected."""
 
 STILL_S = 3.0
@@ -242,7 +242,7 @@ def begin(
         what = "no two images with equal parts within"
         if missing:
             what = f"{_listed(missing)} not detected within"
-        why = _joined(f"{what} {limits.start_timeout_s:g} s of the start", others, LOOK)
+        why = _joined(f"{what} {limits.start_timeout_s:g} s of the start", others, CHECK_IMAGE)
         return _end(state, t, Phase.ABORTED, Reason.PARTS_MISSING, why)
     return replace(state, waiting_since=waiting_since)
 

@@ -31,7 +31,7 @@ from plate_core.tasks import (
     free_gap,
     pick_window,
     ready_parts,
-    to_turn,
+    remaining_rotation,
 )
 
 from ..estimation import SETTLE_S
@@ -353,7 +353,7 @@ class Feeder(TaskRules):
         aims.full |= near
         if pick.angle is not None:
             symmetry = self.rig.part_type(pick.label).symmetry
-            aims.turn[mine] = to_turn(parts, pick.angle, symmetry)[mine]
+            aims.turn[mine] = remaining_rotation(parts, pick.angle, symmetry)[mine]
             aims.slack[mine], aims.angled[mine] = BAND * pick.tolerance_rad, True
             aims.slack[near] = KEPT * pick.tolerance_rad
         return mine

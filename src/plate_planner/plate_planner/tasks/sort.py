@@ -110,7 +110,7 @@ class Sorter(TaskRules):
         half, wide = self.rig.plate.half, 2 * self.rig.parts.radius_m
         goal = self.task.goal_fraction
         ends = np.maximum(END, goal + 4 * MARGIN)
-        ends = np.minimum(ends, 1 - self.rig.edge_margin(label).least_m / half)
+        ends = np.minimum(ends, 1 - self.rig.edge_margin(label).min_m / half)
         beyond = np.array([region.x, region.y]) != 0
         span = half * np.where(beyond, ends - goal, 2 * END)
         return int(np.prod(np.maximum(1 + np.floor(span / wide + 1e-9), 0)))
@@ -240,11 +240,11 @@ def _diagonal(sign: np.ndarray) -> float:
 
 def slots(region: Bin, label: str, rig: Rig) -> np.ndarray:
     """Return places (n, 2) [m] for parts of a class in a bin. The places have the distance `wall_m`
-    from the plate's edges. If the bin has no such places, the shorter distance `least_m` is
+    from the plate's edges. If the bin has no such places, the shorter distance `min_m` is
     used."""
     margin = rig.edge_margin(label)
     behind = _grid(region, margin.wall_m, rig)
-    return behind if len(behind) else _grid(region, margin.least_m, rig)
+    return behind if len(behind) else _grid(region, margin.min_m, rig)
 
 
 def _grid(region: Bin, edge_m: float, rig: Rig) -> np.ndarray:

@@ -283,12 +283,12 @@ class Camera:
         noise: float = NOISE,
         *,
         plate: float = PLATE,
-        surroundings: float = SURROUNDINGS,
+        room: float = SURROUNDINGS,
         defocus_px: float = 0.0,
     ) -> None:
         self._rig = rig
         self.noise = noise
-        self._greys, self._defocus_px = (surroundings, plate), defocus_px
+        self._greys, self._defocus_px = (room, plate), defocus_px
         self._lens = rig.camera.lens
         if self._lens is not None and not self._lens.bends:
             self._lens = None
