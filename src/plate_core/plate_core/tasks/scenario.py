@@ -293,7 +293,7 @@ def _assemble(fields: Fields, parts: tuple[PartGroup, ...]) -> AssembleTask:
     labels: list[str] = []
     place: list[Point] = []
     for group in parts:
-        points = _pairs(child.array(group.label, (None, 2), -keys.FAR_M, keys.FAR_M))
+        points = _pairs(child.array(group.label, (None, 2), -keys.MAX_XY, keys.MAX_XY))
         labels += [group.label] * len(points)
         place += points
     child.finish()
