@@ -1,6 +1,15 @@
 """ROS node of the simulator. The node simulates the parts on a plate that follows the received
 motor tables or the motion of the simulated device. The node publishes camera images and the true
-positions of the parts. `world.Simulation` is the model."""
+positions of the parts. `world.Simulation` is the model.
+
+Cycle k begins at the time t_k with the newest motor table. The message cycle_started has the stamp
+t_k. Then image k is taken, and the parts are simulated until t_k+1. In real time, cycle k+1 begins
+at t_k+1. In lockstep, cycle k+1 begins when a table with the stamp of image k arrives. If image k
+is missing, cycle k+1 begins at once. If no new table has arrived, the plate repeats the last table
+or executes its tail. If the device drives the plate, the parts are simulated for each segment of
+motor_motion. An image is taken at the end of a segment or at a trigger pulse. While the node is
+inactive, simulated time does not advance.
+"""
 
 from __future__ import annotations
 
@@ -149,11 +158,9 @@ class Options(NodeOptions):
         "static_ratio", "Static friction divided by dynamic friction."
     )
     friction_slope: float = _disturbance(
-        "friction_slope", "Relative change of friction per slip speed [1/(m/s)]."
+        "friction_slope", "Relative friction change per slip speed [1/(m/s)]."
     )
-    heave: float = _disturbance(
-        "heave", "Upward motion of the plate divided by its motion along x."
-    )
+    heave: float = _disturbance("heave", "Upward motion of the plate per motion along x.")
     tilt_x: float = _disturbance(
         "tilt_x", "Tilt of the plate [rad]. If positive, parts slide towards +x."
     )
@@ -247,25 +254,15 @@ class Tally:
 
 
 class SimulatorNode(SafeLifecycleNode[Options]):
-    """Lifecycle node `simulator`. The node executes motor tables, simulates the parts and publishes
-    images.
+    """Lifecycle node `simulator`. The node simulates parts on a moving plate and publishes images.
 
     The node subscribes to motor_setpoints. If the device drives the plate, the node subscribes to
     motor_motion and camera_trigger instead. The node publishes image_raw, camera_info,
-    cycle_started, diagnostics and ground_truth, and /clock if time is simulated. ground_truth
-    contains the true parts and must be used only to evaluate a run. The service ~/reset restarts
-    the scenario. If the parameter `seed` was set since the last reset, the service uses this seed,
-    otherwise the last seed plus 1. The services ~/place_part, ~/remove_part, hopper/open and
-    ~/move_robot change the parts. After a call of one of these services, or a change of a live
-    parameter, the seed alone no longer reproduces the run.
-
-    Cycle k begins at the time t_k with the newest motor table, and the message cycle_started has
-    the stamp t_k. Then image k is taken, and the parts are simulated until the time t_k+1. In real
-    time, cycle k+1 begins at t_k+1. In lockstep, cycle k+1 begins when a table with the stamp of
-    image k arrives. If image k is missing, it begins at once. If no new table has arrived, the
-    plate repeats the last table or executes the tail of this table. If the device drives the plate,
-    the parts are simulated for each segment of motor_motion. An image is taken at the end of a
-    segment or at a trigger pulse. While the node is inactive, simulated time does not advance.
+    cycle_started, diagnostics and ground_truth, and /clock if time is simulated. Use ground_truth,
+    the true parts, only to evaluate a run. The service ~/reset restarts the scenario with the seed
+    that was set since the last reset, or if none was set, with the last seed plus 1. The services
+    ~/place_part, ~/remove_part, hopper/open and ~/move_robot change the parts. After such a call,
+    or a change of a live parameter, the seed alone no longer reproduces the run.
     """
 
     def __init__(self) -> None:
