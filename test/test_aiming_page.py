@@ -182,7 +182,7 @@ def test_home_is_found_where_the_camera_is_mounted(graph, page, shows, folder):
     page.get_by_role("button", name="Find home").click()
     await_text(page, "#camera-home", "corners_px.*Write them to the rig file")
     shows("outline", "as predicted, within 0", "7_home")
-    shows("parts", "4 detected, no other objects")
+    shows("parts", "number of detected parts is 4")
     before = (folder / "rig.yaml").read_text(encoding="utf-8")
     assert before == (folder / "rig_before.yaml").read_text(encoding="utf-8")  # it asks first
     page.get_by_role("button", name="Write to the rig file").click()

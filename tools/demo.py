@@ -50,16 +50,21 @@ def arguments() -> argparse.Namespace:
         help="name in config/scenarios or .yaml file; default: sort_10",
     )
     add("--rig", default="", help="name in config/rigs or .yaml file; default: the scenario's rig")
-    add("--method", default="sinusoids", help="rotations (A) or sinusoids (B); default: sinusoids")
+    add(
+        "--method",
+        default="sinusoids",
+        help="method of the solver: rotations (A) or sinusoids (B); default: sinusoids",
+    )
     add(
         "--transport",
         default="",
-        help="sim, serial, cia402 or odrive; default: serial with a port or camera, otherwise sim",
+        help="transport to the motors: sim, serial, cia402 or odrive; default: serial with a port "
+        "or camera, otherwise sim",
     )
     add(
         "--port",
         default="",
-        help="port of a motor controller; default with serial: a simulated one",
+        help="port of a motor controller; default with serial: a simulated controller",
     )
     add(
         "--camera",
@@ -101,16 +106,16 @@ def arguments() -> argparse.Namespace:
         "--picks",
         type=int,
         default=20,
-        help="with a feeder: number of parts for the robot; default: 20",
+        help="with a task of kind feed: number of parts that the robot takes; default: 20",
     )
     add(
         "--robot-cycle",
         type=float,
         default=2.0,
-        help="with a feeder: the robot's cycle [s]; default: 2",
+        help="with a task of kind feed: time between two picks of the robot [s]; default: 2",
     )
     add("--no-view", action="store_true", help="do not start the live page")
-    add("--no-pictures", action="store_true", help="write result.json only")
+    add("--no-pictures", action="store_true", help="write only result.json, and draw no pictures")
     args = parser.parse_args()
     args.transport = args.transport or ("serial" if args.port or args.camera else "sim")
     return args

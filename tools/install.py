@@ -65,7 +65,7 @@ def main(arguments: list[str]) -> int:
             done = subprocess.run(words, env=env, capture_output=True, text=True, check=False)
             if done.returncode == 0:
                 return 0
-        print(f"{done.stderr}uv failed; installing with pip", file=sys.stderr)
+        print(f"{done.stderr}uv failed, so pip installs the packages", file=sys.stderr)
     return subprocess.run([*PIP, "install", "-q", *arguments], check=False).returncode
 
 

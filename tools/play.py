@@ -66,9 +66,17 @@ def arguments() -> argparse.Namespace:
         help="scenario of the parts: name or .yaml file; default: play",
     )
     add("--rig", default="", help="name in config/rigs, or .yaml file; default: the scenario's rig")
-    add("--method", default="sinusoids", help="rotations (A) or sinusoids (B); default: sinusoids")
+    add(
+        "--method",
+        default="sinusoids",
+        help="method of the solver: rotations (A) or sinusoids (B); default: sinusoids",
+    )
     add("--seed", type=int, default=0, help="random seed of the parts' places; default: 0")
-    add("--simulated-time", action="store_true", help="the page can change the simulator's rate")
+    add(
+        "--simulated-time",
+        action="store_true",
+        help="use simulated time, so that the page can change the rate",
+    )
     add(
         "--port",
         default="",

@@ -423,7 +423,7 @@ def conclude(
         write(plan.out / "result.json", result)
     if not plan.args.no_pictures:
         if problem is not None:
-            print("  drawing the results so far; Ctrl-C: no pictures", flush=True)
+            print("  drawing the results so far; Ctrl-C skips the pictures", flush=True)
         draw(plan, record)
     if result["success"] and result["setpoints_within_limits"] and not any(codes.values()):
         return 0

@@ -104,12 +104,11 @@ class Options(NodeOptions):
 
     scenario: str = parameter("sort_10", "Scenario that defines the parts on the plate.")
     seed: int = parameter(
-        0, "Random seed of the parts' places and of the image noise. A change takes effect at the "
-        "next reset.",
+        0, "Random seed, used from the next reset on.",
         0, 2**31 - 1, live=True,
     )  # fmt: skip
     driven_by: str = parameter(
-        "setpoints", "Source of the plate's motion: the setpoints of the driver, or a device.",
+        "setpoints", "Source of the plate's motion.",
         choices=("setpoints", "device"),
     )  # fmt: skip
     lockstep: bool = parameter(
@@ -117,11 +116,11 @@ class Options(NodeOptions):
         "Whether the simulator waits for the reply to each image. If false, it runs in real time.",
     )
     rate: float = parameter(
-        1.0, "Simulated seconds per second of real time, if time is simulated.", 0.01,
+        1.0, "Simulated seconds per second, if time is simulated.", 0.01,
         100, live=True,
     )  # fmt: skip
     simulated_time: bool = parameter(
-        False, "Whether time is simulated and published on /clock. Then rate can be changed."
+        False, "Whether time is simulated (/clock); rate can then be changed."
     )
     noise: float = parameter(
         NOISE, "Standard deviation of the image noise [grey values].", *WORLD_RANGES["noise"],
@@ -129,19 +128,19 @@ class Options(NodeOptions):
     )  # fmt: skip
     mu_scale: float = parameter(
         1.0,
-        "Friction in the simulation divided by the friction in the rig file.",
+        "Friction divided by the friction in the rig file.",
         *WORLD_RANGES["mu_scale"],
         live=True,
     )
     hold_cycles: int = parameter(
         HOLD_CYCLES,
-        "Number of times that a cycle from rest to rest is played if no new cycle arrives.",
+        "Maximum number of plays of a cycle from rest to rest.",
         1,
         1000,
     )
     input_timeout_s: float = parameter(
         INPUT_TIMEOUT_S,
-        "Time without a motor table or a motion after which diagnostics are STALE [s, wall].",
+        "Maximum time without motor commands [s, wall].",
         0.1,
         3600.0,
     )
@@ -152,7 +151,7 @@ class Options(NodeOptions):
         "friction_spread", "Maximum relative deviation of friction between parts."
     )
     friction_patches: float = _disturbance(
-        "friction_patches", "Maximum relative deviation of friction between places on the plate."
+        "friction_patches", "Maximum relative deviation of friction on the plate."
     )
     static_ratio: float = _disturbance(
         "static_ratio", "Static friction divided by dynamic friction."
@@ -160,13 +159,9 @@ class Options(NodeOptions):
     friction_slope: float = _disturbance(
         "friction_slope", "Relative friction change per slip speed [1/(m/s)]."
     )
-    heave: float = _disturbance("heave", "Upward motion of the plate per motion along x.")
-    tilt_x: float = _disturbance(
-        "tilt_x", "Tilt of the plate [rad]. If positive, parts slide towards +x."
-    )
-    tilt_y: float = _disturbance(
-        "tilt_y", "Tilt of the plate [rad]. If positive, parts slide towards +y."
-    )
+    heave: float = _disturbance("heave", "Upward motion divided by the motion along x.")
+    tilt_x: float = _disturbance("tilt_x", "Tilt [rad]. If positive, parts slide towards +x.")
+    tilt_y: float = _disturbance("tilt_y", "Tilt [rad]. If positive, parts slide towards +y.")
     latency: float = _disturbance(
         "latency", "Age of an image when it is published and stamped [s].", live=False
     )

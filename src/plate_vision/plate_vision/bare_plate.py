@@ -25,7 +25,7 @@ BARE_IMAGES = 5
 """Number of images from which the bare plate is learned. The detector averages these images to
 reduce the noise."""
 
-MODELLED = "the bare plate is estimated from an image with parts; remove them, call ~/learn_plate"
+MODELLED = "the bare plate is estimated from an image; remove all parts, then call ~/learn_plate"
 """Warning until the bare plate is learned."""
 
 

@@ -99,32 +99,39 @@ class DetectorParameters(NodeOptions):
 
     MOVED: ClassVar[dict[str, str]] = dict.fromkeys(
         ("source", "path", "rate"),
-        "pictures and films come from the node camera: "
+        "use the node camera for pictures and films: "
         "ros2 run plate_vision camera --ros-args -p device:=PATH -p rate:=2.0",
     )
 
     photographs: bool = parameter(
-        False, "Whether each image is a separate photograph, whose parts are written to the log"
+        False,
+        "Whether each image is a separate photograph. If true, the parts of each photograph are "
+        "written to the log.",
     )
     camera_file: str = parameter(
-        "", "Lens: YAML file like camera_info; empty: camera_info or the rig file"
+        "",
+        "File of the lens: YAML in the form of camera_info. If it is empty, the lens of "
+        "camera_info or of the rig file is used.",
     )
     image_transport: str = parameter(
         "raw", "Topic of the images: image_raw (raw) or image_raw/compressed", choices=TRANSPORTS
     )
     input_timeout_s: float = parameter(
-        INPUT_TIMEOUT_S, "Time without an image after which diagnostics are STALE [s]", 0.1, 3600.0
+        INPUT_TIMEOUT_S, "Time without an image after which diagnostics are STALE [s].", 0.1, 3600.0
     )
     bare_plate_file: str = parameter(
-        "", "Picture of the bare plate for part types, or folder of pictures; empty: estimated"
+        "",
+        "Picture of the bare plate, or folder of such pictures, for rigs with part types. If it is "
+        "empty, the bare plate is estimated.",
     )
-    teach_name: str = parameter("", "Name of the part type that ~/teach learns", live=True)
-    teach_file: str = parameter(str(OUT), "File of part types that ~/teach writes")
+    teach_name: str = parameter("", "Name of the part type that ~/teach learns.", live=True)
+    teach_file: str = parameter(str(OUT), "File of part types that ~/teach writes.")
     bits: int = parameter(16, "Number of used bits in 16-bit encodings", 8, 16, live=True)
     threshold: float = _option(
         DetectorOptions,
         "threshold",
-        "Maximum brightness of a dark part relative to the plate; 1 - contrast of other parts [-]",
+        "Maximum brightness of a dark part relative to the plate [-]. Other parts need a contrast "
+        "of at least 1 minus this value.",
     )
     class_threshold: float = _option(
         DetectorOptions,
@@ -134,7 +141,7 @@ class DetectorParameters(NodeOptions):
     radius_tolerance: float = _option(
         DetectorOptions,
         "radius_tolerance",
-        "Maximum deviation from the rig's part radius, relative to it [-]",
+        "Maximum deviation of a part's radius, relative to the radius in the rig file [-]",
     )
     min_plate_grey: float = _option(
         DetectorOptions, "min_plate_grey", "Minimum brightness of the plate [grey levels]"
@@ -496,10 +503,12 @@ class DetectorNode(SafeLifecycleNode[DetectorParameters]):
         tally.add(count, things, radius)
         found = tally.finding(expected)
         if found is None and count:
-            found = Finding(Level.OK, f"{count} detected, no other objects")
+            found = Finding(
+                Level.OK, f"number of detected parts is {count}; there are no other objects"
+            )
         findings = [
             ("lens", self._lens_finding()),
-            ("parts", found or Finding(Level.STALE, "none detected; put some on the plate")),
+            ("parts", found or Finding(Level.STALE, "no part is detected; put parts on the plate")),
         ]
         if self._vision.catalogue is not None:
             learned = Finding(Level.OK, "the bare plate has been learned")
@@ -553,7 +562,9 @@ class DetectorNode(SafeLifecycleNode[DetectorParameters]):
         if self._lens_problem:
             return Finding(Level.ERROR, self._lens_problem)
         if lens is None:
-            return Finding(Level.WARN, "lens is unknown; take pictures of a board to fit it")
+            return Finding(
+                Level.WARN, "the lens is unknown; take pictures of a board to calibrate it"
+            )
         return Finding(Level.OK, f"{lens.model}, focal length {lens.matrix[0, 0]:.0f} px")
 
     def _take_corners(self, corners_px: np.ndarray) -> None:

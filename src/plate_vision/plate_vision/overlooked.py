@@ -86,7 +86,7 @@ strip beside a plate that is 10 mm away from home is smaller than this limit."""
 
 REMEDIES = {
     "too faint": "use more light, or parts with more contrast to the plate",
-    "at the edge": "move them inwards, or move the plate to home (this may be its edge)",
+    "at the edge": "move them inwards, or move the plate to home (the object may be its edge)",
     "beyond the plate": "check corners_px in section camera, or clear the surroundings",
     "group": "move them apart",
     "blurred": "focus the camera, or reduce the exposure time, to distinguish types",

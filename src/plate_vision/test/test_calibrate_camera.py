@@ -44,7 +44,7 @@ def test_from_pictures_to_a_camera_file(make_scene, rng, tmp_path, capsys):
     assert np.count_nonzero(drawn < 255) > 1000
     output = capsys.readouterr().out
     assert "nothing.png: 0 of 48 corners" in output
-    assert "px rms over 8 pictures" in output
+    assert "px rms in 8 pictures" in output
     assert "focal_px: [6" in output
 
 
@@ -74,7 +74,7 @@ def test_a_long_film_is_done_by_forty_frames(make_scene, rng, tmp_path, capsys, 
     assert re.search(frames, output, re.M)
     assert "first square is white" in output
     assert "fitted to the 40 pictures that differ most" in output
-    assert "px rms over 40 pictures" in output
+    assert "px rms in 40 pictures" in output
     assert np.allclose(np.diag(load_lens(out).matrix)[:2], [620, 610], rtol=0.02)
 
 

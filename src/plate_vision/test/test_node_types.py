@@ -55,7 +55,7 @@ def test_parts_of_taught_types(rig_with_types, draw_types, rng):
             assert name == "coin_large" or abs(off) < np.radians(1.5)
         (warning,) = graph.warnings
         assert (
-            "the bare plate is estimated from an image with parts; remove them, call ~/learn_plate"
+            "the bare plate is estimated from an image; remove all parts, then call ~/learn_plate"
             in warning
         )
         graph.until(lambda: drawings)

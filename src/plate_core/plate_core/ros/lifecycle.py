@@ -44,13 +44,11 @@ class NodeOptions:
     rig_file: str = parameter("", "Rig file (YAML). If it is empty, the default rig is used.")
     frame_prefix: str = parameter(
         "",
-        "Prefix of the names of tf frames, such as left/. Two plates with a common tf tree "
-        "require different prefixes.",
+        "Prefix of tf frames, such as left/, that separates two plates.",
     )
     autostart: bool = parameter(
         True,
-        "Whether the node is configured and activated at start. If false, another program "
-        "must do this.",
+        "Whether the node configures and activates itself at start.",
         fixed=True,
     )
     end_with_parent: bool = parameter(

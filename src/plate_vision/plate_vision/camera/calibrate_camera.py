@@ -81,35 +81,53 @@ def _parser() -> argparse.ArgumentParser:
         "equidistant for fisheyes (default: plumb_bob)",
     )  # fmt: skip
     lens.add_argument("--name", default="camera", help="name of the camera (default: camera)")
-    lens.add_argument("--out", type=Path, default=Path("camera.yaml"), help="camera_info file")
-    lens.add_argument("--errors", type=Path, default=Path("errors.png"), help="picture of errors")
+    lens.add_argument(
+        "--out",
+        type=Path,
+        default=Path("camera.yaml"),
+        help="camera_info file to write (default: camera.yaml)",
+    )
+    lens.add_argument(
+        "--errors",
+        type=Path,
+        default=Path("errors.png"),
+        help="picture of the errors to write (default: errors.png)",
+    )
     lens.set_defaults(run=_lens)
-    board = commands.add_parser("board", help="draw a board for the printer")
+    board = commands.add_parser("board", help="draw a board to print")
     _board_options(board)
     board.add_argument("--out", type=Path, default=Path("board.png"))
     board.set_defaults(run=_board)
-    markers = commands.add_parser("markers", help="draw the plate's markers for the printer")
+    markers = commands.add_parser("markers", help="draw the markers of the plate to print")
     markers.add_argument("--rig-file", default="", help="rig file with fiducials")
-    markers.add_argument("--out", type=Path, default=Path("."), help="folder")
+    markers.add_argument(
+        "--out", type=Path, default=Path("."), help="folder for the pictures of the markers"
+    )
     markers.set_defaults(run=_markers)
     home = commands.add_parser("home", help="find the plate's corners in pictures with markers")
     home.add_argument("pictures", type=Path, help="folder of pictures of the plate at rest")
     home.add_argument("--rig-file", default="", help="rig file with fiducials")
-    home.add_argument("--camera", type=Path, help="camera_info file (default: the rig's lens)")
+    home.add_argument(
+        "--camera",
+        type=Path,
+        help="camera_info file of the lens (default: the lens in the rig file)",
+    )
     home.set_defaults(run=_home)
     return parser
 
 
 def _board_options(parser: argparse.ArgumentParser) -> None:
     add = parser.add_argument
-    add("--board", type=_size, required=True, metavar="9x7", help="squares along x and y")
+    add(
+        "--board", type=_size, required=True, metavar="9x7", help="numbers of squares along x and y"
+    )
     add("--square", type=float, required=True, metavar="M", help="side of a square [m]")
     add(
         "--marker",
         type=float,
         default=0.0,
         metavar="M",
-        help="side of a ChArUco marker [m]; 0: a chessboard",
+        help="side of a ChArUco marker [m]; 0 for a chessboard (default: 0)",
     )
     add("--dictionary", default="5X5_100", help="set of markers (default: 5X5_100)")
 
@@ -218,7 +236,7 @@ def _summary(fit: LensFit) -> str:
     own = FISHEYE if lens.model == "equidistant" else BROWN
     names = ["fx", "fy", "cx", "cy", *own[: len(lens.distortion)]]
     lines = [f"{n} = {v:.5g} +- {s:.2g}" for n, v, s in zip(names, values, deviation, strict=True)]
-    lines.append(f"error {fit.error_px:.3f} px rms over {len(fit.errors)} pictures")
+    lines.append(f"error of the corners {fit.error_px:.3f} px rms in {len(fit.errors)} pictures")
     if fit.warning:
         lines.append(f"warning: {fit.warning}")
     lines.append("for the rig file, section camera:")

@@ -63,46 +63,55 @@ class CameraParameters(NodeOptions):
         "Path of a video device (preferably in /dev/v4l/by-id), genicam:FILE.cti, a pipe, a "
         "video, a picture or a folder of pictures",
     )
-    width: int = parameter(0, "Width of the images [px]; 0: the rig file's width", 0, 16384)
-    height: int = parameter(0, "Height of the images [px]; 0: the rig file's height", 0, 16384)
+    width: int = parameter(
+        0, "Width of the images [px]. 0 means the width in the rig file.", 0, 16384
+    )
+    height: int = parameter(
+        0, "Height of the images [px]. 0 means the height in the rig file.", 0, 16384
+    )
     rate: float = parameter(
         0.0,
-        "Images per second; 0: 30 for a camera, the file's rate for a video, 2 for a picture or a "
-        "folder",
+        "Images per second. 0 means 30 for a camera, the file's rate for a video, and 2 for a "
+        "picture or a folder.",
         0.0, 1000.0,
     )  # fmt: skip
     format: str = parameter(
         AUTO,
-        "Pixel format; auto: the first format that has this size and rate",
+        "Pixel format. auto means the first format that has this size and rate.",
         choices=(AUTO, *FORMATS),
     )
     camera_file: str = parameter(
-        "", "File of the lens for camera_info, such as camera.yaml; empty: unknown lens"
+        "",
+        "File of the lens that the node publishes in camera_info, such as camera.yaml. If it is "
+        "empty, the lens is unknown.",
     )
     exposure_us: float = parameter(
-        0.0, "Exposure time [us]; 0: the device's setting", 0.0, 1e6, live=True
+        0.0, "Exposure time [us]. 0 means the device's setting.", 0.0, 1e6, live=True
     )
     readout_us: float = parameter(
         0.0,
-        "Time from the end of the exposure to the stamp [us]; unused if stamps mark its start",
+        "Time from the end of the exposure to the stamp [us]. It is not used if stamps mark the "
+        "start of the exposure.",
         0.0, 1e6, live=True,
     )  # fmt: skip
     gain: int = parameter(
-        -1, "Gain in the device's units; -1: the device's setting", -1, 100000, live=True
+        -1, "Gain in the device's units. -1 means the device's setting.", -1, 100000, live=True
     )
     white_balance_k: int = parameter(
-        0, "White balance [K]; 0: the device's setting", 0, 20000, live=True
+        0, "White balance [K]. 0 means the device's setting.", 0, 20000, live=True
     )
     focus: int = parameter(
-        -1, "Focus in the device's units; -1: the device's setting", -1, 100000, live=True
+        -1, "Focus in the device's units. -1 means the device's setting.", -1, 100000, live=True
     )
-    auto_exposure: bool = parameter(False, "The device chooses the exposure", live=True)
-    auto_gain: bool = parameter(False, "The device chooses the gain", live=True)
-    auto_white_balance: bool = parameter(False, "The device chooses the white balance", live=True)
-    auto_focus: bool = parameter(False, "The device chooses the focus", live=True)
+    auto_exposure: bool = parameter(False, "Whether the device chooses the exposure.", live=True)
+    auto_gain: bool = parameter(False, "Whether the device chooses the gain.", live=True)
+    auto_white_balance: bool = parameter(
+        False, "Whether the device chooses the white balance.", live=True
+    )
+    auto_focus: bool = parameter(False, "Whether the device chooses the focus.", live=True)
 
     trigger: bool = parameter(
-        False, "A GenICam camera takes one image for each pulse at its trigger input"
+        False, "Whether a GenICam camera takes one image for each pulse at its trigger input."
     )
 
     def settings(self, size_px: tuple[int, int]) -> Settings:

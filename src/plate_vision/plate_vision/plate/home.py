@@ -122,7 +122,7 @@ def fiducials_of(rig: Rig) -> Fiducials:
     """
     if rig.fiducials is None:
         raise CalibrationError(
-            "rig file: section fiducials is missing, required: a rig file with it"
+            "rig file: the section fiducials is missing, required: a rig file with this section"
         )
     return rig.fiducials
 
@@ -159,7 +159,9 @@ def find_home(
         )
     matrix, _ = cv2.findHomography(corners, straight)
     if matrix is None:
-        raise CalibrationError("fiducials: no homography, allowed: markers that span an area")
+        raise CalibrationError(
+            "fiducials: no homography fits the markers, allowed: markers that span an area"
+        )
     calibration = calibrate_by_matrix(matrix, lens)
     error = _rms(calibration.to_home(corners_px) - corners)
     if error > WORST_FIT_M:

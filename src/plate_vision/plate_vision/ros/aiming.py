@@ -277,7 +277,9 @@ class AimingView:
         waits = [("lens", Finding(Level.STALE, "taking pictures of a board"))]
         checks += waits if board else situation.findings
         if self._home_is_old and not board:
-            again = Finding(Level.WARN, "found before the lens was changed; find home again")
+            again = Finding(
+                Level.WARN, "home was found before the lens was changed; find home again"
+            )
             checks.insert([name for name, _ in checks].index("lens") + 1, ("home", again))
         msg.checks = [
             AimCheck(name=name, level=LEVELS[found.level], text=found.message)

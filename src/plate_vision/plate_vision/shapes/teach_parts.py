@@ -34,7 +34,7 @@ BOX = (
 )
 
 HEIGHT = (
-    "height of the part [m], with which side faces are not learned; requires a known position of "
+    "height of the part [m], so that its side faces are not learned; requires a known position of "
     "the camera (default: the type's height in the file, or 0)"
 )
 
