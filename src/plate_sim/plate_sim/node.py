@@ -104,11 +104,11 @@ class Options(NodeOptions):
 
     scenario: str = parameter("sort_10", "Scenario that defines the parts on the plate.")
     seed: int = parameter(
-        0, "Random seed, used from the next reset on.",
+        0, "Random seed of the parts' places and of the image noise, used from the next reset on.",
         0, 2**31 - 1, live=True,
     )  # fmt: skip
     driven_by: str = parameter(
-        "setpoints", "Source of the plate's motion.",
+        "setpoints", "Source of the plate's motion: the setpoints of the driver, or a device.",
         choices=("setpoints", "device"),
     )  # fmt: skip
     lockstep: bool = parameter(
@@ -128,19 +128,19 @@ class Options(NodeOptions):
     )  # fmt: skip
     mu_scale: float = parameter(
         1.0,
-        "Friction divided by the friction in the rig file.",
+        "Friction in the simulation divided by the friction in the rig file.",
         *WORLD_RANGES["mu_scale"],
         live=True,
     )
     hold_cycles: int = parameter(
         HOLD_CYCLES,
-        "Maximum number of plays of a cycle from rest to rest.",
+        "Number of times that a cycle from rest to rest is played if no new cycle arrives.",
         1,
         1000,
     )
     input_timeout_s: float = parameter(
         INPUT_TIMEOUT_S,
-        "Maximum time without motor commands [s, wall].",
+        "Time without motor commands after which diagnostics are STALE [s, wall].",
         0.1,
         3600.0,
     )
@@ -160,8 +160,12 @@ class Options(NodeOptions):
         "friction_slope", "Relative friction change per slip speed [1/(m/s)]."
     )
     heave: float = _disturbance("heave", "Upward motion divided by the motion along x.")
-    tilt_x: float = _disturbance("tilt_x", "Tilt [rad]. If positive, parts slide towards +x.")
-    tilt_y: float = _disturbance("tilt_y", "Tilt [rad]. If positive, parts slide towards +y.")
+    tilt_x: float = _disturbance(
+        "tilt_x", "Tilt of the plate [rad]. If positive, parts slide towards +x."
+    )
+    tilt_y: float = _disturbance(
+        "tilt_y", "Tilt of the plate [rad]. If positive, parts slide towards +y."
+    )
     latency: float = _disturbance(
         "latency", "Age of an image when it is published and stamped [s].", live=False
     )
