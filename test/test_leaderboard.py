@@ -55,8 +55,8 @@ def test_better_and_faster_agents_come_first(tmp_path):
         (tmp_path / f"{agent}.json").write_text(text, encoding="utf-8")
     lines = [line for line in leaderboard.tables(tmp_path).splitlines() if line.startswith("| [")]
     assert [line.split("]")[0] for line in lines] == ["| [fast", "| [slow", "| [bad"]
-    assert lines[0] == ("| [fast](../../benchmarks/fast.json) | 20/20 (84-100) | 5.0 | 2.5 | 0 |")
-    assert "| 1/20 (1-24) | 1.0 |" in lines[2]
+    assert lines[0] == ("| [fast](../../benchmarks/fast.json) | 20/20 | 5.0 | 2.5 | 0 |")
+    assert "| 1/20 (1-24 %) | 1.0 |" in lines[2]
     (tmp_path / "none.json").write_text(json.dumps(result("none", 0, 9.0)), encoding="utf-8")
     failed = "\n\nNo completed episode: [none](../../benchmarks/none.json).\n"
     assert failed in leaderboard.tables(tmp_path)

@@ -23,12 +23,12 @@ HEAD = """# All keys of scenario and rig files
 
 `python tools/reference.py` generates this page from the code that reads the files. Brackets contain
 the type, the allowed range, the unit and the default of a key. A key without a default is required.
-`n x 2 numbers` means a list of points [x, y]. If a value is wrong, the error message names file,
-key, value and allowed values.
+If a value is wrong, the error message names file, key, value and allowed values.
 
-Coordinates are in the frame `plate_home`. Its origin is the centre of the plate at rest, x points
-along the plate's long side, and y to the left. Angles are counter-clockwise from x. The pages
-[tasks](guide/tasks.md) and [rig](guide/rig.md) contain examples.
+A point [x, y] is given in metres in the frame `plate_home`, from -10 to 10 m. The origin of this
+frame is the centre of the plate at rest. The axis x points along the plate's long side, and y to
+the left. Angles are counter-clockwise from x. The pages [tasks](guide/tasks.md) and
+[rig](guide/rig.md) contain examples.
 """
 
 
@@ -57,6 +57,10 @@ def _what(key: Key) -> str:
             return f"{low:g} to {high:g}{unit}"
         case Whole(low, high):
             return f"whole number, {low} to {high}{unit}"
+        case Numbers((2,), _, 10.0) if key.unit == "m":
+            return "a point [x, y]"
+        case Numbers((None, 2), _, 10.0) if key.unit == "m":
+            return "a list of points [x, y]"
         case Numbers(_, low, high):
             size = key.kind.description.split(" numbers")[0]
             return f"{size} numbers, {low:g} to {high:g}{unit}"

@@ -92,8 +92,7 @@ def section(chart: Chart, facts: Data, commit: str) -> str:
     if chart.default:
         lines.append(f"Default: {chart.default}\n")
     measurements = [f"`{name}`{measured(facts.get(name), commit)}" for name in chart.sources]
-    rows = f"[{len(chart.sheet.rows)} rows]({FOLDER}/{chart.key}.csv)"
-    lines.append(f"Data: {rows} of {' and '.join(measurements)}.\n")
+    lines.append(f"[Data]({FOLDER}/{chart.key}.csv): {', '.join(measurements)}.\n")
     return "\n".join(lines)
 
 

@@ -25,7 +25,7 @@ MOTOR = Section(
     "Properties of one linear motor.",
     (
         Key(
-            "point_m", Numbers((2,), -MAX_XY, MAX_XY), "Point [x, y] at which the motor's shaft "
+            "point_m", Numbers((2,), -MAX_XY, MAX_XY), "Point at which the motor's shaft "
             "meets the plate at rest.",
         ),
         Key(
@@ -166,7 +166,7 @@ SUSPENSION = Section(
             None, "the value of a uniform plate",
         ),
         Key(
-            "centre_of_mass_m", Numbers((2,), -MAX_XY, MAX_XY), "Position [x, y] of the plate's "
+            "centre_of_mass_m", Numbers((2,), -MAX_XY, MAX_XY), "Position of the plate's "
             "centre of mass at rest.", (0.0, 0.0),
         ),
         Key("feedforward", Table("mass, damping and stiffness, each from 0 to 2"), "Fractions "

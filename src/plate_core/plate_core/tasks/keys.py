@@ -40,7 +40,7 @@ ANGLE_ERROR = "Maximum error of a part's angle."
 ANY_ANGLE = "any angle"
 PLACE = Numbers((2,), -MAX_XY, MAX_XY)
 PLACES = Numbers((None, 2), -MAX_XY, MAX_XY)
-TARGET = "Target position [x, y] of the part's centre."
+TARGET = "Target position of the part's centre."
 TARGET_ANGLE = "Target angle of the part, counter-clockwise from x."
 TOLERANCE = Key(
     "tolerance_m", Number(1e-4, 1), "Maximum distance of a part's centre from its target position."
@@ -101,7 +101,7 @@ GROUP = Section(
             None, "or `positions_m`",
         ),
         Key(
-            "positions_m", PLACES, "Initial position [x, y] of each part's centre. The "
+            "positions_m", PLACES, "Initial position of each part's centre. The "
             "circumscribed circles of two parts must not overlap.",
             None, "or `count`",
         ),
@@ -145,7 +145,7 @@ BIN = Section(
     "A region with the shape of a polygon.",
     (
         Key(
-            "bin_m", PLACES, "Three or more corners [x, y] of the polygon, in order around it. The "
+            "bin_m", PLACES, "Three or more corners of the polygon, in order around it. The "
             "polygon must have space for all parts of its class, with 3.5 radii between their "
             "centres.",
         ),
@@ -174,7 +174,7 @@ PATH = Section(
     (
         class_key(),
         Key(
-            "waypoints_m", PLACES, "Two or more corners [x, y] of a path with straight sides.",
+            "waypoints_m", PLACES, "Two or more corners of a path with straight sides.",
             None, "or `circle` or `spline_m`",
         ),
         Key(
@@ -182,7 +182,7 @@ PATH = Section(
             "or `waypoints_m` or `spline_m`",
         ),
         Key(
-            "spline_m", PLACES, "Three or more points [x, y] through which a cubic spline passes.",
+            "spline_m", PLACES, "Three or more points through which a cubic spline passes.",
             None, "or `waypoints_m` or `circle`",
         ),
         Key(
@@ -206,7 +206,7 @@ CIRCLE = Section(
     "task, kind: follow, paths[], circle",
     "A circular path.",
     (
-        Key("centre_m", PLACE, "Centre [x, y] of the circle."),
+        Key("centre_m", PLACE, "Centre of the circle."),
         Key("radius_m", Number(1e-4, MAX_XY), "Radius of the circle."),
         Key(
             "start_deg", Number(-360, 360), "Direction from the circle's centre to the start of "
@@ -339,7 +339,7 @@ HOPPER = Section(
         Key("least", Whole(1, 100), "Minimum number of parts on the plate. If the plate has fewer "
             "parts, the hopper opens.", None, "`fill`"),
         Key("rate_ps", Number(0.1, 1000), "Number of parts that the open hopper drops per second."),
-        Key("place_m", PLACE, "Centre [x, y] of the disc on which parts drop."),
+        Key("place_m", PLACE, "Centre of the disc on which parts drop."),
         Key("spread_m", Number(0.001, 1), "Radius of the disc on which parts drop."),
         Key("mix", Table("for each class a fraction, 1 in all"), "Fraction of each class among "
             "the dropped parts. The classes in `picks` are "
