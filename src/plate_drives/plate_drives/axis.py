@@ -270,7 +270,7 @@ class Axis:
             moved = abs(self.position - rest) > STILL_M * abs(self.scale)
             stands, rest = (0, self.position) if moved else (stands + 1, rest)
             if self._master.now > end:
-                raise PlateError(f"motor_{self._motor}: is not at rest within {READY_S:g} s")
+                raise PlateError(f"motor_{self._motor}: does not come to rest within {READY_S:g} s")
         counts = amplitude * abs(self.scale)
         if not ends[0] + counts <= self.position <= ends[1] - counts:
             raise PlateError(

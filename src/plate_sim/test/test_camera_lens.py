@@ -201,7 +201,10 @@ def test_frames_agree_with_the_camera():
         ({"pose": [0, 1]}, r"pose: shape is \(2,\)"),
         ({"angle": [0, np.nan]}, "angle: value of part 1"),
         ({"types": [SQUARE_TYPE]}, "types: 1 for 2 parts"),
-        ({"position": np.zeros((3, 2, 2)), "velocity": np.zeros((2, 2))}, "velocity requires pos"),
+        (
+            {"position": np.zeros((3, 2, 2)), "velocity": np.zeros((2, 2))},
+            "velocity is given with pos",
+        ),
     ],
 )
 def test_bad_scenes_are_refused(change, message):

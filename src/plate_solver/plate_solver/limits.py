@@ -150,8 +150,8 @@ def within_limits(
     least = _use(rest, full)
     if not least <= CERTAIN:
         raise CycleError(
-            f"the fraction of the rig's limits that is necessary to stop from the cycle's start is "
-            f"{least:.3g}, allowed: 0 to {CERTAIN:g}"
+            "the plate cannot stop within the rig's limits from the cycle's start: used fraction "
+            f"is {least:.3g}, allowed: 0 to {CERTAIN:g}"
         )
     # four rounds suffice, because the utilisation of the limits is nearly linear in `share`
     for _ in range(4):

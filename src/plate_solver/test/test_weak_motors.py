@@ -107,7 +107,7 @@ def test_a_cycle_in_motion_keeps_the_limits_and_so_does_the_way_to_rest_from_its
         assert usage(rig, resting()).overall <= 1
         plate = cycle.state(-1)
     far = limited_sinusoids(8, 0.1, Limits.of(rig), 1.3, free_end=True, plate=100 * plate)
-    with pytest.raises(CycleError, match=r"necessary to stop from the cycle's start is"):
+    with pytest.raises(CycleError, match="cannot stop within the rig's limits"):
         within_limits(far.cycle(theta), full, lambda: far.cycle(0 * theta))
 
 

@@ -447,7 +447,7 @@ class DetectorNode(SafeLifecycleNode[DetectorParameters]):
         if stamp == last and not np.array_equal(image, self._last_image):
             raise ImageError(
                 f"stamp is {stamp:.3f} s, equal to that of the last image, allowed: a different "
-                "stamp for each image; check that the camera's node sets it"
+                "stamp for each image; check that the camera's node sets the stamp"
             )
 
     def _know_plate(self, image: np.ndarray) -> None:

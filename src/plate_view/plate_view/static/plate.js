@@ -17,13 +17,13 @@ export const LAYERS = [
   ["image", "Image", true, "the camera's image, seen from above"],
   ["outline", "Outlines", true, "the places of the parts"],
   ["name", "Names", true, "the ids of the parts"],
-  ["spread", "Spread \u00d710", true, "the uncertainty of the places, enlarged ten times"],
+  ["spread", "Spread \u00d710", true, "the uncertainty of the parts' positions, enlarged ten times"],
   ["trail", "Trails", true, "the recent paths of the parts"],
   ["target", "Targets", true, "the targets of the parts"],
   ["wanted", "Requested", false, "the planner's request for each part"],
   ["task", "Task", true, "regions, paths and places of the task"],
-  ["drift", "Drift", false, "how the running cycle moves resting parts"],
-  ["force", "Mean force", false, "mean friction of the running cycle on resting parts"],
+  ["drift", "Drift", false, "the drift of parts at rest in the running cycle"],
+  ["force", "Mean force", false, "mean friction on parts at rest in the running cycle"],
   ["centre", "Centres", true, "the rotation centres of the running cycle"],
 ];
 

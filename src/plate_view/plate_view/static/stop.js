@@ -37,7 +37,7 @@ export class EmergencyStop {
     this.connection.send({ do: "emergency_stop" }).then((answer) => {
       if (this.pending !== pressed) return;
       if (answer.ok) this.#confirm(`confirmed after ${Math.round(performance.now() - pressed)} ms`);
-      else this.#unanswered(`The emergency stop did not go through: ${answer.text}. ${CUT}`);
+      else this.#unanswered(`The emergency stop failed: ${answer.text}. ${CUT}`);
     });
   }
 

@@ -261,7 +261,7 @@ def check_quadrilateral(
         )
     area = 0.5 * abs(float(np.sum(cross(polygon, np.roll(polygon, -1, axis=0)))))
     if area < min_area:
-        raise error(f"{name}: spans {area:.3g} {unit}2, allowed: at least {min_area:.3g} {unit}2")
+        raise error(f"{name}: area is {area:.3g} {unit}2, allowed: at least {min_area:.3g} {unit}2")
     return polygon
 
 

@@ -163,8 +163,8 @@ class V4l2Source(Camera):
         capture = self._make_capture(self.path)
         if not capture.isOpened():
             raise CameraError(
-                f"{self.path}: OpenCV cannot open it; try v4l2-ctl -d {self.path} --stream-mmap "
-                "--stream-count=10"
+                f"{self.path}: OpenCV cannot open this device; try v4l2-ctl -d {self.path} "
+                "--stream-mmap --stream-count=10"
             )
         capture.set(cv2.CAP_PROP_CONVERT_RGB, 0)
         capture.set(cv2.CAP_PROP_FOURCC, fourcc(self._form))

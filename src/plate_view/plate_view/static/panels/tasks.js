@@ -76,7 +76,7 @@ export function tasks(panel, execute) {
     if (!task || panel.hidden) return;
     const { parts_seen: seen, parts_total: total, time_s: time } = task.progress ?? {};
     const waits = task.state === "running" && !time && seen < total;
-    setText(state, waits ? `waiting for its parts: ${seen} of ${total} are detected` : task.text || `${task.task || "No task"}: ${task.state}`);
+    setText(state, waits ? `waiting until all parts are detected: ${seen} of ${total}` : task.text || `${task.task || "No task"}: ${task.state}`);
     const progress = task.progress ?? {};
     for (const [name, words] of PROGRESS) setText(cells.get(name), Object.keys(progress).length ? (words(progress) ?? "\u2013") : "\u2013");
     bar.value = progress.parts_total ? progress.parts_sorted / progress.parts_total : 0;
